@@ -8,15 +8,15 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.vector import VectorEnv
 
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.fleet_env import FleetVectorEnv
-from agent_sdk.envs.vector_env import BuildingVectorEnv
-from agent_sdk.rewards import Reward
-from agent_sdk.rewards.manifest_data import is_data, reward_data
-from agent_sdk.wrappers import apply_wrappers, wrappers_of
-from topics import yaml12
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.fleet_env import FleetVectorEnv
+from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
+from zenostat.agent_sdk.rewards import Reward
+from zenostat.agent_sdk.rewards.manifest_data import is_data, reward_data
+from zenostat.agent_sdk.wrappers import apply_wrappers, wrappers_of
+from zenostat.topics import yaml12
+from zenostat.topics.errors import InvalidConfig
 
 
 def make(**arguments: Any) -> gym.Env[Any, Any]:
@@ -64,7 +64,7 @@ def save_env(env: gym.Env[Any, Any], path: str | Path) -> None:
     """Write an environment with its reward and wrappers to a scenario file; `load_env` makes an equal one from it.
 
     Args:
-        env: An environment within any wrappers of `agent_sdk.wrappers`, and those of Gymnasium that can be serialized.
+        env: An environment within any wrappers of `zenostat.wrappers`, and those of Gymnasium that can be serialized.
         path: The file (YAML).
 
     Raises:

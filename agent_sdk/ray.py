@@ -1,8 +1,8 @@
 """Environments for Ray: RLlib's new API stack, and Tune.
 
-agent_sdk.ray.register()
+zenostat.ray.register()
 config = PPOConfig().environment("zenostat", env_config={"scenario": "5zone-hot-continuous-v1"})
-config = agent_sdk.ray.set_env_runners(config, runners=4, cores=2)
+config = zenostat.ray.set_env_runners(config, runners=4, cores=2)
 
 This module can be imported without Ray; its functions say what to install.
 """
@@ -17,9 +17,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
 
-from agent_sdk.envs.vector_env import MAX_SLOTS
-from topics.errors import InvalidConfig, NodeNotFound
-from topics.extras import import_extra
+from zenostat.agent_sdk.envs.vector_env import MAX_SLOTS
+from zenostat.topics.errors import InvalidConfig, NodeNotFound
+from zenostat.topics.extras import import_extra
+
+__all__ = ["ENV", "connect", "create_env", "register", "set_env_runners"]
 
 ENV = "zenostat"
 """Default name of the environments in RLlib's registry."""
@@ -39,7 +41,7 @@ def register(name: str = ENV) -> str:
     Raises:
         InvalidConfig: Ray is not installed.
     """
-    import_extra("ray.tune.registry", "ray", "agent_sdk.ray").register_env(name, create_env)
+    import_extra("ray.tune.registry", "ray", "zenostat.agent_sdk.ray").register_env(name, create_env)
     return name
 
 
@@ -115,7 +117,7 @@ def connect(address: str, **arguments: Any) -> Any:
         InvalidConfig: Ray is not installed, or the address is malformed.
         NodeNotFound: No Ray cluster answers there.
     """
-    ray = import_extra("ray", "ray", "agent_sdk.ray")
+    ray = import_extra("ray", "ray", "zenostat.agent_sdk.ray")
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal():
         raise InvalidConfig(f"{address!r} is not the address of a Ray cluster; write HOST:PORT, such as 127.0.0.1:6379")

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from gymnasium.envs.registration import EnvSpec, registry
 
-from topics.scenario_ids import all_ids
+from zenostat.topics.scenario_ids import all_ids
 
-_ENTRY, _VECTOR = "agent_sdk.env_factory:make", "agent_sdk.env_factory:make_vec"
-_FAKE, _FAKE_VECTOR = "agent_sdk.testing.fake_env:FakeEnv", "agent_sdk.testing.fake_vector_env:FakeVectorEnv"
+_ENTRY, _VECTOR = "zenostat.agent_sdk.env_factory:make", "zenostat.agent_sdk.env_factory:make_vec"
+_FAKE, _FAKE_VECTOR = (
+    "zenostat.agent_sdk.testing.fake_env:FakeEnv",
+    "zenostat.agent_sdk.testing.fake_vector_env:FakeVectorEnv",
+)
 _GENERAL = ("Building-v1", "Scenario-v1", "Sinergym-v1", "Plant-v1")
 
 

@@ -31,8 +31,20 @@ from pydantic import (
     model_validator,
 )
 
-from topics.calendar import WEEKDAYS, Weekday, check_hours, hour_of_leap_year, in_hours
-from topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.calendar import WEEKDAYS, Weekday, check_hours, hour_of_leap_year, in_hours
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+
+__all__ = [
+    "Constant",
+    "HourlyFile",
+    "HourlySeries",
+    "Intensity",
+    "Period",
+    "Price",
+    "Signal",
+    "TimeOfUse",
+    "TimeSeries",
+]
 
 HOURS, LEAP_HOURS = 8760, 8784
 _FEBRUARY_28, _FEBRUARY_29 = 24 * (31 + 27), 24 * (31 + 28)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from topics.errors import InvalidConfig
-from topics.extras import requires_extra
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
 
 with requires_extra("train", "training", "stable-baselines3"):
     from stable_baselines3.common.base_class import BaseAlgorithm
@@ -70,7 +70,7 @@ def normalization_of(model: Any) -> VecNormalize | None:
     if normalization is None and is_normalized(model):
         raise InvalidConfig(
             "the model was trained behind VecNormalize, but loaded without its normalization: use "
-            "agent_sdk.training.load_policy, or load(path, env=VecNormalize.load(normalization, env))"
+            "zenostat.training.load_policy, or load(path, env=VecNormalize.load(normalization, env))"
         )
     return normalization
 

@@ -23,7 +23,7 @@ from typing import Any
 from rich.console import Console
 
 from bench import boptest, branches, growth, monitors, noise, plans, plants, processor, recording, resets, steps, vector
-from topics import VERSION
+from zenostat.topics import VERSION
 
 PARTS: Mapping[str, Any] = {
     "steps": steps,
@@ -42,13 +42,13 @@ PARTS: Mapping[str, Any] = {
 IMPORT = """
 import sys, time
 start = time.perf_counter()
-import agent_sdk
+import zenostat
 print(time.perf_counter() - start, [m for m in ("rerun", "pyenergyplus") if m in sys.modules])
 """
 
 
 def import_time() -> tuple[float, str]:
-    """Return the median seconds of `import agent_sdk`, and which of Rerun and EnergyPlus it loads."""
+    """Return the median seconds of `import zenostat`, and which of Rerun and EnergyPlus it loads."""
     outputs = [
         subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True).stdout.split(" ", 1)
         for _ in range(5)
@@ -71,7 +71,7 @@ def main() -> None:
             results[part] = PARTS[part].measure(quick=options.quick)
         PARTS[part].show(results[part], console)
     seconds, loads = import_time()
-    console.print(f"import agent_sdk: {seconds:.2f} s; loads of Rerun and EnergyPlus: {loads}")
+    console.print(f"import zenostat: {seconds:.2f} s; loads of Rerun and EnergyPlus: {loads}")
     if options.plot and "growth" in results:
         for path in growth.plot(results["growth"], options.plot):
             console.print(f"plot written to {path}")

@@ -18,16 +18,16 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.machine import OtherLoad
-from bridge.gateways.boptest.prices import read_rates
-from bridge.gateways.boptest.session import BuildingTest
-from cli.boptest_cases import BundledTestCases
-from topics.messages import CommandOp
+from zenostat.bridge.gateways.boptest.prices import read_rates
+from zenostat.bridge.gateways.boptest.session import BuildingTest
+from zenostat.cli.boptest_cases import BundledTestCases
+from zenostat.topics.messages import CommandOp
 
 CASE = "office-small"
 STEPS = 96
 _OWN = "the building's own step"
 _INPUTS = {"core_zn_cooling_setpoint_u": 297.15, "core_zn_cooling_setpoint_activate": 1}
-_GATEWAY = [sys.executable, "-P", "-m", "cli.main", "gateway", "boptest", "--address", "127.0.0.1:0"]
+_GATEWAY = [sys.executable, "-P", "-m", "zenostat.cli.main", "gateway", "boptest", "--address", "127.0.0.1:0"]
 _BEGIN = {"start_time": 17280000, "warmup_period": 0}
 
 

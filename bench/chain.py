@@ -17,9 +17,9 @@ import numpy as np
 from numpy.typing import NDArray
 from zenoh.handlers import FifoChannel
 
-from bridge.runtime import affinity
-from bridge.runtime.affinity import Affinity
-from bridge.transport.session import open_session
+from zenostat.bridge.runtime import affinity
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.transport.session import open_session
 
 _SAMPLE, _COMMAND = "sample", "command"
 _MAX_BYTES = 1 << 16
@@ -35,7 +35,7 @@ class Chain:
         run: a `bench.worker.InProcess` that simulates in a process forked from this one; None: no engine, and the node
             sends back what it receives.
         folder: for the socket.
-        placement: `node` or `together`; see `bridge.runtime.affinity`.
+        placement: `node` or `together`; see `zenostat.bridge.runtime.affinity`.
     """
 
     def __init__(self, run: Any, folder: Path, placement: Affinity) -> None:

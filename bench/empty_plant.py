@@ -1,8 +1,8 @@
 """A plant that does nothing, in the node's own process: what a step costs without a simulator.
 
-`python -m bench.empty_plant` runs a node with it for another program; see `bridge.node.program`. Its settings are those
-of `NodeSettings`, and `steps`, the length of an episode. It is also the smallest complete implementation of
-`bridge.node.plant.Plant`: without engines, files and weather.
+`python -m bench.empty_plant` runs a node with it for another program; see `zenostat.bridge.node.program`. Its settings
+are those of `NodeSettings`, and `steps`, the length of an episode. It is also the smallest complete implementation of
+`zenostat.bridge.node.plant.Plant`: without engines, files and weather.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from math import nan
 from pathlib import Path
 from typing import Any
 
-from bridge.node.node import Node
-from bridge.node.plant import (
+from zenostat.bridge.node.node import Node
+from zenostat.bridge.node.plant import (
     Plant,
     PlantContext,
     PlantDescription,
@@ -25,11 +25,11 @@ from bridge.node.plant import (
     WeatherTable,
     without_weather,
 )
-from bridge.node.program import main
-from bridge.node.settings import NodeSettings
-from topics import VERSION
-from topics.errors import ForkFailed, InvalidConfig
-from topics.messages import Action, Actuator, EngineStart, EpisodeStart, Sensor, Task, Versions
+from zenostat.bridge.node.program import main
+from zenostat.bridge.node.settings import NodeSettings
+from zenostat.topics import VERSION
+from zenostat.topics.errors import ForkFailed, InvalidConfig
+from zenostat.topics.messages import Action, Actuator, EngineStart, EpisodeStart, Sensor, Task, Versions
 
 BEGIN, STEP_S, STEPS = datetime(2001, 1, 1), 1.0, 1_000_000_000
 LOW, HIGH = -1e9, 1e9

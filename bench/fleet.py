@@ -16,8 +16,8 @@ from pathlib import Path
 import numpy as np
 import psutil
 
-from agent_sdk.envs.fleet_env import FleetVectorEnv
-from topics import codec
+from zenostat.agent_sdk.envs.fleet_env import FleetVectorEnv
+from zenostat.topics import codec
 
 SCENARIO = {"building": "ref-small-office", "weather": "USA_CO_Denver", "begin": "07-01", "end": "07-31"}
 
@@ -25,7 +25,10 @@ SCENARIO = {"building": "ref-small-office", "weather": "USA_CO_Denver", "begin":
 def program(stack: ExitStack, *arguments: str) -> subprocess.Popen[str]:
     """Start a command of `zenostat` that ends with this program, once it has written its first line."""
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "cli.main", *arguments], stdout=subprocess.PIPE, text=True, process_group=0
+        [sys.executable, "-P", "-m", "zenostat.cli.main", *arguments],
+        stdout=subprocess.PIPE,
+        text=True,
+        process_group=0,
     )
     stack.callback(process.wait)
     stack.callback(process.terminate)

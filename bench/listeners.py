@@ -17,7 +17,17 @@ def listening(endpoint: str, count: int) -> Iterator[None]:
         monitors = []
         for number in range(count):
             target = Path(folder) / f"{number}.rrd"
-            command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", endpoint, "--save", str(target)]
+            command = [
+                sys.executable,
+                "-P",
+                "-m",
+                "zenostat.cli.main",
+                "monitor",
+                "--connect",
+                endpoint,
+                "--save",
+                str(target),
+            ]
             monitors.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True))
         for monitor in monitors:
             assert monitor.stdout is not None

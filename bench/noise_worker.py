@@ -37,7 +37,7 @@ def _create(kind: str, count: int) -> Any:
             return gym.make(SINERGYM, **arguments)
         kwargs: dict[str, Any] = {"vector_kwargs": {"context": "spawn"}}
         return gym.make_vec(SINERGYM, num_envs=count, vectorization_mode="async", **kwargs, **arguments)
-    import agent_sdk  # noqa: F401  # registers the environments
+    import zenostat  # noqa: F401  # registers the environments
 
     arguments = {"begin": "01-01", "end": f"01-0{DAYS}", "noise_start": kind}
     if not count:

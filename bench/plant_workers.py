@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from bench.pace import EndOfBursts, Pace
-from bridge.runtime import affinity
-from bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime import affinity
+from zenostat.bridge.runtime.affinity import Affinity
 
 NAME = "empty"
 WARM_UP = 1000
@@ -85,7 +85,7 @@ def _empty_node(placement: Affinity) -> Iterator[tuple[str, int | None]]:
 
 def in_node(pace: Pace, *, placement: str) -> None:
     """Call `env.step` on a plant that does nothing in the node's own process."""
-    from agent_sdk.envs.building_env import BuildingEnv
+    from zenostat.agent_sdk.envs.building_env import BuildingEnv
 
     with ExitStack() as stack:
         endpoint, _ = stack.enter_context(_empty_node(Affinity(placement)))
@@ -96,7 +96,7 @@ def in_node(pace: Pace, *, placement: str) -> None:
 
 def link(pace: Pace, *, placement: str) -> None:
     """Send commands to that plant and receive its samples, without an environment."""
-    from agent_sdk.bus.bus import connect
+    from zenostat.agent_sdk.bus.bus import connect
 
     with ExitStack() as stack:
         endpoint, core = stack.enter_context(_empty_node(Affinity(placement)))
@@ -116,7 +116,7 @@ def in_process_of_its_own(pace: Pace, *, placement: str) -> None:
     """Call `env.step` on a Python class that does nothing, in a process of its own."""
     import gymnasium as gym
 
-    import agent_sdk  # noqa: F401  # registers the environments
+    import zenostat  # noqa: F401  # registers the environments
 
     with ExitStack() as stack:
         plant = f"{Path(__file__).parent / 'idle_class.py'}:Idle"

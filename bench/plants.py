@@ -10,7 +10,7 @@ from rich.table import Table
 
 from bench import helics_peer, pace
 from bench.pace import Worker
-from topics.extras import install_command
+from zenostat.topics.extras import install_command
 
 STEPS = 3000
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {

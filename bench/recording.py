@@ -53,8 +53,8 @@ def _measure(scene: str, steps: int, count: int) -> dict[str, Any]:
 
 def _file(path: Path) -> dict[str, Any]:
     """Return the size of a recording for a year, and microseconds per step of its verification."""
-    from bridge.recording.reader import RecordingReader
-    from eplus_node.verification import verify
+    from zenostat.bridge.recording.reader import RecordingReader
+    from zenostat.eplus_node.verification import verify
 
     with RecordingReader(path) as reader:
         samples = sum(1 for _ in reader.messages({"Sample"}))

@@ -13,7 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from bench import pace, scenes
-from topics.messages import EngineStart
+from zenostat.topics.messages import EngineStart
 
 SCENES = ("five-zone", "office-small", "office-medium", "outpatient")
 

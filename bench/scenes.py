@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from eplus_node.config import read_config
-from eplus_node.plan import Plan, plan
-from models.points.discovery import discover
-from models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw
-from topics.messages import Actuator
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.plan import Plan, plan
+from zenostat.models.points.discovery import discover
+from zenostat.models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw
+from zenostat.topics.messages import Actuator
 
 # Without a 29 February, which weather files lack; 2100 is not a leap year.
 PERIOD = {"begin": "2096-07-01", "end": "2104-02-28"}
@@ -37,7 +37,7 @@ def environment(scene: str) -> Any:
     """Create the environment of a scene."""
     import gymnasium as gym
 
-    import agent_sdk  # noqa: F401  # registers the environments
+    import zenostat  # noqa: F401  # registers the environments
 
     arguments = settings(scene)
     return gym.make(arguments.pop("scenario", "zenostat/Building-v1"), **arguments)

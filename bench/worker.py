@@ -92,7 +92,7 @@ class InProcess:
 def chain(run: InProcess, pace: Pace, *, affinity: str) -> None:
     """Step across processes over Zenoh like `env.step`, with bare bytes."""
     from bench.chain import Chain
-    from bridge.runtime.affinity import Affinity
+    from zenostat.bridge.runtime.affinity import Affinity
 
     with Chain(run, Path(tempfile.mkdtemp()), Affinity(affinity)) as chained:
         _run(chained.step, pace)
@@ -173,7 +173,7 @@ def environment(
     """Call `env.step`, across processes over Zenoh."""
     import gymnasium as gym
 
-    import agent_sdk  # noqa: F401  # registers the environments
+    import zenostat  # noqa: F401  # registers the environments
 
     identity = node_settings.pop("scenario", "zenostat/Building-v1")
     with ExitStack() as stack:
@@ -194,9 +194,9 @@ def environment(
 
 def engines(node_settings: dict[str, Any], pace: Pace, *, count: int) -> None:
     """Step the engines of one node together through their sockets alone: no bus, no node, no controller."""
-    from bridge.engine.client import EngineClient
-    from bridge.engine.group import EngineGroup
-    from eplus_node.engine.spec import engine_spec
+    from zenostat.bridge.engine.client import EngineClient
+    from zenostat.bridge.engine.group import EngineGroup
+    from zenostat.eplus_node.engine.spec import engine_spec
 
     folder = Path(tempfile.mkdtemp())
     checked, files = scenes.prepared(node_settings, folder)
@@ -221,9 +221,9 @@ def engines(node_settings: dict[str, Any], pace: Pace, *, count: int) -> None:
 
 def slots(node_settings: dict[str, Any], pace: Pace, *, count: int, **arguments: Any) -> None:
     """Step the slots of one node without an environment: the cost of bus and node."""
-    from agent_sdk.bus.bus import connect
-    from agent_sdk.bus.local_node import LocalNode
-    from bridge.runtime.affinity import Affinity
+    from zenostat.agent_sdk.bus.bus import connect
+    from zenostat.agent_sdk.bus.local_node import LocalNode
+    from zenostat.bridge.runtime.affinity import Affinity
 
     placement = Affinity(arguments.get("affinity", Affinity.SEPARATE_CORES))
     node = LocalNode({**node_settings, "slots": count, "name": "bench"}, placement)
@@ -247,7 +247,7 @@ def vector(node_settings: dict[str, Any], pace: Pace, *, count: int, mode: str, 
     """Step a vector environment: Zenostat's (`vector_entry_point`), or Gymnasium's over single environments."""
     import gymnasium as gym
 
-    import agent_sdk  # noqa: F401  # registers the environments
+    import zenostat  # noqa: F401  # registers the environments
 
     identity = node_settings.pop("scenario", "zenostat/Building-v1")
     kwargs: dict[str, Any] = {"vector_kwargs": {"context": "spawn"}} if mode == "async" else {}

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bridge.transport.session import default_endpoint
-from cli.console import out
-from cli.options import CertificateName, Connect, Keys
-from cli.write import Node, Source, person, seconds
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import out
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.write import Node, Source, person, seconds
 
 if TYPE_CHECKING:
-    from agent_sdk import Bus
-    from topics.messages import Ack
+    from zenostat import Bus
+    from zenostat.topics.messages import Ack
 
 Alarm = Annotated[
     str, typer.Argument(help="Name of an alarm, or of a rule for all its points; `*` stands for any characters.")
@@ -151,7 +151,7 @@ def _send(
     node: str, request: Callable[[Bus], Ack], connect: str | None, keys: Path | None, certificate: str | None
 ) -> None:
     """Send a request and print what it changed, a line for each alarm."""
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         ack = request(bus)

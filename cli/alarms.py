@@ -12,15 +12,15 @@ from typing import Annotated, Any
 import typer
 from rich.live import Live
 
-from bridge.transport.session import default_endpoint
-from cli.console import err, out
-from cli.options import CertificateName, Connect, Keys
-from cli.tables import fitted, show, show_json
-from topics.errors import NodeNotFound
-from topics.keys import Role
-from topics.messages import AlarmList, AlarmPriority, AlarmState, AlarmStatus, EventState
-from topics.printable import replace_controls
-from topics.units import with_unit
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import err, out
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.tables import fitted, show, show_json
+from zenostat.topics.errors import NodeNotFound
+from zenostat.topics.keys import Role
+from zenostat.topics.messages import AlarmList, AlarmPriority, AlarmState, AlarmStatus, EventState
+from zenostat.topics.printable import replace_controls
+from zenostat.topics.units import with_unit
 
 _POLL_S = 1.0
 _SET_ASIDE = (AlarmState.SHELVED, AlarmState.OUT_OF_SERVICE, AlarmState.SUPPRESSED)
@@ -45,7 +45,7 @@ def alarms(
 
     Example: `zenostat alarms office --all`
     """
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     endpoint = connect or default_endpoint(keys)
     with connect_bus(endpoint, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:

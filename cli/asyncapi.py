@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 
 def asyncapi(
@@ -18,8 +18,8 @@ def asyncapi(
 
     Example: `zenostat asyncapi --output asyncapi.yaml`
     """
-    from topics.asyncapi import document
-    from topics.yaml12 import dump
+    from zenostat.topics.asyncapi import document
+    from zenostat.topics.yaml12 import dump
 
     text = dump(document())
     if output is None:

@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
-from cli.console import err, out
-from cli.options import Emissions, Price, read_rates
-from topics.extras import requires_extra
+from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
+from zenostat.cli.console import err, out
+from zenostat.cli.options import Emissions, Price, read_rates
+from zenostat.topics.extras import requires_extra
 
 if TYPE_CHECKING:
-    from bridge.gateways.boptest.server import HttpServer
+    from zenostat.bridge.gateways.boptest.server import HttpServer
 
 
 def boptest(
@@ -39,11 +39,11 @@ def boptest(
     one price scenario: `--price highly_dynamic=prices.csv`.
     """
     with requires_extra("boptest", "the BOPTEST gateway", "FastAPI, uvicorn and httptools"):
-        from bridge.gateways.boptest.app import Service
-        from bridge.gateways.boptest.server import HttpServer
-    from bridge.gateways.boptest.manager import TestManager
-    from bridge.gateways.boptest.prices import read_rates as rates_of
-    from cli.boptest_cases import BundledTestCases
+        from zenostat.bridge.gateways.boptest.app import Service
+        from zenostat.bridge.gateways.boptest.server import HttpServer
+    from zenostat.bridge.gateways.boptest.manager import TestManager
+    from zenostat.bridge.gateways.boptest.prices import read_rates as rates_of
+    from zenostat.cli.boptest_cases import BundledTestCases
 
     rates = rates_of(read_rates("--price", prices), read_rates("--emissions", emissions))
 

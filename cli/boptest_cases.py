@@ -11,16 +11,16 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from bridge.gateways.boptest.cases import TestCase
-from models import catalog
-from models.building.summary import listed_summaries
-from models.cache import cache_dir
-from models.scenario.registry import find_scenario
-from models.scenario.schema import Scenario, load_scenario
-from topics import yaml12
-from topics.atomic_file import atomic_file
-from topics.errors import InvalidConfig, UnknownName, did_you_mean
-from topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids
+from zenostat.bridge.gateways.boptest.cases import TestCase
+from zenostat.models import catalog
+from zenostat.models.building.summary import listed_summaries
+from zenostat.models.cache import cache_dir
+from zenostat.models.scenario.registry import find_scenario
+from zenostat.models.scenario.schema import Scenario, load_scenario
+from zenostat.topics import yaml12
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids
 
 _OWN_WEATHER = {"Chicago": "USA_IL_Chicago", "Denver": "USA_CO_Denver"}
 _STEPS_PER_HOUR = 4
@@ -115,7 +115,7 @@ def _pack_names() -> tuple[str, ...]:
 
 @cache
 def _bundled_days() -> dict[str, dict[str, int]]:
-    text = resources.files("bridge.gateways.boptest").joinpath(_DAYS_FILE).read_text(encoding="utf-8")
+    text = resources.files("zenostat.bridge.gateways.boptest").joinpath(_DAYS_FILE).read_text(encoding="utf-8")
     return yaml12.parse(text, _DAYS_FILE)
 
 

@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.progress import track
 
-from cli.console import err
-from cli.tables import show, show_json
+from zenostat.cli.console import err
+from zenostat.cli.tables import show, show_json
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from models.building.summary import BuildingSummary
-    from models.catalog import Entry
+    from zenostat.models.building.summary import BuildingSummary
+    from zenostat.models.catalog import Entry
 
 COLUMNS = (
     "building",
@@ -42,7 +42,7 @@ def buildings(
 
     Example: `zenostat buildings office-medium hospital`
     """
-    from models import catalog
+    from zenostat.models import catalog
 
     entries = [catalog.find_building(name) for name in building] if building else list(catalog.buildings())
     summaries = _summaries(entries)
@@ -57,7 +57,7 @@ def buildings(
 
 def _summaries(entries: Sequence[Entry]) -> list[BuildingSummary]:
     """Summarize all buildings in parallel; threads suffice, since conversions run in child processes."""
-    from models.building.summary import listed_summaries
+    from zenostat.models.building.summary import listed_summaries
 
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         summaries = pool.map(listed_summaries, entries)

@@ -16,7 +16,7 @@ from typing import Any
 import typer
 import typer.core
 
-from topics import VERSION
+from zenostat.topics import VERSION
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "Simulate and control": (
@@ -62,7 +62,7 @@ _GATEWAYS = ("gateway_bacnet.bacnet", "gateway_modbus.modbus", "gateway_mqtt.mqt
 
 def _import(place: str) -> Any:
     module, attribute = place.split(".")
-    return getattr(import_module(f"cli.{module}"), attribute)
+    return getattr(import_module(f"zenostat.cli.{module}"), attribute)
 
 
 @cache
@@ -95,7 +95,7 @@ def _summary(name: str) -> str:
             helps = [word.value for word in part.value.keywords if word.arg == "help"]
             if helps and ast.unparse(part.targets[0]) == attribute:  # a group's own help
                 return str(ast.literal_eval(helps[0]))
-    raise AttributeError(f"cli.{module} has no {attribute}")
+    raise AttributeError(f"zenostat.cli.{module} has no {attribute}")
 
 
 class _Commands(MutableMapping[str, Any]):

@@ -6,9 +6,9 @@ from typing import Annotated
 
 import typer
 
-from cli.console import err, out
-from cli.tables import show
-from models import data_packs
+from zenostat.cli.console import err, out
+from zenostat.cli.tables import show
+from zenostat.models import data_packs
 
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
 

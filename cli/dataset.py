@@ -8,10 +8,10 @@ from typing import Annotated, Any
 
 import typer
 
-from cli.console import out
-from cli.evaluate import watcher
-from cli.node_options import Begin, End
-from cli.run import read_parameters
+from zenostat.cli.console import out
+from zenostat.cli.evaluate import watcher
+from zenostat.cli.node_options import Begin, End
+from zenostat.cli.run import read_parameters
 
 
 def dataset(
@@ -57,8 +57,8 @@ def dataset(
     """
     import gymnasium as gym
 
-    from agent_sdk.datasets import write_dataset
-    from agent_sdk.envs.arguments import of_scenario
+    from zenostat.agent_sdk.datasets import write_dataset
+    from zenostat.agent_sdk.envs.arguments import of_scenario
 
     options = (("begin", begin), ("end", end))
     arguments: dict[str, Any] = {name: value for name, value in options if value is not None}

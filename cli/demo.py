@@ -11,25 +11,25 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.console import out, progress
-from cli.node_options import argument
-from cli.reports import command_line
-from cli.results import show_results
-from topics.errors import InvalidConfig
+from zenostat.cli.console import out, progress
+from zenostat.cli.node_options import argument
+from zenostat.cli.reports import command_line
+from zenostat.cli.results import show_results
+from zenostat.topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from agent_sdk import Bus
-    from agent_sdk.evaluation.metrics import EpisodeMetrics
-    from agent_sdk.evaluation.trace import EpisodeTrace
-    from agent_sdk.report import Comparison, Run
+    from zenostat import Bus
+    from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
+    from zenostat.agent_sdk.evaluation.trace import EpisodeTrace
+    from zenostat.agent_sdk.report import Comparison, Run
 
 NODE = "office"
 PICTURE_TIME = "15:30"
 """Time of the last day at which the screenshot shows the building: in working hours, with the sun up."""
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 
 
 def demo(
@@ -45,12 +45,12 @@ def demo(
 
     Example: `zenostat demo --begin 01-08 --end 01-14`
     """
-    from agent_sdk import connect
-    from agent_sdk.bus.local_node import LocalNode
-    from agent_sdk.evaluation.trace import episode_weather
-    from agent_sdk.report import Comparison, Run
-    from bridge.rerun.viewer import NO_VULKAN, has_vulkan
-    from bridge.runtime.affinity import Affinity
+    from zenostat import connect
+    from zenostat.agent_sdk.bus.local_node import LocalNode
+    from zenostat.agent_sdk.evaluation.trace import episode_weather
+    from zenostat.agent_sdk.report import Comparison, Run
+    from zenostat.bridge.rerun.viewer import NO_VULKAN, has_vulkan
+    from zenostat.bridge.runtime.affinity import Affinity
 
     folder.mkdir(parents=True, exist_ok=True)
     recording, screenshot, report = folder / "run.rrd", folder / "run.png", folder / "report.html"
@@ -92,7 +92,7 @@ def demo(
 
 def _write_report(comparison: Comparison, path: Path) -> list[str]:
     """Write the report; return why it cannot be written, if so: the recording does not depend on it."""
-    from agent_sdk.report import write_report
+    from zenostat.agent_sdk.report import write_report
 
     path.unlink(missing_ok=True)  # of an earlier run
     try:
@@ -123,8 +123,8 @@ def _episode(
     bus: Bus, endpoint: str, controller: str, title: str, bars: Progress
 ) -> tuple[EpisodeMetrics, EpisodeTrace, float]:
     """Run one episode with a controller in its own process; return metrics, samples and timesteps per second."""
-    from agent_sdk.evaluation.metrics import MetricsAccumulator
-    from agent_sdk.evaluation.trace import TraceRecorder
+    from zenostat.agent_sdk.evaluation.metrics import MetricsAccumulator
+    from zenostat.agent_sdk.evaluation.trace import TraceRecorder
 
     manifest = bus.manifest(NODE)
     metrics, bar = MetricsAccumulator(manifest), bars.add_task(title, total=manifest.steps, rate="")

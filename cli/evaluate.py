@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.console import err, out, progress
-from cli.node_options import Begin, End
-from cli.options import Emissions, Price, read_rates
-from cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
-from cli.run import read_parameters
-from cli.tables import show, show_json
-from topics.atomic_file import atomic_file
-from topics.errors import InvalidConfig
+from zenostat.cli.console import err, out, progress
+from zenostat.cli.node_options import Begin, End
+from zenostat.cli.options import Emissions, Price, read_rates
+from zenostat.cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
+from zenostat.cli.run import read_parameters
+from zenostat.cli.tables import show, show_json
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
-    from agent_sdk.evaluation.evaluate import Evaluation, Progress
-    from agent_sdk.evaluation.statistics import MetricSummary
+    from zenostat.agent_sdk.evaluation.evaluate import Evaluation, Progress
+    from zenostat.agent_sdk.evaluation.statistics import MetricSummary
 
 _UNITS = {"kwh": "kWh", "w": "W", "kw": "kW", "k": "K", "kh": "K h", "percent": "%"}
 _TEXT_COLUMNS = ("controller", "weather")
@@ -73,7 +73,7 @@ def evaluate(
     if file is not None:
         check_file(file)
     outputs = ReportOutputs(report, figures)
-    from agent_sdk.evaluation.evaluate import evaluate as run_all
+    from zenostat.agent_sdk.evaluation.evaluate import evaluate as run_all
 
     options = (("begin", begin), ("end", end))
     overrides: dict[str, Any] = {name: value for name, value in options if value is not None}
@@ -144,7 +144,7 @@ def _is_shown(name: str, summary: Mapping[str, Mapping[str, MetricSummary]]) -> 
 
 def _label(name: str) -> str:
     if name.startswith("kpi."):
-        from agent_sdk.evaluation.kpis import KPIS
+        from zenostat.agent_sdk.evaluation.kpis import KPIS
 
         text, unit = KPIS[name.removeprefix("kpi.")]
         return f"{text} ({unit})"
@@ -184,7 +184,7 @@ def check_file(path: Path) -> None:
 
 
 def _parquet() -> tuple[Any, Any]:
-    from topics.extras import import_extra
+    from zenostat.topics.extras import import_extra
 
     return import_extra("pyarrow", "parquet", "a Parquet file"), import_extra(
         "pyarrow.parquet", "parquet", "a Parquet file"

@@ -9,9 +9,9 @@ from typing import Annotated
 
 import typer
 
-from cli.console import err, out
-from cli.verify import File
-from topics.errors import InvalidConfig
+from zenostat.cli.console import err, out
+from zenostat.cli.verify import File
+from zenostat.topics.errors import InvalidConfig
 
 
 class Format(StrEnum):
@@ -61,13 +61,13 @@ def export(
 
 
 def _write_rrd(file: Path, path: Path) -> int:
-    from topics.extras import requires_extra
+    from zenostat.topics.extras import requires_extra
 
     with requires_extra("recording", "a recording", "mcap and zstandard"):
-        from bridge.recording.reader import RecordingReader
-    from agent_sdk.evaluation.comfort import display_comfort
-    from bridge.rerun.from_recording import write_rrd
-    from cli.monitor_stream import reward_terms
+        from zenostat.bridge.recording.reader import RecordingReader
+    from zenostat.agent_sdk.evaluation.comfort import display_comfort
+    from zenostat.bridge.rerun.from_recording import write_rrd
+    from zenostat.cli.monitor_stream import reward_terms
 
     with RecordingReader(file) as reader:
         count = write_rrd(reader, path, comfort=display_comfort, reward=reward_terms)
@@ -79,7 +79,7 @@ def _write_rrd(file: Path, path: Path) -> int:
 
 
 def _write_table(file: Path, to: Format, path: Path) -> int:
-    from agent_sdk import recording
+    from zenostat import recording
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -8,16 +8,15 @@ import sysconfig
 import traceback
 from pathlib import Path
 
-from bridge.runtime.exhaustion import describe_exhaustion
-from cli.console import err, print_error
-from topics.errors import UsageError, ZenostatError
+import zenostat
+from zenostat.bridge.runtime.exhaustion import describe_exhaustion
+from zenostat.cli.console import err, print_error
+from zenostat.topics.errors import UsageError, ZenostatError
 
-_ROOT = Path(__file__).resolve().parent.parent
-_PACKAGES = ("agent_sdk", "bridge", "cli", "eplus_node", "models", "topics")
 _DISK_ERRORS = (
     errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENAMETOOLONG, errno.ENOSPC, errno.EPERM, errno.EROFS,
 )  # fmt: skip
-_NOT_USER_CODE = (*(_ROOT / name for name in _PACKAGES), Path(sysconfig.get_path("stdlib")))
+_NOT_USER_CODE = (Path(zenostat.__file__).parent, Path(sysconfig.get_path("stdlib")))
 
 
 def print_failure(error: Exception) -> int:

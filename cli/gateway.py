@@ -13,19 +13,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
-from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
-from bridge.transport.session import default_endpoint
-from cli.boptest import boptest
-from cli.console import err, out
-from cli.options import CertificateName, Connect, Keys, Wait
-from topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
-from topics.extras import install_command
-from topics.keys import Role
+from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.boptest import boptest
+from zenostat.cli.console import err, out
+from zenostat.cli.options import CertificateName, Connect, Keys, Wait
+from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
+from zenostat.topics.extras import install_command
+from zenostat.topics.keys import Role
 
 if TYPE_CHECKING:
     import zenoh
 
-    from bridge.gateways.node_client import NodeClient
+    from zenostat.bridge.gateways.node_client import NodeClient
 
 _RETRY_S = 1.0
 _RELINQUISH_S = 2.0
@@ -67,8 +67,8 @@ def zeromq(
     """
     if importlib.util.find_spec("zmq") is None:
         raise InvalidConfig(f"pyzmq is not installed: {install_command('zeromq')}")
-    from bridge.gateways.zeromq import Gateway
-    from bridge.transport.session import open_session
+    from zenostat.bridge.gateways.zeromq import Gateway
+    from zenostat.bridge.transport.session import open_session
 
     endpoint = connect or default_endpoint(keys)
     served = "all nodes" if node == "*" else f"node {node}"
@@ -152,7 +152,7 @@ def serve(
         NameInUse: another gateway of the node has the source, or another of the names.
         SystemExit: a signal arrived before the gateway was ready.
     """
-    from bridge.exchange.state import MAX_SOURCE_NAME
+    from zenostat.bridge.exchange.state import MAX_SOURCE_NAME
 
     if not 0 < len(source) <= MAX_SOURCE_NAME:
         raise InvalidConfig(f"--source has {len(source)} characters; expected 1 to {MAX_SOURCE_NAME}")
@@ -206,7 +206,7 @@ async def _serve(
     certificate: str | None,
 ) -> int:
     """Return the number of the signal that arrived before the gateway was ready; 0 if it was ready."""
-    from bridge.transport.session import open_session
+    from zenostat.bridge.transport.session import open_session
 
     with open_session(connect=[connect], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session:
         async with AsyncExitStack() as stack:
@@ -235,8 +235,8 @@ async def _start(
     names: Mapping[str, str],
 ) -> tuple[NodeClient, NodeGateway]:
     """Enter the contexts of a gateway."""
-    from bridge.gateways.exclusive_names import reserved_names
-    from bridge.gateways.node_client import NodeClient
+    from zenostat.bridge.gateways.exclusive_names import reserved_names
+    from zenostat.bridge.gateways.node_client import NodeClient
 
     client = await stack.enter_async_context(NodeClient(session, node, source=source))
     await stack.enter_async_context(reserved_names(session, node, names))
@@ -246,7 +246,7 @@ async def _start(
 
 async def _ends_before(task: asyncio.Task[Any], stopped: asyncio.Future[int]) -> bool:
     """Wait for a task, or for a signal, which cancels it; return whether the task has ended by itself."""
-    from bridge.gateways.tasks import cancel
+    from zenostat.bridge.gateways.tasks import cancel
 
     await asyncio.wait((task, stopped), return_when=asyncio.FIRST_COMPLETED)
     if task.done():

@@ -8,14 +8,14 @@ from typing import Annotated
 
 import typer
 
-from bridge.gateways.addresses import parse_address
-from bridge.transport.session import default_endpoint
-from cli.console import err, out
-from cli.gateway import serve
-from cli.options import CertificateName, Connect, Keys, Wait
-from topics.errors import InvalidConfig
-from topics.extras import requires_extra
-from topics.keys import Role
+from zenostat.bridge.gateways.addresses import parse_address
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import err, out
+from zenostat.cli.gateway import serve
+from zenostat.cli.options import CertificateName, Connect, Keys, Wait
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
+from zenostat.topics.keys import Role
 
 _MAX_INSTANCE = 4_194_302
 _MAX_SOURCE = 100  # a source has at most 128 characters, with the client's address
@@ -45,9 +45,9 @@ def bacnet(
     Example: `zenostat gateway bacnet office --address 127.0.0.1:47808`
     """
     with requires_extra("bacnet", "the BACnet gateway", "bacpypes3"):
-        from bridge.gateways.bacnet import BacnetGateway
-        from bridge.gateways.bacnet.network import DEFAULT_PORT, find_interface
-        from bridge.gateways.bacnet.points import instance_number
+        from zenostat.bridge.gateways.bacnet import BacnetGateway
+        from zenostat.bridge.gateways.bacnet.network import DEFAULT_PORT, find_interface
+        from zenostat.bridge.gateways.bacnet.points import instance_number
 
     if len(source) > _MAX_SOURCE:
         raise InvalidConfig(f"--source has {len(source)} characters; the most are {_MAX_SOURCE}")
@@ -85,10 +85,10 @@ def _write_objects(
     Raises:
         InvalidConfig: the file cannot be written.
     """
-    from agent_sdk import connect as connect_bus
-    from bridge.gateways.bacnet.fixed_objects import fixed_objects
-    from bridge.gateways.bacnet.points import point_specs
-    from bridge.gateways.bacnet.units import bacnet_unit
+    from zenostat import connect as connect_bus
+    from zenostat.bridge.gateways.bacnet.fixed_objects import fixed_objects
+    from zenostat.bridge.gateways.bacnet.points import point_specs
+    from zenostat.bridge.gateways.bacnet.units import bacnet_unit
 
     with connect_bus(connect, keys=keys, role=Role.CONTROLLER, certificate=certificate) as bus:
         manifest = bus.manifest(node)

@@ -7,12 +7,12 @@ from typing import Annotated
 
 import typer
 
-from bridge.transport.session import default_endpoint
-from cli.console import err, out
-from cli.gateway import serve
-from cli.options import CertificateName, Connect, Keys, Wait
-from topics.errors import InvalidConfig
-from topics.keys import Role
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import err, out
+from zenostat.cli.gateway import serve
+from zenostat.cli.options import CertificateName, Connect, Keys, Wait
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import Role
 
 DEFAULT_PORT = 1502
 
@@ -43,8 +43,8 @@ def modbus(
 
     Example: `zenostat gateway modbus office --address 127.0.0.1:1502`
     """
-    from bridge.gateways.addresses import parse_address
-    from bridge.gateways.modbus.gateway import ModbusGateway
+    from zenostat.bridge.gateways.addresses import parse_address
+    from zenostat.bridge.gateways.modbus.gateway import ModbusGateway
 
     if word_order not in ("big", "little"):
         raise InvalidConfig(f"--word-order {word_order}: expected big or little")
@@ -76,8 +76,8 @@ def _write_map(node: str, file: Path, connect: str, keys: Path | None, certifica
     Raises:
         InvalidConfig: another suffix, or the file cannot be written.
     """
-    from agent_sdk import connect as connect_bus
-    from bridge.gateways.modbus.register_map import RegisterMap
+    from zenostat import connect as connect_bus
+    from zenostat.bridge.gateways.modbus.register_map import RegisterMap
 
     if file.suffix not in (".csv", ".md"):
         raise InvalidConfig(f"--map {file}: expected a file with the suffix .csv or .md")

@@ -10,11 +10,11 @@ from typing import Annotated
 
 import typer
 
-from cli.console import err
-from cli.gateway import serve
-from cli.options import CertificateName, Connect, Keys, Wait
-from topics.errors import InvalidConfig
-from topics.extras import requires_extra
+from zenostat.cli.console import err
+from zenostat.cli.gateway import serve
+from zenostat.cli.options import CertificateName, Connect, Keys, Wait
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
 
 _FORM = re.compile(r"(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+)(:(?P<port>\d{1,5}))?")
 
@@ -56,9 +56,9 @@ def mqtt(
     """
     with requires_extra("mqtt", "the MQTT gateway", "aiomqtt"):
         import aiomqtt
-    from bridge.gateways.mqtt.broker import Broker
-    from bridge.gateways.mqtt.gateway import MqttGateway
-    from bridge.gateways.mqtt.topic_names import PREFIX, check_root
+    from zenostat.bridge.gateways.mqtt.broker import Broker
+    from zenostat.bridge.gateways.mqtt.gateway import MqttGateway
+    from zenostat.bridge.gateways.mqtt.topic_names import PREFIX, check_root
 
     versions = {"5": 5, "3.1.1": 3}
     if mqtt_version not in versions:

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from cli.console import out
-from topics.errors import UnknownName, did_you_mean
-from topics.keys import Role
+from zenostat.cli.console import out
+from zenostat.topics.errors import UnknownName, did_you_mean
+from zenostat.topics.keys import Role
 
 if TYPE_CHECKING:
-    from bridge.transport.certificates import Certificate
+    from zenostat.bridge.transport.certificates import Certificate
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -42,7 +42,7 @@ def init(
 
     Example: `zenostat keys init --host lab.example.org --host 192.168.1.20`
     """
-    from bridge.transport.certificates import AUTHORITY, make
+    from zenostat.bridge.transport.certificates import AUTHORITY, make
 
     out.print(_table(make(folder, hosts=host or (), days=days, force=force)))
     out.print(
@@ -65,8 +65,8 @@ def add(
 
     Example: `zenostat keys add controller annex`
     """
-    from bridge.transport.access_control import ROLES
-    from bridge.transport.certificates import add
+    from zenostat.bridge.transport.access_control import ROLES
+    from zenostat.bridge.transport.certificates import add
 
     if role not in tuple(ROLES):
         raise UnknownName(f"no role {role!r}; {did_you_mean(role, ROLES)}")
@@ -79,7 +79,7 @@ def show(folder: Annotated[Path, typer.Argument(help="Folder of the certificates
 
     Example: `zenostat keys show`
     """
-    from bridge.transport.certificates import show
+    from zenostat.bridge.transport.certificates import show
 
     out.print(_table(show(folder)))
 

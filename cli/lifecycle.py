@@ -6,11 +6,11 @@ from typing import Annotated
 
 import typer
 
-from bridge.transport.session import default_endpoint
-from cli.console import out
-from cli.options import CertificateName, Connect, Keys
-from cli.write import Node, person
-from topics.errors import NodeLost
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import out
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.write import Node, person
+from zenostat.topics.errors import NodeLost
 
 
 def reset(
@@ -24,8 +24,8 @@ def reset(
 
     Example: `zenostat reset office --seed 1`
     """
-    from agent_sdk import connect as connect_bus
-    from topics.messages import Reset
+    from zenostat import connect as connect_bus
+    from zenostat.topics.messages import Reset
 
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         steps = bus.manifest(node).steps
@@ -40,7 +40,7 @@ def stop(node: Node, connect: Connect = None, keys: Keys = None, certificate: Ce
 
     Example: `zenostat stop office`
     """
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     with (
         connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus,

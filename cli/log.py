@@ -7,10 +7,10 @@ from typing import Annotated
 
 import typer
 
-from cli.console import err
-from cli.tables import show, show_json
-from cli.verify import File
-from topics.errors import UnknownName, did_you_mean
+from zenostat.cli.console import err
+from zenostat.cli.tables import show, show_json
+from zenostat.cli.verify import File
+from zenostat.topics.errors import UnknownName, did_you_mean
 
 
 def log(
@@ -30,7 +30,7 @@ def log(
     """
     from fnmatch import fnmatchcase
 
-    from agent_sdk import recording
+    from zenostat import recording
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

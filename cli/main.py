@@ -12,8 +12,8 @@ def main() -> NoReturn:
     """Run the command line; exit codes: 2 for a usage error, 1 for a runtime error, 128 + the signal's number."""
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda number, _: os._exit(128 + number))  # nothing to clean up yet
-    from cli.commands import app
-    from cli.failures import print_failure
+    from zenostat.cli.commands import app
+    from zenostat.cli.failures import print_failure
 
     code: int | str | None = 0
     try:

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bridge.transport.session import DEFAULT_ENDPOINT, default_endpoint
-from cli.console import out, until_signal
-from cli.options import CertificateName, Keys
-from cli.view import At, Size, Tab, screenshot_request
-from topics.errors import InvalidConfig, NodeNotFound, ViewerError, did_you_mean
-from topics.keys import Role
+from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, default_endpoint
+from zenostat.cli.console import out, until_signal
+from zenostat.cli.options import CertificateName, Keys
+from zenostat.cli.view import At, Size, Tab, screenshot_request
+from zenostat.topics.errors import InvalidConfig, NodeNotFound, ViewerError, did_you_mean
+from zenostat.topics.keys import Role
 
 if TYPE_CHECKING:
     import zenoh
@@ -43,8 +43,8 @@ def monitor(
 
     Example: `zenostat monitor --save run.rrd --screenshot run.png --at 07-02T17:30`
     """
-    from bridge.rerun.screenshot import check_writable, draw
-    from bridge.rerun.viewer import how_to_open
+    from zenostat.bridge.rerun.screenshot import check_writable, draw
+    from zenostat.bridge.rerun.viewer import how_to_open
 
     request = screenshot_request(screenshot, at, size, tab)
     if save is not None:
@@ -76,9 +76,9 @@ def _stream(
     once: bool,
 ) -> int | None:
     """Log samples until Ctrl-C, or until a node leaves the bus; return their number, None if there was no bus."""
-    from bridge.runtime import affinity
-    from bridge.transport.session import open_session
-    from cli.monitor_stream import open_stream
+    from zenostat.bridge.runtime import affinity
+    from zenostat.bridge.transport.session import open_session
+    from zenostat.cli.monitor_stream import open_stream
 
     with ExitStack() as stack:
         sinks = _sinks(stack, recording, web)
@@ -102,7 +102,7 @@ def _stream(
 
 def _missing_note(session: zenoh.Session, node: str) -> str:
     """Describe what the monitor waits for; empty if the node, or any node for `*`, is on the bus."""
-    from topics.keys import MANIFEST, node_of
+    from zenostat.topics.keys import MANIFEST, node_of
 
     nodes = sorted({node_of(str(reply.ok.key_expr)) for reply in session.get(MANIFEST.at("*")) if reply.ok})
     if node in nodes or (node == "*" and nodes):
@@ -114,7 +114,7 @@ def _missing_note(session: zenoh.Session, node: str) -> str:
 
 def _wait_for_bus(connect: str, stop: threading.Event, **credentials: Any) -> bool:
     """Wait until the endpoint accepts connections; return False if `stop` is set first."""
-    from bridge.transport.session import open_session
+    from zenostat.bridge.transport.session import open_session
 
     is_announced = False
     while not stop.is_set():
@@ -132,7 +132,7 @@ def _wait_for_bus(connect: str, stop: threading.Event, **credentials: Any) -> bo
 def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:
     import rerun as rr
 
-    from bridge.rerun.viewer import NO_DISPLAY, has_display, program, web_viewer
+    from zenostat.bridge.rerun.viewer import NO_DISPLAY, has_display, program, web_viewer
 
     sinks: list[Any] = []
     if recording is not None:

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.messages import Manifest
+from zenostat.topics.messages import Manifest
 
 Floats = NDArray[np.float64]
 
 if TYPE_CHECKING:
     import zenoh
 
-    from bridge.rerun.samples import RewardTerms
-    from bridge.rerun.stream import RerunStream
+    from zenostat.bridge.rerun.samples import RewardTerms
+    from zenostat.bridge.rerun.stream import RerunStream
 
 
 def reward_terms(manifest: Manifest) -> RewardTerms | None:
@@ -26,7 +26,7 @@ def reward_terms(manifest: Manifest) -> RewardTerms | None:
     Raises:
         InvalidConfig: the node lacks a point that the reward reads.
     """
-    from agent_sdk.rewards import REWARDS, read_reward
+    from zenostat.agent_sdk.rewards import REWARDS, read_reward
 
     settings = manifest.task.reward
     if settings is None or settings.get("kind") not in REWARDS:
@@ -41,9 +41,9 @@ def reward_terms(manifest: Manifest) -> RewardTerms | None:
 
 def open_stream(session: zenoh.Session, node: str, sinks: Iterable[Any], *, is_live: bool) -> RerunStream:
     """Return a stream to Rerun that prints its notices; see `RerunStream`."""
-    from agent_sdk.evaluation.comfort import display_comfort
-    from bridge.rerun.stream import RerunStream
-    from cli.console import err
+    from zenostat.agent_sdk.evaluation.comfort import display_comfort
+    from zenostat.bridge.rerun.stream import RerunStream
+    from zenostat.cli.console import err
 
     def notify(text: str) -> None:
         err.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)

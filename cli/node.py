@@ -10,24 +10,24 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bridge.runtime.affinity import Affinity
-from bridge.transport.session import default_endpoint, exposure
-from cli import node_options as options
-from cli.console import out, progress
-from cli.options import CertificateName, Keys
-from cli.record import describe_recording
-from cli.scenarios import check_scenario
-from cli.statistics import statistics_table
-from topics.calendar import format_duration
-from topics.errors import AddressInUse, InvalidConfig, NodeNotFound
-from topics.messages import Mode, OnFull, Policy, RecordingStatus, State
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.transport.session import default_endpoint, exposure
+from zenostat.cli import node_options as options
+from zenostat.cli.console import out, progress
+from zenostat.cli.options import CertificateName, Keys
+from zenostat.cli.record import describe_recording
+from zenostat.cli.scenarios import check_scenario
+from zenostat.cli.statistics import statistics_table
+from zenostat.topics.calendar import format_duration
+from zenostat.topics.errors import AddressInUse, InvalidConfig, NodeNotFound
+from zenostat.topics.messages import Mode, OnFull, Policy, RecordingStatus, State
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from bridge.node.node import Node
-    from bridge.node.server import NodeServer
-    from bridge.node.settings import NodeSettings
+    from zenostat.bridge.node.node import Node
+    from zenostat.bridge.node.server import NodeServer
+    from zenostat.bridge.node.settings import NodeSettings
 
 
 def node(
@@ -126,11 +126,11 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
 def _read(settings: dict[str, Any]) -> tuple[NodeSettings, Callable[..., Node]]:
     """Validate settings; return them and the function that creates the node."""
     if "plant" in settings:
-        from bridge.python_plant.node import plant_node, read_settings
+        from zenostat.bridge.python_plant.node import plant_node, read_settings
 
         return read_settings(settings), plant_node
-    from eplus_node.config import read_config
-    from eplus_node.node import energyplus_node
+    from zenostat.eplus_node.config import read_config
+    from zenostat.eplus_node.node import energyplus_node
 
     if Path(settings["scenario"] or "").suffix in (".yaml", ".yml"):  # an id's fields are valid
         check_scenario(settings)

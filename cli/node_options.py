@@ -1,4 +1,4 @@
-"""Options of `zenostat node`; `topics.scenario_fields` has the texts of those that are arguments of a scenario."""
+"""Options of `zenostat node`; the texts of those that a scenario has too are in `zenostat.topics.scenario_fields`."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from typing import Annotated, Any
 
 import typer
 
-from bridge.runtime import affinity
-from bridge.transport.session import DEFAULT_ENDPOINT
-from topics import messages
-from topics.errors import InvalidConfig
-from topics.scenario_fields import MEANING
+from zenostat.bridge.runtime import affinity
+from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
+from zenostat.topics import messages
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.scenario_fields import MEANING
 
 
 def argument(name: str, *flags: str, note: str = "", **settings: Any) -> Any:

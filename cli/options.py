@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from bridge.transport.session import DEFAULT_ENDPOINT
-from topics.errors import InvalidConfig
+from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
+from zenostat.topics.errors import InvalidConfig
 
 Connect = Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)]
 Keys = Annotated[

@@ -9,15 +9,15 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bridge.transport.session import default_endpoint
-from cli.console import out
-from cli.options import CertificateName, Connect, Keys
-from cli.write import Node, person
-from topics.errors import InvalidConfig
-from topics.messages import Mode, State, Status
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import out
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.write import Node, person
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Mode, State, Status
 
 if TYPE_CHECKING:
-    from agent_sdk import Bus
+    from zenostat import Bus
 
 _POLL_S = 0.05
 _STALLED_S = 2.0
@@ -114,7 +114,7 @@ def _ask(
     node: str, connect: str | None, keys: Path | None, certificate: str | None, request: Callable[[Bus], str | None]
 ) -> None:
     """Send a request to a node, and print the node's status afterwards."""
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         note = request(bus)

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from bridge.transport.session import default_endpoint
-from cli.console import out
-from cli.options import CertificateName, Connect, Keys
-from cli.read import check_points
-from cli.tables import show_json
-from topics.errors import InvalidConfig
-from topics.keys import Role
-from topics.units import unit_label, with_unit
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import out
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.read import check_points
+from zenostat.cli.tables import show_json
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import Role
+from zenostat.topics.units import unit_label, with_unit
 
 if TYPE_CHECKING:
-    from agent_sdk.bus.history import History
-    from cli.chart import Line
+    from zenostat.agent_sdk.bus.history import History
+    from zenostat.cli.chart import Line
 
 _SAMPLES_PER_COLUMN = 8
 """More samples per character would not be visible."""
@@ -47,7 +47,7 @@ def plot(
 
     Example: `zenostat plot office core_zn_air_temperature core_zn_cooling_setpoint`
     """
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     names = list(dict.fromkeys(points))
     limit = None if as_json else _SAMPLES_PER_COLUMN * out.width
@@ -92,7 +92,7 @@ def _times(history: History) -> list[datetime]:
 def _print_charts(history: History, height: int) -> None:
     from rich.text import Text
 
-    from cli.chart import COLORS, chart, label_width, scale_of
+    from zenostat.cli.chart import COLORS, chart, label_width, scale_of
 
     times, is_colored = _times(history), out.is_terminal and not out.no_color and out.color_system is not None
     out.print(_title(history, times), markup=False, soft_wrap=True)
@@ -116,7 +116,7 @@ def _print_charts(history: History, height: int) -> None:
 
 
 def _line(history: History, name: str, color: str) -> Line:
-    from cli.chart import Line
+    from zenostat.cli.chart import Line
 
     column = history.points.index(name)
     assert history.lows is not None

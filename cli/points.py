@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.console import err, print_error
-from cli.tables import show, show_json
-from topics.errors import did_you_mean
-from topics.units import unit_label
+from zenostat.cli.console import err, print_error
+from zenostat.cli.tables import show, show_json
+from zenostat.topics.errors import did_you_mean
+from zenostat.topics.units import unit_label
 
 if TYPE_CHECKING:
-    from models.building.model import Building
-    from models.points.listing import PointListing
+    from zenostat.models.building.model import Building
+    from zenostat.models.points.listing import PointListing
 
 
 class Kind(StrEnum):
@@ -48,10 +48,10 @@ def points(
 
     Example: `zenostat points office-medium --kind actuator --match setpoint`
     """
-    from models import catalog
-    from models.building.model import read_building
-    from models.points.discovery import discover
-    from models.points.listing import listing
+    from zenostat.models import catalog
+    from zenostat.models.building.model import read_building
+    from zenostat.models.points.discovery import discover
+    from zenostat.models.points.listing import listing
 
     with err.status(f"reading the points of {building} with EnergyPlus"):
         model = read_building(catalog.find_building(building))
@@ -75,12 +75,12 @@ def points(
 
 def _of_run(name: str, building: Building, *, default: bool, monitoring: bool | None) -> list[PointListing]:
     """Return the points that a node of the building has by default, or those of them for pictures and reports."""
-    from eplus_node.config import read_config, scenario_of
-    from eplus_node.plan import run_points
-    from models import catalog
-    from models.points.discovery import discover
-    from models.points.listing import run_listing
-    from models.points.monitoring import monitoring_meters, monitoring_sensors
+    from zenostat.eplus_node.config import read_config, scenario_of
+    from zenostat.eplus_node.plan import run_points
+    from zenostat.models import catalog
+    from zenostat.models.points.discovery import discover
+    from zenostat.models.points.listing import run_listing
+    from zenostat.models.points.monitoring import monitoring_meters, monitoring_sensors
 
     weather = catalog.weathers()[0]
     scenario = scenario_of(read_config({"building": name, "weather": weather.name}))

@@ -6,12 +6,12 @@ from typing import Annotated
 
 import typer
 
-from bridge.transport.session import default_endpoint
-from cli.options import CertificateName, Connect, Keys
-from cli.tables import show, show_json
-from topics.keys import Role
-from topics.points import actuator_index
-from topics.units import unit_label
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.tables import show, show_json
+from zenostat.topics.keys import Role
+from zenostat.topics.points import actuator_index
+from zenostat.topics.units import unit_label
 
 
 def priorities(
@@ -29,7 +29,7 @@ def priorities(
 
     Example: `zenostat priorities office core_zn_cooling_setpoint`
     """
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     connect = connect or default_endpoint(keys)
     with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:

@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.console import out, progress
-from cli.node_options import Begin, End
-from cli.run import read_parameters
-from cli.tables import show, show_json
-from topics.errors import ErrorCollector, InvalidConfig
-from topics.units import with_unit
+from zenostat.cli.console import out, progress
+from zenostat.cli.node_options import Begin, End
+from zenostat.cli.run import read_parameters
+from zenostat.cli.tables import show, show_json
+from zenostat.topics.errors import ErrorCollector, InvalidConfig
+from zenostat.topics.units import with_unit
 
 if TYPE_CHECKING:
-    from agent_sdk.evaluation.probe import ProbeReport, Progress
-    from agent_sdk.evaluation.probe_effects import Effect
+    from zenostat.agent_sdk.evaluation.probe import ProbeReport, Progress
+    from zenostat.agent_sdk.evaluation.probe_effects import Effect
 
 _MAX_POINTS = 5
 """Points for each actuator in the table; `--json` has all."""
@@ -68,7 +68,7 @@ def probe(
     arguments = errors.collect(lambda: read_parameters(overrides or [])) or {}
     errors.raise_if_any()
     arguments |= {name: day for name, day in (("begin", begin), ("end", end)) if day is not None}
-    from agent_sdk.evaluation.probe import probe as run
+    from zenostat.agent_sdk.evaluation.probe import probe as run
 
     with ExitStack() as stack:
         watch = None if as_json else _watcher(stack, scenario)

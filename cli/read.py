@@ -9,16 +9,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bridge.transport.session import default_endpoint
-from cli.options import CertificateName, Connect, Keys
-from cli.tables import show, show_json
-from topics.keys import Role
-from topics.messages import Manifest, Meter, Sensor
-from topics.points import PointIndex
-from topics.units import unit_label
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.tables import show, show_json
+from zenostat.topics.keys import Role
+from zenostat.topics.messages import Manifest, Meter, Sensor
+from zenostat.topics.points import PointIndex
+from zenostat.topics.units import unit_label
 
 if TYPE_CHECKING:
-    from agent_sdk.bus.sample import SampleView
+    from zenostat.agent_sdk.bus.sample import SampleView
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ def read(
 
     Example: `zenostat read office core_zn_air_temperature core_zn_cooling_setpoint`
     """
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     connect = connect or default_endpoint(keys)
     with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:

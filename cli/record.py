@@ -7,14 +7,14 @@ from typing import Annotated
 
 import typer
 
-from bridge.runtime.affinity import host
-from bridge.transport.session import default_endpoint
-from cli.console import out
-from cli.node_options import RecordOnFull
-from cli.options import CertificateName, Connect, Keys
-from cli.write import Node, person
-from topics.errors import InvalidConfig
-from topics.messages import OnFull, RecordingState, RecordingStatus
+from zenostat.bridge.runtime.affinity import host
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import out
+from zenostat.cli.node_options import RecordOnFull
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.write import Node, person
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import OnFull, RecordingState, RecordingStatus
 
 
 def record(
@@ -37,7 +37,7 @@ def record(
 
     Example: `zenostat record office --out run.mcap`
     """
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     if (file is not None) is stop:
         raise InvalidConfig("expected either --out FILE.mcap, or --stop")

@@ -9,13 +9,13 @@ from typing import Annotated
 
 import typer
 
-from bridge.transport.session import default_endpoint
-from cli.console import out, progress, until_signal
-from cli.node_options import Connect as Peers
-from cli.node_options import Expose, Listen, NoListen
-from cli.options import CertificateName, Keys
-from cli.verify import File
-from topics.errors import AddressInUse, InvalidConfig
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import out, progress, until_signal
+from zenostat.cli.node_options import Connect as Peers
+from zenostat.cli.node_options import Expose, Listen, NoListen
+from zenostat.cli.options import CertificateName, Keys
+from zenostat.cli.verify import File
+from zenostat.topics.errors import AddressInUse, InvalidConfig
 
 
 def replay(
@@ -74,13 +74,13 @@ def replay(
         return
     if node is not None or priority is not None:
         raise InvalidConfig("--node and --priority need --only-commands")
-    from topics.extras import requires_extra
+    from zenostat.topics.extras import requires_extra
 
     with requires_extra("recording", "a recording", "mcap and zstandard"):
-        from bridge.recording.reader import RecordingReader
-        from bridge.recording.replay import Replay, ReplayRange
-    from bridge.transport.session import open_session
-    from topics.keys import Role
+        from zenostat.bridge.recording.reader import RecordingReader
+        from zenostat.bridge.recording.replay import Replay, ReplayRange
+    from zenostat.bridge.transport.session import open_session
+    from zenostat.topics.keys import Role
 
     if no_listen and (listen or not connect):
         raise InvalidConfig("--no-listen needs --connect, and no --listen")
@@ -115,9 +115,9 @@ def _drive(
     keys: Path | None,
     certificate: str | None,
 ) -> None:
-    from agent_sdk import connect as connect_bus
-    from agent_sdk.recording import drive
-    from cli.console import err
+    from zenostat import connect as connect_bus
+    from zenostat.agent_sdk.recording import drive
+    from zenostat.cli.console import err
 
     with connect_bus(endpoint, keys=keys, certificate=certificate) as bus, progress() as bars:
         task = bars.add_task(f"{node}: commands of {file.name}", total=None, rate="")
@@ -132,7 +132,7 @@ def _drive(
 
 
 def _moment(text: str | None, option: str, year: int) -> datetime | None:
-    from topics.calendar import parse_moment
+    from zenostat.topics.calendar import parse_moment
 
     if text is None:
         return None

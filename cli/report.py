@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.console import err
-from cli.options import Emissions, Price, read_rates
-from cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
-from topics.errors import InvalidConfig
+from zenostat.cli.console import err
+from zenostat.cli.options import Emissions, Price, read_rates
+from zenostat.cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
+from zenostat.topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from agent_sdk.evaluation.tariffs import Rate
-    from agent_sdk.report import Comparison
+    from zenostat.agent_sdk.evaluation.tariffs import Rate
+    from zenostat.agent_sdk.report import Comparison
 
 
 def report(
@@ -52,7 +52,7 @@ def report(
 
 
 def _compare_recordings(files: list[Path], prices: Mapping[str, Rate], emissions: Mapping[str, Rate]) -> Comparison:
-    from agent_sdk.report import compare_recordings
+    from zenostat.agent_sdk.report import compare_recordings
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -64,9 +64,9 @@ def _compare_recordings(files: list[Path], prices: Mapping[str, Rate], emissions
 
 def _evaluate_training(folder: Path, prices: Mapping[str, Rate], emissions: Mapping[str, Rate]) -> Comparison:
     """Simulate the evaluation episodes of a training with baseline control and with its best model."""
-    from agent_sdk.evaluation.evaluate import evaluate
-    from agent_sdk.training.config import Evaluation
-    from agent_sdk.training.folder import model_file, read_folder
+    from zenostat.agent_sdk.evaluation.evaluate import evaluate
+    from zenostat.agent_sdk.training.config import Evaluation
+    from zenostat.agent_sdk.training.folder import model_file, read_folder
 
     config = read_folder(folder)
     model_file(folder)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
-from cli.tables import show
+from zenostat.cli.tables import show
 
 if TYPE_CHECKING:
-    from agent_sdk.evaluation.metrics import EpisodeMetrics
+    from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
 
 _NOT_MEASURED = "not measured"
 
@@ -41,7 +41,7 @@ def show_results(results: Mapping[str, tuple[EpisodeMetrics, float]], title: str
 
 def _kpis() -> dict[str, tuple[str, str]]:
     """Return the KPIs of energy; comfort and air quality have rows of their own, or are rarely measured."""
-    from agent_sdk.evaluation.kpis import KPIS
+    from zenostat.agent_sdk.evaluation.kpis import KPIS
 
     return {name: text for name, text in KPIS.items() if name not in ("tdis_tot", "idis_tot")}
 

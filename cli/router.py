@@ -6,8 +6,8 @@ from typing import Annotated
 
 import typer
 
-from cli.console import err, out, until_signal
-from cli.options import CertificateName, Keys
+from zenostat.cli.console import err, out, until_signal
+from zenostat.cli.options import CertificateName, Keys
 
 
 def router(
@@ -25,8 +25,8 @@ def router(
 
     Example: `zenostat router --listen tcp/127.0.0.1:7447`
     """
-    from bridge.transport.session import Mode, default_endpoint, exposure, open_session
-    from topics.keys import Role
+    from zenostat.bridge.transport.session import Mode, default_endpoint, exposure, open_session
+    from zenostat.topics.keys import Role
 
     endpoints = listen or [default_endpoint(keys)]
     with (

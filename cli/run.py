@@ -10,21 +10,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from bridge.transport.session import default_endpoint
-from cli.console import out, progress
-from cli.options import CertificateName, Connect, Emissions, Keys, Price, read_rates
-from cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
-from cli.results import show_results
-from topics.errors import InvalidConfig
-from topics.keys import safe_name
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import out, progress
+from zenostat.cli.options import CertificateName, Connect, Emissions, Keys, Price, read_rates
+from zenostat.cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
+from zenostat.cli.results import show_results
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import safe_name
 
 if TYPE_CHECKING:
     from rich.progress import Progress
 
-    from agent_sdk import Bus, ControllerLink
-    from agent_sdk.controllers import Agent
-    from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-    from cli.run_trace import RunTrace
+    from zenostat import Bus, ControllerLink
+    from zenostat.agent_sdk.controllers import Agent
+    from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+    from zenostat.cli.run_trace import RunTrace
 
 _WORDS = {"true": True, "false": False}
 
@@ -67,10 +67,10 @@ def run(
     Example: `zenostat run --node office --controller rbc --set margin=0.5`
     """
     outputs = ReportOutputs(report, figures)
-    from agent_sdk import connect as connect_bus
-    from agent_sdk.controllers import Agent, load_controller, make_controller
-    from agent_sdk.evaluation.metrics import MetricsAccumulator
-    from agent_sdk.evaluation.tariffs import read_emissions, read_prices
+    from zenostat import connect as connect_bus
+    from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
+    from zenostat.agent_sdk.evaluation.metrics import MetricsAccumulator
+    from zenostat.agent_sdk.evaluation.tariffs import read_emissions, read_prices
 
     rates = read_prices(read_rates("--price", prices)), read_emissions(read_rates("--emissions", emissions))
     factory = load_controller(controller)
@@ -100,7 +100,7 @@ def run(
 
 
 def _trace(bus: Bus, node: str, controller: str, rates: tuple[Any, Any]) -> RunTrace:
-    from cli.run_trace import RunTrace  # only for a report
+    from zenostat.cli.run_trace import RunTrace  # only for a report
 
     return RunTrace(bus, node, controller, *rates)
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 
-from agent_sdk import Bus, ControllerLink, SampleView
-from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-from agent_sdk.evaluation.tariffs import Rate
-from agent_sdk.evaluation.trace import TraceRecorder, WeatherTrace, episode_weather
-from agent_sdk.report import Comparison, Run
-from topics.points import value_index
+from zenostat import Bus, ControllerLink, SampleView
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.agent_sdk.evaluation.tariffs import Rate
+from zenostat.agent_sdk.evaluation.trace import TraceRecorder, WeatherTrace, episode_weather
+from zenostat.agent_sdk.report import Comparison, Run
+from zenostat.topics.points import value_index
 
 
 class RunTrace:

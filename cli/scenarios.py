@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import typer
 
-from cli.console import err, out
-from cli.tables import show as show_table
-from topics.errors import ErrorCollector, InvalidConfig, UnknownName
+from zenostat.cli.console import err, out
+from zenostat.cli.tables import show as show_table
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pydantic import BaseModel
 
-    from eplus_node.plan import Plan
-    from models.scenario.schema import Scenario
+    from zenostat.eplus_node.plan import Plan
+    from zenostat.models.scenario.schema import Scenario
 
 scenarios = typer.Typer(
     help="List scenarios; show and check scenario files, and print their schema.", no_args_is_help=False
@@ -38,7 +38,7 @@ def listing(
     """
     if context.invoked_subcommand is not None:
         return
-    from topics.scenario_ids import PAPER_IDS, all_ids, pack_ids
+    from zenostat.topics.scenario_ids import PAPER_IDS, all_ids, pack_ids
 
     ids = [name for name in all_ids() if match.casefold() in name.casefold()]
     if as_json:
@@ -63,7 +63,7 @@ def listing(
 
 def _families() -> list[tuple[str, ...]]:
     """Return a row for each building: weathers, kinds of actions, number of ids, origin."""
-    from topics.scenario_ids import BUILDINGS, DEMO, PACK_IDS, PAPER_IDS, WEATHERS, bundled_ids, variants
+    from zenostat.topics.scenario_ids import BUILDINGS, DEMO, PACK_IDS, PAPER_IDS, WEATHERS, bundled_ids, variants
 
     pack = "pack sinergym"
     rows = [(DEMO, "", "", "1", pack)]
@@ -90,9 +90,9 @@ def show(
 
     Example: `zenostat scenarios show office-medium-USA_CO_Denver-discrete-v1 > mine.yaml`
     """
-    from eplus_node.config import read_base, read_config
-    from models.scenario.registry import expanded
-    from models.scenario.schema import dump
+    from zenostat.eplus_node.config import read_base, read_config
+    from zenostat.models.scenario.registry import expanded
+    from zenostat.models.scenario.schema import dump
 
     if brief:
         described = read_base(read_config({"scenario": scenario}))
@@ -108,7 +108,7 @@ def show(
 
 def _with_reward_defaults(scenario: Scenario) -> Scenario:
     """Return the scenario with all parameters of its reward, including defaults."""
-    from agent_sdk.rewards import REWARDS, read_reward
+    from zenostat.agent_sdk.rewards import REWARDS, read_reward
 
     if scenario.reward is None:
         return scenario
@@ -146,10 +146,10 @@ def plan_scenario(settings: Mapping[str, Any]) -> Plan:
     Raises:
         UsageError, SimulatorError: lists the errors of all parts.
     """
-    from agent_sdk.envs.arguments import check_agent_fields
-    from agent_sdk.envs.task_check import check_task
-    from eplus_node.config import read_config
-    from eplus_node.plan import plan
+    from zenostat.agent_sdk.envs.arguments import check_agent_fields
+    from zenostat.agent_sdk.envs.task_check import check_task
+    from zenostat.eplus_node.config import read_config
+    from zenostat.eplus_node.plan import plan
 
     errors = ErrorCollector()
     errors.collect(lambda: check_agent_fields(settings["scenario"]))
@@ -164,7 +164,7 @@ def check_scenario(settings: Mapping[str, Any]) -> None:
     Raises:
         UsageError, SimulatorError: lists the errors of all parts.
     """
-    from agent_sdk.envs.arguments import check_agent_fields
+    from zenostat.agent_sdk.envs.arguments import check_agent_fields
 
     try:
         check_agent_fields(settings["scenario"])
@@ -184,9 +184,9 @@ def schema() -> None:
 
 def scenario_schema() -> dict[str, Any]:
     """Return the schema of scenario files, including the rewards' parameters, which `agent_sdk` defines."""
-    from agent_sdk.rewards import REWARDS
-    from models.scenario.schema import Scenario
-    from topics.scenario_fields import MEANING
+    from zenostat.agent_sdk.rewards import REWARDS
+    from zenostat.models.scenario.schema import Scenario
+    from zenostat.topics.scenario_fields import MEANING
 
     schema = Scenario.model_json_schema()
     rewards = []

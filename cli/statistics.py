@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from rich.table import Table
 
-from topics.messages import ControllerStatus, LatencySummary, Statistics
+from zenostat.topics.messages import ControllerStatus, LatencySummary, Statistics
 
 
 def statistics_table(statistics: Statistics, controllers: Sequence[ControllerStatus]) -> Table:

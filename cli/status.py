@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from bridge.transport.session import default_endpoint
-from cli.console import out
-from cli.options import CertificateName, Connect, Keys
-from cli.record import describe_recording
-from cli.statistics import milliseconds
-from cli.tables import show
-from topics.errors import NodeNotFound
-from topics.keys import Role
-from topics.messages import Mode, Status
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import out
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.record import describe_recording
+from zenostat.cli.statistics import milliseconds
+from zenostat.cli.tables import show
+from zenostat.topics.errors import NodeNotFound
+from zenostat.topics.keys import Role
+from zenostat.topics.messages import Mode, Status
 
 
 def status(
@@ -24,7 +24,7 @@ def status(
 
     Example: `zenostat status`
     """
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     connect = connect or default_endpoint(keys)
     with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:

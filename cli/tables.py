@@ -15,8 +15,8 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from cli.console import out
-from topics.printable import replace_controls, replace_controls_in_lines
+from zenostat.cli.console import out
+from zenostat.topics.printable import replace_controls, replace_controls_in_lines
 
 _MAX_RENDERED_ROWS = 2000
 """Longer tables take seconds to render."""

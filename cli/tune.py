@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from cli.console import out, progress
-from cli.tables import show
-from cli.train import SetFields, override_fields, stop_signals
-from topics.file_kinds import FileKind
+from zenostat.cli.console import out, progress
+from zenostat.cli.tables import show
+from zenostat.cli.train import SetFields, override_fields, stop_signals
+from zenostat.topics.file_kinds import FileKind
 
 if TYPE_CHECKING:
-    from agent_sdk.training.tuning_config import TuningConfig
+    from zenostat.agent_sdk.training.tuning_config import TuningConfig
 
 _SHOWN = 15
 
@@ -37,16 +37,16 @@ def tune(
     The same command continues a study, and on other machines with the same database it joins in. Ctrl-C ends the
     running trials; they are repeated when the study continues.
     """
-    from agent_sdk.training.config import read_file
-    from agent_sdk.training.tuning_config import read_tuning
+    from zenostat.agent_sdk.training.config import read_file
+    from zenostat.agent_sdk.training.tuning_config import read_tuning
 
     options: dict[str, Any] = {"workers": workers, "trials": trials, "storage": storage}
     options["output"] = None if output is None else str(output)
     overrides = {name: value for name, value in options.items() if value is not None}
     read = override_fields(read_file(file, FileKind.TUNING), overrides, fields or ())
     config = read_tuning(read, str(file), file.parent)
-    from agent_sdk.training.study import Tuning
-    from agent_sdk.training.study_figures import write_results
+    from zenostat.agent_sdk.training.study import Tuning
+    from zenostat.agent_sdk.training.study_figures import write_results
 
     with stop_signals() as (stop, received), progress() as bars:
         bar = bars.add_task(config.study, total=config.trials, rate="")

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.console import err, out, progress
-from cli.tables import show, show_json
-from topics.errors import InvalidConfig
+from zenostat.cli.console import err, out, progress
+from zenostat.cli.tables import show, show_json
+from zenostat.topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
-    from bridge.recording.verification import Verification
+    from zenostat.bridge.recording.verification import Verification
 
 File = Annotated[Path, typer.Argument(help="Recording (`.mcap`) of `zenostat node --record` or `zenostat record`.")]
 
@@ -50,10 +50,10 @@ def verify(
 
     Example: `zenostat verify tank.mcap --plant tank.py:Tank`
     """
-    from topics.extras import requires_extra
+    from zenostat.topics.extras import requires_extra
 
     with requires_extra("recording", "a recording", "mcap and zstandard"):
-        from eplus_node.verification import verify as verify_recording
+        from zenostat.eplus_node.verification import verify as verify_recording
     if tolerance is not None and not tolerance < float("inf"):
         raise InvalidConfig(f"--tolerance {tolerance}: expected a finite number of at least 0")
     with ExitStack() as stack:

@@ -13,19 +13,19 @@ import typer
 from rich.console import RenderableType
 from rich.live import Live
 
-from bridge.transport.session import default_endpoint
-from cli.console import err, out
-from cli.options import CertificateName, Connect, Keys
-from cli.read import Row, check_points, format_source, format_value, sample_id
-from cli.read import rows as rows_of
-from cli.tables import fitted
-from topics.errors import NodeLost
-from topics.keys import Role
-from topics.units import unit_label
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import err, out
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.read import Row, check_points, format_source, format_value, sample_id
+from zenostat.cli.read import rows as rows_of
+from zenostat.cli.tables import fitted
+from zenostat.topics.errors import NodeLost
+from zenostat.topics.keys import Role
+from zenostat.topics.units import unit_label
 
 if TYPE_CHECKING:
-    from agent_sdk import Bus
-    from agent_sdk.bus.sample import SampleView
+    from zenostat import Bus
+    from zenostat.agent_sdk.bus.sample import SampleView
 
 _REFRESHES_PER_SECOND = 10
 
@@ -46,7 +46,7 @@ def watch(
 
     Example: `zenostat watch office core_zn_air_temperature core_zn_cooling_setpoint`
     """
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     connect = connect or default_endpoint(keys)
     names = points or []

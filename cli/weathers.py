@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cli.tables import show, show_json
+from zenostat.cli.tables import show, show_json
 
 if TYPE_CHECKING:
-    from models.weather.summary import WeatherSummary
+    from zenostat.models.weather.summary import WeatherSummary
 
 COLUMNS = (
     "weather",
@@ -36,8 +36,8 @@ def weathers(
 
     Example: `zenostat weathers USA_CO_Denver USA_FL_Miami`
     """
-    from models import catalog
-    from models.weather.summary import weather_summary
+    from zenostat.models import catalog
+    from zenostat.models.weather.summary import weather_summary
 
     entries = [catalog.find_weather(name) for name in weather] if weather else list(catalog.weathers())
     summaries = [weather_summary(entry.path) for entry in entries]

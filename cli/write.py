@@ -9,10 +9,10 @@ from typing import Annotated
 
 import typer
 
-from bridge.transport.session import default_endpoint
-from cli.console import out
-from cli.options import CertificateName, Connect, Keys
-from topics.errors import InvalidConfig
+from zenostat.bridge.transport.session import default_endpoint
+from zenostat.cli.console import out
+from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.topics.errors import InvalidConfig
 
 _UNIT_S = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _DURATION = re.compile(rf"(\d+(?:\.\d+)?)({'|'.join(_UNIT_S)})")
@@ -42,7 +42,7 @@ def write(
 
     Example: `zenostat write office core_zn_cooling_setpoint 26 --priority 8 --duration 2h`
     """
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     duration_s = None if duration is None else seconds(duration)
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
@@ -63,7 +63,7 @@ def relinquish(
 
     Example: `zenostat relinquish office core_zn_cooling_setpoint --priority 8`
     """
-    from agent_sdk import connect as connect_bus
+    from zenostat import connect as connect_bus
 
     with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
         ack = bus.write(node, point, None, priority=priority, source=source or person())

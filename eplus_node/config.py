@@ -8,19 +8,19 @@ from typing import Annotated, Any
 
 from pydantic import Field, ValidationError
 
-from bridge.node.settings import NodeSettings
-from models.scenario.registry import find_scenario
-from models.scenario.schema import Scenario, load_scenario, read_scenario
-from topics.codec import describe_validation_errors
-from topics.errors import ErrorCollector, InvalidConfig, did_you_mean
+from zenostat.bridge.node.settings import NodeSettings
+from zenostat.models.scenario.registry import find_scenario
+from zenostat.models.scenario.schema import Scenario, load_scenario, read_scenario
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, did_you_mean
 
 
 class NodeConfig(NodeSettings):
-    """The settings of a node that simulates a building; `topics.scenario_fields` describes those of an environment.
+    """Settings of a node that simulates a building; those of an environment are in `zenostat.topics.scenario_fields`.
 
     Attributes:
         what: fields of a scenario; they override those of `scenario`.
-        shrink_caches: on by default because of its gain; see `eplus_node.engine.memory`.
+        shrink_caches: on by default because of its gain; see `zenostat.eplus_node.engine.memory`.
         keep_last: None keeps all, or as many as the Sinergym configuration defines.
     """
 
@@ -55,7 +55,7 @@ def kept_episodes(config: NodeConfig) -> int | None:
     """Return the number of finished episodes whose files are kept; None keeps all."""
     if config.keep_last is not None or config.config is None or config.output_dir is None:
         return config.keep_last
-    from models.sinergym.scenarios import kept_episodes as sinergym_kept_episodes
+    from zenostat.models.sinergym.scenarios import kept_episodes as sinergym_kept_episodes
 
     return sinergym_kept_episodes(config.config)
 
@@ -63,7 +63,9 @@ def kept_episodes(config: NodeConfig) -> int | None:
 def read_base(config: NodeConfig, errors: ErrorCollector | None = None) -> Scenario | None:
     """Return the scenario that the settings name, or None. `errors`: as in `read_scenario`."""
     if config.config is not None:
-        from models.sinergym.scenarios import scenario_of as sinergym_scenario  # rarely needed, and slow to import
+        from zenostat.models.sinergym.scenarios import (
+            scenario_of as sinergym_scenario,
+        )  # rarely needed, and slow to import
 
         overridden = {name for name, value in config.what.items() if value is not None}
         overridden |= set() if config.environment_reward == "scenario" else {"reward"}

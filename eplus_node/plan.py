@@ -6,34 +6,34 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bridge.alarms.rules import point_alarms, read_rules
-from bridge.faults import read_plan
-from bridge.node.fault_injection import FaultInjection
-from bridge.node.plant import PlantDescription, Provenance, RunPeriod
-from eplus_node.config import NodeConfig, scenario_of
-from models import catalog, energyplus
-from models.building import conflicts, output_objects
-from models.building import model as building
-from models.building.geometry import BuildingGeometry, building_geometry
-from models.building.model import Building
-from models.building.summary import floor_area_m2
-from models.building.whole_weather import reads_whole_weather
-from models.points import discovery, selection
-from models.points.discovery import PointCatalog
-from models.points.monitoring import with_monitoring, with_unobserved
-from models.points.selection import Points
-from models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSource
-from models.scenario.run_period import Period, check_steps_per_hour
-from models.scenario.schema import ActuatorSpec, Scenario, dump
-from models.scenario.task import task_of
-from models.weather import design_days, epw, noise
-from models.weather.header import check_complete, check_covers, read_header
-from topics import VERSION
-from topics.calendar import parse_day
-from topics.errors import ErrorCollector, InvalidConfig, UnknownName
-from topics.fault_plan import FaultPlan, Loss
-from topics.keys import check_name
-from topics.messages import Aggregation, Manifest, Mode, Policy, Task, Versions
+from zenostat.bridge.alarms.rules import point_alarms, read_rules
+from zenostat.bridge.faults import read_plan
+from zenostat.bridge.node.fault_injection import FaultInjection
+from zenostat.bridge.node.plant import PlantDescription, Provenance, RunPeriod
+from zenostat.eplus_node.config import NodeConfig, scenario_of
+from zenostat.models import catalog, energyplus
+from zenostat.models.building import conflicts, output_objects
+from zenostat.models.building import model as building
+from zenostat.models.building.geometry import BuildingGeometry, building_geometry
+from zenostat.models.building.model import Building
+from zenostat.models.building.summary import floor_area_m2
+from zenostat.models.building.whole_weather import reads_whole_weather
+from zenostat.models.points import discovery, selection
+from zenostat.models.points.discovery import PointCatalog
+from zenostat.models.points.monitoring import with_monitoring, with_unobserved
+from zenostat.models.points.selection import Points
+from zenostat.models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSource
+from zenostat.models.scenario.run_period import Period, check_steps_per_hour
+from zenostat.models.scenario.schema import ActuatorSpec, Scenario, dump
+from zenostat.models.scenario.task import task_of
+from zenostat.models.weather import design_days, epw, noise
+from zenostat.models.weather.header import check_complete, check_covers, read_header
+from zenostat.topics import VERSION
+from zenostat.topics.calendar import parse_day
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
+from zenostat.topics.fault_plan import FaultPlan, Loss
+from zenostat.topics.keys import check_name
+from zenostat.topics.messages import Aggregation, Manifest, Mode, Policy, Task, Versions
 
 REPEATED_SETTINGS = ("shrink_caches", "monitoring", "building", "weather")
 """Settings of a provenance. A recording is data of anybody: no other setting of a node may come from one."""

@@ -9,19 +9,19 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bridge.engine.client import EngineClient
-from bridge.engine.group import EngineGroup
-from bridge.engine.lists import close_all, start_all
-from bridge.engine.spec import EngineSpec
-from bridge.node.plant import PlantContext, PlantDescription, RunningPlant, Site, WeatherTable
-from eplus_node.engine.episode_folders import create_fork_folder, link_weather
-from eplus_node.engine.pool import EnginePool, EpisodeWeather
-from eplus_node.engine.template import EngineTemplate
-from eplus_node.plan import Plan, describe
-from models.scenario.episode_weather import WeatherDraw, WeatherSource, series
-from models.weather.epw import find_column
-from topics.errors import InvalidRecording, SimulatorError
-from topics.messages import EngineStart, EpisodeStart
+from zenostat.bridge.engine.client import EngineClient
+from zenostat.bridge.engine.group import EngineGroup
+from zenostat.bridge.engine.lists import close_all, start_all
+from zenostat.bridge.engine.spec import EngineSpec
+from zenostat.bridge.node.plant import PlantContext, PlantDescription, RunningPlant, Site, WeatherTable
+from zenostat.eplus_node.engine.episode_folders import create_fork_folder, link_weather
+from zenostat.eplus_node.engine.pool import EnginePool, EpisodeWeather
+from zenostat.eplus_node.engine.template import EngineTemplate
+from zenostat.eplus_node.plan import Plan, describe
+from zenostat.models.scenario.episode_weather import WeatherDraw, WeatherSource, series
+from zenostat.models.weather.epw import find_column
+from zenostat.topics.errors import InvalidRecording, SimulatorError
+from zenostat.topics.messages import EngineStart, EpisodeStart
 
 _FAST_STARTS = (EngineStart.FORKED, EngineStart.PREFETCHED, EngineStart.REUSED)
 
@@ -145,7 +145,7 @@ class EnergyPlusFork(EnergyPlusEngines):
 
 
 class EnergyPlusPlant(EnergyPlusEngines):
-    """The EnergyPlus engines of a node; implements `bridge.node.plant.Plant`.
+    """The EnergyPlus engines of a node; implements `zenostat.bridge.node.plant.Plant`.
 
     Args:
         plan: what they simulate.

@@ -14,20 +14,20 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bridge.engine.registry import UNRESPONSIVE_S, EngineRegistry
-from bridge.node.plant import PlantContext, PlantFactory, RepeatablePlant, SlotPlacement
-from bridge.recording.file import file_digest
-from bridge.recording.reader import RecordingReader
-from bridge.recording.verification import Progress, Verification, Verifier
-from bridge.runtime.scratch import Scratch, sweep
-from eplus_node.config import read_config
-from eplus_node.plan import REPEATED_SETTINGS, input_files, plan
-from eplus_node.plant import EnergyPlusPlant
-from models.scenario.schema import Scenario
-from topics import VERSION, yaml12
-from topics.codec import describe_validation_errors
-from topics.errors import InvalidConfig, InvalidRecording, UsageError
-from topics.messages import Lines
+from zenostat.bridge.engine.registry import UNRESPONSIVE_S, EngineRegistry
+from zenostat.bridge.node.plant import PlantContext, PlantFactory, RepeatablePlant, SlotPlacement
+from zenostat.bridge.recording.file import file_digest
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.bridge.recording.verification import Progress, Verification, Verifier
+from zenostat.bridge.runtime.scratch import Scratch, sweep
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.plan import REPEATED_SETTINGS, input_files, plan
+from zenostat.eplus_node.plant import EnergyPlusPlant
+from zenostat.models.scenario.schema import Scenario
+from zenostat.topics import VERSION, yaml12
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig, InvalidRecording, UsageError
+from zenostat.topics.messages import Lines
 
 
 def verify(
@@ -79,7 +79,7 @@ class _RecordedFile(BaseModel):
 
 
 class _Provenance(BaseModel):
-    """The recorded provenance; see `bridge.node.plant.Provenance`."""
+    """The recorded provenance; see `zenostat.bridge.node.plant.Provenance`."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -135,8 +135,8 @@ class _RecordedPlant:
             raise InvalidRecording(f"{self._path} is damaged: no recording has the setting {', '.join(foreign)}")
 
     def _python_class(self, plant: str | None) -> tuple[PlantFactory, list[str]]:
-        from bridge.python_plant.class_file import class_file
-        from bridge.python_plant.plant import PythonPlant, plan_class
+        from zenostat.bridge.python_plant.class_file import class_file
+        from zenostat.bridge.python_plant.plant import PythonPlant, plan_class
 
         recorded, arguments = self._provenance.settings.get("plant"), self._provenance.settings.get("plant_arguments")
         if not isinstance(recorded, str) or not isinstance(arguments, dict):

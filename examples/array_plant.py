@@ -1,6 +1,6 @@
 """A node for a plant of arrays: tanks that step together in the node's own process, without engines.
 
-It implements `bridge.node.plant.Plant`; docs/own-plants.md explains when that is worth it.
+It implements `zenostat.bridge.node.plant.Plant`; docs/own-plants.md explains when that is worth it.
 
 Run it: `python examples/array_plant.py [--slots 4] [--listen tcp/127.0.0.1:7447]`, and then, in another terminal,
 `zenostat run --node tanks --controller fixed --set heater=800`
@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from bridge.node.node import Node
-from bridge.node.plant import (
+from zenostat.bridge.node.node import Node
+from zenostat.bridge.node.plant import (
     PlantContext,
     PlantDescription,
     RunningPlant,
@@ -25,10 +25,10 @@ from bridge.node.plant import (
     WeatherTable,
     without_weather,
 )
-from bridge.node.settings import NodeSettings
-from topics import VERSION
-from topics.errors import ForkFailed
-from topics.messages import Action, Actuator, EngineStart, EpisodeStart, Meter, Sensor, Task, Versions
+from zenostat.bridge.node.settings import NodeSettings
+from zenostat.topics import VERSION
+from zenostat.topics.errors import ForkFailed
+from zenostat.topics.messages import Action, Actuator, EngineStart, EpisodeStart, Meter, Sensor, Task, Versions
 
 STEP_S, AMBIENT_DEGC, CAPACITY_J_K, LOSS_W_K = 60.0, 20.0, 8.4e5, 2.0
 

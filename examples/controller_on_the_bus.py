@@ -9,14 +9,14 @@ Then: `python examples/controller_on_the_bus.py [--connect tcp/127.0.0.1:7447] [
 
 import argparse
 
-import agent_sdk
+import zenostat
 
 parser = argparse.ArgumentParser()
 parser.add_argument("--connect", default="tcp/127.0.0.1:7447")
 parser.add_argument("--node", default="office")
 arguments = parser.parse_args()
 
-with agent_sdk.connect(arguments.connect) as bus:
+with zenostat.connect(arguments.connect) as bus:
     print(f"nodes: {', '.join(bus.nodes())}")
     with bus.controller(arguments.node, name="saver") as link:
         print(f"{link.name} controls {len(link.manifest.actuators)} actuators of {link.manifest.building}")

@@ -11,8 +11,8 @@ import argparse
 import time
 from functools import partial
 
-from agent_sdk.controllers import OracleController, RuleBasedController
-from agent_sdk.evaluation import evaluate
+from zenostat.controllers import OracleController, RuleBasedController
+from zenostat.evaluation import evaluate
 
 SCENARIO = "zenostat/ref-small-office-USA_CO_Denver-continuous-v1"
 """Five zones with people; its action is (heating setpoint, cooling setpoint), degC."""

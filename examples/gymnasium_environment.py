@@ -8,8 +8,7 @@ import argparse
 import gymnasium as gym
 import numpy as np
 
-import agent_sdk  # registers the environments
-from agent_sdk.rewards import LinearReward
+from zenostat.rewards import LinearReward
 
 parser = argparse.ArgumentParser()
 parser.add_argument("--days", type=int, default=7)
@@ -17,7 +16,7 @@ days = parser.parse_args().days
 
 # To list the points of a building: `zenostat points office-small --match core_zn`.
 env = gym.make(
-    "zenostat/Building-v1",
+    "zenostat:zenostat/Building-v1",
     building="office-small",
     weather="USA_CO_Denver",
     begin="07-01",
@@ -50,4 +49,3 @@ while not truncated:
 print(f"{info['step']} timesteps to {info['time']}: {energy_kwh:.0f} kWh, reward {total_reward:.1f}")
 print(f"effective values at the end: {dict(zip(('heating', 'cooling'), info['effective'].tolist(), strict=True))}")
 env.close()
-assert agent_sdk

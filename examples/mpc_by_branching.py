@@ -21,9 +21,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-import agent_sdk  # registers the environments
-from agent_sdk.controllers import Agent, RuleBasedController
-from agent_sdk.envs.building_env import BuildingEnv
+from zenostat import BuildingEnv
+from zenostat.controllers import Agent, RuleBasedController
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--days", type=int, default=5)
@@ -154,4 +153,3 @@ for name, (total, terms, rows, _) in results.items():
 print(f"{mpc.branch_steps} branch timesteps, {mpc.branch_steps / mpc.seconds:,.0f} per second")
 if arguments.plot:
     draw(arguments.plot, {name: results[name] for name in ("MPC by branching", "rbc, setback=0")})
-assert agent_sdk

@@ -7,9 +7,8 @@ Start a node first, in another terminal:
 Then: `zenostat run --node office --controller examples/my_controller.py:Mine --set day=25`
 """
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers import Controller, Values
-from topics.messages import Manifest
+from zenostat import Manifest, SampleView
+from zenostat.controllers import Controller, Values
 
 
 class Mine(Controller):

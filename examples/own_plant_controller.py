@@ -12,10 +12,8 @@ from pathlib import Path
 
 import gymnasium as gym
 
-import agent_sdk  # registers the environments
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers import Agent, Controller, Values
-from topics.messages import Manifest
+from zenostat import Manifest, SampleView
+from zenostat.controllers import Agent, Controller, Values
 
 
 class HeatingCurve(Controller):
@@ -47,7 +45,7 @@ def energy_and_comfort(values: Mapping[str, float], begin: datetime) -> dict[str
 def main() -> None:
     """Run an episode with each of two controllers, on the same weather."""
     plant = f"{Path(__file__).with_name('own_plant.py')}:HeatPumpRoom"
-    env = gym.make("zenostat/Plant-v1", plant=plant, reward=energy_and_comfort)
+    env = gym.make("zenostat:zenostat/Plant-v1", plant=plant, reward=energy_and_comfort)
     manifest = env.unwrapped.manifest
     controllers = {"tank at 50 degC": HeatingCurve(manifest, base=50.0, slope=0.0), "curve": HeatingCurve(manifest)}
     for name, controller in controllers.items():
@@ -58,7 +56,6 @@ def main() -> None:
             terms = {term: total + info["reward_terms"][term] for term, total in terms.items()}
         print(f"{name}: {abs(terms['energy']):.1f} kWh, {abs(terms['comfort']):.2f} K h too cold at {info['time']}")
     env.close()
-    assert agent_sdk
 
 
 if __name__ == "__main__":

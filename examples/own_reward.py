@@ -9,8 +9,6 @@ from datetime import datetime
 import gymnasium as gym
 import numpy as np
 
-import agent_sdk  # registers the environments
-
 
 def cool_and_cheap(values: Mapping[str, float], begin: datetime) -> dict[str, float]:
     """Return reward terms by name; the reward is their sum. `values` has the node's sensors and meters by name."""
@@ -36,7 +34,7 @@ class Steady:
 
 for reward in (cool_and_cheap, Steady):
     env = gym.make(
-        "zenostat/Building-v1",
+        "zenostat:zenostat/Building-v1",
         building="office-small",
         weather="USA_CO_Denver",
         begin="07-01",
@@ -55,4 +53,3 @@ for reward in (cool_and_cheap, Steady):
             sums[name] = sums.get(name, 0.0) + term
     env.close()
     print(f"{reward.__name__}: " + ", ".join(f"{name} {total:.2f}" for name, total in sums.items()))
-assert agent_sdk

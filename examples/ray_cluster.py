@@ -3,7 +3,7 @@
     python examples/ray_cluster.py --iterations 3
 
 Each raylet has cores for one EnvRunner, which is a node of its own. On several machines, run the same two commands, one
-on each, with the same token in RAY_AUTH_TOKEN, and give the address of the head node to `agent_sdk.ray.connect`.
+on each, with the same token in RAY_AUTH_TOKEN, and give the address of the head node to `zenostat.ray.connect`.
 """
 
 import argparse
@@ -59,7 +59,7 @@ def main() -> None:
     import ray  # after the token has been set
     from ray.rllib.algorithms.ppo import PPOConfig
 
-    import agent_sdk.ray
+    import zenostat.ray
 
     with ExitStack() as stack:
         folder = stack.enter_context(tempfile.TemporaryDirectory(ignore_cleanup_errors=True))
@@ -68,12 +68,12 @@ def main() -> None:
         raylet(stack, "--head", f"--port={port}", "--include-dashboard=false", f"--temp-dir={folder}", cores)
         wait_until(lambda: answers(port), "the head node listens")
         raylet(stack, f"--address={address}", cores)
-        stack.enter_context(agent_sdk.ray.connect(address))
+        stack.enter_context(zenostat.ray.connect(address))
         wait_until(lambda: sum(node["Alive"] for node in ray.nodes()) == 2, "both raylets are in the cluster")
-        agent_sdk.ray.register()
+        zenostat.ray.register()
         building = {"building": "ref-small-office", "weather": "USA_CO_Denver", "begin": "07-03", "end": "07-03"}
         config = PPOConfig().environment("zenostat", env_config={**building, "control": "building"})
-        config = agent_sdk.ray.set_env_runners(config, runners=2, cores=arguments.cores)
+        config = zenostat.ray.set_env_runners(config, runners=2, cores=arguments.cores)
         config.resources(num_cpus_for_main_process=0)
         config.env_runners(batch_mode="complete_episodes")  # so that each iteration has a return
         config.training(train_batch_size_per_learner=arguments.batch, minibatch_size=64)

@@ -12,7 +12,7 @@ from ray import tune
 from ray.rllib.algorithms.ppo import PPOConfig
 from ray.rllib.connectors.env_to_module.mean_std_filter import MeanStdFilter
 
-import agent_sdk.ray
+import zenostat.ray
 
 
 def main() -> None:
@@ -27,11 +27,11 @@ def main() -> None:
     parser.add_argument("--cores", type=int, default=2, help="cores, and so slots, of each EnvRunner")
     arguments = parser.parse_args()
 
-    agent_sdk.ray.register()
+    zenostat.ray.register()
     config = PPOConfig().environment(
         "zenostat", env_config={"id": arguments.env, "begin": arguments.begin, "end": arguments.end}
     )
-    config = agent_sdk.ray.set_env_runners(config, runners=arguments.runners, cores=arguments.cores)
+    config = zenostat.ray.set_env_runners(config, runners=arguments.runners, cores=arguments.cores)
     config.resources(num_cpus_for_main_process=0)  # so that a trial fits into the cores of its EnvRunners
     config.env_runners(
         env_to_module_connector=lambda *_: MeanStdFilter(),

@@ -14,8 +14,8 @@ from pathlib import Path
 import gymnasium as gym
 import numpy as np
 
-from agent_sdk import recording
-from eplus_node.verification import verify
+from zenostat import recording
+from zenostat.eplus_node.verification import verify
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--days", type=int, default=1)

@@ -12,8 +12,8 @@ import argparse
 import collections
 import threading
 
-import agent_sdk
-from agent_sdk.bus.sample import SampleView
+import zenostat
+from zenostat import SampleView
 
 HALVES = {
     "north": ["core_zn_cooling_setpoint", "perimeter_zn_3_cooling_setpoint", "perimeter_zn_4_cooling_setpoint"],
@@ -27,7 +27,7 @@ parser.add_argument("--node", default="office")
 arguments = parser.parse_args()
 
 
-def control(link: agent_sdk.ControllerLink, half: str) -> None:
+def control(link: zenostat.ControllerLink, half: str) -> None:
     """Control one half of the building; the node waits for both controllers."""
     for sample in link:
         if half == "north":
@@ -36,13 +36,13 @@ def control(link: agent_sdk.ControllerLink, half: str) -> None:
         sample.send(dict.fromkeys(HALVES[half], OCCUPIED_DEGC[half] if is_open else 29.0))
 
 
-def supervise(bus: agent_sdk.Bus, sample: SampleView) -> None:
+def supervise(bus: zenostat.Bus, sample: SampleView) -> None:
     """At a price peak, raise the cooling setpoint of the core zone for an hour."""
     if sample.time.hour == 15 and sample.time.minute == 0:
         bus.write(arguments.node, "core_zn_cooling_setpoint", 28.0, priority=8, duration_s=3600, source="supervisor")
 
 
-with agent_sdk.connect(arguments.connect) as bus, bus.listen(arguments.node) as samples:
+with zenostat.connect(arguments.connect) as bus, bus.listen(arguments.node) as samples:
     halves = [(bus.controller(arguments.node, name=half, actuators=points), half) for half, points in HALVES.items()]
     threads = [threading.Thread(target=control, args=pair) for pair in halves]
     for thread in threads:

@@ -18,7 +18,7 @@ from pathlib import Path
 
 from platformdirs import user_cache_dir
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 _FILLING = ".filling-"
 _FILES = "v2"

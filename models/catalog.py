@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-from models import data_packs
-from topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.models import data_packs
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 MODEL_SUFFIXES = (".epjson", ".idf")
 WEATHER_SUFFIXES = (".epw",)

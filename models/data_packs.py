@@ -19,9 +19,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from models.cache import cached_dir, evict, find_dir
-from topics.errors import InvalidConfig, UnknownName, did_you_mean
-from topics.scenario_ids import PAPER_IDS, pack_ids
+from zenostat.models.cache import cached_dir, evict, find_dir
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.scenario_ids import PAPER_IDS, pack_ids
 
 MAX_UNPACKED_BYTES = 500_000_000
 MAX_MEMBERS = 10_000

@@ -1,7 +1,7 @@
 """Run EnergyPlus once, in a separate process, to convert a model or list its points.
 
 A model can make EnergyPlus terminate its process, so nothing here runs in the caller's. The child process is this
-module as a program: `python -m models.energyplus convert|survey …`.
+module as a program: `python -m zenostat.models.energyplus convert|survey …`.
 """
 
 from __future__ import annotations
@@ -17,12 +17,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from models.err_file import explain
-from topics.atomic_file import atomic_file
-from topics.errors import ModelError
+from zenostat.models.err_file import explain
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import ModelError
 
 ISOLATED = (sys.executable, "-P", "-m")
-"""Command prefix for a package's programs: `-P` excludes the caller's folder (and its `models.py`) from imports."""
+"""Command prefix for a package's programs: `-P` excludes the caller's folder from imports."""
 
 _ACTIONS = {"convert": "convert", "survey": "start"}
 """What EnergyPlus does for each verb, for errors."""
@@ -41,7 +41,7 @@ def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> N
     """
     folder = Path(arguments[-1]).parent
     finished = subprocess.run(
-        [*ISOLATED, "models.energyplus", verb, *map(str, arguments)],
+        [*ISOLATED, "zenostat.models.energyplus", verb, *map(str, arguments)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,
@@ -74,7 +74,7 @@ def library() -> Path:
 
 
 def _libraries() -> list[Path]:
-    from models.catalog import wheel
+    from zenostat.models.catalog import wheel
 
     return sorted(wheel().parent.glob("libenergyplusapi.*"))
 

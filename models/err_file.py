@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from models.building.source_lines import locate, read_objects
+from zenostat.models.building.source_lines import locate, read_objects
 
 _SEVERE = ("** Severe  **", "**  Fatal  **")
 _CONTINUATION = "**   ~~~   **"

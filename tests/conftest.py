@@ -16,7 +16,7 @@ from support.examples import FAST
 from support.nodes import SMALL, NodeProgram, begin_new_episode, nothing_left
 from support.process_starts import starts_processes
 
-import agent_sdk
+import zenostat
 
 # No deadlines: beside running simulations an example may take any time.
 settings.register_profile("zenostat", deadline=None)
@@ -106,9 +106,9 @@ def node(scratch: Path) -> Iterator[NodeProgram]:
 
 
 @pytest.fixture
-def bus(node: NodeProgram) -> Iterator[agent_sdk.Bus]:
+def bus(node: NodeProgram) -> Iterator[zenostat.Bus]:
     """The bus of `node`."""
-    with agent_sdk.connect(node.endpoint, affinity="off") as connected:
+    with zenostat.connect(node.endpoint, affinity="off") as connected:
         yield connected
 
 
@@ -126,20 +126,20 @@ def shared_node(module_folder: Path) -> Iterator[NodeProgram]:
 
 
 @pytest.fixture
-def episode_bus(shared_node: NodeProgram) -> Iterator[agent_sdk.Bus]:
+def episode_bus(shared_node: NodeProgram) -> Iterator[zenostat.Bus]:
     """The bus of `shared_node`, which waits at the first sample of a new episode."""
-    with agent_sdk.connect(shared_node.endpoint, affinity="off") as connected:
+    with zenostat.connect(shared_node.endpoint, affinity="off") as connected:
         begin_new_episode(connected)
         yield connected
 
 
 @pytest.fixture(scope="module")
-def shared_bus(module_folder: Path) -> Iterator[agent_sdk.Bus]:
+def shared_bus(module_folder: Path) -> Iterator[zenostat.Bus]:
     """The bus of a node `office` that the tests of a module share; see `support.nodes.new_episode`."""
     with (
         nothing_left(module_folder),
         NodeProgram(module_folder / "node", **SMALL) as program,
-        agent_sdk.connect(program.endpoint, affinity="off") as connected,
+        zenostat.connect(program.endpoint, affinity="off") as connected,
     ):
         yield connected
 

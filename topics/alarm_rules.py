@@ -10,11 +10,11 @@ from typing import Annotated, Any
 
 from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_validator, model_validator
 
-from topics.calendar import Weekday, check_hours
-from topics.errors import did_you_mean
-from topics.messages import AlarmPriority, Finite, Lines, Message, NotifyType, SafeName
-from topics.messages.alarms import MAX_DURATION_S
-from topics.points import check_order
+from zenostat.topics.calendar import Weekday, check_hours
+from zenostat.topics.errors import did_you_mean
+from zenostat.topics.messages import AlarmPriority, Finite, Lines, Message, NotifyType, SafeName
+from zenostat.topics.messages.alarms import MAX_DURATION_S
+from zenostat.topics.points import check_order
 
 Hours = Annotated[tuple[Finite, Finite], AfterValidator(check_hours)]
 NotNegative = Annotated[float, Field(ge=0, strict=True)]

@@ -12,10 +12,10 @@ from typing import Any
 
 from pydantic.json_schema import models_json_schema
 
-from topics import codec, errors
-from topics.errors import ZenostatError
-from topics.keys import DEFAULT_HOST, DEFAULT_PORT, PREFIX, TOPICS, Delivery, Role, Topic
-from topics.messages import SCHEMA_VERSION, ErrorReply, Message
+from zenostat.topics import codec, errors
+from zenostat.topics.errors import ZenostatError
+from zenostat.topics.keys import DEFAULT_HOST, DEFAULT_PORT, PREFIX, TOPICS, Delivery, Role, Topic
+from zenostat.topics.messages import SCHEMA_VERSION, ErrorReply, Message
 
 ASYNCAPI = "3.0.0"
 QUESTION = "Question"

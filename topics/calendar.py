@@ -10,7 +10,7 @@ import re
 from datetime import date, datetime
 from typing import Any, Literal, TypeVar, get_args
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 Weekday = Literal["mon", "tue", "wed", "thu", "fri", "sat", "sun"]
 WEEKDAYS: tuple[Weekday, ...] = get_args(Weekday)

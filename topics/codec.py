@@ -17,9 +17,19 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from topics.errors import BadMessage, did_you_mean
-from topics.messages import SCHEMA_VERSION, AlarmList, Batch, Claim, Geometry, Manifest, Message, Sample, Status
-from topics.printable import replace_controls
+from zenostat.topics.errors import BadMessage, did_you_mean
+from zenostat.topics.messages import (
+    SCHEMA_VERSION,
+    AlarmList,
+    Batch,
+    Claim,
+    Geometry,
+    Manifest,
+    Message,
+    Sample,
+    Status,
+)
+from zenostat.topics.printable import replace_controls
 
 M = TypeVar("M", bound=Message)
 

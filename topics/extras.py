@@ -3,24 +3,40 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
+import json
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
+from urllib.parse import unquote, urlsplit
 
-from topics.errors import InvalidConfig
-
-_ROOT = Path(__file__).resolve().parent.parent
+from zenostat.topics.errors import InvalidConfig
 
 
 def install_command(extra: str) -> str:
-    """Return the command that installs an extra of `pyproject.toml` into this Python's environment.
+    """Return the command that installs an extra into this Python's environment, from where Zenostat came from.
 
-    Zenostat is on no package index: its extras are installed from a checkout.
+    That is a checkout, a folder or a file that pip has recorded (PEP 610), or else a package index.
     """
-    root = str(_ROOT) if (_ROOT / "pyproject.toml").is_file() else "PATH_OF_THE_CHECKOUT"
-    return f"{sys.executable} -m pip install -e '{root}[{extra}]'"
+    origin = _origin()
+    folder = unquote(urlsplit(origin.get("url", "")).path)
+    if origin.get("dir_info", {}).get("editable"):
+        requirement = f"-e '{folder}[{extra}]'"
+    elif origin:
+        requirement = f"'zenostat[{extra}] @ {origin['url']}'"
+    else:
+        requirement = f"'zenostat[{extra}]'"
+    return f"{sys.executable} -m pip install {requirement}"
+
+
+def _origin() -> dict[str, Any]:
+    """Return the `direct_url.json` that pip wrote when it installed Zenostat; empty if it came from an index."""
+    for distribution in importlib.metadata.distributions(name="zenostat"):
+        if text := distribution.read_text("direct_url.json"):
+            origin: dict[str, Any] = json.loads(text)
+            return origin
+    return {}
 
 
 @contextmanager

@@ -17,10 +17,10 @@ from pydantic import (
     model_validator,
 )
 
-from topics.calendar import Weekday, check_hours, parse_moment
-from topics.errors import did_you_mean
-from topics.messages import Count, Finite, Message
-from topics.points import check_order
+from zenostat.topics.calendar import Weekday, check_hours, parse_moment
+from zenostat.topics.errors import did_you_mean
+from zenostat.topics.messages import Count, Finite, Message
+from zenostat.topics.points import check_order
 
 
 def _check_moment(text: str) -> str:

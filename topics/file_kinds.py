@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from enum import StrEnum
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 
 class FileKind(StrEnum):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import filelock
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 
 @contextmanager

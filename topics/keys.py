@@ -9,9 +9,9 @@ import re
 from dataclasses import dataclass
 from enum import StrEnum
 
-from topics.errors import InvalidConfig
-from topics.fault_plan import FaultPlan
-from topics.messages import (
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.fault_plan import FaultPlan
+from zenostat.topics.messages import (
     SCHEMA_VERSION,
     Ack,
     Acknowledge,
@@ -56,7 +56,7 @@ from topics.messages import (
     WeatherSeries,
     Write,
 )
-from topics.printable import replace_controls
+from zenostat.topics.printable import replace_controls
 
 PREFIX = f"zenostat/v{SCHEMA_VERSION}"
 NODE_CHUNK = 2

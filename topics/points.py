@@ -14,9 +14,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.errors import UnknownName, ZenostatError, did_you_mean
-from topics.messages import Actuator, Manifest
-from topics.units import with_unit
+from zenostat.topics.errors import UnknownName, ZenostatError, did_you_mean
+from zenostat.topics.messages import Actuator, Manifest
+from zenostat.topics.units import with_unit
 
 LARGEST = float_info.max
 """The largest finite number: as a bound it admits any finite value, and neither infinity."""

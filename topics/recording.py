@@ -10,7 +10,7 @@ from typing import Any
 
 from pydantic import Field
 
-from topics.messages.base import Count, Message, Raw, Seed, SourceName
+from zenostat.topics.messages.base import Count, Message, Raw, Seed, SourceName
 
 PROFILE = "zenostat"
 """Profile in the header of the file."""

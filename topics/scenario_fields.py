@@ -2,7 +2,8 @@
 
 They are arguments of `gym.make`, fields of scenario files, settings of a node and options of `zenostat node`. The
 signatures of the environments, their errors, the help of the command line, the JSON schema of scenario files and the
-table in `docs/environments.md` follow from the classes in this module. `models.scenario.schema` validates the values.
+table in `docs/environments.md` follow from the classes in this module. `zenostat.models.scenario.schema` validates the
+values.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any, SupportsIndex
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 MAX_SEED = 2**64 - 1
 

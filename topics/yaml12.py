@@ -17,8 +17,8 @@ from typing import Any, NoReturn, TypeVar
 import yaml
 from pydantic import BaseModel, ValidationError
 
-from topics.codec import describe_validation_errors
-from topics.errors import InvalidConfig
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig
 
 M = TypeVar("M", bound=BaseModel)
 

@@ -1,10 +1,10 @@
 """A benchmark of controllers: fixed buildings, weather, seeds, reward and score; see docs/benchmark.md."""
 
-from agent_sdk.benchmark.definition import BASELINES, SETS, VERSION, BenchmarkSet, Task
-from agent_sdk.benchmark.results import Results, Row, load_results
-from agent_sdk.benchmark.run import check, run_benchmark
-from agent_sdk.benchmark.scores import Interval, Scores, interquartile_mean, relative_score, score_rows
-from agent_sdk.benchmark.selection import Selection
+from zenostat.agent_sdk.benchmark.definition import BASELINES, SETS, VERSION, BenchmarkSet, Task
+from zenostat.agent_sdk.benchmark.results import Results, Row, load_results
+from zenostat.agent_sdk.benchmark.run import check, run_benchmark
+from zenostat.agent_sdk.benchmark.scores import Interval, Scores, interquartile_mean, relative_score, score_rows
+from zenostat.agent_sdk.benchmark.selection import Selection
 
 __all__ = [
     "BASELINES",

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-from agent_sdk.benchmark.frozen_bounds import frozen_actuators
+from zenostat.agent_sdk.benchmark.frozen_bounds import frozen_actuators
 
 VERSION = 1
 
@@ -156,7 +156,7 @@ class BenchmarkSet:
         return {"scenario": f"{building}-{weather}-continuous-v1", "begin": begin, "end": end, **ARGUMENTS}
 
     def training(self, algorithm: str, building: str, season: str) -> dict[str, Any]:
-        """Return the fields of a training file; `agent_sdk.training.read_training` reads them."""
+        """Return the fields of a training file; `zenostat.training.read_training` reads them."""
         published = self.published_training(algorithm, building, season)
         return published | {"arguments": published["arguments"] | {"actuators": frozen_actuators(building)}}
 

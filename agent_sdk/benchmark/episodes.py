@@ -9,18 +9,18 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
-from agent_sdk.benchmark.definition import BASELINES, LINEAR, SETS, Task, is_trained
-from agent_sdk.benchmark.results import Row
-from agent_sdk.benchmark.trained import Training
-from agent_sdk.benchmark.two_loop_pid import TwoLoopPID
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers import Agent, load_controller, make_controller
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.evaluate import run_episode, without_actuators
-from agent_sdk.evaluation.metrics import EpisodeMetrics
-from agent_sdk.rewards import read_reward
-from topics.errors import ZenostatError
-from topics.messages import Manifest
+from zenostat.agent_sdk.benchmark.definition import BASELINES, LINEAR, SETS, Task, is_trained
+from zenostat.agent_sdk.benchmark.results import Row
+from zenostat.agent_sdk.benchmark.trained import Training
+from zenostat.agent_sdk.benchmark.two_loop_pid import TwoLoopPID
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.evaluation.evaluate import run_episode, without_actuators
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
+from zenostat.agent_sdk.rewards import read_reward
+from zenostat.topics.errors import ZenostatError
+from zenostat.topics.messages import Manifest
 
 _METRICS = (
     "hvac_electricity_kwh", "electricity_kwh", "natural_gas_kwh", "peak_kw", "outside_kh", "occupied_outside_kh",

@@ -7,13 +7,13 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from agent_sdk.benchmark.definition import BUILDINGS
-from agent_sdk.benchmark.results import Results
-from agent_sdk.benchmark.scores import Interval, Scores, score_rows
-from agent_sdk.report.figures.base import draw
-from agent_sdk.report.svg import save
-from agent_sdk.report.theme import LIGHT
-from topics.extras import import_extra
+from zenostat.agent_sdk.benchmark.definition import BUILDINGS
+from zenostat.agent_sdk.benchmark.results import Results
+from zenostat.agent_sdk.benchmark.scores import Interval, Scores, score_rows
+from zenostat.agent_sdk.report.figures.base import draw
+from zenostat.agent_sdk.report.svg import save
+from zenostat.agent_sdk.report.theme import LIGHT
+from zenostat.topics.extras import import_extra
 
 _LOWEST = -0.6
 """Scores below are drawn as an arrow with their number, so that one bad controller does not hide the rest."""

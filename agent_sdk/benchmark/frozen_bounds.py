@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
-from topics.keys import safe_name
+from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
+from zenostat.topics.keys import safe_name
 
 _BOUNDS = {HEATING_SETPOINT: (15.0, 22.5), COOLING_SETPOINT: (22.5, 30.0)}
 """Default bounds of setpoints when version 1 was published, degC."""

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent_sdk.benchmark.definition import VERSION
-from agent_sdk.benchmark.figures import write_figures
-from agent_sdk.benchmark.results import Results
-from agent_sdk.benchmark.tables import tables
-from topics.atomic_file import atomic_file
+from zenostat.agent_sdk.benchmark.definition import VERSION
+from zenostat.agent_sdk.benchmark.figures import write_figures
+from zenostat.agent_sdk.benchmark.results import Results
+from zenostat.agent_sdk.benchmark.tables import tables
+from zenostat.topics.atomic_file import atomic_file
 
 
 def write_page(results: Results, path: Path) -> list[Path]:

@@ -11,10 +11,10 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from agent_sdk.benchmark.definition import SETS, VERSION, Task, digest_of
-from topics import VERSION as PRODUCT_VERSION
-from topics.atomic_file import atomic_file
-from topics.errors import InvalidConfig, UnknownName
+from zenostat.agent_sdk.benchmark.definition import SETS, VERSION, Task, digest_of
+from zenostat.topics import VERSION as PRODUCT_VERSION
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig, UnknownName
 
 _LIBRARIES = ("gymnasium", "numpy", "pyenergyplus-lbnl", "scipy", "stable-baselines3", "torch")
 _TITLE = "zenostat benchmark"

@@ -13,15 +13,15 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from agent_sdk.benchmark.definition import BASELINES, SETS, Task, is_trained
-from agent_sdk.benchmark.episodes import Job, describe_error, run_job
-from agent_sdk.benchmark.results import Results, Row, changed_versions, load_results
-from agent_sdk.benchmark.selection import Selection
-from agent_sdk.benchmark.trained import Training, ensure_trained
-from agent_sdk.controllers.base import BaselineController
-from bridge.recording.file import file_digest
-from topics.errors import InvalidConfig, SimulatorError, UnknownName, did_you_mean
-from topics.file_lock import locked
+from zenostat.agent_sdk.benchmark.definition import BASELINES, SETS, Task, is_trained
+from zenostat.agent_sdk.benchmark.episodes import Job, describe_error, run_job
+from zenostat.agent_sdk.benchmark.results import Results, Row, changed_versions, load_results
+from zenostat.agent_sdk.benchmark.selection import Selection
+from zenostat.agent_sdk.benchmark.trained import Training, ensure_trained
+from zenostat.agent_sdk.controllers.base import BaselineController
+from zenostat.bridge.recording.file import file_digest
+from zenostat.topics.errors import InvalidConfig, SimulatorError, UnknownName, did_you_mean
+from zenostat.topics.file_lock import locked
 
 Progress = Callable[[str, int, int], None]
 """Callback with the stage (`training`, `episodes`), the number of finished items (first 0) and of all."""
@@ -103,12 +103,12 @@ def check_controllers(names: Sequence[str]) -> dict[str, str]:
     Raises:
         UnknownName, InvalidConfig: see `load_controller`.
     """
-    from agent_sdk.controllers import load_controller
+    from zenostat.agent_sdk.controllers import load_controller
 
     files: dict[str, str] = {}
     for name in names:
         if is_trained(name):
-            import agent_sdk.training  # noqa: F401  # stable-baselines3 is there
+            import zenostat.agent_sdk.training  # noqa: F401  # stable-baselines3 is there
         elif load_controller(name) is BaselineController and name != "baseline":
             raise InvalidConfig(f"{name} is the baseline control: name it 'baseline'")
         elif name not in BASELINES:
@@ -122,7 +122,7 @@ def _controller_digest(name: str) -> str:
     for candidate in (name, rest, algorithm_or_file):
         path = Path(candidate).expanduser()
         if candidate and path.is_dir():
-            from agent_sdk.training.folder import model_file
+            from zenostat.agent_sdk.training.folder import model_file
 
             path = model_file(path)
         if candidate and path.is_file():

@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.benchmark.results import Row
-from topics.errors import InvalidConfig
-from topics.extras import requires_extra
+from zenostat.agent_sdk.benchmark.results import Row
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
 
 BASELINE = "baseline"
 CONFIDENCE = 0.95

@@ -6,8 +6,8 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass, fields
 from typing import Any
 
-from agent_sdk.benchmark.definition import Task
-from topics.errors import UnknownName, did_you_mean
+from zenostat.agent_sdk.benchmark.definition import Task
+from zenostat.topics.errors import UnknownName, did_you_mean
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from agent_sdk.benchmark.definition import BUILDINGS
-from agent_sdk.benchmark.results import Results
-from agent_sdk.benchmark.scores import Interval, Scores, score_rows
+from zenostat.agent_sdk.benchmark.definition import BUILDINGS
+from zenostat.agent_sdk.benchmark.results import Results
+from zenostat.agent_sdk.benchmark.scores import Interval, Scores, score_rows
 
 
 @dataclass(frozen=True)

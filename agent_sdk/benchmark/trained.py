@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agent_sdk.benchmark.definition import SETS, digest_of
-from agent_sdk.benchmark.results import current_versions
+from zenostat.agent_sdk.benchmark.definition import SETS, digest_of
+from zenostat.agent_sdk.benchmark.results import current_versions
 
 _FINISHED = "weights.sha256"
 """File that marks a training of the benchmark as finished, with the hash of its weights."""
@@ -72,8 +72,8 @@ def ensure_trained(training: Training) -> tuple[Training, dict[str, str]]:
 
 
 def _train(training: Training) -> None:
-    from agent_sdk.training import ALGORITHMS, read_training, train
-    from agent_sdk.training.folder import MODEL, is_training
+    from zenostat.agent_sdk.training import ALGORITHMS, read_training, train
+    from zenostat.agent_sdk.training.folder import MODEL, is_training
 
     folder = training.folder
     config = read_training({**training.fields, "output": str(folder)}, str(training))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from datetime import datetime
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers import Controller, PIDController, Values
-from agent_sdk.controllers.action_roles import Role, bind_actions
-from agent_sdk.controllers.comfort_band import comfort_bands, inside
-from agent_sdk.controllers.parameters import ControllerMismatch
-from agent_sdk.evaluation.comfort import comfort
-from topics.messages import Manifest
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers import Controller, PIDController, Values
+from zenostat.agent_sdk.controllers.action_roles import Role, bind_actions
+from zenostat.agent_sdk.controllers.comfort_band import comfort_bands, inside
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
+from zenostat.agent_sdk.evaluation.comfort import comfort
+from zenostat.topics.messages import Manifest
 
 
 class TwoLoopPID(Controller):

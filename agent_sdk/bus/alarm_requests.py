@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent_sdk.bus.requests import Requests, build
-from topics import keys
-from topics.messages import (
+from zenostat.agent_sdk.bus.requests import Requests, build
+from zenostat.topics import keys
+from zenostat.topics.messages import (
     Ack,
     Acknowledge,
     AlarmList,

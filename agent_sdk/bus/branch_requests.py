@@ -5,8 +5,8 @@ from __future__ import annotations
 from abc import abstractmethod
 from typing import TypeVar
 
-from topics import keys
-from topics.messages import (
+from zenostat.topics import keys
+from zenostat.topics.messages import (
     Ack,
     BranchCreated,
     CreateBranch,

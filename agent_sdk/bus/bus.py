@@ -1,6 +1,6 @@
 """The client of the bus, without Gymnasium.
 
-with agent_sdk.connect("tcp/127.0.0.1:7447") as bus:
+with zenostat.connect("tcp/127.0.0.1:7447") as bus:
     for sample in bus.controller("office"):
         sample.send({"core_zn_cooling_setpoint": 26.0})
 """
@@ -18,25 +18,25 @@ import zenoh
 from pydantic import ValidationError
 from zenoh import QueryTarget
 
-from agent_sdk.bus import fork_guard
-from agent_sdk.bus.alarm_requests import AlarmRequests
-from agent_sdk.bus.branch_requests import BranchRequests
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.bus.listener import listen
-from agent_sdk.bus.pace_requests import PaceRequests
-from agent_sdk.bus.priorities import PriorityRequests
-from agent_sdk.bus.recording_requests import RecordingRequests
-from agent_sdk.bus.requests import M, build
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.bus.series_requests import SeriesRequests
-from bridge.runtime import affinity
-from bridge.runtime.affinity import Affinity
-from bridge.runtime.timer import Timer
-from bridge.transport.access_control import Permission, may
-from bridge.transport.request import ask
-from bridge.transport.session import DEFAULT_ENDPOINT, FORKED, OpenSession, open_session
-from topics import codec, keys
-from topics.errors import (
+from zenostat.agent_sdk.bus import fork_guard
+from zenostat.agent_sdk.bus.alarm_requests import AlarmRequests
+from zenostat.agent_sdk.bus.branch_requests import BranchRequests
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.bus.listener import listen
+from zenostat.agent_sdk.bus.pace_requests import PaceRequests
+from zenostat.agent_sdk.bus.priorities import PriorityRequests
+from zenostat.agent_sdk.bus.recording_requests import RecordingRequests
+from zenostat.agent_sdk.bus.requests import M, build
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.bus.series_requests import SeriesRequests
+from zenostat.bridge.runtime import affinity
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime.timer import Timer
+from zenostat.bridge.transport.access_control import Permission, may
+from zenostat.bridge.transport.request import ask
+from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, FORKED, OpenSession, open_session
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import (
     BusError,
     InvalidAction,
     InvalidConfig,
@@ -46,9 +46,9 @@ from topics.errors import (
     UnknownName,
     did_you_mean,
 )
-from topics.fault_plan import FaultPlan
-from topics.keys import Role
-from topics.messages import (
+from zenostat.topics.fault_plan import FaultPlan
+from zenostat.topics.keys import Role
+from zenostat.topics.messages import (
     ANONYMOUS,
     Ack,
     Claim,
@@ -63,7 +63,7 @@ from topics.messages import (
     Stop,
     Write,
 )
-from topics.points import actuator_index, value_index
+from zenostat.topics.points import actuator_index, value_index
 
 _REQUEST_TIMEOUT_S = 600.0  # starting the largest bundled building takes 14 s; the death of a node is noticed at once
 _CLOSED = "this bus is closed; connect to it again"
@@ -85,7 +85,7 @@ def connect(
     Args:
         endpoint: `tcp/HOST:PORT`, `unixsock-stream/PATH`, or, with `keys`, `tls/HOST:PORT`.
         wait: Keep trying in the background instead of failing.
-        affinity: Placement of this process's bus threads; see `bridge.runtime.affinity`.
+        affinity: Placement of this process's bus threads; see `zenostat.bridge.runtime.affinity`.
         core: The node's core, if it is already known.
         keys: A folder created by `zenostat keys init`.
         role: Which certificate to use: a controller's, or a monitor's, which may only read.
@@ -181,7 +181,7 @@ class Bus(BranchRequests, PaceRequests, PriorityRequests, RecordingRequests, Ser
             InvalidConfig: No such file, or faults that do not fit this node; the text lists all errors.
         """
         if isinstance(plan, Path):
-            from bridge.faults import read_plan  # imported here because few programs need it
+            from zenostat.bridge.faults import read_plan  # imported here because few programs need it
 
             plan = read_plan(plan)
         if not isinstance(plan, FaultPlan):
@@ -201,7 +201,7 @@ class Bus(BranchRequests, PaceRequests, PriorityRequests, RecordingRequests, Ser
         return self._ask(keys.RESET, node, reset, Ack)
 
     def geometry(self, node: str) -> Geometry:
-        """Return a node's zones and surfaces; `bridge.display.surfaces` decodes them.
+        """Return a node's zones and surfaces; `zenostat.bridge.display.surfaces` decodes them.
 
         Raises:
             RequestRejected: Its plant has no geometry, or its version of Zenostat does not send it.

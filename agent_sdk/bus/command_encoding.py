@@ -7,10 +7,10 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from topics import codec
-from topics.errors import InvalidAction
-from topics.messages import CommandOp, Manifest
-from topics.points import actuator_index
+from zenostat.topics import codec
+from zenostat.topics.errors import InvalidAction
+from zenostat.topics.messages import CommandOp, Manifest
+from zenostat.topics.points import actuator_index
 
 # Plain integers: an exception that a signal handler raises inside NumPy's access to an enum member is lost, such as the
 # KeyboardInterrupt of Ctrl-C.

@@ -13,16 +13,16 @@ from numpy.typing import NDArray
 from zenoh import CongestionControl
 from zenoh.handlers import RingChannel
 
-from agent_sdk.bus.command_encoding import CommandEncoder
-from agent_sdk.bus.presence import NodeWatch, interface, undeclare
-from agent_sdk.bus.receive_watchdog import ReceiveWatchdog, query_sample
-from agent_sdk.bus.sample import SampleView, is_after
-from bridge.runtime import affinity
-from bridge.runtime.affinity import Affinity
-from bridge.runtime.polling import Polling
-from bridge.transport.wakeup import Wake, stream_wake
-from topics import codec, keys
-from topics.errors import (
+from zenostat.agent_sdk.bus.command_encoding import CommandEncoder
+from zenostat.agent_sdk.bus.presence import NodeWatch, interface, undeclare
+from zenostat.agent_sdk.bus.receive_watchdog import ReceiveWatchdog, query_sample
+from zenostat.agent_sdk.bus.sample import SampleView, is_after
+from zenostat.bridge.runtime import affinity
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime.polling import Polling
+from zenostat.bridge.transport.wakeup import Wake, stream_wake
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import (
     EpisodeChanged,
     NodeLost,
     NodeNotFound,
@@ -32,7 +32,7 @@ from topics.errors import (
     ZenostatError,
     from_wire,
 )
-from topics.messages import (
+from zenostat.topics.messages import (
     Ack,
     Claim,
     Command,
@@ -44,11 +44,11 @@ from topics.messages import (
     State,
     WeatherSeries,
 )
-from topics.points import value_index
-from topics.seeds import check_seed
+from zenostat.topics.points import value_index
+from zenostat.topics.seeds import check_seed
 
 if TYPE_CHECKING:
-    from agent_sdk.bus.bus import Bus
+    from zenostat.agent_sdk.bus.bus import Bus
 
 _TRUNCATED = int(Flag.TRUNCATED)
 _INBOX = 1024

@@ -6,8 +6,8 @@ import os
 from typing import Any, Protocol
 from weakref import WeakSet
 
-from bridge.transport.session import FORKED
-from topics.errors import BusError
+from zenostat.bridge.transport.session import FORKED
+from zenostat.topics.errors import BusError
 
 
 class Disownable(Protocol):

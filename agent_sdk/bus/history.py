@@ -9,9 +9,9 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.calendar import parse_moment
-from topics.errors import InvalidConfig, UnknownName, did_you_mean
-from topics.messages import Manifest
+from zenostat.topics.calendar import parse_moment
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.messages import Manifest
 
 _ROUNDING = 1e-6
 """Part of a timestep by which a time may miss a sample: decimal fractions of seconds are not exact."""

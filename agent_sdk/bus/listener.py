@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING
 import zenoh
 from zenoh.handlers import RingChannel
 
-from agent_sdk.bus import fork_guard
-from agent_sdk.bus.presence import NodeWatch
-from agent_sdk.bus.sample import SampleView
-from bridge.transport.session import FORKED
-from bridge.transport.wakeup import stream_wake
-from topics import codec, keys
-from topics.errors import BusError, NodeLost, NodeNotFound
-from topics.messages import Sample
-from topics.points import value_index
+from zenostat.agent_sdk.bus import fork_guard
+from zenostat.agent_sdk.bus.presence import NodeWatch
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.transport.session import FORKED
+from zenostat.bridge.transport.wakeup import stream_wake
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import BusError, NodeLost, NodeNotFound
+from zenostat.topics.messages import Sample
+from zenostat.topics.points import value_index
 
 if TYPE_CHECKING:
-    from agent_sdk.bus.bus import Bus
+    from zenostat.agent_sdk.bus.bus import Bus
 
 _INBOX = 16384
 

@@ -17,12 +17,12 @@ from typing import Any
 
 import psutil
 
-from bridge.runtime import affinity
-from bridge.runtime.affinity import Affinity
-from bridge.runtime.scratch import Scratch
-from bridge.runtime.signals import override_signals
-from topics.errors import NodeLost, from_wire
-from topics.messages import Manifest
+from zenostat.bridge.runtime import affinity
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime.scratch import Scratch
+from zenostat.bridge.runtime.signals import override_signals
+from zenostat.topics.errors import NodeLost, from_wire
+from zenostat.topics.messages import Manifest
 
 _EXIT_TIMEOUT_S = 5.0
 _POLL_S = 0.5
@@ -34,9 +34,9 @@ class LocalNode:
     """A node process that ends on `close()`, or when this process ends for any reason.
 
     Args:
-        settings: Fields of `eplus_node.config.NodeConfig`, or with `plant` those of
-            `bridge.python_plant.node.PlantSettings`, without endpoint, folder and core.
-        placement: See `bridge.runtime.affinity`.
+        settings: Fields of `zenostat.eplus_node.config.NodeConfig`, or with `plant` those of
+            `zenostat.bridge.python_plant.node.PlantSettings`, without endpoint, folder and core.
+        placement: See `zenostat.bridge.runtime.affinity`.
         on_process: Called with this object when its process exists, before it is ready; another thread can then end
             it with `terminate`.
 
@@ -69,11 +69,16 @@ class LocalNode:
         config = {**settings, "listen": [self.endpoint], "folder": str(self.folder)}
         config |= {"affinity": placement, "cpu": self.core, "engine_cpu": engine_core}
         try:
-            # -P: a models.py in the caller's folder must not shadow the package of that name.
+            # -P: files in the caller's folder must not shadow packages of the same name.
             # A process group of its own: Ctrl-C in the terminal is for the owner, which then ends the node. Not a
             # session of its own: Linux schedules sessions against each other, which costs about 20 us per step.
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "bridge.python_plant" if "plant" in settings else "eplus_node"],
+                [
+                    sys.executable,
+                    "-P",
+                    "-m",
+                    "zenostat.bridge.python_plant" if "plant" in settings else "zenostat.eplus_node",
+                ],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 process_group=0,
@@ -196,7 +201,7 @@ class Monitor:
 
     def __init__(self, endpoint: str, keys: Path | None = None) -> None:
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        program = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", endpoint]
+        program = [sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--connect", endpoint]
         program += ["--keys", str(keys)] if keys is not None else []
         self._process = subprocess.Popen([*program, *([] if display else ["--web"])], stdin=subprocess.DEVNULL)
         self._owner = os.getpid()

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent_sdk.bus.requests import Requests, build
-from topics import keys
-from topics.messages import Ack, Mode, Pause, Resume, SetPace, StepRequest
+from zenostat.agent_sdk.bus.requests import Requests, build
+from zenostat.topics import keys
+from zenostat.topics.messages import Ack, Mode, Pause, Resume, SetPace, StepRequest
 
 
 class PaceRequests(Requests):

@@ -11,8 +11,8 @@ from typing import Any
 import zenoh
 from zenoh.handlers import Callback
 
-from topics import keys
-from topics.messages import Manifest
+from zenostat.topics import keys
+from zenostat.topics.messages import Manifest
 
 _DISCOVERY_TIMEOUT_S = 10.0
 _UNDECLARE_TIMEOUT_S = 2.0

@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent_sdk.bus.requests import Requests
-from topics import codec, keys
-from topics.errors import UnknownName
-from topics.messages import Manifest, PriorityArrays, Query
+from zenostat.agent_sdk.bus.requests import Requests
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import UnknownName
+from zenostat.topics.messages import Manifest, PriorityArrays, Query
 
 
 class PriorityValue(NamedTuple):

@@ -10,12 +10,12 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from bridge.runtime.timer import Timer
-from topics.errors import RequestRejected, ZenostatError, from_wire
-from topics.messages import Sample, State
+from zenostat.bridge.runtime.timer import Timer
+from zenostat.topics.errors import RequestRejected, ZenostatError, from_wire
+from zenostat.topics.messages import Sample, State
 
 if TYPE_CHECKING:
-    from agent_sdk.bus.bus import Bus
+    from zenostat.agent_sdk.bus.bus import Bus
 
 _FIRST_S = 1.0
 _LONGEST_S = 10.0

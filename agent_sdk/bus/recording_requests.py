@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from agent_sdk.bus.requests import Requests, build
-from topics import keys
-from topics.messages import OnFull, RecordingStatus, StartRecording, StopRecording
+from zenostat.agent_sdk.bus.requests import Requests, build
+from zenostat.topics import keys
+from zenostat.topics.messages import OnFull, RecordingStatus, StartRecording, StopRecording
 
 
 class RecordingRequests(Requests):

@@ -7,9 +7,9 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from topics import codec, keys
-from topics.errors import InvalidConfig
-from topics.messages import Manifest, Message
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest, Message
 
 M = TypeVar("M", bound=Message)
 

@@ -9,10 +9,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from topics import codec
-from topics.errors import UnknownName
-from topics.messages import Flag, Manifest, Sample, WeatherSeries
-from topics.points import PointIndex
+from zenostat.topics import codec
+from zenostat.topics.errors import UnknownName
+from zenostat.topics.messages import Flag, Manifest, Sample, WeatherSeries
+from zenostat.topics.points import PointIndex
 
 _TRUNCATED, _FALLBACK = int(Flag.TRUNCATED), int(Flag.FALLBACK)
 

@@ -8,11 +8,11 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.history import History, first_step, last_step
-from agent_sdk.bus.requests import Requests, build
-from topics import codec, keys
-from topics.errors import BadMessage, EpisodeChanged, InvalidConfig, RequestRejected
-from topics.messages import HistoryQuery, HistorySeries, Manifest, WeatherQuery, WeatherSeries
+from zenostat.agent_sdk.bus.history import History, first_step, last_step
+from zenostat.agent_sdk.bus.requests import Requests, build
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import BadMessage, EpisodeChanged, InvalidConfig, RequestRejected
+from zenostat.topics.messages import HistoryQuery, HistorySeries, Manifest, WeatherQuery, WeatherSeries
 
 
 class SeriesRequests(Requests):

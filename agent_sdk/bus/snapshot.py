@@ -10,12 +10,12 @@ from weakref import WeakKeyDictionary
 
 from zenoh import ZError
 
-from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.episode_state import EpisodeState
-from topics.errors import BusError, InvalidConfig, RequestRejected
-from topics.messages import Manifest
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.envs.episode_state import EpisodeState
+from zenostat.topics.errors import BusError, InvalidConfig, RequestRejected
+from zenostat.topics.messages import Manifest
 
 
 @dataclass(slots=True)

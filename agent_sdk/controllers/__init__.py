@@ -1,16 +1,16 @@
 """Controllers: objects with `act(sample)`, to run in their own process or as agents in an environment."""
 
-from agent_sdk.controllers.agent import Agent, action_of
-from agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol, Values
-from agent_sdk.controllers.fixed import FixedSetpoints
-from agent_sdk.controllers.incremental import IncrementalRules
-from agent_sdk.controllers.loader import CONTROLLERS, load_controller
-from agent_sdk.controllers.oracle import OracleController
-from agent_sdk.controllers.parameters import make_controller
-from agent_sdk.controllers.pid import PIDController
-from agent_sdk.controllers.random_control import RandomController
-from agent_sdk.controllers.rule_based import RuleBasedController
-from agent_sdk.controllers.setback import ScheduledSetback
+from zenostat.agent_sdk.controllers.agent import Agent, action_of
+from zenostat.agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol, Values
+from zenostat.agent_sdk.controllers.fixed import FixedSetpoints
+from zenostat.agent_sdk.controllers.incremental import IncrementalRules
+from zenostat.agent_sdk.controllers.loader import CONTROLLERS, load_controller
+from zenostat.agent_sdk.controllers.oracle import OracleController
+from zenostat.agent_sdk.controllers.parameters import make_controller
+from zenostat.agent_sdk.controllers.pid import PIDController
+from zenostat.agent_sdk.controllers.random_control import RandomController
+from zenostat.agent_sdk.controllers.rule_based import RuleBasedController
+from zenostat.agent_sdk.controllers.setback import ScheduledSetback
 
 __all__ = [
     "CONTROLLERS",

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from agent_sdk.controllers.base import Values
-from agent_sdk.controllers.comfort_band import rewarded_temperatures
-from topics import energyplus_names
-from topics.energyplus_names import ZONE_TEMPERATURES
-from topics.messages import Action, Actuator, Manifest, Sensor
-from topics.points import bounds, value_index
+from zenostat.agent_sdk.controllers.base import Values
+from zenostat.agent_sdk.controllers.comfort_band import rewarded_temperatures
+from zenostat.topics import energyplus_names
+from zenostat.topics.energyplus_names import ZONE_TEMPERATURES
+from zenostat.topics.messages import Action, Actuator, Manifest, Sensor
+from zenostat.topics.points import bounds, value_index
 
 THERMOSTAT = energyplus_names.THERMOSTAT.casefold()
 OCCUPANTS = "zone people occupant count"

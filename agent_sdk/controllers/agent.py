@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.action_roles import SETPOINTS, role_of
-from agent_sdk.controllers.base import ControllerProtocol, Planner, PlanningController, Values
-from topics.errors import InvalidAction, InvalidConfig, did_you_mean
-from topics.messages import Action, DiscreteAction, Manifest
-from topics.points import bounds, contains, describe_violation
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, role_of
+from zenostat.agent_sdk.controllers.base import ControllerProtocol, Planner, PlanningController, Values
+from zenostat.topics.errors import InvalidAction, InvalidConfig, did_you_mean
+from zenostat.topics.messages import Action, DiscreteAction, Manifest
+from zenostat.topics.points import bounds, contains, describe_violation
 
 
 class Agent:

@@ -10,8 +10,8 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from agent_sdk.bus.sample import SampleView
-from topics.messages import Manifest
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.topics.messages import Manifest
 
 Values = dict[str, float | None]
 """Values by actuator, in its unit; None relinquishes it; actuators that are not named keep their value."""

@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime
 
-from agent_sdk.controllers.parameters import number
-from agent_sdk.rewards import LinearReward
-from agent_sdk.rewards.comfort_band import ComfortBand
-from agent_sdk.rewards.manifest_data import comfort_reward
-from agent_sdk.rewards.occupied import OccupiedComfort
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.controllers.parameters import number
+from zenostat.agent_sdk.rewards import LinearReward
+from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
+from zenostat.agent_sdk.rewards.manifest_data import comfort_reward
+from zenostat.agent_sdk.rewards.occupied import OccupiedComfort
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
 
 Band = tuple[float, float]
 Bands = Callable[[datetime], Band]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import importlib
 import importlib.util
 import inspect
@@ -14,16 +13,16 @@ from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
 
-from agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol
-from agent_sdk.controllers.fixed import FixedSetpoints
-from agent_sdk.controllers.incremental import IncrementalRules
-from agent_sdk.controllers.oracle import OracleController
-from agent_sdk.controllers.pid import PIDController
-from agent_sdk.controllers.random_control import RandomController
-from agent_sdk.controllers.rule_based import RuleBasedController
-from agent_sdk.controllers.setback import ScheduledSetback
-from bridge.runtime.source_loader import source_spec
-from topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol
+from zenostat.agent_sdk.controllers.fixed import FixedSetpoints
+from zenostat.agent_sdk.controllers.incremental import IncrementalRules
+from zenostat.agent_sdk.controllers.oracle import OracleController
+from zenostat.agent_sdk.controllers.pid import PIDController
+from zenostat.agent_sdk.controllers.random_control import RandomController
+from zenostat.agent_sdk.controllers.rule_based import RuleBasedController
+from zenostat.agent_sdk.controllers.setback import ScheduledSetback
+from zenostat.bridge.runtime.source_loader import source_spec
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 CONTROLLERS: dict[str, type[Controller]] = {
     "baseline": BaselineController,
@@ -37,17 +36,12 @@ CONTROLLERS: dict[str, type[Controller]] = {
 }
 """Controllers by short name, as for `zenostat run --controller`."""
 
-# Packages that are imported already, so that a user's file of the same name cannot shadow them.
-_IMPORTED_PACKAGES = ("agent_sdk", "bridge", "topics")
-# Packages that `agent_sdk` never imports, so that a user's `models.py` may shadow them while the user's file is loaded.
-_SHADOWABLE_PACKAGES = ("models", "eplus_node", "cli")
-
 
 def load_controller(text: str) -> Callable[..., ControllerProtocol]:
     """Load the class of a controller, to be called with the node's manifest and parameters by name.
 
     Args:
-        text: a short name; the folder of a training, or `ppo:model.zip` (see `agent_sdk.training.load_policy`);
+        text: a short name; the folder of a training, or `ppo:model.zip` (see `zenostat.training.load_policy`);
             `path/to/file.py:MyController`; or `package.module:MyController`, also for modules in the current folder.
             While the file is loaded, it can import modules from its own folder, which take precedence
             over installed modules of the same name.
@@ -59,7 +53,7 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
     if text in CONTROLLERS:
         return CONTROLLERS[text]
     if text.casefold().endswith(".zip") or (":" not in text and Path(text).expanduser().is_dir()):
-        from agent_sdk.controllers.policy import load_policy  # torch takes seconds to import
+        from zenostat.agent_sdk.controllers.policy import load_policy  # torch takes seconds to import
 
         return load_policy(text)
     source, colon, name = text.rpartition(":")
@@ -84,7 +78,7 @@ def _load_module(source: str) -> ModuleType:
     except (Exception, SystemExit) as error:
         if isinstance(error, ModuleNotFoundError) and error.name and f"{source}.".startswith(f"{error.name}."):
             raise UnknownName(f"there is no module {source!r}, neither installed nor in {folder}") from None
-        raise InvalidConfig(f"loading {source} failed: {_describe(error)}{_shadowing_hint(folder, path)}") from error
+        raise InvalidConfig(f"loading {source} failed: {_describe(error)}") from error
 
 
 def _load_file(path: Path) -> ModuleType:
@@ -118,28 +112,14 @@ class _FolderFinder:
 
 @contextmanager
 def _importable(folder: Path) -> Iterator[None]:
-    """Make modules in a folder importable within the context, and restore Zenostat's own modules afterwards."""
+    """Make modules in a folder importable within the context."""
     finder = _FolderFinder(folder)
     importlib.invalidate_caches()
-    shadowing = [name for name in _SHADOWABLE_PACKAGES if _is_foreign(finder.find_spec(name), name)]
-    shadowed = {name: module for name, module in sys.modules.items() if name.partition(".")[0] in shadowing}
-    for name in shadowed:
-        del sys.modules[name]
     sys.meta_path.insert(0, finder)
     try:
         yield
     finally:
         sys.meta_path.remove(finder)
-        for name in [name for name in sys.modules if name.partition(".")[0] in shadowing]:
-            del sys.modules[name]
-        sys.modules.update(shadowed)
-
-
-def _is_foreign(spec: ModuleSpec | None, name: str) -> bool:
-    if spec is None:
-        return False
-    own = Path(__file__).resolve().parent.parent.parent / name / "__init__.py"
-    return spec.origin is None or Path(spec.origin).resolve() != own
 
 
 def _describe(error: BaseException) -> str:
@@ -148,23 +128,6 @@ def _describe(error: BaseException) -> str:
     frames = [f for f in frames if f.filename != __file__]
     location = f" (line {frames[-1].lineno} of {Path(frames[-1].filename).name})" if frames else ""
     return f"{type(error).__name__}: {error}{location}"
-
-
-def _shadowing_hint(folder: Path, path: Path) -> str:
-    """Explain that the file imports a module from its folder whose name is that of a Zenostat package."""
-    conflicts = [
-        name for name in _IMPORTED_PACKAGES if (folder / f"{name}.py").is_file() and name in _imported_names(path)
-    ]
-    return f"; {conflicts[0]}.py has the name of a Zenostat package: rename it" if conflicts else ""
-
-
-def _imported_names(path: Path) -> set[str]:
-    try:
-        body = list(ast.walk(ast.parse(path.read_text())))
-    except (OSError, SyntaxError, ValueError):
-        return set()
-    plain = {alias.name for node in body if isinstance(node, ast.Import) for alias in node.names}
-    return plain | {node.module for node in body if isinstance(node, ast.ImportFrom) and node.module}
 
 
 def _controller_class(module: ModuleType, name: str, source: str) -> Callable[..., ControllerProtocol]:

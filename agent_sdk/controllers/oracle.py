@@ -11,12 +11,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.action_roles import Role, bind_actions
-from agent_sdk.controllers.agent import Agent, values_of
-from agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol, Planner, Values
-from agent_sdk.controllers.parameters import ControllerMismatch, make_controller, number
-from agent_sdk.controllers.sequence_search import (
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers.action_roles import Role, bind_actions
+from zenostat.agent_sdk.controllers.agent import Agent, values_of
+from zenostat.agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol, Planner, Values
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, make_controller, number
+from zenostat.agent_sdk.controllers.sequence_search import (
     Actions,
     CategoricalSearch,
     GaussianSearch,
@@ -24,8 +24,8 @@ from agent_sdk.controllers.sequence_search import (
     elite_weights,
     path_integral_weights,
 )
-from topics.errors import InvalidConfig, SimulatorError, did_you_mean
-from topics.messages import Manifest
+from zenostat.topics.errors import InvalidConfig, SimulatorError, did_you_mean
+from zenostat.topics.messages import Manifest
 
 METHODS = ("mppi", "cem")
 SHIFT_K = 0.7
@@ -107,7 +107,7 @@ class OracleController(Controller):
         self._begin()
 
     def _seed_rule(self, rule: str | Callable[..., ControllerProtocol]) -> ControllerProtocol:
-        from agent_sdk.controllers.loader import load_controller  # which imports this module
+        from zenostat.agent_sdk.controllers.loader import load_controller  # which imports this module
 
         factory = load_controller(rule) if isinstance(rule, str) else rule
         if factory in (OracleController, BaselineController):

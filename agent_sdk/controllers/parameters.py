@@ -7,9 +7,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, TypeVar
 
-from topics.errors import InvalidConfig, did_you_mean
-from topics.messages import Action, Actuator, Manifest
-from topics.points import contains, describe_violation
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.messages import Action, Actuator, Manifest
+from zenostat.topics.points import contains, describe_violation
 
 T = TypeVar("T")
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.action_roles import SETPOINTS, Role, role_of, temperature_sensors
-from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.parameters import ControllerMismatch, actuator_values, number
-from topics.errors import InvalidConfig, did_you_mean
-from topics.messages import Action, Actuator, Manifest, Sensor
-from topics.points import bounds
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, Role, role_of, temperature_sensors
+from zenostat.agent_sdk.controllers.base import Controller, Values
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, actuator_values, number
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.messages import Action, Actuator, Manifest, Sensor
+from zenostat.topics.points import bounds
 
 _FLOATING_K = 0.5
 """Distance of a zone from its setpoint at which it is neither cooled nor heated."""

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.controllers.action_roles import ActionBinding, Role
-from agent_sdk.controllers.base import Values
-from agent_sdk.controllers.comfort_band import Band, inside
+from zenostat.agent_sdk.controllers.action_roles import ActionBinding, Role
+from zenostat.agent_sdk.controllers.base import Values
+from zenostat.agent_sdk.controllers.comfort_band import Band, inside
 
 RESET_K = 1.0
 """Distance of all zones from the limit of the band at which water is at its mildest."""

@@ -11,17 +11,17 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.envs import spaces
-from agent_sdk.envs.actions import Actions
-from agent_sdk.envs.time_features import time_features
-from agent_sdk.vec_normalization import load_normalization, normalization_of
-from topics import yaml12
-from topics.errors import InvalidConfig, UnknownName, did_you_mean
-from topics.extras import requires_extra
-from topics.messages import CommandOp, Manifest
-from topics.points import observed_indices
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers.base import Controller, Values
+from zenostat.agent_sdk.envs import spaces
+from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.time_features import time_features
+from zenostat.agent_sdk.vec_normalization import load_normalization, normalization_of
+from zenostat.topics import yaml12
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.extras import requires_extra
+from zenostat.topics.messages import CommandOp, Manifest
+from zenostat.topics.points import observed_indices
 
 with requires_extra("train", "training", "stable-baselines3"):
     import stable_baselines3 as sb3
@@ -154,7 +154,7 @@ def load_policy(
     The normalization of a model that was trained behind `VecNormalize` is loaded with it: `model.vecnormalize.pkl`
     beside `model.zip`, where `EvaluationCallback` saves it and `VecNormalize.save` can. A model acts within the
     wrappers of its training: those of the training's folder, or of `model.wrappers.yaml` beside `model.zip`, which
-    `EvaluationCallback` and `agent_sdk.wrappers.save_wrappers` write.
+    `EvaluationCallback` and `zenostat.wrappers.save_wrappers` write.
 
     These files contain pickled Python objects, which may execute arbitrary code when they are loaded: load only files
     that you trust.
@@ -169,7 +169,7 @@ def load_policy(
         InvalidConfig: The file is not a model of that algorithm; its normalization is missing or does not fit; or the
             folder was written by another version.
     """
-    from agent_sdk.training import folder as training_folder  # which imports this module
+    from zenostat.agent_sdk.training import folder as training_folder  # which imports this module
 
     name, colon, rest = str(path).partition(":")
     if algorithm is None and colon:
@@ -193,7 +193,7 @@ def load_policy(
     def policy(manifest: Manifest) -> Controller:
         if not wrappers:
             return PolicyController(manifest, model, normalization)
-        from agent_sdk.controllers.wrapped_policy import WrappedPolicy  # which imports this module
+        from zenostat.agent_sdk.controllers.wrapped_policy import WrappedPolicy  # which imports this module
 
         return WrappedPolicy(manifest, model, normalization, wrappers, states)
 

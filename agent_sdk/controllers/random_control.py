@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.parameters import ControllerMismatch
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers.base import Controller, Values
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
 
 
 class RandomController(Controller):

@@ -14,7 +14,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.controllers.parameters import ControllerMismatch
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 
 Actions = NDArray[Any]
 """Action sequences: shape (sequences, timesteps, *action shape)."""

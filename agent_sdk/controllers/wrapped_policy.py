@@ -13,14 +13,14 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.policy import Predictor, describe_difference
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.wrappers.checkpoint import frozen_statistics, set_wrapper_states
-from agent_sdk.wrappers.serialization import apply_wrappers
-from topics.errors import InvalidConfig
-from topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Manifest, WeatherSeries
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers.base import Controller, Values
+from zenostat.agent_sdk.controllers.policy import Predictor, describe_difference
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics, set_wrapper_states
+from zenostat.agent_sdk.wrappers.serialization import apply_wrappers
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Manifest, WeatherSeries
 
 _LOGS = ("EpisodeLog", "TensorBoardLog", "WeightsAndBiasesLog")
 """Wrappers that only write files."""
@@ -38,7 +38,7 @@ class WrappedPolicy(Controller):
         model: a model of stable-baselines3.
         normalization: its `VecNormalize`, if it was trained behind one.
         wrappers: the wrappers of its training, innermost first.
-        states: what they have learnt, from the outermost; see `agent_sdk.wrappers.save_wrappers`.
+        states: what they have learnt, from the outermost; see `zenostat.wrappers.save_wrappers`.
 
     Raises:
         InvalidConfig: the node's observations or actions within the wrappers are not those of the training.

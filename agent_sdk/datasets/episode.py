@@ -10,7 +10,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.controllers import Agent
+from zenostat.agent_sdk.controllers import Agent
 
 
 @dataclass(frozen=True, slots=True)

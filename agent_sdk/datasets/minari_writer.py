@@ -11,9 +11,9 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
-from agent_sdk.datasets.episode import Episode
-from topics.errors import InvalidConfig
-from topics.extras import requires_extra
+from zenostat.agent_sdk.datasets.episode import Episode
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
 
 _DATA = "data"
 _FEATURE = "a data set"

@@ -14,21 +14,21 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.envs.registration import EnvSpec
 
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.controllers import Agent, ControllerProtocol, make_controller
-from agent_sdk.datasets.episode import Episode, run_episode
-from agent_sdk.datasets.minari_writer import check_minari, check_new_dataset, datasets_folder, write_minari
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.evaluate import (
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.controllers import Agent, ControllerProtocol, make_controller
+from zenostat.agent_sdk.datasets.episode import Episode, run_episode
+from zenostat.agent_sdk.datasets.minari_writer import check_minari, check_new_dataset, datasets_folder, write_minari
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.evaluation.evaluate import (
     ControllerFactory,
     Progress,
     assign_parameters,
     controller_factories,
     is_baseline_factory,
 )
-from agent_sdk.wrappers.names import names_of
-from topics import yaml12
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.wrappers.names import names_of
+from zenostat.topics import yaml12
+from zenostat.topics.errors import InvalidConfig
 
 _NOT_ARGUMENTS = ("id", "about", "wrappers")
 """Fields of a scenario file that are not arguments of an environment."""

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from agent_sdk.envs import spaces
-from topics.errors import InvalidAction, did_you_mean
-from topics.messages import Action, CommandOp, DiscreteAction, Manifest
-from topics.points import LARGEST, bound_arrays, contains, describe_violation
+from zenostat.agent_sdk.envs import spaces
+from zenostat.topics.errors import InvalidAction, did_you_mean
+from zenostat.topics.messages import Action, CommandOp, DiscreteAction, Manifest
+from zenostat.topics.points import LARGEST, bound_arrays, contains, describe_violation
 
 _SMALL = 8
 

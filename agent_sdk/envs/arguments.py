@@ -10,11 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.bus.local_node import LocalNode
-from agent_sdk.rewards import AnyReward, read_reward
-from bridge.runtime.affinity import Affinity
-from topics import yaml12
-from topics.errors import ErrorCollector, InvalidConfig, UnknownArgument, did_you_mean
+from zenostat.agent_sdk.bus.local_node import LocalNode
+from zenostat.agent_sdk.rewards import AnyReward, read_reward
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics import yaml12
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownArgument, did_you_mean
 
 FROM_SCENARIO = "scenario"
 """Marks the reward of the node's scenario."""
@@ -155,7 +155,7 @@ def _check_fields(fields: Mapping[str, Any]) -> None:
     if (reward := fields.get("reward")) is not None:
         errors.collect(lambda: read_reward(reward))
     if isinstance(wrappers := fields.get("wrappers"), list):
-        from agent_sdk.wrappers.serialization import check_wrappers  # which imports environments
+        from zenostat.agent_sdk.wrappers.serialization import check_wrappers  # which imports environments
 
         errors.collect(lambda: check_wrappers(wrappers))
     errors.raise_if_any()

@@ -13,19 +13,19 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 from zenoh import ZError
 
-from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.actions import as_array
-from agent_sdk.envs.vector_env import BuildingVectorEnv, Observations, check_count
-from agent_sdk.envs.vector_infos import Infos
-from agent_sdk.envs.vector_sample import VectorSample
-from agent_sdk.rewards import BoundReward, Reward
-from agent_sdk.rewards.base import Begin, Outcome
-from agent_sdk.rewards.terms import TermSum
-from topics import codec
-from topics.errors import BusError, EpisodeChanged, InvalidAction, InvalidConfig, NodeLost, NodeNotFound
-from topics.messages import CommandOp, CreateBranch, EpisodeStart, Sample, SimulatePlan
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.envs.actions import as_array
+from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv, Observations, check_count
+from zenostat.agent_sdk.envs.vector_infos import Infos
+from zenostat.agent_sdk.envs.vector_sample import VectorSample
+from zenostat.agent_sdk.rewards import BoundReward, Reward
+from zenostat.agent_sdk.rewards.base import Begin, Outcome
+from zenostat.agent_sdk.rewards.terms import TermSum
+from zenostat.topics import codec
+from zenostat.topics.errors import BusError, EpisodeChanged, InvalidAction, InvalidConfig, NodeLost, NodeNotFound
+from zenostat.topics.messages import CommandOp, CreateBranch, EpisodeStart, Sample, SimulatePlan
 
 _REPLY_BYTES = codec.MAX_BYTES // 2
 _MAX_TIMESTEPS = 1000

@@ -13,27 +13,27 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.bus.snapshot import Snapshot, from_options, take
-from agent_sdk.envs import arguments, spaces
-from agent_sdk.envs.actions import Actions, as_array
-from agent_sdk.envs.branch_env import BranchVectorEnv, branch_request, open_branch
-from agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
-from agent_sdk.envs.episode_state import EpisodeState
-from agent_sdk.envs.infos import SampleInfos
-from agent_sdk.envs.rendering import EpisodeRenderer
-from agent_sdk.envs.termination import TerminationLimits
-from agent_sdk.envs.time_features import time_features
-from agent_sdk.envs.vector_infos import Infos
-from agent_sdk.envs.vector_sample import Link
-from agent_sdk.rewards import AnyReward, Reward
-from bridge.runtime.affinity import Affinity
-from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
-from topics.messages import WeatherSeries
-from topics.points import observed_indices
-from topics.scenario_fields import OtherArguments, expand_arguments
-from topics.seeds import check_seed
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.bus.snapshot import Snapshot, from_options, take
+from zenostat.agent_sdk.envs import arguments, spaces
+from zenostat.agent_sdk.envs.actions import Actions, as_array
+from zenostat.agent_sdk.envs.branch_env import BranchVectorEnv, branch_request, open_branch
+from zenostat.agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
+from zenostat.agent_sdk.envs.episode_state import EpisodeState
+from zenostat.agent_sdk.envs.infos import SampleInfos
+from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
+from zenostat.agent_sdk.envs.termination import TerminationLimits
+from zenostat.agent_sdk.envs.time_features import time_features
+from zenostat.agent_sdk.envs.vector_infos import Infos
+from zenostat.agent_sdk.envs.vector_sample import Link
+from zenostat.agent_sdk.rewards import AnyReward, Reward
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
+from zenostat.topics.messages import WeatherSeries
+from zenostat.topics.points import observed_indices
+from zenostat.topics.scenario_fields import OtherArguments, expand_arguments
+from zenostat.topics.seeds import check_seed
 
 Observation = NDArray[np.float32]
 
@@ -54,25 +54,25 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
 
     Args:
         building, weather, node_arguments: The simulation and the settings of a local node, each described in
-            `topics.scenario_fields` and in the table of docs/environments.md.
-        reward: An object of `agent_sdk.rewards`, a kind, a kind with its parameters, or a function or class of your
-            own (`agent_sdk.rewards.from_function`). None gives 0.0; left out, the scenario's reward.
+            `zenostat.topics.scenario_fields` and in the table of docs/environments.md.
+        reward: An object of `zenostat.rewards`, a kind, a kind with its parameters, or a function or class of your
+            own (`zenostat.rewards.from_function`). None gives 0.0; left out, the scenario's reward.
         connect: Endpoint of a bus.
         keys: For a bus over TLS, the folder of certificates created by `zenostat keys init`.
         node: The node's name on that bus.
         priority: Priority of this agent's commands, 1 (highest) to 16.
-        affinity: See `bridge.runtime.affinity`.
+        affinity: See `zenostat.bridge.runtime.affinity`.
         render_mode: With `rgb_array`, `render()` returns a picture of the last day (needs matplotlib); `rerun` opens
             a live view.
-        link: Source of samples and destination of commands instead of a node; see `agent_sdk.testing`.
+        link: Source of samples and destination of commands instead of a node; see `zenostat.testing`.
 
     Attributes:
         manifest: The node's manifest; the reward of its task is the one that this environment pays.
         reward: The reward; None if there is none.
-        wrappers: The wrappers of `agent_sdk.wrappers` around this environment that have a state.
+        wrappers: The wrappers of `zenostat.wrappers` around this environment that have a state.
 
     Raises:
-        UsageError, BusError, SimulatorError: See `topics.errors`; everything that was started is closed again.
+        UsageError, BusError, SimulatorError: See `zenostat.topics.errors`; everything that was started is closed again.
 
     Warns:
         UserWarning: Controls in the model conflict with the scenario's actuators, the model has no run period and

@@ -10,20 +10,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.bus import connect as connect_bus
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.bus.local_node import LocalNode, Monitor, ignore_interrupts
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.bus.snapshot import require_node
-from agent_sdk.envs import arguments
-from agent_sdk.envs.space_names import SpaceNames
-from agent_sdk.rewards import AnyReward, Reward, read_reward
-from agent_sdk.rewards.manifest_data import reward_data, task_paying
-from bridge.recording.file import next_recording
-from bridge.runtime.affinity import Affinity
-from topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected
-from topics.messages import Manifest, RecordingState, RecordingStatus
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.agent_sdk.bus.bus import connect as connect_bus
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.bus.local_node import LocalNode, Monitor, ignore_interrupts
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.bus.snapshot import require_node
+from zenostat.agent_sdk.envs import arguments
+from zenostat.agent_sdk.envs.space_names import SpaceNames
+from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
+from zenostat.agent_sdk.rewards.manifest_data import reward_data, task_paying
+from zenostat.bridge.recording.file import next_recording
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected
+from zenostat.topics.messages import Manifest, RecordingState, RecordingStatus
 
 NAME = "building"
 AGENT = "agent"
@@ -49,7 +49,8 @@ class NodeConnection:
     """Connects to a node on a bus, or starts a local one, whose manifest is known before its bus is used.
 
     Args:
-        node_arguments: The user's arguments for the node, by the names of `topics.scenario_fields.NODE_ARGUMENTS`.
+        node_arguments: The user's arguments for the node, by the names of
+            `zenostat.topics.scenario_fields.NODE_ARGUMENTS`.
         reward, connect, node, priority, affinity, render_mode, keys, link: See `BuildingEnv`.
         slots: Number of the node's engines.
 
@@ -60,7 +61,7 @@ class NodeConnection:
         closed: Whether it has been closed.
 
     Raises:
-        UsageError, BusError, SimulatorError: See `topics.errors`; everything that was started is closed again.
+        UsageError, BusError, SimulatorError: See `zenostat.topics.errors`; everything that was started is closed again.
     """
 
     def __init__(

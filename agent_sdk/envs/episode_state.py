@@ -12,9 +12,9 @@ from weakref import WeakKeyDictionary, WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.envs.termination import TerminationLimits
-from agent_sdk.rewards import BoundReward
-from agent_sdk.rewards.base import Begin
+from zenostat.agent_sdk.envs.termination import TerminationLimits
+from zenostat.agent_sdk.rewards import BoundReward
+from zenostat.agent_sdk.rewards.base import Begin
 
 C = TypeVar("C")
 

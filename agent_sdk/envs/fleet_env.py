@@ -14,11 +14,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from agent_sdk.envs import arguments
-from agent_sdk.envs.actions import Actions
-from agent_sdk.envs.building_env import BuildingEnv, Observation
-from agent_sdk.envs.connection import BUSY
-from agent_sdk.envs.fleet_nodes import (
+from zenostat.agent_sdk.envs import arguments
+from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.building_env import BuildingEnv, Observation
+from zenostat.agent_sdk.envs.connection import BUSY
+from zenostat.agent_sdk.envs.fleet_nodes import (
     NODE_ERRORS,
     all_results,
     attempt_all,
@@ -27,12 +27,12 @@ from agent_sdk.envs.fleet_nodes import (
     connect_all,
     node_addresses,
 )
-from agent_sdk.envs.space_names import SpaceNames
-from agent_sdk.envs.vector_env import Observations, StepResult, check_mode
-from agent_sdk.envs.vector_infos import Infos
-from agent_sdk.envs.vector_slot import Seeds, seeds_of, slots_of
-from agent_sdk.rewards import AnyReward
-from topics.errors import EpisodeChanged, InvalidConfig, UsageError, ZenostatError
+from zenostat.agent_sdk.envs.space_names import SpaceNames
+from zenostat.agent_sdk.envs.vector_env import Observations, StepResult, check_mode
+from zenostat.agent_sdk.envs.vector_infos import Infos
+from zenostat.agent_sdk.envs.vector_slot import Seeds, seeds_of, slots_of
+from zenostat.agent_sdk.rewards import AnyReward
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig, UsageError, ZenostatError
 
 Result = tuple[Observation, float, bool, bool, Infos]
 OnError = Literal["truncate", "raise"]

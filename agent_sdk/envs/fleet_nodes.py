@@ -10,14 +10,14 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.bus import connect as connect_bus
-from agent_sdk.envs import spaces
-from agent_sdk.envs.actions import Actions
-from bridge.transport.session import check_endpoint
-from topics.errors import BusError, ErrorCollector, InvalidConfig, PeerError, SimulatorError, ZenostatError
-from topics.keys import check_name
-from topics.messages import Manifest
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.agent_sdk.bus.bus import connect as connect_bus
+from zenostat.agent_sdk.envs import spaces
+from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.bridge.transport.session import check_endpoint
+from zenostat.topics.errors import BusError, ErrorCollector, InvalidConfig, PeerError, SimulatorError, ZenostatError
+from zenostat.topics.keys import check_name
+from zenostat.topics.messages import Manifest
 
 A = TypeVar("A")
 T = TypeVar("T")

@@ -8,11 +8,11 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.connection import AGENT
-from agent_sdk.envs.vector_infos import Infos, Slots, merge, select
-from agent_sdk.envs.vector_sample import VectorSample
-from topics.messages import EpisodeStart
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.envs.connection import AGENT
+from zenostat.agent_sdk.envs.vector_infos import Infos, Slots, merge, select
+from zenostat.agent_sdk.envs.vector_sample import VectorSample
+from zenostat.topics.messages import EpisodeStart
 
 
 class Named(Protocol):

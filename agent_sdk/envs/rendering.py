@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards import Reward
-from topics.errors import EpisodeChanged
-from topics.extras import import_extra
-from topics.messages import Manifest
+from zenostat.agent_sdk.rewards import Reward
+from zenostat.topics.errors import EpisodeChanged
+from zenostat.topics.extras import import_extra
+from zenostat.topics.messages import Manifest
 
 Floats = NDArray[np.float64]
 
@@ -75,7 +75,7 @@ class EpisodeRenderer:
 
     def __init__(self, manifest: Manifest, reward: Reward | None, slots: int = 1) -> None:
         import_extra("matplotlib.figure", "plots", "render_mode='rgb_array'")
-        from agent_sdk.rendering.frame import EpisodeFrame
+        from zenostat.agent_sdk.rendering.frame import EpisodeFrame
 
         self.histories = tuple(EpisodeHistory(manifest.timestep) for _ in range(slots))
         self._frame = EpisodeFrame(manifest, reward)

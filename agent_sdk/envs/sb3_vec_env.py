@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
-from agent_sdk.envs.connection import BUSY
-from agent_sdk.envs.vector_infos import unbatch
-from agent_sdk.wrappers.names import inside, layers
-from topics.errors import EpisodeChanged, InvalidConfig, UsageError
-from topics.extras import requires_extra
+from zenostat.agent_sdk.envs.connection import BUSY
+from zenostat.agent_sdk.envs.vector_infos import unbatch
+from zenostat.agent_sdk.wrappers.names import inside, layers
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig, UsageError
+from zenostat.topics.extras import requires_extra
 
 with requires_extra("train", "as_sb3", "stable-baselines3"):
     from stable_baselines3.common.vec_env import VecEnv

@@ -9,11 +9,11 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import ArrayLike
 
-from agent_sdk.envs.actions import Actions
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
 
-_HINT = "agent_sdk.wrappers.observation_dict(env, observation) names the values of any layer"
+_HINT = "zenostat.wrappers.observation_dict(env, observation) names the values of any layer"
 
 
 def by_name(names: Sequence[str], observation: ArrayLike, caller: str) -> dict[str, float]:
@@ -56,7 +56,7 @@ class SpaceNames:
     def observation_dict(self, observation: ArrayLike) -> dict[str, float]:
         """Return the values of one building's observation by name, in the units of the manifest.
 
-        For an observation of a wrapper of `agent_sdk.wrappers` around this environment, that wrapper's names are used.
+        For an observation of a wrapper of `zenostat.wrappers` around this environment, that wrapper's names are used.
 
         Raises:
             InvalidConfig: No layer has observations of that shape, or several layers name their values differently.

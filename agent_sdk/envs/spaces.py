@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 
-from agent_sdk.envs.time_features import BOUNDS
-from topics.messages import Manifest
-from topics.points import bounds
+from zenostat.agent_sdk.envs.time_features import BOUNDS
+from zenostat.topics.messages import Manifest
+from zenostat.topics.points import bounds
 
 Floats = Box
 

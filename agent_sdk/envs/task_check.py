@@ -5,17 +5,17 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any
 
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.rewards import Reward, RewardConfig, read_reward
-from agent_sdk.wrappers.serialization import apply_wrappers, check_wrappers
-from topics.errors import ErrorCollector, InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.rewards import Reward, RewardConfig, read_reward
+from zenostat.agent_sdk.wrappers.serialization import apply_wrappers, check_wrappers
+from zenostat.topics.errors import ErrorCollector, InvalidConfig
+from zenostat.topics.messages import Manifest
 
 
 def check_task(manifest: Manifest) -> None:
     """Bind reward, actions and wrappers of a task to the points of a manifest, as an environment does when it is made.
 
-    Errors of form are those of `agent_sdk.envs.arguments.check_agent_fields`, and not repeated here.
+    Errors of form are those of `zenostat.agent_sdk.envs.arguments.check_agent_fields`, and not repeated here.
 
     Raises:
         InvalidConfig: lists all points that do not exist or have other units, and wrappers that do not work here.

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.messages import Manifest
-from topics.points import bounds, value_index
+from zenostat.topics.messages import Manifest
+from zenostat.topics.points import bounds, value_index
 
 Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from datetime import MAXYEAR, MINYEAR, datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.messages import TimeField
+from zenostat.topics.messages import TimeField
 
 _BEGIN: dict[TimeField, Callable[[datetime], float]] = {
     TimeField.YEAR: lambda t: t.year,

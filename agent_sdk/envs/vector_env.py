@@ -12,23 +12,23 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from agent_sdk.bus.snapshot import Snapshot, from_options, take
-from agent_sdk.envs import arguments, spaces
-from agent_sdk.envs.actions import Actions
-from agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
-from agent_sdk.envs.episode_state import EpisodeState
-from agent_sdk.envs.infos import VectorSampleInfos
-from agent_sdk.envs.rendering import EpisodeRenderer
-from agent_sdk.envs.termination import TerminationLimits
-from agent_sdk.envs.vector_infos import Infos, masked, merge, select
-from agent_sdk.envs.vector_sample import VectorLink, VectorSample, timestep
-from agent_sdk.envs.vector_slot import Seeds, Slot, seeds_of, slots_of
-from agent_sdk.rewards import AnyReward
-from bridge.runtime.affinity import Affinity
-from topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
-from topics.messages import CommandOp, WeatherSeries
-from topics.points import observed_indices
-from topics.scenario_fields import NodeArguments, expand_arguments
+from zenostat.agent_sdk.bus.snapshot import Snapshot, from_options, take
+from zenostat.agent_sdk.envs import arguments, spaces
+from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
+from zenostat.agent_sdk.envs.episode_state import EpisodeState
+from zenostat.agent_sdk.envs.infos import VectorSampleInfos
+from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
+from zenostat.agent_sdk.envs.termination import TerminationLimits
+from zenostat.agent_sdk.envs.vector_infos import Infos, masked, merge, select
+from zenostat.agent_sdk.envs.vector_sample import VectorLink, VectorSample, timestep
+from zenostat.agent_sdk.envs.vector_slot import Seeds, Slot, seeds_of, slots_of
+from zenostat.agent_sdk.rewards import AnyReward
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
+from zenostat.topics.messages import CommandOp, WeatherSeries
+from zenostat.topics.points import observed_indices
+from zenostat.topics.scenario_fields import NodeArguments, expand_arguments
 
 Observations = NDArray[np.float32]
 Flags = NDArray[np.bool_]
@@ -56,11 +56,11 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
     Attributes:
         manifest: The node's manifest; the reward of its task is the one that this environment pays.
         reward: The reward; None if there is none.
-        wrappers: The wrappers of `agent_sdk.wrappers` around this environment that have a state.
+        wrappers: The wrappers of `zenostat.wrappers` around this environment that have a state.
         envs: The slots, as `Slot` objects.
 
     Raises:
-        UsageError, BusError, SimulatorError: See `topics.errors`; everything that was started is closed again.
+        UsageError, BusError, SimulatorError: See `zenostat.topics.errors`; everything that was started is closed again.
 
     Warns:
         UserWarning: Controls in the model conflict with the scenario's actuators, the model has no run period and

@@ -9,10 +9,10 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.time_features import time_features
-from topics import codec
-from topics.messages import Ack, Flag, Manifest, WeatherSeries
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.envs.time_features import time_features
+from zenostat.topics import codec
+from zenostat.topics.messages import Ack, Flag, Manifest, WeatherSeries
 
 Floats = NDArray[np.float64]
 _TRUNCATED = int(Flag.TRUNCATED)
@@ -134,7 +134,7 @@ class VectorSample:
         Args:
             begins: Local standard time at which each slot's timestep begins.
             ends: Local standard time at which it ends.
-            indices: Indices of the observed points, see `topics.points.observed_indices`; None: all.
+            indices: Indices of the observed points, see `zenostat.topics.points.observed_indices`; None: all.
         """
         values, fields = self.values if indices is None else self.values[:, indices], self._manifest.task.time
         slots, points = values.shape

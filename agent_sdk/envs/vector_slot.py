@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from topics.errors import InvalidConfig
-from topics.messages import WeatherSeries
-from topics.seeds import check_seed
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import WeatherSeries
+from zenostat.topics.seeds import check_seed
 
 if TYPE_CHECKING:
-    from agent_sdk.envs.vector_env import BuildingVectorEnv
+    from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 
 Seeds = int | Sequence[int | None] | None
 """The seed of slot 0, where slot i has `seed + i`; or a seed for each slot."""

@@ -10,17 +10,17 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 from numpy.typing import ArrayLike, NDArray
 
-from agent_sdk.envs import arguments
-from agent_sdk.envs.actions import as_array
-from agent_sdk.envs.building_env import BuildingEnv, Observation
-from agent_sdk.envs.connection import AGENT, BUSY
-from agent_sdk.envs.space_names import by_name
-from agent_sdk.envs.zone_partition import BUILDING, ZoneAgent, partition
-from agent_sdk.envs.zone_rewards import SharedReward
-from agent_sdk.rewards import AnyReward, read_reward
-from agent_sdk.rewards.custom import NamedValues
-from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, UsageError, did_you_mean
-from topics.extras import requires_extra
+from zenostat.agent_sdk.envs import arguments
+from zenostat.agent_sdk.envs.actions import as_array
+from zenostat.agent_sdk.envs.building_env import BuildingEnv, Observation
+from zenostat.agent_sdk.envs.connection import AGENT, BUSY
+from zenostat.agent_sdk.envs.space_names import by_name
+from zenostat.agent_sdk.envs.zone_partition import BUILDING, ZoneAgent, partition
+from zenostat.agent_sdk.envs.zone_rewards import SharedReward
+from zenostat.agent_sdk.rewards import AnyReward, read_reward
+from zenostat.agent_sdk.rewards.custom import NamedValues
+from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, UsageError, did_you_mean
+from zenostat.topics.extras import requires_extra
 
 with requires_extra("multi-agent", "an environment of zone agents", "PettingZoo"):
     from pettingzoo import ParallelEnv

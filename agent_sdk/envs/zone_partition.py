@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
-from topics.energyplus_names import THERMOSTAT
-from topics.errors import InvalidConfig, did_you_mean
-from topics.keys import safe_name
-from topics.messages import Action, Manifest, Sensor
+from zenostat.topics.energyplus_names import THERMOSTAT
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.keys import safe_name
+from zenostat.topics.messages import Action, Manifest, Sensor
 
 BUILDING = "building"
 """The agent of all actions that belong to no single zone."""

@@ -8,13 +8,13 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.envs import arguments
-from agent_sdk.envs.zone_partition import ZoneAgent
-from agent_sdk.rewards import AnyReward, BoundReward, read_reward
-from agent_sdk.rewards.linear import WeightedReward
-from agent_sdk.rewards.selectors import temperatures
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.envs import arguments
+from zenostat.agent_sdk.envs.zone_partition import ZoneAgent
+from zenostat.agent_sdk.rewards import AnyReward, BoundReward, read_reward
+from zenostat.agent_sdk.rewards.linear import WeightedReward
+from zenostat.agent_sdk.rewards.selectors import temperatures
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
 
 
 class SharedReward:

@@ -7,14 +7,14 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards import MultiZoneReward, Reward
-from agent_sdk.rewards.comfort_band import ComfortBand
-from agent_sdk.rewards.manifest_data import known_rewards
-from agent_sdk.rewards.occupied import PEOPLE, OccupiedComfort
-from agent_sdk.rewards.selectors import same_zone, temperatures
-from bridge.display.comfort import DEFAULT_BAND_DEGC, Comfort, default_comfort
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.rewards import MultiZoneReward, Reward
+from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
+from zenostat.agent_sdk.rewards.manifest_data import known_rewards
+from zenostat.agent_sdk.rewards.occupied import PEOPLE, OccupiedComfort
+from zenostat.agent_sdk.rewards.selectors import same_zone, temperatures
+from zenostat.bridge.display.comfort import DEFAULT_BAND_DEGC, Comfort, default_comfort
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
 
 Floats = NDArray[np.float64]
 
@@ -40,8 +40,8 @@ def comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort | None:
 def display_comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort | None:
     """Return comfort bands of all zones of a manifest, for pictures; None where it has no zone temperature.
 
-    The zones are those of `bridge.display.roles`, in its order. Those that the reward rates have its band; all others
-    have the band of the reward too, or `DEFAULT_BAND_DEGC` where each zone has its own or no reward has one.
+    The zones are those of `zenostat.bridge.display.roles`, in its order. Those that the reward rates have its band; all
+    others have the band of the reward too, or `DEFAULT_BAND_DEGC` where each zone has its own or no reward has one.
     """
     shown, rated = default_comfort(manifest), comfort(manifest, reward)
     if shown is None or rated is None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from topics.energyplus_names import FACILITY_POWER, HVAC_POWER
-from topics.messages import Aggregation, Manifest
+from zenostat.topics.energyplus_names import FACILITY_POWER, HVAC_POWER
+from zenostat.topics.messages import Aggregation, Manifest
 
 J_PER_KWH = 3.6e6
 FUELS = {
@@ -58,9 +58,9 @@ def facility_sources(manifest: Manifest) -> dict[str, EnergySource]:
 def hvac_sources(manifest: Manifest) -> dict[str, EnergySource]:
     """Return the sources of the energy of heating, cooling and ventilation by fuel, where the node measures it.
 
-    They are the meters `HVAC:<fuel>` (`topics.energyplus_names.HVAC_METERS`), or a plant's own that are named as the
-    metrics (`hvac_electricity`). Without one, EnergyPlus's own `<fuel>:HVAC` or demand rate serve, whose source tells
-    what they leave out or have in addition. A meter of the whole building never does.
+    They are the meters `HVAC:<fuel>` (`zenostat.topics.energyplus_names.HVAC_METERS`), or a plant's own that are named
+    as the metrics (`hvac_electricity`). Without one, EnergyPlus's own `<fuel>:HVAC` or demand rate serve, whose source
+    tells what they leave out or have in addition. A meter of the whole building never does.
     """
     meters = _meters(manifest)
     sources: dict[str, EnergySource] = {}

@@ -12,23 +12,29 @@ from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium as gym
 
-from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers import Agent, BaselineController, ControllerProtocol, load_controller, make_controller
-from agent_sdk.controllers.parameters import ControllerMismatch
-from agent_sdk.envs.arguments import of_scenario
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-from agent_sdk.evaluation.statistics import MetricSummary, summarize
-from agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
-from agent_sdk.evaluation.trace import ControllerTrace, TraceRecorder, WeatherTrace, episode_weather
-from topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
-from topics.keys import safe_name
-from topics.messages import Manifest
-from topics.recording import SUFFIX
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers import (
+    Agent,
+    BaselineController,
+    ControllerProtocol,
+    load_controller,
+    make_controller,
+)
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
+from zenostat.agent_sdk.envs.arguments import of_scenario
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.agent_sdk.evaluation.statistics import MetricSummary, summarize
+from zenostat.agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
+from zenostat.agent_sdk.evaluation.trace import ControllerTrace, TraceRecorder, WeatherTrace, episode_weather
+from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
+from zenostat.topics.keys import safe_name
+from zenostat.topics.messages import Manifest
+from zenostat.topics.recording import SUFFIX
 
 if TYPE_CHECKING:
-    from agent_sdk.report import Comparison
+    from zenostat.agent_sdk.report import Comparison
 
 ControllerFactory = Callable[..., ControllerProtocol]
 """Function of a node's manifest and parameters by name: a controller class, or the result of `load_policy`."""
@@ -131,7 +137,7 @@ class Evaluation:
         Raises:
             InvalidConfig: `evaluate` was called without `trace=True`.
         """
-        from agent_sdk.report import Comparison, Run
+        from zenostat.agent_sdk.report import Comparison, Run
 
         if not self.traces:
             raise InvalidConfig("a report needs the samples of episodes: call evaluate(..., trace=True)")
@@ -152,12 +158,12 @@ class Evaluation:
         return Comparison(tuple(runs), self.scenario, command, self.unfit, self.sources)
 
     def report(self, path: str | Path, *, command: str = "") -> None:
-        """Write a report as one HTML file; see `comparison`, and `agent_sdk.report` for the figures as files.
+        """Write a report as one HTML file; see `comparison`, and `zenostat.report` for the figures as files.
 
         Raises:
             InvalidConfig: `evaluate` was called without `trace=True`; no .html file, no such folder, or no Matplotlib.
         """
-        from agent_sdk.report import write_report
+        from zenostat.agent_sdk.report import write_report
 
         write_report(self.comparison(command), path)
 
@@ -201,9 +207,9 @@ def evaluate(
         episodes: episodes per controller.
         seed: seed of the first episode, at least 0.
         parameters: parameters of the controllers; each controller gets those that it has.
-        prices: price of each fuel (the keys of `agent_sdk.evaluation.energy_sources.FUELS`, or `gas`) for the KPI
-            of cost: a number in currency per kWh, a number for each hour of a year, a CSV or YAML file, or a form of
-            `agent_sdk.time_series`.
+        prices: price of each fuel (the keys of `zenostat.agent_sdk.evaluation.energy_sources.FUELS`, or `gas`) for the
+            KPI of cost: a number in currency per kWh, a number for each hour of a year, a CSV or YAML file, or a form
+            of `zenostat.time_series`.
         emissions: emission factors for the KPI of emissions, in the same forms; numbers are in kg CO2 per kWh.
         progress: callback for each timestep.
         trace: keep the samples of the first episode of each controller; see `Evaluation.report`.

@@ -14,10 +14,10 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.evaluation.energy_sources import FUELS, EnergySource, facility_sources, hvac_sources
-from agent_sdk.evaluation.tariffs import FuelRate
-from bridge.display.comfort import Comfort
-from topics.messages import Aggregation, Manifest
+from zenostat.agent_sdk.evaluation.energy_sources import FUELS, EnergySource, facility_sources, hvac_sources
+from zenostat.agent_sdk.evaluation.tariffs import FuelRate
+from zenostat.bridge.display.comfort import Comfort
+from zenostat.topics.messages import Aggregation, Manifest
 
 Floats = NDArray[np.float64]
 

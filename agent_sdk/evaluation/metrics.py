@@ -8,14 +8,14 @@ from datetime import timedelta
 
 import numpy as np
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.evaluation.comfort import comfort
-from agent_sdk.evaluation.energy_sources import facility_sources, hvac_sources
-from agent_sdk.evaluation.kpis import KPIS, KpiAccumulator
-from agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
-from agent_sdk.evaluation.unmet_hours import UnmetHours
-from agent_sdk.rewards import Reward
-from topics.messages import Manifest
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.evaluation.comfort import comfort
+from zenostat.agent_sdk.evaluation.energy_sources import facility_sources, hvac_sources
+from zenostat.agent_sdk.evaluation.kpis import KPIS, KpiAccumulator
+from zenostat.agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
+from zenostat.agent_sdk.evaluation.unmet_hours import UnmetHours
+from zenostat.agent_sdk.rewards import Reward
+from zenostat.topics.messages import Manifest
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class EpisodeMetrics:
         occupied_outside_kh: kelvin hours outside in occupied zones; all hours for zones without an occupant count.
         late, rejected: commands that the node did not accept during the episode.
         terminated: whether a termination limit ended the episode.
-        kpis: key performance indicators by BOPTEST's names; see `agent_sdk.evaluation.kpis`.
+        kpis: key performance indicators by BOPTEST's names; see `zenostat.agent_sdk.evaluation.kpis`.
         site_kwh_m2: energy of all fuels of the building per m² of floor area.
         unmet_heating_h, unmet_cooling_h: hours in which an occupied zone misses its setpoint; see `unmet_hours`.
     """
@@ -108,7 +108,8 @@ class MetricsAccumulator:
     Args:
         manifest: manifest of the node.
         reward: reward with the comfort band; None, or a reward without a band: that of the scenario.
-        prices, emissions: prices and emission factors by fuel for these KPIs; see `agent_sdk.evaluation.tariffs`.
+        prices, emissions: prices and emission factors by fuel for these KPIs; see
+        `zenostat.agent_sdk.evaluation.tariffs`.
 
     Attributes:
         sources: by metric, the point or reward that it is derived from.

@@ -18,16 +18,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.arguments import of_scenario
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.probe_effects import Effect, HoldExperiment, Ranges, Side, effect_of
-from topics.calendar import format_duration
-from topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorError, did_you_mean
-from topics.messages import Actuator, CreateBranch, Manifest
-from topics.points import PointIndex, actuator_index, contains, describe_bounds, value_index
-from topics.scenario_fields import NODE_ARGUMENTS
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.envs.arguments import of_scenario
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.evaluation.probe_effects import Effect, HoldExperiment, Ranges, Side, effect_of
+from zenostat.topics.calendar import format_duration
+from zenostat.topics.errors import BusError, ErrorCollector, InvalidConfig, SimulatorError, did_you_mean
+from zenostat.topics.messages import Actuator, CreateBranch, Manifest
+from zenostat.topics.points import PointIndex, actuator_index, contains, describe_bounds, value_index
+from zenostat.topics.scenario_fields import NODE_ARGUMENTS
 
 Progress = Callable[[int, int], None]
 """Callback for simulated timesteps: number done, total number."""

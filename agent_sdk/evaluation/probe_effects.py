@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.messages import Actuator, Manifest, Sensor
+from zenostat.topics.messages import Actuator, Manifest, Sensor
 
 Side = Literal["low", "high"]
 

@@ -11,16 +11,16 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agent_sdk.controllers.policy import Predictor, preserve_random_state
-from agent_sdk.evaluation.evaluate import run_episode
-from agent_sdk.evaluation.metrics import EpisodeMetrics
-from agent_sdk.vec_normalization import mark_normalized, normalization_of, normalization_path
-from agent_sdk.wrappers import restore_wrappers, save_wrappers
-from agent_sdk.wrappers.checkpoint import frozen_statistics
-from topics import yaml12
-from topics.atomic_file import atomic_file
-from topics.errors import InvalidConfig
-from topics.extras import requires_extra
+from zenostat.agent_sdk.controllers.policy import Predictor, preserve_random_state
+from zenostat.agent_sdk.evaluation.evaluate import run_episode
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
+from zenostat.agent_sdk.vec_normalization import mark_normalized, normalization_of, normalization_path
+from zenostat.agent_sdk.wrappers import restore_wrappers, save_wrappers
+from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics
+from zenostat.topics import yaml12
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
 
 with requires_extra("train", "training", "stable-baselines3"):
     from stable_baselines3.common.base_class import BaseAlgorithm

@@ -13,11 +13,11 @@ from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from agent_sdk.evaluation.energy_sources import FUELS
-from agent_sdk.time_series import LEAP_HOURS, Constant, HourlyFile, Signal, TimeSeries, grams_per_kwh, per_kwh
-from topics import yaml12
-from topics.codec import describe_validation_errors
-from topics.errors import InvalidConfig, did_you_mean
+from zenostat.agent_sdk.evaluation.energy_sources import FUELS
+from zenostat.agent_sdk.time_series import LEAP_HOURS, Constant, HourlyFile, Signal, TimeSeries, grams_per_kwh, per_kwh
+from zenostat.topics import yaml12
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 
 @dataclass(frozen=True, slots=True)

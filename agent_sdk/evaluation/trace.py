@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.rewards import Reward
-from topics import codec
-from topics.errors import UsageError, ZenostatError
-from topics.messages import Manifest, WeatherSeries
-from topics.recording import WEATHER_COLUMNS
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.rewards import Reward
+from zenostat.topics import codec
+from zenostat.topics.errors import UsageError, ZenostatError
+from zenostat.topics.messages import Manifest, WeatherSeries
+from zenostat.topics.recording import WEATHER_COLUMNS
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.energyplus_names import UNMET_COOLING, UNMET_HEATING
-from topics.messages import Aggregation, Manifest
+from zenostat.topics.energyplus_names import UNMET_COOLING, UNMET_HEATING
+from zenostat.topics.messages import Aggregation, Manifest
 
 
 class UnmetHours:

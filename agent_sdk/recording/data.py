@@ -13,9 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.recording.log import LogEntry
-from topics.errors import InvalidConfig, UnknownName, did_you_mean
-from topics.messages import Event, Manifest
+from zenostat.agent_sdk.recording.log import LogEntry
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.messages import Event, Manifest
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +41,7 @@ class Episode:
             actuators); NaN where relinquished, and in the first row.
         source_index: Index into `sources` by actuator, shape (samples, actuators).
         sources: Names of value sources; the first is baseline control.
-        flags: `topics.messages.Flag`, shape (samples,).
+        flags: `zenostat.topics.messages.Flag`, shape (samples,).
         baseline, baseline_effective: As `values` and `effective`, under baseline control; None without a baseline.
     """
 

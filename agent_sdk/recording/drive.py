@@ -12,17 +12,17 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.bus import Bus
-from topics import codec
-from topics.errors import BadMessage, InvalidConfig, InvalidRecording
-from topics.extras import requires_extra
-from topics.messages import CommandOp, Manifest, Mode
-from topics.points import bounds
-from topics.recording import RecordedEpisode, RecordedOrder, RecordedSnapshot
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.topics import codec
+from zenostat.topics.errors import BadMessage, InvalidConfig, InvalidRecording
+from zenostat.topics.extras import requires_extra
+from zenostat.topics.messages import CommandOp, Manifest, Mode
+from zenostat.topics.points import bounds
+from zenostat.topics.recording import RecordedEpisode, RecordedOrder, RecordedSnapshot
 
 if TYPE_CHECKING:
-    from agent_sdk.bus.controller_link import ControllerLink
-    from bridge.recording.reader import RecordingReader
+    from zenostat.agent_sdk.bus.controller_link import ControllerLink
+    from zenostat.bridge.recording.reader import RecordingReader
 
 _SCHEMAS = frozenset(("RecordedEpisode", "RecordedOrder", "RecordedSnapshot"))
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
@@ -73,7 +73,7 @@ def drive(
         BusError, SimulatorError: the node failed, rejected a command, or was reset by another controller.
     """
     with requires_extra("recording", "a recording", "mcap and zstandard"):
-        from bridge.recording.reader import RecordingReader
+        from zenostat.bridge.recording.reader import RecordingReader
     with RecordingReader(path) as reader:
         manifest = bus.manifest(node)
         columns = _check(reader, manifest)

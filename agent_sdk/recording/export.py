@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.recording.data import Recording
-from topics.atomic_file import atomic_file
-from topics.errors import InvalidRecording
-from topics.extras import import_extra
+from zenostat.agent_sdk.recording.data import Recording
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidRecording
+from zenostat.topics.extras import import_extra
 
 _ROWS = 4096
 

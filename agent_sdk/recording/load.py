@@ -11,14 +11,14 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.recording.data import Episode, Recording
-from agent_sdk.recording.log import LogBuilder
-from topics import codec
-from topics.errors import BadMessage, InvalidRecording
-from topics.extras import requires_extra
-from topics.messages import Event, Manifest
-from topics.printable import replace_controls
-from topics.recording import RecordedEpisode
+from zenostat.agent_sdk.recording.data import Episode, Recording
+from zenostat.agent_sdk.recording.log import LogBuilder
+from zenostat.topics import codec
+from zenostat.topics.errors import BadMessage, InvalidRecording
+from zenostat.topics.extras import requires_extra
+from zenostat.topics.messages import Event, Manifest
+from zenostat.topics.printable import replace_controls
+from zenostat.topics.recording import RecordedEpisode
 
 
 def load(path: str | Path) -> Recording:
@@ -35,7 +35,7 @@ def load(path: str | Path) -> Recording:
         InvalidRecording: The file is not a recording, of a newer release, or damaged.
     """
     with requires_extra("recording", "a recording", "mcap and zstandard"):
-        from bridge.recording.reader import RecordingReader
+        from zenostat.bridge.recording.reader import RecordingReader
     with RecordingReader(path) as reader:
         samples, log = _Samples(reader.manifest), LogBuilder()
         events: list[tuple[datetime, Event]] = []

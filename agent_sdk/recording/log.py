@@ -9,14 +9,14 @@ from typing import TYPE_CHECKING, Any
 
 import msgpack
 
-from topics import codec, keys
-from topics.errors import BadMessage
-from topics.messages import ANONYMOUS, REJECTIONS, AlarmTransition, ErrorReply, Event, EventKind
-from topics.printable import replace_controls
-from topics.recording import RecordedMessage, RecordedRequest
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import BadMessage
+from zenostat.topics.messages import ANONYMOUS, REJECTIONS, AlarmTransition, ErrorReply, Event, EventKind
+from zenostat.topics.printable import replace_controls
+from zenostat.topics.recording import RecordedMessage, RecordedRequest
 
 if TYPE_CHECKING:
-    from bridge.recording.reader import RecordedItem
+    from zenostat.bridge.recording.reader import RecordedItem
 
 _COMMAND, _ACTUATOR = (topic.key.removesuffix("{name}") for topic in (keys.COMMAND, keys.ACTUATOR))
 _ACCEPTED, _ALARM = "accepted", "alarm"

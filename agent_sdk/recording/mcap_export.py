@@ -20,13 +20,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.recording.data import Episode, Recording
-from topics import VERSION
-from topics.atomic_file import atomic_file
-from topics.errors import InvalidRecording
-from topics.extras import import_extra
-from topics.messages import Event, EventKind
-from topics.recording import MANIFEST, SCENARIO
+from zenostat.agent_sdk.recording.data import Episode, Recording
+from zenostat.topics import VERSION
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidRecording
+from zenostat.topics.extras import import_extra
+from zenostat.topics.messages import Event, EventKind
+from zenostat.topics.recording import MANIFEST, SCENARIO
 
 _FEATURE = "an MCAP file with protobuf messages"
 _HEAD = (("timestamp", ".google.protobuf.Timestamp"), ("wall_time", ".google.protobuf.Timestamp"), ("step", "int64"))

@@ -11,8 +11,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon, Rectangle
 from numpy.typing import NDArray
 
-from agent_sdk.rendering.data import Floats
-from agent_sdk.rendering.text import Color
+from zenostat.agent_sdk.rendering.data import Floats
+from zenostat.agent_sdk.rendering.text import Color
 
 Dash = Literal["-", "--"]
 """matplotlib's style of a line."""

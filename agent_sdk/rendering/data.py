@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.envs.rendering import EpisodeHistory
-from agent_sdk.rendering.scale import time_ticks
-from topics.messages import Manifest
+from zenostat.agent_sdk.envs.rendering import EpisodeHistory
+from zenostat.agent_sdk.rendering.scale import time_ticks
+from zenostat.topics.messages import Manifest
 
 Floats = NDArray[np.float64]
 

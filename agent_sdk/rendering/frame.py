@@ -10,15 +10,15 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.style import context
 
-from agent_sdk.envs.rendering import EpisodeHistory
-from agent_sdk.rendering.artists import HEIGHT, INK, LEFT, MUTED, RIGHT, WIDTH
-from agent_sdk.rendering.data import Window, term_names
-from agent_sdk.rendering.panels import ROW_PX, Panel
-from agent_sdk.rendering.quantities import FrameQuantities
-from agent_sdk.rendering.scale import format_time, format_time_tick
-from agent_sdk.rendering.text import Pixels, Style, TextPainter
-from agent_sdk.rewards import Reward
-from topics.messages import Manifest
+from zenostat.agent_sdk.envs.rendering import EpisodeHistory
+from zenostat.agent_sdk.rendering.artists import HEIGHT, INK, LEFT, MUTED, RIGHT, WIDTH
+from zenostat.agent_sdk.rendering.data import Window, term_names
+from zenostat.agent_sdk.rendering.panels import ROW_PX, Panel
+from zenostat.agent_sdk.rendering.quantities import FrameQuantities
+from zenostat.agent_sdk.rendering.scale import format_time, format_time_tick
+from zenostat.agent_sdk.rendering.text import Pixels, Style, TextPainter
+from zenostat.agent_sdk.rewards import Reward
+from zenostat.topics.messages import Manifest
 
 _DPI = 100
 _TOP_PX, _BOTTOM_PX, _GAP_PX, _LEAST_PX = 38, 24, 10, 34

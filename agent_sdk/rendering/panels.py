@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.rendering import artists
-from agent_sdk.rendering.artists import HEIGHT, INK, LEFT, MUTED, RIGHT, WIDTH, Dash
-from agent_sdk.rendering.data import Floats, Window, highest, lowest, median
-from agent_sdk.rendering.scale import format_range, format_tick, format_value, round_scale
-from agent_sdk.rendering.text import Color, Pixels, Style, TextPainter
+from zenostat.agent_sdk.rendering import artists
+from zenostat.agent_sdk.rendering.artists import HEIGHT, INK, LEFT, MUTED, RIGHT, WIDTH, Dash
+from zenostat.agent_sdk.rendering.data import Floats, Window, highest, lowest, median
+from zenostat.agent_sdk.rendering.scale import format_range, format_tick, format_value, round_scale
+from zenostat.agent_sdk.rendering.text import Color, Pixels, Style, TextPainter
 
 ROW_PX = 15
 """Pixels from one row of a legend to the next."""

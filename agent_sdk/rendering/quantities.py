@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.evaluation.comfort import comfort, display_comfort
-from agent_sdk.rendering.artists import Dash
-from agent_sdk.rendering.data import Floats, Window
-from agent_sdk.rendering.panels import Curve, Panel, Spread, Values
-from agent_sdk.rendering.scale import format_value
-from agent_sdk.rendering.text import Color
-from agent_sdk.rendering.zones import ZonePanel, column, rgb
-from agent_sdk.rewards import Reward
-from bridge.display.labels import label, point_unit, unit_label
-from bridge.display.roles import PointRoles, roles
-from topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
-from topics.messages import Action, Actuator, DiscreteAction, Manifest
+from zenostat.agent_sdk.evaluation.comfort import comfort, display_comfort
+from zenostat.agent_sdk.rendering.artists import Dash
+from zenostat.agent_sdk.rendering.data import Floats, Window
+from zenostat.agent_sdk.rendering.panels import Curve, Panel, Spread, Values
+from zenostat.agent_sdk.rendering.scale import format_value
+from zenostat.agent_sdk.rendering.text import Color
+from zenostat.agent_sdk.rendering.zones import ZonePanel, column, rgb
+from zenostat.agent_sdk.rewards import Reward
+from zenostat.bridge.display.labels import label, point_unit, unit_label
+from zenostat.bridge.display.roles import PointRoles, roles
+from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
+from zenostat.topics.messages import Action, Actuator, DiscreteAction, Manifest
 
 PALETTE: tuple[Color, ...] = (
     (0.16, 0.36, 0.60), (0.85, 0.45, 0.10), (0.20, 0.55, 0.38), (0.60, 0.32, 0.62), (0.45, 0.45, 0.45),

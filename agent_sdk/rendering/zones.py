@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.rendering import artists
-from agent_sdk.rendering.data import Floats, Window, finite
-from agent_sdk.rendering.panels import Curve, Panel, Row, Spread, Values
-from agent_sdk.rendering.scale import format_range, format_value
-from agent_sdk.rendering.text import Color
-from bridge.display.comfort import Comfort
-from bridge.display.roles import ZoneRoles
-from topics.typing_compat import override
+from zenostat.agent_sdk.rendering import artists
+from zenostat.agent_sdk.rendering.data import Floats, Window, finite
+from zenostat.agent_sdk.rendering.panels import Curve, Panel, Row, Spread, Values
+from zenostat.agent_sdk.rendering.scale import format_range, format_value
+from zenostat.agent_sdk.rendering.text import Color
+from zenostat.bridge.display.comfort import Comfort
+from zenostat.bridge.display.roles import ZoneRoles
+from zenostat.topics.typing_compat import override
 
 _MOST_ZONES, _MOST_SETPOINTS = 5, 3
 _BAND: Color = (0.30, 0.66, 0.42)

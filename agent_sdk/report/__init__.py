@@ -1,8 +1,8 @@
 """Reports: one HTML file with results and figures, and the figures as files for papers."""
 
-from agent_sdk.report.files import check_figures_folder, check_report_file, write_figures, write_report
-from agent_sdk.report.recordings import compare_recordings
-from agent_sdk.report.runs import Comparison, Run
+from zenostat.agent_sdk.report.files import check_figures_folder, check_report_file, write_figures, write_report
+from zenostat.agent_sdk.report.recordings import compare_recordings
+from zenostat.agent_sdk.report.runs import Comparison, Run
 
 __all__ = [
     "Comparison",

@@ -6,13 +6,13 @@ import csv
 from itertools import zip_longest
 from pathlib import Path
 
-from agent_sdk.report.figures.base import Figure
-from agent_sdk.report.page import page
-from agent_sdk.report.runs import Comparison
-from agent_sdk.report.svg import save
-from topics.atomic_file import atomic_file
-from topics.errors import InvalidConfig
-from topics.extras import import_extra
+from zenostat.agent_sdk.report.figures.base import Figure
+from zenostat.agent_sdk.report.page import page
+from zenostat.agent_sdk.report.runs import Comparison
+from zenostat.agent_sdk.report.svg import save
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import import_extra
 
 
 def write_report(comparison: Comparison, path: str | Path) -> None:

@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.report.figures.base import Figure
-from agent_sdk.report.readings import readings
-from agent_sdk.report.runs import Comparison, Run
-from agent_sdk.report.sections import Section
-from agent_sdk.report.summary import summary
-from agent_sdk.report.svg import inline_svg
-from agent_sdk.report.theme import DARK, LIGHT
-from agent_sdk.report.totals import names, number
-from agent_sdk.report.totals_section import NONE, totals_section
+from zenostat.agent_sdk.report.figures.base import Figure
+from zenostat.agent_sdk.report.readings import readings
+from zenostat.agent_sdk.report.runs import Comparison, Run
+from zenostat.agent_sdk.report.sections import Section
+from zenostat.agent_sdk.report.summary import summary
+from zenostat.agent_sdk.report.svg import inline_svg
+from zenostat.agent_sdk.report.theme import DARK, LIGHT
+from zenostat.agent_sdk.report.totals import names, number
+from zenostat.agent_sdk.report.totals_section import NONE, totals_section
 
 _PACKAGES = ("numpy", "gymnasium", "eclipse-zenoh", "pyenergyplus-lbnl", "matplotlib")
 _MAX_TABLE_ROWS = 100

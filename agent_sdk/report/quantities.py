@@ -1,7 +1,7 @@
 """Time series that a report shows, derived from the trace of an episode.
 
-Energy and comfort come from the same points as the metrics of `agent_sdk.evaluation.metrics`, so that the figures of a
-report add up to its totals.
+Energy and comfort come from the same points as the metrics of `zenostat.agent_sdk.evaluation.metrics`, so that the
+figures of a report add up to its totals.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.evaluation.comfort import comfort, display_comfort
-from agent_sdk.evaluation.trace import EpisodeTrace, WeatherTrace
-from bridge.display.colors import RGB
-from bridge.display.comfort import deviations
-from bridge.display.roles import EndUse, PointRoles, PowerSource, roles
+from zenostat.agent_sdk.evaluation.comfort import comfort, display_comfort
+from zenostat.agent_sdk.evaluation.trace import EpisodeTrace, WeatherTrace
+from zenostat.bridge.display.colors import RGB
+from zenostat.bridge.display.comfort import deviations
+from zenostat.bridge.display.roles import EndUse, PointRoles, PowerSource, roles
 
 Floats = NDArray[np.float64]
 Times = NDArray[Any]

@@ -14,8 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.report.quantities import Floats, Times
-from agent_sdk.report.theme import LIGHT
+from zenostat.agent_sdk.report.quantities import Floats, Times
+from zenostat.agent_sdk.report.theme import LIGHT
 
 CODE = "ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/"
 """A letter is a number from 0 to 63."""

@@ -9,24 +9,24 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.arguments import FROM_SCENARIO
-from agent_sdk.envs.termination import TerminationLimits
-from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-from agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
-from agent_sdk.evaluation.trace import EpisodeTrace, TraceRecorder, WeatherTrace, weather_trace
-from agent_sdk.report.runs import Comparison, Run
-from agent_sdk.rewards import AnyReward, Reward, read_reward
-from agent_sdk.rewards.read import CUSTOM
-from topics import codec
-from topics.errors import BadMessage, InvalidConfig, InvalidRecording
-from topics.extras import requires_extra
-from topics.messages import Manifest, Sample, WeatherSeries
-from topics.points import PointIndex, value_index
-from topics.recording import RecordedEpisode, RecordedWeather
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO
+from zenostat.agent_sdk.envs.termination import TerminationLimits
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.agent_sdk.evaluation.tariffs import Rate, read_emissions, read_prices
+from zenostat.agent_sdk.evaluation.trace import EpisodeTrace, TraceRecorder, WeatherTrace, weather_trace
+from zenostat.agent_sdk.report.runs import Comparison, Run
+from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
+from zenostat.agent_sdk.rewards.read import CUSTOM
+from zenostat.topics import codec
+from zenostat.topics.errors import BadMessage, InvalidConfig, InvalidRecording
+from zenostat.topics.extras import requires_extra
+from zenostat.topics.messages import Manifest, Sample, WeatherSeries
+from zenostat.topics.points import PointIndex, value_index
+from zenostat.topics.recording import RecordedEpisode, RecordedWeather
 
 if TYPE_CHECKING:
-    from bridge.recording.reader import RecordingReader
+    from zenostat.bridge.recording.reader import RecordingReader
 
 _BASELINE = "baseline"
 """Name of the run of a baseline that was simulated in parallel."""
@@ -51,8 +51,8 @@ def compare_recordings(
 
     Args:
         paths: of the recordings, of the same run period and timestep.
-        prices: as for `agent_sdk.evaluation.evaluate`.
-        emissions: as for `agent_sdk.evaluation.evaluate`.
+        prices: as for `zenostat.evaluation.evaluate`.
+        emissions: as for `zenostat.evaluation.evaluate`.
         reward: the reward; by default the one that a recorded node's own environment paid, else that of the scenario.
             Code of the user's is not in a recording: without `reward` such a run has no reward.
         command: the command line that repeats the report.
@@ -66,7 +66,7 @@ def compare_recordings(
             in it.
     """
     with requires_extra("recording", "a recording", "mcap and zstandard"):
-        from bridge.recording.reader import RecordingReader
+        from zenostat.bridge.recording.reader import RecordingReader
     files = [Path(path) for path in paths]
     if not files or len({file.resolve() for file in files}) < len(files):
         raise InvalidConfig(f"expected at least one recording, each of them once; got {', '.join(map(str, files))}")

@@ -7,14 +7,14 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from agent_sdk.evaluation.metrics import EpisodeMetrics
-from agent_sdk.evaluation.trace import EpisodeTrace, WeatherTrace
-from agent_sdk.report.figures.base import Curve
-from agent_sdk.report.quantities import Quantities
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
+from zenostat.agent_sdk.evaluation.trace import EpisodeTrace, WeatherTrace
+from zenostat.agent_sdk.report.figures.base import Curve
+from zenostat.agent_sdk.report.quantities import Quantities
+from zenostat.topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
-    from agent_sdk.report.sections import Section
+    from zenostat.agent_sdk.report.sections import Section
 
 _MAX_NAME = 28
 """Letters of a name that fit beside bars and into legends."""
@@ -98,7 +98,7 @@ class Comparison:
     @cached_property
     def sections(self) -> list[Section]:
         """The sections with their figures, drawn once for page and files."""
-        from agent_sdk.report.sections import sections
+        from zenostat.agent_sdk.report.sections import sections
 
         return sections(self)
 

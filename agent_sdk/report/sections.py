@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from agent_sdk.evaluation.trace import WeatherTrace
-from agent_sdk.report.figures import actuators, carpets, comfort, energy, months, reward, weather
-from agent_sdk.report.figures.base import Figure
-from agent_sdk.report.runs import Comparison
-from agent_sdk.report.summary import worst_zones
+from zenostat.agent_sdk.evaluation.trace import WeatherTrace
+from zenostat.agent_sdk.report.figures import actuators, carpets, comfort, energy, months, reward, weather
+from zenostat.agent_sdk.report.figures.base import Figure
+from zenostat.agent_sdk.report.runs import Comparison
+from zenostat.agent_sdk.report.summary import worst_zones
 
 _ZONES = 3
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from agent_sdk.report.figures.comfort import rank_zones
-from agent_sdk.report.runs import Comparison, Run
-from agent_sdk.report.totals import (
+from zenostat.agent_sdk.report.figures.comfort import rank_zones
+from zenostat.agent_sdk.report.runs import Comparison, Run
+from zenostat.agent_sdk.report.totals import (
     Difference,
     Metric,
     difference,

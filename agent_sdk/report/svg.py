@@ -8,8 +8,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from agent_sdk.report.theme import LIGHT, style
-from topics.atomic_file import atomic_file
+from zenostat.agent_sdk.report.theme import LIGHT, style
+from zenostat.topics.atomic_file import atomic_file
 
 PNG_DPI = 300
 _NUMBER = re.compile(r"-?\d+\.\d+(?:e-?\d+)?")

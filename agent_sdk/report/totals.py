@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 
-from agent_sdk.evaluation.kpis import KPIS
-from agent_sdk.evaluation.statistics import MetricSummary, summarize
-from agent_sdk.report.figures.energy import fuel_label
-from agent_sdk.report.runs import Comparison, Run
+from zenostat.agent_sdk.evaluation.kpis import KPIS
+from zenostat.agent_sdk.evaluation.statistics import MetricSummary, summarize
+from zenostat.agent_sdk.report.figures.energy import fuel_label
+from zenostat.agent_sdk.report.runs import Comparison, Run
 
 KELVIN_HOURS = "K\N{NO-BREAK SPACE}h"
 EQUAL_PERCENT = 0.05

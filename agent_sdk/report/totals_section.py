@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from html import escape
 
-from agent_sdk.report.runs import Comparison
-from agent_sdk.report.sections import not_measured
-from agent_sdk.report.totals import Difference, Metric, difference, kpis, metrics, names, number, signed, total
+from zenostat.agent_sdk.report.runs import Comparison
+from zenostat.agent_sdk.report.sections import not_measured
+from zenostat.agent_sdk.report.totals import Difference, Metric, difference, kpis, metrics, names, number, signed, total
 
 MINUS, NONE = "\N{MINUS SIGN}", "\N{EN DASH}"
 _MARKS = {"better": "\N{CHECK MARK}", "worse": "\N{BALLOT X}"}

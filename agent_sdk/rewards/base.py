@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.messages import Manifest
+from zenostat.topics.messages import Manifest
 
 Terms = dict[str, Any]
 """Floats or arrays of the reward's leading shape, by name."""

@@ -6,12 +6,12 @@ from typing import Literal
 
 from pydantic import Field
 
-from agent_sdk.rewards.base import BoundReward
-from agent_sdk.rewards.energy import EnergyReward
-from agent_sdk.rewards.terms import PricedEnergy, Term, TermSum
-from agent_sdk.time_series import Intensity, grams_per_kwh
-from topics.messages import Manifest
-from topics.typing_compat import override
+from zenostat.agent_sdk.rewards.base import BoundReward
+from zenostat.agent_sdk.rewards.energy import EnergyReward
+from zenostat.agent_sdk.rewards.terms import PricedEnergy, Term, TermSum
+from zenostat.agent_sdk.time_series import Intensity, grams_per_kwh
+from zenostat.topics.messages import Manifest
+from zenostat.topics.typing_compat import override
 
 
 class CarbonReward(EnergyReward):
@@ -25,7 +25,7 @@ class CarbonReward(EnergyReward):
     Terms: carbon, comfort. Metrics: degrees_outside, energy_kwh, co2_kg.
 
     Attributes:
-        intensity: a signal of `agent_sdk.time_series` in g/kWh, kg/MWh, kg/kWh or t/MWh.
+        intensity: a signal of `zenostat.time_series` in g/kWh, kg/MWh, kg/kWh or t/MWh.
         lambda_carbon: 1/kg.
     """
 

@@ -7,12 +7,12 @@ from typing import Annotated
 
 from pydantic import AfterValidator, model_validator
 
-from agent_sdk.rewards.config import Names, RewardConfig
-from agent_sdk.rewards.seasons import Pair, Seasons
-from agent_sdk.rewards.selectors import temperatures
-from agent_sdk.rewards.terms import Band, DegreesOutside
-from topics.calendar import is_month_day
-from topics.messages import Manifest
+from zenostat.agent_sdk.rewards.config import Names, RewardConfig
+from zenostat.agent_sdk.rewards.seasons import Pair, Seasons
+from zenostat.agent_sdk.rewards.selectors import temperatures
+from zenostat.agent_sdk.rewards.terms import Band, DegreesOutside
+from zenostat.topics.calendar import is_month_day
+from zenostat.topics.messages import Manifest
 
 NORTH = ((6, 1), (9, 30))
 SOUTH = ((12, 1), (3, 31))

@@ -7,8 +7,8 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, SerializerFunctionWrapHandler, model_serializer
 
-from agent_sdk.rewards.base import BoundReward
-from topics.messages import Manifest
+from zenostat.agent_sdk.rewards.base import BoundReward
+from zenostat.topics.messages import Manifest
 
 
 def _one_or_more(value: Any) -> Any:

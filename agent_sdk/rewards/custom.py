@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome, Reward, Terms
-from topics.errors import InvalidConfig, UnknownName, did_you_mean
-from topics.messages import Manifest
+from zenostat.agent_sdk.rewards.base import Begin, BoundReward, Outcome, Reward, Terms
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.messages import Manifest
 
 RewardFunction = Callable[[Mapping[str, Any], Any], Mapping[str, Any] | float]
 """A function of `(values, begin)`: the values by the names of sensors and meters, and the time at which the timestep

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from agent_sdk.rewards.comfort_band import ComfortBand
-from agent_sdk.rewards.config import Names
-from agent_sdk.rewards.energy_meter import EnergyMeter
-from topics.messages import Manifest
+from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
+from zenostat.agent_sdk.rewards.config import Names
+from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
+from zenostat.topics.messages import Manifest
 
 
 class EnergyReward(ComfortBand):

@@ -6,13 +6,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from agent_sdk.rewards.base import BoundReward
-from agent_sdk.rewards.energy import EnergyReward
-from agent_sdk.rewards.energy_meter import EnergyMeter
-from agent_sdk.rewards.terms import MeanPower, PricedEnergy, Term, TermSum
-from agent_sdk.time_series import Number, Period, Price, TimeOfUse, TimeSeries, Unit, per_kwh
-from topics.messages import Manifest
-from topics.typing_compat import override
+from zenostat.agent_sdk.rewards.base import BoundReward
+from zenostat.agent_sdk.rewards.energy import EnergyReward
+from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
+from zenostat.agent_sdk.rewards.terms import MeanPower, PricedEnergy, Term, TermSum
+from zenostat.agent_sdk.time_series import Number, Period, Price, TimeOfUse, TimeSeries, Unit, per_kwh
+from zenostat.topics.messages import Manifest
+from zenostat.topics.typing_compat import override
 
 
 class EnergyCostReward(EnergyReward):
@@ -29,7 +29,7 @@ class EnergyCostReward(EnergyReward):
     Terms: energy, comfort, cost. Metrics: power_w, degrees_outside, energy_kwh, cost (in the price's currency).
 
     Attributes:
-        price: a signal of `agent_sdk.time_series`.
+        price: a signal of `zenostat.time_series`.
         weight_temperature: w_T, 0 to 1; its sum with `weight` is at most 1.
         lambda_energy: 1/W.
         lambda_cost: per unit of currency.
@@ -73,7 +73,7 @@ class TariffReward(EnergyReward):
     Terms: cost, comfort. Metrics: degrees_outside, energy_kwh, cost (in the price's currency).
 
     Attributes:
-        periods: hours with other prices; see `agent_sdk.time_series.Period`.
+        periods: hours with other prices; see `zenostat.time_series.Period`.
         otherwise: the price in all other hours.
         unit: unit of all these prices, such as EUR/kWh.
         lambda_cost: per unit of currency.

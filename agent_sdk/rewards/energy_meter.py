@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards.selectors import indices, observed_meters, of_variables
-from topics.energyplus_names import HVAC_POWER
-from topics.errors import InvalidConfig, did_you_mean
-from topics.messages import Aggregation, Manifest, Sensor
-from topics.points import value_index
+from zenostat.agent_sdk.rewards.selectors import indices, observed_meters, of_variables
+from zenostat.topics.energyplus_names import HVAC_POWER
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.messages import Aggregation, Manifest, Sensor
+from zenostat.topics.points import value_index
 
 J_PER_KWH = 3.6e6
 METERS = ("Electricity:Facility", "HVAC:Electricity", "Electricity:HVAC")

@@ -9,13 +9,13 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import Field
 
-from agent_sdk.rewards.base import Begin, BoundReward
-from agent_sdk.rewards.linear import WeightedReward
-from agent_sdk.rewards.terms import Term, TermSum
-from agent_sdk.time_series import Hours
-from topics.calendar import in_hours
-from topics.messages import Manifest
-from topics.typing_compat import override
+from zenostat.agent_sdk.rewards.base import Begin, BoundReward
+from zenostat.agent_sdk.rewards.linear import WeightedReward
+from zenostat.agent_sdk.rewards.terms import Term, TermSum
+from zenostat.agent_sdk.time_series import Hours
+from zenostat.topics.calendar import in_hours
+from zenostat.topics.messages import Manifest
+from zenostat.topics.typing_compat import override
 
 
 class HourlyReward(WeightedReward):

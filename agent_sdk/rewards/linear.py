@@ -6,13 +6,13 @@ from typing import Literal
 
 from pydantic import Field
 
-from agent_sdk.rewards.base import BoundReward
-from agent_sdk.rewards.comfort_band import ComfortBand
-from agent_sdk.rewards.config import Names
-from agent_sdk.rewards.selectors import powers
-from agent_sdk.rewards.terms import Power, Quantity, Term, TermSum
-from topics.messages import Manifest
-from topics.typing_compat import override
+from zenostat.agent_sdk.rewards.base import BoundReward
+from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
+from zenostat.agent_sdk.rewards.config import Names
+from zenostat.agent_sdk.rewards.selectors import powers
+from zenostat.agent_sdk.rewards.terms import Power, Quantity, Term, TermSum
+from zenostat.topics.messages import Manifest
+from zenostat.topics.typing_compat import override
 
 
 class WeightedReward(ComfortBand):

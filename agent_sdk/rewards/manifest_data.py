@@ -5,12 +5,12 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any
 
-from agent_sdk.rewards.base import Reward
-from agent_sdk.rewards.comfort_band import ComfortBand
-from agent_sdk.rewards.multi_zone import MultiZoneReward
-from agent_sdk.rewards.read import CUSTOM, REWARDS, read_reward
-from topics.errors import InvalidConfig
-from topics.messages import Manifest, Task
+from zenostat.agent_sdk.rewards.base import Reward
+from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
+from zenostat.agent_sdk.rewards.multi_zone import MultiZoneReward
+from zenostat.agent_sdk.rewards.read import CUSTOM, REWARDS, read_reward
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest, Task
 
 
 def is_data(reward: Reward) -> bool:

@@ -6,14 +6,14 @@ from typing import Literal
 
 from pydantic import Field, field_validator
 
-from agent_sdk.rewards.base import BoundReward
-from agent_sdk.rewards.config import Names, RewardConfig
-from agent_sdk.rewards.selectors import indices, named, of_variables, powers, same_zone
-from agent_sdk.rewards.terms import Power, SetpointDegrees, Term, TermSum
-from topics.energyplus_names import COOLING_SETPOINT_VARIABLE, HEATING_SETPOINT_VARIABLE, ZONE_TEMPERATURES
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
-from topics.typing_compat import override
+from zenostat.agent_sdk.rewards.base import BoundReward
+from zenostat.agent_sdk.rewards.config import Names, RewardConfig
+from zenostat.agent_sdk.rewards.selectors import indices, named, of_variables, powers, same_zone
+from zenostat.agent_sdk.rewards.terms import Power, SetpointDegrees, Term, TermSum
+from zenostat.topics.energyplus_names import COOLING_SETPOINT_VARIABLE, HEATING_SETPOINT_VARIABLE, ZONE_TEMPERATURES
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
+from zenostat.topics.typing_compat import override
 
 
 class MultiZoneReward(RewardConfig):

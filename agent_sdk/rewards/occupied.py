@@ -6,15 +6,15 @@ from typing import Literal
 
 from pydantic import Field
 
-from agent_sdk.rewards.base import BoundReward
-from agent_sdk.rewards.comfort_band import ComfortBand
-from agent_sdk.rewards.linear import WeightedReward
-from agent_sdk.rewards.selectors import indices, named, same_zone
-from agent_sdk.rewards.terms import DegreesOutside, OccupiedDegrees, TermSum
-from topics.energyplus_names import OCCUPANTS
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
-from topics.typing_compat import override
+from zenostat.agent_sdk.rewards.base import BoundReward
+from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
+from zenostat.agent_sdk.rewards.linear import WeightedReward
+from zenostat.agent_sdk.rewards.selectors import indices, named, same_zone
+from zenostat.agent_sdk.rewards.terms import DegreesOutside, OccupiedDegrees, TermSum
+from zenostat.topics.energyplus_names import OCCUPANTS
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
+from zenostat.topics.typing_compat import override
 
 PEOPLE = OCCUPANTS
 _UNITS = ("1", "count", "fraction")

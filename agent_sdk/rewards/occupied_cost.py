@@ -6,17 +6,17 @@ from typing import Literal
 
 from pydantic import Field
 
-from agent_sdk.rewards.base import BoundReward
-from agent_sdk.rewards.config import Names
-from agent_sdk.rewards.energy import EnergyReward
-from agent_sdk.rewards.energy_cost import energy_cost
-from agent_sdk.rewards.energy_meter import EnergyMeter
-from agent_sdk.rewards.occupied import OccupiedComfort
-from agent_sdk.rewards.slot_state import SlotState
-from agent_sdk.rewards.terms import PeakIncrease, Term, TermSum
-from agent_sdk.time_series import Price
-from topics.messages import Manifest
-from topics.typing_compat import override
+from zenostat.agent_sdk.rewards.base import BoundReward
+from zenostat.agent_sdk.rewards.config import Names
+from zenostat.agent_sdk.rewards.energy import EnergyReward
+from zenostat.agent_sdk.rewards.energy_cost import energy_cost
+from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
+from zenostat.agent_sdk.rewards.occupied import OccupiedComfort
+from zenostat.agent_sdk.rewards.slot_state import SlotState
+from zenostat.agent_sdk.rewards.terms import PeakIncrease, Term, TermSum
+from zenostat.agent_sdk.time_series import Price
+from zenostat.topics.messages import Manifest
+from zenostat.topics.typing_compat import override
 
 GAS_METERS = ("NaturalGas:Facility", "HVAC:NaturalGas", "NaturalGas:HVAC")
 
@@ -38,7 +38,7 @@ class OccupiedCostReward(OccupiedComfort, EnergyReward):
     `gas_price`), demand_kwh, peak_kw, degrees_outside (weighted), people.
 
     Attributes:
-        price: price of electricity, a signal of `agent_sdk.time_series`.
+        price: price of electricity, a signal of `zenostat.time_series`.
         gas_price: price of gas, in the same forms; None: gas is not counted.
         lambda_cost: per unit of currency.
         lambda_peak: demand charge, 1/kW.

@@ -7,22 +7,22 @@ from typing import Any, cast
 
 from pydantic import ValidationError
 
-from agent_sdk.rewards.base import Reward
-from agent_sdk.rewards.carbon import CarbonReward
-from agent_sdk.rewards.config import RewardConfig
-from agent_sdk.rewards.custom import RewardFunction, from_function, instantiate
-from agent_sdk.rewards.energy_cost import EnergyCostReward, TariffReward
-from agent_sdk.rewards.exponential import ExponentialReward
-from agent_sdk.rewards.hourly import HourlyReward
-from agent_sdk.rewards.linear import LinearReward
-from agent_sdk.rewards.multi_zone import MultiZoneReward
-from agent_sdk.rewards.normalized import NormalizedReward
-from agent_sdk.rewards.occupied import OccupiedReward
-from agent_sdk.rewards.occupied_cost import OccupiedCostReward
-from agent_sdk.rewards.peak import PeakReward
-from agent_sdk.rewards.thermal_sensation import ThermalSensationReward
-from topics.codec import describe_validation_errors
-from topics.errors import InvalidConfig, did_you_mean
+from zenostat.agent_sdk.rewards.base import Reward
+from zenostat.agent_sdk.rewards.carbon import CarbonReward
+from zenostat.agent_sdk.rewards.config import RewardConfig
+from zenostat.agent_sdk.rewards.custom import RewardFunction, from_function, instantiate
+from zenostat.agent_sdk.rewards.energy_cost import EnergyCostReward, TariffReward
+from zenostat.agent_sdk.rewards.exponential import ExponentialReward
+from zenostat.agent_sdk.rewards.hourly import HourlyReward
+from zenostat.agent_sdk.rewards.linear import LinearReward
+from zenostat.agent_sdk.rewards.multi_zone import MultiZoneReward
+from zenostat.agent_sdk.rewards.normalized import NormalizedReward
+from zenostat.agent_sdk.rewards.occupied import OccupiedReward
+from zenostat.agent_sdk.rewards.occupied_cost import OccupiedCostReward
+from zenostat.agent_sdk.rewards.peak import PeakReward
+from zenostat.agent_sdk.rewards.thermal_sensation import ThermalSensationReward
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 REWARDS: dict[str, type[RewardConfig]] = {
     "linear": LinearReward,

@@ -8,7 +8,7 @@ from typing import Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards.base import Begin
+from zenostat.agent_sdk.rewards.base import Begin
 
 Pair = TypeVar("Pair", bound=tuple[float, ...])
 

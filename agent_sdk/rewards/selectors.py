@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.energyplus_names import HVAC_POWER, ZONE_TEMPERATURES
-from topics.errors import InvalidConfig, did_you_mean
-from topics.messages import Manifest
-from topics.points import value_index
+from zenostat.topics.energyplus_names import HVAC_POWER, ZONE_TEMPERATURES
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.messages import Manifest
+from zenostat.topics.points import value_index
 
 Indices = NDArray[np.intp]
 """Indices among the values of a sample."""

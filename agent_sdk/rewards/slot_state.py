@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 Numbers = dict[str, NDArray[np.float64]]
 

@@ -10,12 +10,12 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards.base import Begin, BoundReward, Outcome, Terms
-from agent_sdk.rewards.energy_meter import EnergyMeter
-from agent_sdk.rewards.seasons import Seasons
-from agent_sdk.rewards.selectors import Indices, sum_at
-from agent_sdk.rewards.slot_state import SlotState
-from topics.typing_compat import override
+from zenostat.agent_sdk.rewards.base import Begin, BoundReward, Outcome, Terms
+from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
+from zenostat.agent_sdk.rewards.seasons import Seasons
+from zenostat.agent_sdk.rewards.selectors import Indices, sum_at
+from zenostat.agent_sdk.rewards.slot_state import SlotState
+from zenostat.topics.typing_compat import override
 
 Band = tuple[float, float]
 """Lowest and highest comfortable air temperature, degC, both inclusive."""
@@ -253,7 +253,7 @@ class MeanPower(EnergyQuantity):
 
 
 class Signal(Protocol):
-    """A signal of `agent_sdk.time_series`."""
+    """A signal of `zenostat.time_series`."""
 
     def at(self, begin: Any, /) -> Any:
         """Return the value, or those of each slot."""

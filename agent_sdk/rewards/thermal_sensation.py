@@ -10,15 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from agent_sdk.rewards.base import Begin, BoundReward
-from agent_sdk.rewards.comfort_band import Seasonal
-from agent_sdk.rewards.config import Names
-from agent_sdk.rewards.selectors import Indices, indices, named, of_variables, powers, same_zone, temperatures
-from agent_sdk.rewards.terms import ExcessVotes, Power, Term, TermSum, Votes
-from topics.errors import InvalidConfig
-from topics.extras import install_command
-from topics.messages import Manifest
-from topics.typing_compat import override
+from zenostat.agent_sdk.rewards.base import Begin, BoundReward
+from zenostat.agent_sdk.rewards.comfort_band import Seasonal
+from zenostat.agent_sdk.rewards.config import Names
+from zenostat.agent_sdk.rewards.selectors import Indices, indices, named, of_variables, powers, same_zone, temperatures
+from zenostat.agent_sdk.rewards.terms import ExcessVotes, Power, Term, TermSum, Votes
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import install_command
+from zenostat.topics.messages import Manifest
+from zenostat.topics.typing_compat import override
 
 PMV, PPD = "Zone Thermal Comfort Fanger Model PMV", "Zone Thermal Comfort Fanger Model PPD"
 RADIANT, HUMIDITY = "Zone Mean Radiant Temperature", "Zone Air Relative Humidity"

@@ -10,16 +10,16 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers.base import ControllerProtocol
-from agent_sdk.testing import synthetic_samples
-from agent_sdk.testing.fake_building import FakeBuilding
-from agent_sdk.testing.fake_link import FakeLink
-from agent_sdk.testing.report import Check, Report, name_of, raised, run
-from topics.energyplus_names import THERMOSTAT
-from topics.errors import ZenostatError
-from topics.messages import Manifest
-from topics.points import contains, describe_bounds
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers.base import ControllerProtocol
+from zenostat.agent_sdk.testing import synthetic_samples
+from zenostat.agent_sdk.testing.fake_building import FakeBuilding
+from zenostat.agent_sdk.testing.fake_link import FakeLink
+from zenostat.agent_sdk.testing.report import Check, Report, name_of, raised, run
+from zenostat.topics.energyplus_names import THERMOSTAT
+from zenostat.topics.errors import ZenostatError
+from zenostat.topics.messages import Manifest
+from zenostat.topics.points import contains, describe_bounds
 
 ControllerFactory = Callable[[Manifest], ControllerProtocol]
 """A controller class, or a function that creates a controller."""

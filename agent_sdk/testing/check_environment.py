@@ -13,9 +13,9 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 
-from agent_sdk.testing.report import Check, Report, raised, run
-from topics.errors import ZenostatError
-from topics.messages import Manifest
+from zenostat.agent_sdk.testing.report import Check, Report, raised, run
+from zenostat.topics.errors import ZenostatError
+from zenostat.topics.messages import Manifest
 
 Env = gym.Env[Any, Any]
 

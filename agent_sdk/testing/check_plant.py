@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.testing.report import Check, Report, name_of, raised, run
-from bridge.python_plant.api import Plant
-from bridge.python_plant.description import ClassDescription, Point, describe, load_class
-from topics.errors import InvalidConfig
-from topics.points import contains, describe_violation
+from zenostat.agent_sdk.testing.report import Check, Report, name_of, raised, run
+from zenostat.bridge.python_plant.api import Plant
+from zenostat.bridge.python_plant.description import ClassDescription, Point, describe, load_class
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.points import contains, describe_violation
 
 PlantFactory = Callable[..., Plant]
 """A plant's class, or a function that creates a plant."""

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.rewards import AnyReward, BoundReward, Outcome, Reward, read_reward
-from agent_sdk.testing import synthetic_samples
-from agent_sdk.testing.fake_building import FakeBuilding
-from agent_sdk.testing.report import Check, Report, name_of, raised, run
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.rewards import AnyReward, BoundReward, Outcome, Reward, read_reward
+from zenostat.agent_sdk.testing import synthetic_samples
+from zenostat.agent_sdk.testing.fake_building import FakeBuilding
+from zenostat.agent_sdk.testing.report import Check, Report, name_of, raised, run
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
 
 Floats = NDArray[np.float64]
 

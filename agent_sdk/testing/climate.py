@@ -9,8 +9,8 @@ from datetime import datetime
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.errors import UnknownName, did_you_mean
-from topics.messages import WeatherSeries
+from zenostat.topics.errors import UnknownName, did_you_mean
+from zenostat.topics.messages import WeatherSeries
 
 Floats = NDArray[np.float64]
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.testing.climate import Climate, weather_series
-from agent_sdk.testing.fake_manifest import RunPeriod, build_manifest, with_unobserved
-from agent_sdk.testing.rc_zones import RCZones, Zone, ZoneStep
-from topics.errors import InvalidConfig, ModelError
-from topics.messages import WeatherSeries
+from zenostat.agent_sdk.testing.climate import Climate, weather_series
+from zenostat.agent_sdk.testing.fake_manifest import RunPeriod, build_manifest, with_unobserved
+from zenostat.agent_sdk.testing.rc_zones import RCZones, Zone, ZoneStep
+from zenostat.topics.errors import InvalidConfig, ModelError
+from zenostat.topics.messages import WeatherSeries
 
 Floats = NDArray[np.float64]
 

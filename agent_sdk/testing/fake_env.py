@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from agent_sdk.envs import arguments
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.rewards import Reward
-from agent_sdk.testing.fake_building import FakeBuilding
-from agent_sdk.testing.fake_link import FakeLink
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.envs import arguments
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.rewards import Reward
+from zenostat.agent_sdk.testing.fake_building import FakeBuilding
+from zenostat.agent_sdk.testing.fake_link import FakeLink
+from zenostat.topics.errors import InvalidConfig
 
 
 class FakeEnv(BuildingEnv):
@@ -21,7 +21,7 @@ class FakeEnv(BuildingEnv):
 
     Args:
         zones: number of zones, or the zones.
-        reward: an object of `agent_sdk.rewards`, a kind, or a kind with its parameters; None: always 0.0; default:
+        reward: an object of `zenostat.rewards`, a kind, or a kind with its parameters; None: always 0.0; default:
             the linear reward.
         render_mode: None or `rgb_array`.
         building: further arguments of `FakeBuilding`.

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-import topics
-from agent_sdk.testing.rc_zones import Zone
-from topics.calendar import parse_day
-from topics.codec import describe_validation_errors
-from topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
-from topics.errors import InvalidConfig, did_you_mean
-from topics.keys import check_name
-from topics.messages import (
+from zenostat import topics
+from zenostat.agent_sdk.testing.rc_zones import Zone
+from zenostat.topics.calendar import parse_day
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.keys import check_name
+from zenostat.topics.messages import (
     Action,
     Actuator,
     Aggregation,
@@ -31,7 +31,7 @@ from topics.messages import (
     TerminationLimit,
     Versions,
 )
-from topics.points import value_index
+from zenostat.topics.points import value_index
 
 HEATING, COOLING = HEATING_SETPOINT, COOLING_SETPOINT
 

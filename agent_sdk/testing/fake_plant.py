@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.testing.fake_building import FakeBuilding
-from topics.messages import Actuator, Meter, Sensor
+from zenostat.agent_sdk.testing.fake_building import FakeBuilding
+from zenostat.topics.messages import Actuator, Meter, Sensor
 
 _Spec = tuple[str, float | None, float | None]
 
 
 class FakePlant:
-    """A `FakeBuilding` for nodes: `zenostat node --plant agent_sdk.testing.fake_plant:FakePlant`.
+    """A `FakeBuilding` for nodes: `zenostat node --plant zenostat.agent_sdk.testing.fake_plant:FakePlant`.
 
     Actuators that nobody commands have the building's baseline control. Equal seeds and commands result in the same
     values as those of `FakeEnv`, to the bit.

@@ -9,15 +9,15 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs import arguments
-from agent_sdk.envs.vector_env import BuildingVectorEnv
-from agent_sdk.rewards import AnyReward
-from agent_sdk.testing.fake_building import FakeBuilding
-from agent_sdk.testing.fake_link import FakeLink
-from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, PeerError
-from topics.messages import Ack, Sample, WeatherSeries
-from topics.points import value_index
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.envs import arguments
+from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
+from zenostat.agent_sdk.rewards import AnyReward
+from zenostat.agent_sdk.testing.fake_building import FakeBuilding
+from zenostat.agent_sdk.testing.fake_link import FakeLink
+from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, PeerError
+from zenostat.topics.messages import Ack, Sample, WeatherSeries
+from zenostat.topics.points import value_index
 
 Floats = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 Floats = NDArray[np.float64]
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 T = TypeVar("T")
 

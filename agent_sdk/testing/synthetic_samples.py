@@ -7,9 +7,9 @@ from datetime import datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.sample import SampleView
-from topics.messages import Flag, Manifest, Meter, Sample, Sensor
-from topics.points import bounds, value_index
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.topics.messages import Flag, Manifest, Meter, Sample, Sensor
+from zenostat.topics.points import bounds, value_index
 
 _RANGES = {"degC": (10.0, 35.0), "percent": (0.0, 100.0), "W": (0.0, 2e4), "J": (0.0, 1e7), "W/m2": (0.0, 900.0)}
 _MAX_PEOPLE = 6

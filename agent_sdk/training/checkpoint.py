@@ -22,10 +22,10 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.save_util import load_from_zip_file
 
-from agent_sdk.training.environments import TrainingEnv, simulated_state
-from agent_sdk.training.episode_recorder import RunningEpisodes, repeat
-from agent_sdk.wrappers import restore_wrappers, save_wrappers
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.training.environments import TrainingEnv, simulated_state
+from zenostat.agent_sdk.training.episode_recorder import RunningEpisodes, repeat
+from zenostat.agent_sdk.wrappers import restore_wrappers, save_wrappers
+from zenostat.topics.errors import InvalidConfig
 
 MODEL, NORMALIZATION, WRAPPERS, STATE, REPLAY = (
     "model.zip", "model.vecnormalize.pkl", "model.wrappers.yaml", "state.pkl", "replay.npz",

@@ -8,13 +8,13 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
 
-from agent_sdk.envs.arguments import of_scenario
-from topics import yaml12
-from topics.codec import describe_validation_errors
-from topics.errors import InvalidConfig, UnknownName
-from topics.file_kinds import FileKind, check_file_kind
-from topics.keys import safe_name
-from topics.seeds import MAX_SEED
+from zenostat.agent_sdk.envs.arguments import of_scenario
+from zenostat.topics import yaml12
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.file_kinds import FileKind, check_file_kind
+from zenostat.topics.keys import safe_name
+from zenostat.topics.seeds import MAX_SEED
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 Number = Annotated[float, Field(strict=True, gt=0)]
@@ -84,10 +84,10 @@ class TrainingConfig(_Part):
     """A training: the fields of a training file.
 
     Attributes:
-        algorithm: a key of `agent_sdk.training.ALGORITHMS`.
+        algorithm: a key of `zenostat.training.ALGORITHMS`.
         scenario: id, or path of a scenario file.
         arguments: further arguments of `gym.make`, which override the scenario's settings.
-        wrappers: applied after the scenario's own; see `agent_sdk.wrappers.apply_wrappers`.
+        wrappers: applied after the scenario's own; see `zenostat.wrappers.apply_wrappers`.
         steps: training steps over all slots; a rollout that has begun is completed.
         seed: seed of the algorithm and of the first episode; slot i has `seed + i`.
         slots: number of buildings that are simulated side by side.
@@ -152,7 +152,7 @@ def read_training(fields: Mapping[str, Any], what: str = "the training") -> Trai
 
     Raises:
         InvalidConfig: lists all errors of form. Names and values of the algorithm's parameters are checked by
-            `agent_sdk.training.parameters.check_algorithm`.
+            `zenostat.agent_sdk.training.parameters.check_algorithm`.
     """
     try:
         return TrainingConfig.model_validate(dict(fields))

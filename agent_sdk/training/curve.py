@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.evaluation.metrics import EpisodeMetrics
-from topics.atomic_file import atomic_file
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
+from zenostat.topics.atomic_file import atomic_file
 
 CURVE, EVALUATIONS, PICTURE = "curve.csv", "evaluations.csv", "curve"
 _COLUMNS = ("step", "slot", "reward", "steps")
@@ -114,9 +114,9 @@ class LearningCurve:
             self._draw()
 
     def _draw(self) -> None:
-        from agent_sdk.report.figures.base import draw, legend_above
-        from agent_sdk.report.svg import save
-        from agent_sdk.report.theme import LIGHT
+        from zenostat.agent_sdk.report.figures.base import draw, legend_above
+        from zenostat.agent_sdk.report.svg import save
+        from zenostat.agent_sdk.report.theme import LIGHT
 
         steps, rewards = (
             np.array([row[name] for row in self.episodes.rows], np.float64) for name in ("step", "reward")

@@ -11,16 +11,16 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
 
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.envs.arguments import check_agent_fields, of_scenario
-from agent_sdk.envs.sb3_vec_env import as_sb3
-from agent_sdk.training.config import TrainingConfig
-from agent_sdk.training.episode_recorder import EpisodeRecorder
-from agent_sdk.training.parameters import algorithm_class
-from agent_sdk.wrappers import action_names_of, apply_wrappers, wrappers_of
-from agent_sdk.wrappers.serialization import check_wrappers
-from topics import yaml12
-from topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.envs.arguments import check_agent_fields, of_scenario
+from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
+from zenostat.agent_sdk.training.config import TrainingConfig
+from zenostat.agent_sdk.training.episode_recorder import EpisodeRecorder
+from zenostat.agent_sdk.training.parameters import algorithm_class
+from zenostat.agent_sdk.wrappers import action_names_of, apply_wrappers, wrappers_of
+from zenostat.agent_sdk.wrappers.serialization import check_wrappers
+from zenostat.topics import yaml12
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
 
 RESCALED = {"wrapper": "RescaleAction", "min_action": -1.0, "max_action": 1.0}
 """The wrapper of `normalization: {actions: true}`."""

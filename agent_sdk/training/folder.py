@@ -10,10 +10,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from agent_sdk.training.config import TrainingConfig, read_file, read_training
-from topics import VERSION, yaml12
-from topics.atomic_file import atomic_file
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.training.config import TrainingConfig, read_file, read_training
+from zenostat.topics import VERSION, yaml12
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
 
 TRAINING, SCENARIO, VERSIONS, WRAPPERS = "training.yaml", "scenario.yaml", "versions.json", "wrappers.yaml"
 MODEL, BEST, CHECKPOINTS = "model.zip", "best.zip", "checkpoints"

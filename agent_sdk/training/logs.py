@@ -8,8 +8,8 @@ from typing import Any
 
 from stable_baselines3.common.logger import CSVOutputFormat, KVWriter, Logger
 
-from agent_sdk.training.config import TrainingConfig
-from topics.extras import import_extra
+from zenostat.agent_sdk.training.config import TrainingConfig
+from zenostat.topics.extras import import_extra
 
 _EXTRAS = {"tensorboard": ("tensorboardX", "tensorboard"), "wandb": ("wandb", "wandb")}
 

@@ -18,9 +18,9 @@ from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 from stable_baselines3.common.utils import LinearSchedule
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv
 
-from agent_sdk.controllers.policy import ALGORITHMS, preserve_random_state
-from agent_sdk.training.config import TrainingConfig
-from topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
+from zenostat.agent_sdk.controllers.policy import ALGORITHMS, preserve_random_state
+from zenostat.agent_sdk.training.config import TrainingConfig
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
 
 _OWN_FIELDS = {
     "policy": "the field `policy`",

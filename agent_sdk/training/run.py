@@ -16,10 +16,10 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
-from agent_sdk.evaluation.metrics import EpisodeMetrics
-from agent_sdk.evaluation.sb3_callback import EvaluationCallback
-from agent_sdk.training import folder as files
-from agent_sdk.training.checkpoint import (
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
+from zenostat.agent_sdk.evaluation.sb3_callback import EvaluationCallback
+from zenostat.agent_sdk.training import folder as files
+from zenostat.agent_sdk.training.checkpoint import (
     Checkpoint,
     capture,
     checkpoints,
@@ -30,15 +30,15 @@ from agent_sdk.training.checkpoint import (
     restore_random_states,
     wrapper_state,
 )
-from agent_sdk.training.config import EVALUATIONS, TrainingConfig
-from agent_sdk.training.curve import LearningCurve
-from agent_sdk.training.environments import TrainingEnv, check_environment, make_env
-from agent_sdk.training.logs import check_logs, make_logger
-from agent_sdk.training.parameters import check_action_space, check_algorithm, make_model
-from agent_sdk.vec_normalization import mark_normalized, normalization_path
-from topics.atomic_file import atomic_file
-from topics.errors import ErrorCollector, InvalidConfig
-from topics.file_lock import locked
+from zenostat.agent_sdk.training.config import EVALUATIONS, TrainingConfig
+from zenostat.agent_sdk.training.curve import LearningCurve
+from zenostat.agent_sdk.training.environments import TrainingEnv, check_environment, make_env
+from zenostat.agent_sdk.training.logs import check_logs, make_logger
+from zenostat.agent_sdk.training.parameters import check_action_space, check_algorithm, make_model
+from zenostat.agent_sdk.vec_normalization import mark_normalized, normalization_path
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import ErrorCollector, InvalidConfig
+from zenostat.topics.file_lock import locked
 
 _CAPTURE_S = 5.0
 """Seconds between two captures of an on-policy training for the case that it is stopped within a rollout."""

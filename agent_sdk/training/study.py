@@ -17,20 +17,20 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agent_sdk.training.parameters import check_algorithm
-from agent_sdk.training.trial import REQUEST, RESULT
-from agent_sdk.training.tuning_config import Pruner, Range, TuningConfig
-from topics import yaml12
-from topics.atomic_file import atomic_file
-from topics.errors import InvalidConfig
-from topics.extras import requires_extra
+from zenostat.agent_sdk.training.parameters import check_algorithm
+from zenostat.agent_sdk.training.trial import REQUEST, RESULT
+from zenostat.agent_sdk.training.tuning_config import Pruner, Range, TuningConfig
+from zenostat.topics import yaml12
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
 
 with requires_extra("tune", "tuning", "Optuna"):
     import optuna
     import sqlalchemy
     from optuna.trial import FrozenTrial, TrialState
 
-    from agent_sdk.training.study_sampler import RETRY_OF, make_sampler
+    from zenostat.agent_sdk.training.study_sampler import RETRY_OF, make_sampler
 
 _IDENTITY = "zenostat"
 _HEARTBEAT_S, _GRACE_S = 30, 120
@@ -252,7 +252,7 @@ class Tuning:
         (folder / REQUEST).chmod(0o600)  # the URL may contain a password
         with (folder / "log.txt").open("wb") as log:
             process = subprocess.Popen(
-                [sys.executable, "-m", "agent_sdk.training.trial", str(folder), str(os.getpid())],
+                [sys.executable, "-P", "-m", "zenostat.agent_sdk.training.trial", str(folder), str(os.getpid())],
                 stdin=subprocess.DEVNULL, stdout=log, stderr=log, process_group=0,
             )  # fmt: skip
         self._workers.append(_Worker(trial, process, folder))

@@ -13,8 +13,8 @@ import numpy as np
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
-from agent_sdk.training.tuning_config import TuningConfig
-from topics.atomic_file import atomic_file
+from zenostat.agent_sdk.training.tuning_config import TuningConfig
+from zenostat.topics.atomic_file import atomic_file
 
 TABLE = "trials.csv"
 _COLUMNS = 3
@@ -41,8 +41,8 @@ def write_results(study: optuna.Study, config: TuningConfig) -> list[Path]:
     finished = [trial for trial in trials if trial.state is TrialState.COMPLETE]
     if importlib.util.find_spec("matplotlib") is None or not finished:
         return [table]
-    from agent_sdk.report.figures.base import draw
-    from agent_sdk.report.svg import save
+    from zenostat.agent_sdk.report.figures.base import draw
+    from zenostat.agent_sdk.report.svg import save
 
     rows = -(-len(config.parameters) // _COLUMNS)
     figures: dict[str, tuple[float, Callable[[Any], None]]] = {
@@ -69,8 +69,8 @@ def _importances(study: optuna.Study, finished: list[FrozenTrial]) -> dict[str, 
 
 
 def _history(figure: Any, trials: list[FrozenTrial], config: TuningConfig) -> None:
-    from agent_sdk.report.figures.base import legend_above
-    from agent_sdk.report.theme import LIGHT
+    from zenostat.agent_sdk.report.figures.base import legend_above
+    from zenostat.agent_sdk.report.theme import LIGHT
 
     axis = figure.subplots()
     marks = {TrialState.COMPLETE: ("o", "series-2"), TrialState.PRUNED: ("x", "series-1")}
@@ -93,7 +93,7 @@ def _history(figure: Any, trials: list[FrozenTrial], config: TuningConfig) -> No
 
 
 def _importance(figure: Any, importances: dict[str, float]) -> None:
-    from agent_sdk.report.theme import LIGHT
+    from zenostat.agent_sdk.report.theme import LIGHT
 
     axis = figure.subplots()
     names = list(importances)[::-1]
@@ -104,7 +104,7 @@ def _importance(figure: Any, importances: dict[str, float]) -> None:
 
 
 def _slices(figure: Any, finished: list[FrozenTrial], config: TuningConfig) -> None:
-    from agent_sdk.report.theme import LIGHT
+    from zenostat.agent_sdk.report.theme import LIGHT
 
     names = list(config.parameters)
     columns = min(len(names), _COLUMNS)
@@ -127,7 +127,7 @@ def _slices(figure: Any, finished: list[FrozenTrial], config: TuningConfig) -> N
 
 def _parallel(figure: Any, finished: list[FrozenTrial], config: TuningConfig) -> None:
     """One line per trial over the parameters, darker the better its value."""
-    from agent_sdk.report.theme import LIGHT
+    from zenostat.agent_sdk.report.theme import LIGHT
 
     axis = figure.subplots()
     names = list(config.parameters)
@@ -164,7 +164,7 @@ def _places(name: str, finished: list[FrozenTrial], config: TuningConfig) -> tup
     choices = config.parameters[name].choices
     if choices is None:
         return values, None
-    from agent_sdk.training.study import encode
+    from zenostat.agent_sdk.training.study import encode
 
     labels = [str(encode(choice)) for choice in choices]
     return [labels.index(str(value)) for value in values], labels

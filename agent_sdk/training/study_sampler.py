@@ -11,7 +11,7 @@ from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from agent_sdk.training.tuning_config import TuningConfig
+from zenostat.agent_sdk.training.tuning_config import TuningConfig
 
 RETRY_OF = "retry_of"
 """Attribute of a trial that repeats another one: the number of the first."""

@@ -8,8 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from topics.atomic_file import atomic_file
-from topics.errors import UsageError, ZenostatError
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import UsageError, ZenostatError
 
 REQUEST, RESULT = "trial.json", "result.json"
 
@@ -21,7 +21,7 @@ def main(folder: Path, parent: int) -> None:
         folder: folder of the trial, with `trial.json`.
         parent: id of the process that started this one, and with which it ends.
     """
-    from bridge.engine.system_calls import die_with_parent
+    from zenostat.bridge.engine.system_calls import die_with_parent
 
     die_with_parent(parent)
     request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
@@ -37,11 +37,11 @@ def _run(request: dict[str, Any]) -> dict[str, Any]:
     import numpy as np
     import optuna
 
-    from agent_sdk.training.config import read_training
-    from agent_sdk.training.run import train
-    from agent_sdk.training.study import database_errors, make_pruner, open_storage
-    from agent_sdk.training.tuning_config import Pruner
-    from topics.errors import InvalidConfig, did_you_mean
+    from zenostat.agent_sdk.training.config import read_training
+    from zenostat.agent_sdk.training.run import train
+    from zenostat.agent_sdk.training.study import database_errors, make_pruner, open_storage
+    from zenostat.agent_sdk.training.tuning_config import Pruner
+    from zenostat.topics.errors import InvalidConfig, did_you_mean
 
     settings = request["pruner"] and Pruner.model_validate(request["pruner"])
     with database_errors(request["url"]):

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
 
-from agent_sdk.training.config import (
+from zenostat.agent_sdk.training.config import (
     FIELDS,
     FIELDS_OR_FALSE,
     Count,
@@ -19,9 +19,9 @@ from agent_sdk.training.config import (
     read_training,
     with_field,
 )
-from topics.codec import describe_validation_errors
-from topics.errors import InvalidConfig
-from topics.file_kinds import FileKind
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.file_kinds import FileKind
 
 Scalar = bool | int | float | str | None
 _Number = Annotated[float, Field(strict=True)]

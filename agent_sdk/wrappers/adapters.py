@@ -18,12 +18,12 @@ from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.utils import create_zero_array
 from numpy.typing import ArrayLike, NDArray
 
-from agent_sdk.bus.snapshot import Snapshot
-from agent_sdk.envs.space_names import SpaceNames, by_name
-from agent_sdk.wrappers.base import EnvView, Infos, ResetBatch, StepBatch, Values, WrapperLogic
-from agent_sdk.wrappers.names import action_names_of, inside, names_of
-from topics.errors import InvalidConfig
-from topics.typing_compat import override
+from zenostat.agent_sdk.bus.snapshot import Snapshot
+from zenostat.agent_sdk.envs.space_names import SpaceNames, by_name
+from zenostat.agent_sdk.wrappers.base import EnvView, Infos, ResetBatch, StepBatch, Values, WrapperLogic
+from zenostat.agent_sdk.wrappers.names import action_names_of, inside, names_of
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.typing_compat import override
 
 if TYPE_CHECKING:
     _VectorWrapper = VectorWrapper[Any, Any, Any, Any, Any]

@@ -11,10 +11,10 @@ from gymnasium.spaces import Box, Space
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
-from agent_sdk.wrappers import names
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
-from topics.typing_compat import override
+from zenostat.agent_sdk.wrappers import names
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
+from zenostat.topics.typing_compat import override
 
 Values = NDArray[Any]
 """An array with one row per slot."""

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.wrappers.adapters import BuildingWrapper
-from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
-from agent_sdk.wrappers.rng import SlotRandomStreams
-from topics.calendar import parse_clock_time
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
+from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
+from zenostat.agent_sdk.wrappers.rng import SlotRandomStreams
+from zenostat.topics.calendar import parse_clock_time
+from zenostat.topics.errors import InvalidConfig
 
 Context = Mapping[str, float | None]
 Schedule = Callable[[datetime, np.random.Generator], Context]

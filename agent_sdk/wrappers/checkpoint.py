@@ -11,12 +11,12 @@ import numpy as np
 from gymnasium import Wrapper
 from gymnasium.vector import VectorWrapper
 
-from agent_sdk.wrappers.adapters import BuildingWrapper
-from agent_sdk.wrappers.names import inside
-from agent_sdk.wrappers.serialization import wrappers_of
-from topics import yaml12
-from topics.atomic_file import atomic_file
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
+from zenostat.agent_sdk.wrappers.names import inside
+from zenostat.agent_sdk.wrappers.serialization import wrappers_of
+from zenostat.topics import yaml12
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
 
 _DTYPES = ("float32", "float64")
 
@@ -30,7 +30,7 @@ class _StatefulWrapper(NamedTuple):
 
 
 def save_wrappers(env: Any, path: str | Path) -> None:
-    """Write the wrappers of `env` and their state: those of `agent_sdk.wrappers`, and Gymnasium's running statistics.
+    """Write the wrappers of `env` and their state: those of `zenostat.wrappers`, and Gymnasium's running statistics.
 
     Beside a model, as `model.wrappers.yaml` beside `model.zip`, the file lets `load_policy` and `zenostat evaluate`
     apply the same wrappers again; of a chain with wrappers that cannot be written as data it has the state alone.

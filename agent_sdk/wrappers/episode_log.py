@@ -10,12 +10,12 @@ from typing import Any, Literal
 import numpy as np
 from gymnasium.spaces import Box
 
-from agent_sdk.wrappers.adapters import BuildingWrapper
-from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
-from agent_sdk.wrappers.names import reject_wrappers
-from agent_sdk.wrappers.table_writers import Cell, CsvWriter, ParquetWriter, Writer
-from topics.errors import InvalidConfig
-from topics.extras import import_extra
+from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
+from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
+from zenostat.agent_sdk.wrappers.names import reject_wrappers
+from zenostat.agent_sdk.wrappers.table_writers import Cell, CsvWriter, ParquetWriter, Writer
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import import_extra
 
 FORMATS = ("csv", "parquet")
 

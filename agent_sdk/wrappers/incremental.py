@@ -9,11 +9,11 @@ import numpy as np
 from gymnasium.spaces import Box, Discrete
 from numpy.typing import NDArray
 
-from agent_sdk.wrappers.adapters import BuildingWrapper
-from agent_sdk.wrappers.base import EnvView, ResetBatch, Values, WrapperLogic
-from agent_sdk.wrappers.names import indices_of, reject_wrappers
-from topics.errors import InvalidAction, InvalidConfig
-from topics.typing_compat import override
+from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
+from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, Values, WrapperLogic
+from zenostat.agent_sdk.wrappers.names import indices_of, reject_wrappers
+from zenostat.topics.errors import InvalidAction, InvalidConfig
+from zenostat.topics.typing_compat import override
 
 Floats = NDArray[np.float64]
 _NOT_IN_UNITS = (

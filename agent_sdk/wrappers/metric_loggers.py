@@ -8,12 +8,12 @@ from typing import Any, Literal
 
 import numpy as np
 
-from agent_sdk.wrappers.adapters import BuildingWrapper
-from agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
-from agent_sdk.wrappers.names import reject_wrappers
-from topics.errors import InvalidConfig
-from topics.extras import import_extra
-from topics.typing_compat import override
+from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
+from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
+from zenostat.agent_sdk.wrappers.names import reject_wrappers
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import import_extra
+from zenostat.topics.typing_compat import override
 
 
 class _Means:

@@ -11,7 +11,7 @@ from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import ArrayLike
 
-from topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 _KEEP_ORDER = {
     "Autoreset", "ClipAction", "ClipReward", "DelayObservation", "DiscretizeAction", "DtypeObservation",

@@ -10,11 +10,11 @@ import numpy as np
 from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
-from agent_sdk.wrappers.adapters import BuildingWrapper
-from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
-from agent_sdk.wrappers.names import indices_of, require_units
-from topics.errors import InvalidConfig
-from topics.messages import TimeField
+from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
+from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
+from zenostat.agent_sdk.wrappers.names import indices_of, require_units
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import TimeField
 
 FIELDS = ("hour", "day_of_week", "day_of_year")
 

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from gymnasium.spaces import Box
 
-from agent_sdk.wrappers.adapters import BuildingWrapper
-from agent_sdk.wrappers.base import EnvView, StepBatch, Values, WrapperLogic
-from agent_sdk.wrappers.names import indices_of, reject_wrappers
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
+from zenostat.agent_sdk.wrappers.base import EnvView, StepBatch, Values, WrapperLogic
+from zenostat.agent_sdk.wrappers.names import indices_of, reject_wrappers
+from zenostat.topics.errors import InvalidConfig
 
 
 class _Logic(WrapperLogic):

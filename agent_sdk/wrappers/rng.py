@@ -8,7 +8,7 @@ from zlib import crc32
 
 import numpy as np
 
-from agent_sdk.wrappers.names import layers
+from zenostat.agent_sdk.wrappers.names import layers
 
 
 class SlotRandomStreams:

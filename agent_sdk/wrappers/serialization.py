@@ -14,17 +14,22 @@ import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
 from pydantic import BaseModel
 
-from agent_sdk.wrappers.adapters import BuildingWrapper
-from agent_sdk.wrappers.changing_context import ChangingContext
-from agent_sdk.wrappers.episode_log import EpisodeLog
-from agent_sdk.wrappers.incremental import DiscreteIncrementalAction, IncrementalAction
-from agent_sdk.wrappers.metric_loggers import TensorBoardLog, WeightsAndBiasesLog
-from agent_sdk.wrappers.names import reject_wrappers
-from agent_sdk.wrappers.observation import CyclicTime, PreviousObservation, ReducedObservation, SetpointDifference
-from agent_sdk.wrappers.reward_vector import RewardVector
-from agent_sdk.wrappers.time_series_observation import TimeSeriesObservation
-from agent_sdk.wrappers.weather_forecast import WeatherForecast
-from topics.errors import ErrorCollector, InvalidConfig, did_you_mean
+from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
+from zenostat.agent_sdk.wrappers.changing_context import ChangingContext
+from zenostat.agent_sdk.wrappers.episode_log import EpisodeLog
+from zenostat.agent_sdk.wrappers.incremental import DiscreteIncrementalAction, IncrementalAction
+from zenostat.agent_sdk.wrappers.metric_loggers import TensorBoardLog, WeightsAndBiasesLog
+from zenostat.agent_sdk.wrappers.names import reject_wrappers
+from zenostat.agent_sdk.wrappers.observation import (
+    CyclicTime,
+    PreviousObservation,
+    ReducedObservation,
+    SetpointDifference,
+)
+from zenostat.agent_sdk.wrappers.reward_vector import RewardVector
+from zenostat.agent_sdk.wrappers.time_series_observation import TimeSeriesObservation
+from zenostat.agent_sdk.wrappers.weather_forecast import WeatherForecast
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, did_you_mean
 
 OURS: dict[str, type[BuildingWrapper]] = {
     wrapper.__name__: wrapper
@@ -44,7 +49,7 @@ OURS: dict[str, type[BuildingWrapper]] = {
         WeightsAndBiasesLog,
     )
 }
-"""The wrappers of `agent_sdk.wrappers` by name."""
+"""The wrappers of `zenostat.wrappers` by name."""
 
 GYMNASIUMS = (
     "ClipAction", "ClipReward", "DelayObservation", "DiscretizeAction", "DiscretizeObservation", "DtypeObservation",
@@ -65,7 +70,7 @@ def apply_wrappers(env: Any, wrappers: Sequence[Mapping[str, Any]]) -> Any:
 
     Args:
         env: single or vector.
-        wrappers: each like `{"wrapper": "CyclicTime", "fields": ["hour"]}`: a name of `agent_sdk.wrappers` or of
+        wrappers: each like `{"wrapper": "CyclicTime", "fields": ["hour"]}`: a name of `zenostat.wrappers` or of
             Gymnasium (`GYMNASIUMS`), and its arguments.
 
     Raises:

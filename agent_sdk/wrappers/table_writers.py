@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from topics.extras import import_extra
-from topics.typing_compat import override
+from zenostat.topics.extras import import_extra
+from zenostat.topics.typing_compat import override
 
 Cell = str | int | float | None
 

@@ -10,18 +10,18 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from agent_sdk.time_series import Signal as SignalData
-from agent_sdk.wrappers.adapters import BuildingWrapper
-from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
-from topics.codec import describe_validation_errors
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.time_series import Signal as SignalData
+from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
+from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig
 
 _signal_adapter: TypeAdapter[Any] = TypeAdapter(SignalData)
 
 
 @runtime_checkable
 class Signal(Protocol):
-    """An object with a value at each simulated time, such as those of `agent_sdk.time_series`."""
+    """An object with a value at each simulated time, such as those of `zenostat.time_series`."""
 
     def at(self, begin: datetime, /) -> float:
         """Return the value that is valid from that time on."""
@@ -85,7 +85,7 @@ class TimeSeriesObservation(BuildingWrapper):
     hour ahead is named `price_in_1h`.
 
     Args:
-        signals: signals by name: numbers, signals of `agent_sdk.time_series` or their data (`{"hourly": […], "unit":
+        signals: signals by name: numbers, signals of `zenostat.time_series` or their data (`{"hourly": […], "unit":
             "EUR/MWh"}`, `{"table": […], "otherwise": 0.12, "unit": "EUR/kWh"}`, `{"csv": …}`), or any objects with
             `at(time) -> float`.
         hours: horizons in hours; 0, the default, is now.

@@ -9,12 +9,12 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.wrappers.adapters import BuildingWrapper
-from agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
-from agent_sdk.wrappers.names import indices_of
-from agent_sdk.wrappers.rng import SlotRandomStreams
-from topics.errors import InvalidConfig
-from topics.messages import WeatherSeries
+from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
+from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
+from zenostat.agent_sdk.wrappers.names import indices_of
+from zenostat.agent_sdk.wrappers.rng import SlotRandomStreams
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import WeatherSeries
 
 _WIND_DIRECTION = "wind_direction"
 _BOUNDS = {"relative_humidity": (0.0, 110.0), _WIND_DIRECTION: (0.0, 360.0)} | {

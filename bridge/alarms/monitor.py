@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.alarms.reports import Moment, Record
-from bridge.alarms.rules import ROUNDING, PointAlarm, applies_at, point_alarms
-from bridge.alarms.state_machine import Alarm, Change
-from topics.alarm_rules import AlarmRule, AlarmRules
-from topics.errors import RequestRejected, UnknownName, did_you_mean
-from topics.messages import (
+from zenostat.bridge.alarms.reports import Moment, Record
+from zenostat.bridge.alarms.rules import ROUNDING, PointAlarm, applies_at, point_alarms
+from zenostat.bridge.alarms.state_machine import Alarm, Change
+from zenostat.topics.alarm_rules import AlarmRule, AlarmRules
+from zenostat.topics.errors import RequestRejected, UnknownName, did_you_mean
+from zenostat.topics.messages import (
     Acknowledge,
     AlarmList,
     AlarmTransition,
@@ -33,10 +33,10 @@ from topics.messages import (
     Shelve,
     Unshelve,
 )
-from topics.messages.alarms import AlarmRequest
+from zenostat.topics.messages.alarms import AlarmRequest
 
 if TYPE_CHECKING:
-    from bridge.node.plant import PlantDescription
+    from zenostat.bridge.node.plant import PlantDescription
 
 REQUESTS: dict[type[AlarmRequest], AlarmTransition] = {
     Acknowledge: AlarmTransition.ACKNOWLEDGE,

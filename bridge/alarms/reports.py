@@ -6,12 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import isfinite
 
-from bridge.alarms.rules import PointAlarm
-from bridge.alarms.state_machine import SET_ASIDE, Alarm, Change
-from topics.alarm_rules import SuppressionCondition
-from topics.messages import AlarmChange, AlarmState, AlarmStatus, AlarmTransition, EventState
-from topics.messages.alarms import AlarmRequest
-from topics.units import with_unit
+from zenostat.bridge.alarms.rules import PointAlarm
+from zenostat.bridge.alarms.state_machine import SET_ASIDE, Alarm, Change
+from zenostat.topics.alarm_rules import SuppressionCondition
+from zenostat.topics.messages import AlarmChange, AlarmState, AlarmStatus, AlarmTransition, EventState
+from zenostat.topics.messages.alarms import AlarmRequest
+from zenostat.topics.units import with_unit
 
 VALUE_TRANSITIONS = (AlarmTransition.TO_OFFNORMAL, AlarmTransition.TO_FAULT, AlarmTransition.TO_NORMAL)
 """What the monitored value causes."""

@@ -10,15 +10,15 @@ from math import ceil, inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bridge.alarms.state_machine import Limits
-from topics.alarm_rules import AlarmRule, AlarmRules
-from topics.calendar import WEEKDAYS, in_hours
-from topics.energyplus_names import OCCUPANTS
-from topics.errors import InvalidConfig, did_you_mean
-from topics.messages import Meter, Sensor
+from zenostat.bridge.alarms.state_machine import Limits
+from zenostat.topics.alarm_rules import AlarmRule, AlarmRules
+from zenostat.topics.calendar import WEEKDAYS, in_hours
+from zenostat.topics.energyplus_names import OCCUPANTS
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.messages import Meter, Sensor
 
 if TYPE_CHECKING:
-    from bridge.node.plant import PlantDescription
+    from zenostat.bridge.node.plant import PlantDescription
 
 MAX_ALARMS = 2000
 """Largest number of alarms in a slot."""
@@ -63,7 +63,7 @@ def read_rules(path: Path) -> AlarmRules:
     Raises:
         InvalidConfig: the file cannot be read, or is not valid; the text lists all errors.
     """
-    from topics import yaml12  # slow to import, and only files need it
+    from zenostat.topics import yaml12  # slow to import, and only files need it
 
     return yaml12.read_model(path, AlarmRules)
 

@@ -28,7 +28,7 @@ from dataclasses import dataclass
 from math import isnan
 from typing import NamedTuple
 
-from topics.messages import AlarmState, AlarmTransition, EventState
+from zenostat.topics.messages import AlarmState, AlarmTransition, EventState
 
 _NORMAL, _ACTIVE = AlarmState.NORMAL, AlarmState.ACTIVE
 _ACKNOWLEDGED, _RETURNED = AlarmState.ACKNOWLEDGED, AlarmState.RETURNED

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.display.roles import roles
-from topics.messages import Manifest
+from zenostat.bridge.display.roles import roles
+from zenostat.topics.messages import Manifest
 
 Floats = NDArray[np.float64]
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 
-from topics.energyplus_names import OCCUPANTS
-from topics.messages import Actuator, Meter, Sensor
+from zenostat.topics.energyplus_names import OCCUPANTS
+from zenostat.topics.messages import Actuator, Meter, Sensor
 
 _UPPER = {
     "ahu", "co2", "cop", "crac", "dc", "dhw", "doas", "dx", "ems", "er", "hvac", "ic", "icu", "it", "mri", "or", "pacu",

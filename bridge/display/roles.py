@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
-from bridge.display.colors import RGB, end_use_color, zone_color
-from bridge.display.labels import label, words, zone_labels
-from topics.energyplus_names import (
+from zenostat.bridge.display.colors import RGB, end_use_color, zone_color
+from zenostat.bridge.display.labels import label, words, zone_labels
+from zenostat.topics.energyplus_names import (
     COOLING_SETPOINT,
     COOLING_SETPOINT_VARIABLE,
     END_USES,
@@ -29,7 +29,7 @@ from topics.energyplus_names import (
     ZONE_HUMIDITY,
     ZONE_TEMPERATURES,
 )
-from topics.messages import Actuator, Manifest, Meter
+from zenostat.topics.messages import Actuator, Manifest, Meter
 
 _KWH = {"J": 1 / 3.6e6, "kJ": 1 / 3.6e3, "MJ": 1 / 3.6, "GJ": 1e3 / 3.6, "Wh": 1e-3, "kWh": 1.0, "MWh": 1e3}
 _IN_TOTALS = {name.casefold() for name in (HVAC_POWER, FACILITY_POWER, UNMET_HEATING, UNMET_COOLING)}

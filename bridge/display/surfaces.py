@@ -1,6 +1,6 @@
 """Surfaces of a building: polygons from a `Geometry`, their triangles, areas and directions; the sun's position.
 
-from bridge.display.surfaces import surfaces, triangulate
+from zenostat.bridge.display.surfaces import surfaces, triangulate
 
 for surface in surfaces(bus.geometry("office")):
     print(surface.kind.name, surface.area_m2, surface.corners[triangulate(surface.corners)].shape)
@@ -16,8 +16,8 @@ from math import acos, asin, atan2, cos, degrees, pi, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.errors import BadMessage
-from topics.messages import Geometry, SurfaceKind
+from zenostat.topics.errors import BadMessage
+from zenostat.topics.messages import Geometry, SurfaceKind
 
 Corners = NDArray[np.float64]
 """Corners of a polygon in m, shape (n, 3): x east, y north, z up; counter-clockwise as seen from outside."""

@@ -20,16 +20,16 @@ import numpy as np
 import psutil
 from numpy.typing import NDArray
 
-from bridge.engine.forked_process import ForkedProcess, Process
-from bridge.engine.launch import describe_exit, launch
-from bridge.engine.lists import close_all
-from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
-from bridge.engine.registry import EngineRegistry
-from bridge.engine.sockets import SocketPair, fill, read_process_id, send_all, socket_pairs
-from bridge.engine.spec import EngineSpec
-from bridge.runtime.idle_watch import LOOK_S, IdleWatch
-from bridge.runtime.polling import Polling
-from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, SimulatorError
+from zenostat.bridge.engine.forked_process import ForkedProcess, Process
+from zenostat.bridge.engine.launch import describe_exit, launch
+from zenostat.bridge.engine.lists import close_all
+from zenostat.bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
+from zenostat.bridge.engine.registry import EngineRegistry
+from zenostat.bridge.engine.sockets import SocketPair, fill, read_process_id, send_all, socket_pairs
+from zenostat.bridge.engine.spec import EngineSpec
+from zenostat.bridge.runtime.idle_watch import LOOK_S, IdleWatch
+from zenostat.bridge.runtime.polling import Polling
+from zenostat.topics.errors import EngineDied, EngineUnresponsive, ForkFailed, SimulatorError
 
 _MAX_ORDERED_FORKS = 8
 """Forks ordered at a time: their sockets are in transit until the engine receives them."""

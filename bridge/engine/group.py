@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
 
-from bridge.engine.client import EngineClient
+from zenostat.bridge.engine.client import EngineClient
 
 MAX_AHEAD = 32
 """Largest number of timesteps of a plan that are ordered before their samples are received."""
@@ -15,7 +15,7 @@ ORDER_BYTES = 1 << 16
 
 
 class EngineGroup:
-    """Engines waiting at their samples: what a plant that runs in engines needs to step; see `bridge.node.plant`.
+    """Engines waiting at their samples: what a plant needs to step in engines; see `zenostat.bridge.node.plant`.
 
     Args:
         actuators: number of actuators of a slot.

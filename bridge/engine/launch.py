@@ -6,9 +6,9 @@ import os
 import signal
 import subprocess
 
-from bridge.engine.forked_process import Process
-from bridge.engine.sockets import SocketPair, socket_pairs
-from bridge.engine.spec import EngineSpec
+from zenostat.bridge.engine.forked_process import Process
+from zenostat.bridge.engine.sockets import SocketPair, socket_pairs
+from zenostat.bridge.engine.spec import EngineSpec
 
 LOG = "engine.log"
 """Name of the file in the engine's folder that receives its standard error."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, TypeVar
 
 if TYPE_CHECKING:
-    from bridge.engine.client import EngineClient
+    from zenostat.bridge.engine.client import EngineClient
 
 T = TypeVar("T")
 

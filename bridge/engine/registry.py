@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Protocol
 
-from topics.errors import EngineDied
+from zenostat.topics.errors import EngineDied
 
 UNRESPONSIVE_S = 10.0
 """Default time after which an engine that neither answers nor uses processor time is killed."""

@@ -7,8 +7,8 @@ import struct
 from collections.abc import Callable
 from typing import NamedTuple
 
-from bridge.engine.protocol import PROCESS_ID
-from bridge.runtime.idle_watch import LOOK_S
+from zenostat.bridge.engine.protocol import PROCESS_ID
+from zenostat.bridge.runtime.idle_watch import LOOK_S
 
 _SOCKET_BYTES = 1 << 20
 # The kernel's receive timeout costs nothing when the answer arrives in time.

@@ -8,12 +8,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from topics.errors import SimulatorError
+from zenostat.topics.errors import SimulatorError
 
 
 @dataclass(frozen=True, slots=True)
 class EngineProgram:
-    """A simulator that can run as an engine; see `bridge.engine.protocol` for what it has to do.
+    """A simulator that can run as an engine; see `zenostat.bridge.engine.protocol` for what it has to do.
 
     Attributes:
         command: starts it; the descriptors of its two sockets and the node's process id are appended.

@@ -12,13 +12,13 @@ from struct import Struct
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.exchange.claims import ClaimHolder
-from bridge.exchange.priority_array import PriorityArray
-from topics import codec
-from topics.errors import BadMessage
-from topics.messages import Actuator, Command, CommandOp, Write
-from topics.points import LARGEST, actuator_index, bound_arrays, contains, describe_violation
-from topics.units import with_unit
+from zenostat.bridge.exchange.claims import ClaimHolder
+from zenostat.bridge.exchange.priority_array import PriorityArray
+from zenostat.topics import codec
+from zenostat.topics.errors import BadMessage
+from zenostat.topics.messages import Actuator, Command, CommandOp, Write
+from zenostat.topics.points import LARGEST, actuator_index, bound_arrays, contains, describe_violation
+from zenostat.topics.units import with_unit
 
 _SMALL = 32
 """Largest number of values for which a Python loop is faster than NumPy."""

@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.exchange.latency import LatencyWindow
-from bridge.exchange.priority_array import PriorityArray
-from bridge.exchange.transitions import CONTROLLER_TRANSITIONS, ControllerTrigger, IllegalTransition
-from topics.errors import RequestRejected
-from topics.messages import Actuator, Claim, ControllerState
-from topics.points import actuator_index
+from zenostat.bridge.exchange.latency import LatencyWindow
+from zenostat.bridge.exchange.priority_array import PriorityArray
+from zenostat.bridge.exchange.transitions import CONTROLLER_TRANSITIONS, ControllerTrigger, IllegalTransition
+from zenostat.topics.errors import RequestRejected
+from zenostat.topics.messages import Actuator, Claim, ControllerState
+from zenostat.topics.points import actuator_index
 
 MAX_CLAIMS = 1000
 """Largest number of controllers that have a claim on a node at the same time."""

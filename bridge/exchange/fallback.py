@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from bridge.exchange.claims import ClaimHolder
-from bridge.exchange.state import ExchangeState
-from bridge.exchange.transitions import ControllerTrigger
-from topics.errors import EpisodeAborted
-from topics.messages import ControllerState, Event, EventKind, Mode, Policy, State
+from zenostat.bridge.exchange.claims import ClaimHolder
+from zenostat.bridge.exchange.state import ExchangeState
+from zenostat.bridge.exchange.transitions import ControllerTrigger
+from zenostat.topics.errors import EpisodeAborted
+from zenostat.topics.messages import ControllerState, Event, EventKind, Mode, Policy, State
 
 _BYPASSED = ControllerState.BYPASSED
 

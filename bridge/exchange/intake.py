@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from bridge.exchange.claims import ClaimHolder
-from bridge.exchange.priority_array import MAX_SOURCES
-from bridge.exchange.state import ExchangeState
-from bridge.exchange.transitions import ControllerTrigger
-from topics import codec
-from topics.errors import BadMessage
-from topics.messages import ANONYMOUS, Command, ControllerState, Event, EventKind, State, Write
+from zenostat.bridge.exchange.claims import ClaimHolder
+from zenostat.bridge.exchange.priority_array import MAX_SOURCES
+from zenostat.bridge.exchange.state import ExchangeState
+from zenostat.bridge.exchange.transitions import ControllerTrigger
+from zenostat.topics import codec
+from zenostat.topics.errors import BadMessage
+from zenostat.topics.messages import ANONYMOUS, Command, ControllerState, Event, EventKind, State, Write
 
 MAX_MESSAGES_PER_STEP = 100
 """Largest number of messages of one controller that are processed in one step, apart from fast-path commands."""

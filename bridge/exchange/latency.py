@@ -6,7 +6,7 @@ from array import array
 
 import numpy as np
 
-from topics.messages import LatencySummary
+from zenostat.topics.messages import LatencySummary
 
 _WINDOW = 4096
 

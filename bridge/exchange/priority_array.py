@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.codec import INDEX
+from zenostat.topics.codec import INDEX
 
 PRIORITIES = 16
 BASELINE_SOURCE = ""

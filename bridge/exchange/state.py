@@ -6,11 +6,11 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
-from bridge.exchange.actuator_commands import ActuatorCommands
-from bridge.exchange.claims import Claims
-from bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger
-from topics import codec
-from topics.messages import Actuator, Event, EventKind, Mode, Policy, State
+from zenostat.bridge.exchange.actuator_commands import ActuatorCommands
+from zenostat.bridge.exchange.claims import Claims
+from zenostat.bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger
+from zenostat.topics import codec
+from zenostat.topics.messages import Actuator, Event, EventKind, Mode, Policy, State
 
 MAX_EVENT_TEXT = 20_000
 """Largest number of characters in an event's text."""

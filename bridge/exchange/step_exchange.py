@@ -26,13 +26,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from bridge.exchange.actuator_commands import CommandSnapshot
-from bridge.exchange.fallback import FallbackRules
-from bridge.exchange.intake import MAX_MESSAGES_PER_STEP, Intake
-from bridge.exchange.state import MAX_SOURCE_NAME
-from bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger
-from topics import codec
-from topics.messages import Claim, ControllerState, ControllerStatus, Event, EventKind, Mode, State
+from zenostat.bridge.exchange.actuator_commands import CommandSnapshot
+from zenostat.bridge.exchange.fallback import FallbackRules
+from zenostat.bridge.exchange.intake import MAX_MESSAGES_PER_STEP, Intake
+from zenostat.bridge.exchange.state import MAX_SOURCE_NAME
+from zenostat.bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger
+from zenostat.topics import codec
+from zenostat.topics.messages import Claim, ControllerState, ControllerStatus, Event, EventKind, Mode, State
 
 __all__ = [
     "MAX_MESSAGES_PER_STEP",

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from topics.messages import ControllerState, State
+from zenostat.topics.messages import ControllerState, State
 
 
 class Trigger(StrEnum):

@@ -9,9 +9,22 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.faults.random_streams import Distribution, RandomStream
-from bridge.faults.schedule import FaultSchedule
-from topics.fault_plan import Bias, Clip, Delay, Drift, Drop, Freeze, Gain, Noise, PointFault, Quantize, Spike, Stuck
+from zenostat.bridge.faults.random_streams import Distribution, RandomStream
+from zenostat.bridge.faults.schedule import FaultSchedule
+from zenostat.topics.fault_plan import (
+    Bias,
+    Clip,
+    Delay,
+    Drift,
+    Drop,
+    Freeze,
+    Gain,
+    Noise,
+    PointFault,
+    Quantize,
+    Spike,
+    Stuck,
+)
 
 Floats = NDArray[np.float64]
 

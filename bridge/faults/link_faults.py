@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from bridge.faults.random_streams import Distribution, EpisodeKeys, RandomStream, flow_key
-from bridge.faults.schedule import FaultSchedule, FaultTransition, StepGrid
-from topics.fault_plan import Duplicate, FaultPlan, Jitter, Latency, LinkFault, Loss, Reorder
+from zenostat.bridge.faults.random_streams import Distribution, EpisodeKeys, RandomStream, flow_key
+from zenostat.bridge.faults.schedule import FaultSchedule, FaultTransition, StepGrid
+from zenostat.topics.fault_plan import Duplicate, FaultPlan, Jitter, Latency, LinkFault, Loss, Reorder
 
 _SAMPLES = ""  # no controller has this name
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from topics.fault_plan import FaultPlan
+from zenostat.topics.fault_plan import FaultPlan
 
 
 def read_plan(path: Path) -> FaultPlan:
@@ -13,6 +13,6 @@ def read_plan(path: Path) -> FaultPlan:
     Raises:
         InvalidConfig: the file cannot be read, or is not a valid plan; the text lists all errors.
     """
-    from topics import yaml12  # slow to import, and only files need it
+    from zenostat.topics import yaml12  # slow to import, and only files need it
 
     return yaml12.read_model(path, FaultPlan)

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from bridge.faults.effects import ACTUATOR_EFFECTS, SENSOR_EFFECTS, Effect, Floats, clipped
-from bridge.faults.random_streams import EpisodeKeys, RandomStream
-from bridge.faults.schedule import FaultSchedule, FaultTransition, StepGrid
-from topics.errors import ErrorCollector, InvalidConfig, did_you_mean
-from topics.fault_plan import FaultPlan, PointFault, Stuck
-from topics.messages import Actuator
-from topics.points import bound_arrays, contains, describe_bounds
+from zenostat.bridge.faults.effects import ACTUATOR_EFFECTS, SENSOR_EFFECTS, Effect, Floats, clipped
+from zenostat.bridge.faults.random_streams import EpisodeKeys, RandomStream
+from zenostat.bridge.faults.schedule import FaultSchedule, FaultTransition, StepGrid
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, did_you_mean
+from zenostat.topics.fault_plan import FaultPlan, PointFault, Stuck
+from zenostat.topics.messages import Actuator
+from zenostat.topics.points import bound_arrays, contains, describe_bounds
 
 State = dict[str, Any]
 """State of the faults in one slot, as data that can be pickled."""

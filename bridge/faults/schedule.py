@@ -12,10 +12,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.faults.random_streams import Distribution, EpisodeKeys, Key, RandomStream, fault_key
-from topics.calendar import WEEKDAYS, in_hours, parse_moment
-from topics.errors import ErrorCollector, InvalidConfig
-from topics.fault_plan import AnyFault, FaultPlan, When
+from zenostat.bridge.faults.random_streams import Distribution, EpisodeKeys, Key, RandomStream, fault_key
+from zenostat.topics.calendar import WEEKDAYS, in_hours, parse_moment
+from zenostat.topics.errors import ErrorCollector, InvalidConfig
+from zenostat.topics.fault_plan import AnyFault, FaultPlan, When
 
 FOREVER = 2**62
 _DAY_S, _WEEK_S = 86_400, 7 * 86_400

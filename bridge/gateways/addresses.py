@@ -5,7 +5,7 @@ from __future__ import annotations
 import ipaddress
 import re
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 _FORM = re.compile(r"(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+):(?P<port>\d{1,5})")
 

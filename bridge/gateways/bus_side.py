@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import zenoh
 from zenoh.handlers import Callback
 
-from topics import codec, errors, keys
-from topics.errors import NodeNotFound, PeerError, did_you_mean
-from topics.keys import Topic
-from topics.messages import ErrorReply, Message
+from zenostat.topics import codec, errors, keys
+from zenostat.topics.errors import NodeNotFound, PeerError, did_you_mean
+from zenostat.topics.keys import Topic
+from zenostat.topics.messages import ErrorReply, Message
 
 _QUERY_S = 600.0  # a node's disconnection is noticed at once; the start of a large building takes long
 

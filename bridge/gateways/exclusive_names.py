@@ -12,9 +12,9 @@ from urllib.parse import quote, unquote
 import zenoh
 from zenoh.handlers import Callback
 
-from topics import keys
-from topics.errors import NameInUse
-from topics.printable import replace_controls
+from zenostat.topics import keys
+from zenostat.topics.errors import NameInUse
+from zenostat.topics.printable import replace_controls
 
 
 @asynccontextmanager

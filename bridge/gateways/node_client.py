@@ -12,14 +12,14 @@ import zenoh
 from pydantic import ValidationError
 from zenoh.handlers import Callback
 
-from agent_sdk.bus.priorities import PriorityValue, decode_priorities
-from agent_sdk.bus.sample import SampleView
-from bridge.gateways.bus_side import BusMessage, BusSide
-from bridge.gateways.exclusive_names import liveliness_tokens
-from bridge.gateways.node_listeners import Counts, Listeners
-from bridge.gateways.written_commands import WrittenCommands
-from topics import codec, keys
-from topics.errors import (
+from zenostat.agent_sdk.bus.priorities import PriorityValue, decode_priorities
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.gateways.bus_side import BusMessage, BusSide
+from zenostat.bridge.gateways.exclusive_names import liveliness_tokens
+from zenostat.bridge.gateways.node_listeners import Counts, Listeners
+from zenostat.bridge.gateways.written_commands import WrittenCommands
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import (
     BadMessage,
     InvalidAction,
     NodeLost,
@@ -29,7 +29,7 @@ from topics.errors import (
     did_you_mean,
     from_wire,
 )
-from topics.messages import (
+from zenostat.topics.messages import (
     Ack,
     ErrorReply,
     Event,
@@ -43,7 +43,7 @@ from topics.messages import (
     StepRequest,
     Write,
 )
-from topics.points import PointIndex, actuator_index, value_index
+from zenostat.topics.points import PointIndex, actuator_index, value_index
 
 M = TypeVar("M", bound=Message)
 

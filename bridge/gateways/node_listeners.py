@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from agent_sdk.bus.sample import SampleView
-from topics.messages import Event, Manifest
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.topics.messages import Event, Manifest
 
 
 @dataclass(slots=True)

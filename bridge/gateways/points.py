@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isnan
 
-from agent_sdk.bus.sample import SampleView
-from topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
 
 _RATES = {"J": "W", "L": "L/s", "kg": "kg/s", "m3": "m3/s"}
 

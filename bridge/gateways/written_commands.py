@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from agent_sdk.bus.priorities import PriorityValue
-from topics.messages.base import ANONYMOUS
+from zenostat.agent_sdk.bus.priorities import PriorityValue
+from zenostat.topics.messages.base import ANONYMOUS
 
 
 class WrittenCommand(NamedTuple):

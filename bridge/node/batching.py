@@ -13,8 +13,8 @@ from typing import Any
 import zenoh
 from zenoh.handlers import Callback
 
-from bridge.runtime.timer import Timer
-from topics import codec
+from zenostat.bridge.runtime.timer import Timer
+from zenostat.topics import codec
 
 BATCH_S = 0.1
 """Maximum time that a message waits for its batch."""

@@ -18,15 +18,15 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from bridge.exchange.actuator_commands import CommandSnapshot
-from bridge.exchange.step_exchange import StepExchange
-from bridge.node.fault_injection import NO_FAULTS, FaultState
-from bridge.node.manifest import site_fields
-from bridge.node.plant import ForecastPlant, RunningPlant
-from bridge.node.server import NodeServer
-from topics import keys
-from topics.errors import ForkFailed, RequestRejected, did_you_mean
-from topics.messages import (
+from zenostat.bridge.exchange.actuator_commands import CommandSnapshot
+from zenostat.bridge.exchange.step_exchange import StepExchange
+from zenostat.bridge.node.fault_injection import NO_FAULTS, FaultState
+from zenostat.bridge.node.manifest import site_fields
+from zenostat.bridge.node.plant import ForecastPlant, RunningPlant
+from zenostat.bridge.node.server import NodeServer
+from zenostat.topics import keys
+from zenostat.topics.errors import ForkFailed, RequestRejected, did_you_mean
+from zenostat.topics.messages import (
     CreateBranch,
     DropSnapshot,
     ForkStatus,
@@ -42,7 +42,7 @@ from topics.messages import (
 )
 
 if TYPE_CHECKING:
-    from bridge.alarms.monitor import AlarmSnapshot
+    from zenostat.bridge.alarms.monitor import AlarmSnapshot
 
 _NODE_REQUESTS = (
     (keys.RESET, Reset),

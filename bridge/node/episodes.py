@@ -5,17 +5,17 @@ from __future__ import annotations
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from bridge.exchange.actuator_commands import CommandSnapshot
-from bridge.exchange.step_exchange import StepExchange
-from bridge.node.branches import BranchManager
-from bridge.node.fault_injection import NO_FAULTS, FaultState
-from bridge.node.manifest import site_fields
-from bridge.node.plant import AbandonablePlant, Plant
-from bridge.node.recording import RecordingManager
-from bridge.node.server import NodeServer, Stopped
-from topics import keys
-from topics.errors import RequestRejected, SimulatorError
-from topics.messages import (
+from zenostat.bridge.exchange.actuator_commands import CommandSnapshot
+from zenostat.bridge.exchange.step_exchange import StepExchange
+from zenostat.bridge.node.branches import BranchManager
+from zenostat.bridge.node.fault_injection import NO_FAULTS, FaultState
+from zenostat.bridge.node.manifest import site_fields
+from zenostat.bridge.node.plant import AbandonablePlant, Plant
+from zenostat.bridge.node.recording import RecordingManager
+from zenostat.bridge.node.server import NodeServer, Stopped
+from zenostat.topics import keys
+from zenostat.topics.errors import RequestRejected, SimulatorError
+from zenostat.topics.messages import (
     Ack,
     BranchCreated,
     CreateBranch,
@@ -29,7 +29,7 @@ from topics.messages import (
 )
 
 if TYPE_CHECKING:
-    from bridge.alarms.monitor import AlarmSnapshot
+    from zenostat.bridge.alarms.monitor import AlarmSnapshot
 
 _PATIENCE_S = 10.0
 """Time that a reset waits at most for the end of a timestep; clients wait for their replies for longer."""

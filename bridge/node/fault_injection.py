@@ -7,13 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bridge.faults import LinkFaults, PointFaults, Transition
-from topics.errors import ErrorCollector
-from topics.fault_plan import FaultPlan
+from zenostat.bridge.faults import LinkFaults, PointFaults, Transition
+from zenostat.topics.errors import ErrorCollector
+from zenostat.topics.fault_plan import FaultPlan
 
 if TYPE_CHECKING:
-    from bridge.node.plant import PlantDescription
-    from topics.messages import Meter, Sensor
+    from zenostat.bridge.node.plant import PlantDescription
+    from zenostat.topics.messages import Meter, Sensor
 
 FaultState = tuple[FaultPlan, list[Any], dict[str, Any]]
 """A plan, and the states of its point faults and of its link faults."""

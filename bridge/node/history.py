@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from topics import codec
-from topics.errors import RequestRejected
-from topics.messages import Actuator, HistoryQuery, HistorySeries, Meter, Sensor
-from topics.points import PointIndex
+from zenostat.topics import codec
+from zenostat.topics.errors import RequestRejected
+from zenostat.topics.messages import Actuator, HistoryQuery, HistorySeries, Meter, Sensor
+from zenostat.topics.points import PointIndex
 
 if TYPE_CHECKING:
-    from bridge.node.plant import PlantDescription
+    from zenostat.bridge.node.plant import PlantDescription
 
 Floats = NDArray[np.float64]
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
-from bridge.node.history import History
-from bridge.node.plant import Plant, RunningPlant, Site
-from bridge.node.settings import NodeSettings
-from bridge.runtime import affinity
-from topics.messages import Geometry, Manifest
+from zenostat.bridge.node.history import History
+from zenostat.bridge.node.plant import Plant, RunningPlant, Site
+from zenostat.bridge.node.settings import NodeSettings
+from zenostat.bridge.runtime import affinity
+from zenostat.topics.messages import Geometry, Manifest
 
 
 def node_manifest(

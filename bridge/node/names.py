@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import zenoh
 
-from topics import keys
-from topics.errors import NameInUse
+from zenostat.topics import keys
+from zenostat.topics.errors import NameInUse
 
 
 def instances(session: zenoh.Session, name: str) -> list[str]:

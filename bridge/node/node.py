@@ -11,28 +11,28 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from bridge.engine.registry import EngineRegistry
-from bridge.exchange.step_exchange import StepExchange
-from bridge.faults import read_plan
-from bridge.node.branches import BranchManager
-from bridge.node.episodes import EpisodeManager
-from bridge.node.history import History
-from bridge.node.manifest import node_manifest
-from bridge.node.names import check_name_is_free, instances
-from bridge.node.plant import PlantContext, PlantFactory, SlotPlacement
-from bridge.node.recording import RecordingManager
-from bridge.node.server import NodeServer, Observer
-from bridge.node.settings import NodeSettings
-from bridge.node.shutdown import SHUTDOWN_TIMEOUT_S, ShutdownGuard
-from bridge.runtime import affinity
-from bridge.runtime.scratch import Scratch, sweep
-from bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
-from bridge.transport.session import open_session
-from topics import codec, keys
-from topics.messages import EventKind, Manifest, Query, RecordingStatus
+from zenostat.bridge.engine.registry import EngineRegistry
+from zenostat.bridge.exchange.step_exchange import StepExchange
+from zenostat.bridge.faults import read_plan
+from zenostat.bridge.node.branches import BranchManager
+from zenostat.bridge.node.episodes import EpisodeManager
+from zenostat.bridge.node.history import History
+from zenostat.bridge.node.manifest import node_manifest
+from zenostat.bridge.node.names import check_name_is_free, instances
+from zenostat.bridge.node.plant import PlantContext, PlantFactory, SlotPlacement
+from zenostat.bridge.node.recording import RecordingManager
+from zenostat.bridge.node.server import NodeServer, Observer
+from zenostat.bridge.node.settings import NodeSettings
+from zenostat.bridge.node.shutdown import SHUTDOWN_TIMEOUT_S, ShutdownGuard
+from zenostat.bridge.runtime import affinity
+from zenostat.bridge.runtime.scratch import Scratch, sweep
+from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics import codec, keys
+from zenostat.topics.messages import EventKind, Manifest, Query, RecordingStatus
 
 if TYPE_CHECKING:
-    from bridge.alarms.monitor import AlarmMonitor
+    from zenostat.bridge.alarms.monitor import AlarmMonitor
 
 
 class Node:
@@ -51,7 +51,7 @@ class Node:
         branches: its snapshots and branches.
 
     Raises (on entering):
-        UsageError, SimulatorError, BusError: see `topics.errors`; everything that was started is closed.
+        UsageError, SimulatorError, BusError: see `zenostat.topics.errors`; everything that was started is closed.
     """
 
     def __init__(
@@ -124,7 +124,7 @@ class Node:
         settings = self.settings
         if settings.record is None:
             return None
-        from bridge.recording.file import check_library, check_path, recording_path  # few nodes record
+        from zenostat.bridge.recording.file import check_library, check_path, recording_path  # few nodes record
 
         check_library()
         path = recording_path(settings.record, settings.name)
@@ -213,8 +213,8 @@ class Node:
         settings = self.settings
         if settings.alarms is None:
             return None
-        from bridge.alarms.monitor import AlarmMonitor  # few nodes have alarms
-        from bridge.alarms.rules import read_rules
+        from zenostat.bridge.alarms.monitor import AlarmMonitor  # few nodes have alarms
+        from zenostat.bridge.alarms.rules import read_rules
 
         return AlarmMonitor(read_rules(settings.alarms), self.plant.description, settings.slots)
 

@@ -7,13 +7,13 @@ from collections.abc import Callable
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from bridge.exchange.step_schedule import StepSchedule
-from topics import keys
-from topics.errors import EpisodeAborted, RequestRejected
-from topics.messages import Ack, EventKind, Message, Mode, Pause, Resume, SetPace, State, StepRequest
+from zenostat.bridge.exchange.step_schedule import StepSchedule
+from zenostat.topics import keys
+from zenostat.topics.errors import EpisodeAborted, RequestRejected
+from zenostat.topics.messages import Ack, EventKind, Message, Mode, Pause, Resume, SetPace, State, StepRequest
 
 if TYPE_CHECKING:
-    from bridge.node.server import NodeServer
+    from zenostat.bridge.node.server import NodeServer
 
 _PACED = Mode.PACED
 

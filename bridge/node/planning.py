@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from time import monotonic
 from typing import TYPE_CHECKING
 
-from bridge.exchange.step_exchange import StepExchange
-from bridge.node.plant import PlanningPlant, RunningPlant
-from topics import codec, errors
-from topics.errors import BadMessage, PlantFailed, RequestRejected, SimulatorError
-from topics.messages import Command, Event, Mode, PlanSimulated, SimulatePlan, State
+from zenostat.bridge.exchange.step_exchange import StepExchange
+from zenostat.bridge.node.plant import PlanningPlant, RunningPlant
+from zenostat.topics import codec, errors
+from zenostat.topics.errors import BadMessage, PlantFailed, RequestRejected, SimulatorError
+from zenostat.topics.messages import Command, Event, Mode, PlanSimulated, SimulatePlan, State
 
 if TYPE_CHECKING:
-    from bridge.node.server import NodeServer
+    from zenostat.bridge.node.server import NodeServer
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,8 @@ Values cross this interface as raw bytes of native float64, so that a timestep c
     values     shape (slots, sensors + meters), in the order of the description; all finite
     effective  shape (slots, actuators); what acted in the latest timestep; NaN: unknown
 
-A plant computes in processes of its own, for which `bridge.engine` has the client, or in the node's. Its life, all in
-the node's thread unless noted:
+A plant computes in processes of its own, for which `zenostat.bridge.engine` has the client, or in the node's. Its life,
+all in the node's thread unless noted:
 
     create ─▶ start ─▶ step … ─▶ close
                 ▲        │
@@ -36,9 +36,9 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.engine.registry import EngineRegistry
-from topics.errors import RequestRejected
-from topics.messages import Actuator, EpisodeStart, Geometry, Meter, Sensor, Task, Versions
+from zenostat.bridge.engine.registry import EngineRegistry
+from zenostat.topics.errors import RequestRejected
+from zenostat.topics.messages import Actuator, EpisodeStart, Geometry, Meter, Sensor, Task, Versions
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,9 +14,9 @@ import threading
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from bridge.node.node import Node
-from bridge.runtime.signals import TERMINATION_SIGNALS
-from topics.errors import ZenostatError, to_wire
+from zenostat.bridge.node.node import Node
+from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS
+from zenostat.topics.errors import ZenostatError, to_wire
 
 
 def _end_with_owner() -> None:

@@ -13,14 +13,14 @@ import zenoh
 from zenoh import CongestionControl, Priority
 from zenoh.handlers import Callback
 
-from bridge.node.batching import SampleBatcher
-from bridge.recording.channels import EVENTS, MANIFESTS
-from bridge.runtime.timer import Timer
-from topics import codec, keys
-from topics.messages import REJECTIONS, Event, EventKind, Manifest, PointValue
+from zenostat.bridge.node.batching import SampleBatcher
+from zenostat.bridge.recording.channels import EVENTS, MANIFESTS
+from zenostat.bridge.runtime.timer import Timer
+from zenostat.topics import codec, keys
+from zenostat.topics.messages import REJECTIONS, Event, EventKind, Manifest, PointValue
 
 if TYPE_CHECKING:
-    from bridge.recording.recorder import Recorder
+    from zenostat.bridge.recording.recorder import Recorder
 
 EVENTS_A_STEP = 20
 """Refusals per step that are published as events: for each controller with a claim, and for all other senders together;

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from bridge.node.manifest import located_geometry
-from bridge.node.plant import Plant, RepeatablePlant, WeatherTable
-from bridge.recording.channels import EPISODES, MANIFESTS, SNAPSHOTS, WEATHER
-from topics import keys
-from topics.errors import InvalidConfig, RequestRejected, ZenostatError
-from topics.messages import (
+from zenostat.bridge.node.manifest import located_geometry
+from zenostat.bridge.node.plant import Plant, RepeatablePlant, WeatherTable
+from zenostat.bridge.recording.channels import EPISODES, MANIFESTS, SNAPSHOTS, WEATHER
+from zenostat.topics import keys
+from zenostat.topics.errors import InvalidConfig, RequestRejected, ZenostatError
+from zenostat.topics.messages import (
     EventKind,
     Message,
     OnFull,
@@ -22,11 +22,11 @@ from topics.messages import (
     StartRecording,
     StopRecording,
 )
-from topics.recording import WEATHER_COLUMNS, RecordedEpisode, RecordedSnapshot, RecordedWeather
+from zenostat.topics.recording import WEATHER_COLUMNS, RecordedEpisode, RecordedSnapshot, RecordedWeather
 
 if TYPE_CHECKING:
-    from bridge.node.server import NodeServer
-    from bridge.recording.recorder import Recorder
+    from zenostat.bridge.node.server import NodeServer
+    from zenostat.bridge.recording.recorder import Recorder
 
 
 class RecordingManager:
@@ -65,8 +65,8 @@ class RecordingManager:
         Raises:
             InvalidConfig: the file exists, or cannot be created; or the libraries are missing.
         """
-        from bridge.recording.file import open_recording  # few nodes record
-        from bridge.recording.recorder import Recorder, attachments
+        from zenostat.bridge.recording.file import open_recording  # few nodes record
+        from zenostat.bridge.recording.recorder import Recorder, attachments
 
         server, description = self._server, self._plant.description
         manifest, geometry = server.manifest, located_geometry(self._plant)
@@ -86,7 +86,7 @@ class RecordingManager:
         self._publish(f"recording to {path}", source)
 
     def _start(self, request: StartRecording) -> Message:
-        from bridge.recording.file import check_library, check_path, recording_path
+        from zenostat.bridge.recording.file import check_library, check_path, recording_path
 
         if (status := self.status()) is not None and status.state in (RecordingState.ARMED, RecordingState.RECORDING):
             raise RequestRejected(f"the node is recording to {status.path}; stop that recording first")

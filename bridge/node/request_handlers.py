@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 import psutil
 
-from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, MAX_SOURCE_NAME
-from bridge.node.manifest import located_geometry
-from bridge.node.planning import PlanSimulation
-from bridge.node.subscriptions import Request
-from topics import codec, keys
-from topics.errors import BadMessage, BusError, RequestRejected, UnknownName
-from topics.fault_plan import FaultPlan
-from topics.messages import (
+from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, MAX_SOURCE_NAME
+from zenostat.bridge.node.manifest import located_geometry
+from zenostat.bridge.node.planning import PlanSimulation
+from zenostat.bridge.node.subscriptions import Request
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import BadMessage, BusError, RequestRejected, UnknownName
+from zenostat.topics.fault_plan import FaultPlan
+from zenostat.topics.messages import (
     ANONYMOUS,
     REJECTIONS,
     Ack,
@@ -48,8 +48,8 @@ from topics.messages import (
 )
 
 if TYPE_CHECKING:
-    from bridge.node.server import NodeServer
-    from topics.messages.alarms import AlarmRequest
+    from zenostat.bridge.node.server import NodeServer
+    from zenostat.topics.messages.alarms import AlarmRequest
 
 
 def _lost() -> Message:

@@ -16,26 +16,26 @@ from typing import TYPE_CHECKING
 
 import zenoh
 
-from bridge.exchange.latency import LatencyWindow
-from bridge.exchange.step_exchange import StepExchange, Trigger
-from bridge.node.fault_injection import FaultInjection
-from bridge.node.history import History
-from bridge.node.pacing import Pacing
-from bridge.node.plant import RunningPlant
-from bridge.node.publications import Publications
-from bridge.node.request_handlers import RequestHandlers
-from bridge.node.subscriptions import COMMAND_QUEUE, Subscriptions
-from bridge.recording.channels import SAMPLES
-from bridge.runtime.timer import Timer
-from topics import codec, errors, keys
-from topics.errors import EpisodeAborted, RequestRejected, SimulatorError, ZenostatError
-from topics.fault_plan import FaultPlan
-from topics.messages import Event, EventKind, Flag, Manifest, Mode, Query, State, Statistics
+from zenostat.bridge.exchange.latency import LatencyWindow
+from zenostat.bridge.exchange.step_exchange import StepExchange, Trigger
+from zenostat.bridge.node.fault_injection import FaultInjection
+from zenostat.bridge.node.history import History
+from zenostat.bridge.node.pacing import Pacing
+from zenostat.bridge.node.plant import RunningPlant
+from zenostat.bridge.node.publications import Publications
+from zenostat.bridge.node.request_handlers import RequestHandlers
+from zenostat.bridge.node.subscriptions import COMMAND_QUEUE, Subscriptions
+from zenostat.bridge.recording.channels import SAMPLES
+from zenostat.bridge.runtime.timer import Timer
+from zenostat.topics import codec, errors, keys
+from zenostat.topics.errors import EpisodeAborted, RequestRejected, SimulatorError, ZenostatError
+from zenostat.topics.fault_plan import FaultPlan
+from zenostat.topics.messages import Event, EventKind, Flag, Manifest, Mode, Query, State, Statistics
 
 if TYPE_CHECKING:
-    from bridge.alarms.monitor import AlarmMonitor
-    from bridge.node.planning import SampleHead
-    from bridge.recording.recorder import Recorder
+    from zenostat.bridge.alarms.monitor import AlarmMonitor
+    from zenostat.bridge.node.planning import SampleHead
+    from zenostat.bridge.recording.recorder import Recorder
 
 _NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
 _FALLBACK = int(Flag.FALLBACK)

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from bridge.engine.registry import UNRESPONSIVE_S
-from bridge.runtime.affinity import Affinity
-from bridge.transport.session import DEFAULT_ENDPOINT
-from topics.messages import Mode, OnFull, Policy, Task
+from zenostat.bridge.engine.registry import UNRESPONSIVE_S
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
+from zenostat.topics.messages import Mode, OnFull, Policy, Task
 
 
 class NodeSettings(BaseModel):

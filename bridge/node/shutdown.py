@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable
 from time import monotonic
 
-from bridge.runtime.signals import TERMINATION_SIGNALS
+from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS
 
 ENGINE_TIMEOUT_S = 0.5
 """Time from the request to end until engines that are computing are interrupted."""

@@ -19,13 +19,13 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 from zenoh.handlers import Callback, FifoChannel
 
-from bridge.transport.wakeup import Wake
-from topics import codec, errors, keys
-from topics.errors import BadMessage, NodeLost, RequestRejected, ZenostatError
-from topics.messages import ErrorReply, Message, Query
+from zenostat.bridge.transport.wakeup import Wake
+from zenostat.topics import codec, errors, keys
+from zenostat.topics.errors import BadMessage, NodeLost, RequestRejected, ZenostatError
+from zenostat.topics.messages import ErrorReply, Message, Query
 
 if TYPE_CHECKING:
-    from bridge.recording.recorder import Recorder
+    from zenostat.bridge.recording.recorder import Recorder
 
 COMMAND_QUEUE = 256
 """Commands that may wait for the server's thread; beyond it, their senders are blocked."""

@@ -4,6 +4,6 @@ A class becomes a plant by its attributes and two methods; `Plant` describes the
 tank.py:Tank` runs it.
 """
 
-from bridge.python_plant.api import Plant
+from zenostat.bridge.python_plant.api import Plant
 
 __all__ = ["Plant"]

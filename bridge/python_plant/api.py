@@ -17,7 +17,7 @@ class Plant(Protocol):
     - `meters`, like `sensors`: consumption in the timestep (J for energy).
     - `begin`: simulated time of sample 0, a `datetime` or `"2026-01-01T00:00"`; by default 2001-01-01, a Monday.
     - `duration_s`: length of an episode in seconds, a multiple of `step_s`; by default a day.
-    - `time`: time features of the observation, such as `("hour",)`; see `topics.messages.TimeField`.
+    - `time`: time features of the observation, such as `("hour",)`; see `zenostat.topics.messages.TimeField`.
     - `reward`: the reward of `gym.make`, a kind with its parameters.
     - `forkable`: True if the process may be forked while it waits (no threads, no connections); snapshots and branches
       then take milliseconds.

@@ -6,8 +6,8 @@ import importlib.util
 from importlib.machinery import PathFinder
 from pathlib import Path
 
-from bridge.python_plant.description import split_name
-from topics.errors import InvalidConfig
+from zenostat.bridge.python_plant.description import split_name
+from zenostat.topics.errors import InvalidConfig
 
 
 def class_file(plant: str) -> Path:

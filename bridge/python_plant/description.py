@@ -16,10 +16,10 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, TypeGuard
 
-from bridge.runtime.source_loader import source_spec
-from topics.errors import InvalidConfig, ZenostatError, did_you_mean
-from topics.keys import check_name
-from topics.messages import TimeField
+from zenostat.bridge.runtime.source_loader import source_spec
+from zenostat.topics.errors import InvalidConfig, ZenostatError, did_you_mean
+from zenostat.topics.keys import check_name
+from zenostat.topics.messages import TimeField
 
 BEGIN = datetime(2001, 1, 1)
 """Default time of sample 0: a Monday, in a year without a leap day."""

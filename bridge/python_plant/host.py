@@ -1,8 +1,9 @@
 """Run a plant's class in a process of its own.
 
-`python -m bridge.python_plant.host ORDERS FRAMES PARENT` serves a node over two sockets; see `bridge.engine.protocol`.
-`python -m bridge.python_plant.host describe`, with a JSON object of plant and arguments on standard input, prints its
-description, or the error.
+`python -m zenostat.bridge.python_plant.host ORDERS FRAMES PARENT` serves a node over two sockets; see
+`zenostat.bridge.engine.protocol`.
+`python -m zenostat.bridge.python_plant.host describe`, with a JSON object of plant and arguments on standard input,
+prints its description, or the error.
 """
 
 from __future__ import annotations
@@ -22,8 +23,8 @@ from math import isfinite, nan
 from pathlib import Path
 from typing import Any, NoReturn
 
-from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
-from bridge.engine.system_calls import (
+from zenostat.bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
+from zenostat.bridge.engine.system_calls import (
     clone,
     die_with_parent,
     lead_session,
@@ -32,9 +33,9 @@ from bridge.engine.system_calls import (
     reopen_files,
     set_up_process,
 )
-from bridge.python_plant.description import create, describe
-from bridge.runtime.polling import Polling
-from topics.errors import ZenostatError, did_you_mean, to_wire
+from zenostat.bridge.python_plant.description import create, describe
+from zenostat.bridge.runtime.polling import Polling
+from zenostat.topics.errors import ZenostatError, did_you_mean, to_wire
 
 _SAMPLE, _LAST, _STEP = float(FrameKind.SAMPLE), float(FrameKind.LAST), float(OrderKind.STEP)
 _TEXTS = (str, bytes)  # `float` would convert them

@@ -8,17 +8,17 @@ from typing import Any
 
 from pydantic import Field, ValidationError
 
-from bridge.alarms.rules import point_alarms, read_rules
-from bridge.faults import read_plan
-from bridge.node.fault_injection import FaultInjection
-from bridge.node.node import Node
-from bridge.node.plant import PlantFactory
-from bridge.node.server import Observer
-from bridge.node.settings import NodeSettings
-from bridge.python_plant.plant import PythonPlant, plan_class
-from topics.codec import describe_validation_errors
-from topics.errors import InvalidConfig, did_you_mean
-from topics.scenario_fields import NODE_ARGUMENTS
+from zenostat.bridge.alarms.rules import point_alarms, read_rules
+from zenostat.bridge.faults import read_plan
+from zenostat.bridge.node.fault_injection import FaultInjection
+from zenostat.bridge.node.node import Node
+from zenostat.bridge.node.plant import PlantFactory
+from zenostat.bridge.node.server import Observer
+from zenostat.bridge.node.settings import NodeSettings
+from zenostat.bridge.python_plant.plant import PythonPlant, plan_class
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.scenario_fields import NODE_ARGUMENTS
 
 _NULLABLE = ("deadline_s", "environment_reward")
 
@@ -59,10 +59,10 @@ def _unknown_setting(name: str, known: Sequence[str]) -> str:
 
 
 def plant_node(settings: PlantSettings, observer: Observer | None = None, *, program: bool = False) -> Node:
-    """Return a node that is not started yet; see `bridge.node.node.Node` for the arguments.
+    """Return a node that is not started yet; see `zenostat.bridge.node.node.Node` for the arguments.
 
     Raises (on entering the node):
-        UsageError, SimulatorError, BusError: see `topics.errors`; everything that was started is closed.
+        UsageError, SimulatorError, BusError: see `zenostat.topics.errors`; everything that was started is closed.
     """
 
     def prepare() -> PlantFactory:

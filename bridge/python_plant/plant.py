@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from bridge.engine.client import EngineClient
-from bridge.engine.group import EngineGroup
-from bridge.engine.lists import start_all
-from bridge.engine.spec import EngineProgram, EngineSpec
-from bridge.node.plant import (
+from zenostat.bridge.engine.client import EngineClient
+from zenostat.bridge.engine.group import EngineGroup
+from zenostat.bridge.engine.lists import start_all
+from zenostat.bridge.engine.spec import EngineProgram, EngineSpec
+from zenostat.bridge.node.plant import (
     PlantContext,
     PlantDescription,
     Provenance,
@@ -33,11 +33,11 @@ from bridge.node.plant import (
     WeatherTable,
     without_weather,
 )
-from bridge.python_plant.description import split_name
-from bridge.runtime.idle_watch import LOOK_S, IdleWatch
-from topics import VERSION, errors
-from topics.errors import EngineDied, EngineUnresponsive, ForkFailed, InvalidRecording, PlantFailed
-from topics.messages import (
+from zenostat.bridge.python_plant.description import split_name
+from zenostat.bridge.runtime.idle_watch import LOOK_S, IdleWatch
+from zenostat.topics import VERSION, errors
+from zenostat.topics.errors import EngineDied, EngineUnresponsive, ForkFailed, InvalidRecording, PlantFailed
+from zenostat.topics.messages import (
     Action,
     Actuator,
     EngineStart,
@@ -48,9 +48,9 @@ from topics.messages import (
     TimeField,
     Versions,
 )
-from topics.seeds import MAX_SEED
+from zenostat.topics.seeds import MAX_SEED
 
-HOST = (sys.executable, "-P", "-m", "bridge.python_plant.host")
+HOST = (sys.executable, "-P", "-m", "zenostat.bridge.python_plant.host")
 
 PYTHON = EngineProgram(
     command=HOST,
@@ -245,7 +245,7 @@ def _receive(client: EngineClient) -> None:
 
 
 class PythonPlant(PythonEngines):
-    """The processes of a node; implements `bridge.node.plant.Plant`.
+    """The processes of a node; implements `zenostat.bridge.node.plant.Plant`.
 
     Args:
         plan: the checked class.

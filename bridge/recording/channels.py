@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from topics import keys, recording
-from topics.messages import Event, Manifest, Message, Sample
-from topics.recording import RecordedEpisode, RecordedMessage, RecordedOrder, RecordedSnapshot, RecordedWeather
+from zenostat.topics import keys, recording
+from zenostat.topics.messages import Event, Manifest, Message, Sample
+from zenostat.topics.recording import RecordedEpisode, RecordedMessage, RecordedOrder, RecordedSnapshot, RecordedWeather
 
 SAMPLES, EVENTS, MANIFESTS, ORDERS, EPISODES, SNAPSHOTS, OTHERS, WEATHER = range(8)
 """Numbers of the channels."""

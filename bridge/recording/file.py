@@ -12,9 +12,9 @@ import stat
 from datetime import UTC, datetime
 from pathlib import Path
 
-from topics.errors import InvalidConfig
-from topics.extras import requires_extra
-from topics.recording import SUFFIX
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
+from zenostat.topics.recording import SUFFIX
 
 MAGIC = b"\x89MCAP0\r\n"
 
@@ -28,7 +28,7 @@ def file_digest(path: Path) -> str:
 def check_library() -> None:
     """Raise `InvalidConfig` if the libraries that write recordings are not installed."""
     with requires_extra("recording", "a recording", "mcap and zstandard"):
-        importlib.import_module("bridge.recording.chunk_writer")
+        importlib.import_module("zenostat.bridge.recording.chunk_writer")
 
 
 def recording_path(record: Path, node: str) -> Path:

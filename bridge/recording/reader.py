@@ -22,11 +22,11 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
-from bridge.recording.file import MAGIC, open_regular
-from topics import codec, recording
-from topics.errors import BadMessage, InvalidConfig, InvalidRecording
-from topics.messages import SCHEMA_VERSION, Geometry, Manifest
-from topics.printable import replace_controls, replace_controls_in_lines
+from zenostat.bridge.recording.file import MAGIC, open_regular
+from zenostat.topics import codec, recording
+from zenostat.topics.errors import BadMessage, InvalidConfig, InvalidRecording
+from zenostat.topics.messages import SCHEMA_VERSION, Geometry, Manifest
+from zenostat.topics.printable import replace_controls, replace_controls_in_lines
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")

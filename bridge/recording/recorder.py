@@ -18,14 +18,22 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from time import monotonic, time_ns
 
-from bridge.node.plant import PlantDescription
-from bridge.recording.channels import CHANNELS, ORDERS, OTHERS
-from bridge.recording.chunk_writer import ChunkWriter
-from bridge.recording.file import file_digest
-from bridge.runtime.affinity import supported
-from topics import VERSION, codec, keys, recording
-from topics.messages import SCHEMA_VERSION, Geometry, Manifest, Message, OnFull, RecordingState, RecordingStatus
-from topics.recording import RecordedMessage, RecordedRequest
+from zenostat.bridge.node.plant import PlantDescription
+from zenostat.bridge.recording.channels import CHANNELS, ORDERS, OTHERS
+from zenostat.bridge.recording.chunk_writer import ChunkWriter
+from zenostat.bridge.recording.file import file_digest
+from zenostat.bridge.runtime.affinity import supported
+from zenostat.topics import VERSION, codec, keys, recording
+from zenostat.topics.messages import (
+    SCHEMA_VERSION,
+    Geometry,
+    Manifest,
+    Message,
+    OnFull,
+    RecordingState,
+    RecordingStatus,
+)
+from zenostat.topics.recording import RecordedMessage, RecordedRequest
 
 BUFFER_BYTES = 64 << 20
 """Largest number of bytes that may wait to be written."""

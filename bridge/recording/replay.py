@@ -14,13 +14,13 @@ import msgpack
 import zenoh
 from zenoh.handlers import Callback
 
-from bridge.node.names import check_name_is_free
-from bridge.node.publications import Publications
-from bridge.recording.reader import RecordedItem, RecordingReader
-from bridge.runtime.timer import Timer
-from topics import codec, errors, keys
-from topics.errors import InvalidConfig, RequestRejected
-from topics.messages import (
+from zenostat.bridge.node.names import check_name_is_free
+from zenostat.bridge.node.publications import Publications
+from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
+from zenostat.bridge.runtime.timer import Timer
+from zenostat.topics import codec, errors, keys
+from zenostat.topics.errors import InvalidConfig, RequestRejected
+from zenostat.topics.messages import (
     ErrorReply,
     Event,
     Geometry,

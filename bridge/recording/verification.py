@@ -17,13 +17,13 @@ import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.node.plant import PlantDescription, RepeatablePlant, RunningPlant
-from bridge.recording.reader import RecordedItem, RecordingReader
-from topics import codec
-from topics.errors import BadMessage, InvalidRecording
-from topics.messages import Flag
-from topics.printable import replace_controls
-from topics.recording import RecordedEpisode, RecordedOrder, RecordedSnapshot
+from zenostat.bridge.node.plant import PlantDescription, RepeatablePlant, RunningPlant
+from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
+from zenostat.topics import codec
+from zenostat.topics.errors import BadMessage, InvalidRecording
+from zenostat.topics.messages import Flag
+from zenostat.topics.printable import replace_controls
+from zenostat.topics.recording import RecordedEpisode, RecordedOrder, RecordedSnapshot
 
 _TRUNCATED = int(Flag.TRUNCATED)
 _SCHEMAS = frozenset(("Sample", "RecordedOrder", "RecordedEpisode", "RecordedSnapshot"))

@@ -8,12 +8,12 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from bridge.display.colors import UNKNOWN, comfort_colors
-from bridge.display.surfaces import sun_direction
-from bridge.rerun.meshes import BuildingModel, Mesh
-from bridge.rerun.recording import EpisodeLog
-from bridge.rerun.samples import Floats, SampleBlock
-from topics.messages import Geometry
+from zenostat.bridge.display.colors import UNKNOWN, comfort_colors
+from zenostat.bridge.display.surfaces import sun_direction
+from zenostat.bridge.rerun.meshes import BuildingModel, Mesh
+from zenostat.bridge.rerun.recording import EpisodeLog
+from zenostat.bridge.rerun.samples import Floats, SampleBlock
+from zenostat.topics.messages import Geometry
 
 BUILDING = "building"
 QUANTUM_K = 0.25

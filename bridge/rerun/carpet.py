@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.display.colors import RGB, comfort_colors
-from bridge.rerun.comfort_scale import comfort_legend
-from bridge.rerun.recording import EpisodeLog
-from bridge.rerun.row_picture import EMPTY, Columns, RowPicture
-from bridge.rerun.samples import Floats, SampleBlock
-from topics.messages import Manifest
+from zenostat.bridge.display.colors import RGB, comfort_colors
+from zenostat.bridge.rerun.comfort_scale import comfort_legend
+from zenostat.bridge.rerun.recording import EpisodeLog
+from zenostat.bridge.rerun.row_picture import EMPTY, Columns, RowPicture
+from zenostat.bridge.rerun.samples import Floats, SampleBlock
+from zenostat.topics.messages import Manifest
 
 CARPET = "zones_over_time"
 WITHIN_COLOR: RGB = (116, 124, 118)  # darker than in other pictures: lit rows would outshine the deviations

@@ -9,9 +9,9 @@ import numpy as np
 import rerun as rr
 from PIL import Image, ImageDraw, ImageFont
 
-from bridge.display.colors import COMFORT_RANGE_K, RGB, WITHIN, comfort_color
-from bridge.rerun.recording import EpisodeLog
-from bridge.rerun.samples import SampleBlock
+from zenostat.bridge.display.colors import COMFORT_RANGE_K, RGB, WITHIN, comfort_color
+from zenostat.bridge.rerun.recording import EpisodeLog
+from zenostat.bridge.rerun.samples import SampleBlock
 
 COMFORT_SCALE = "comfort_scale"
 

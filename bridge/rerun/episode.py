@@ -10,19 +10,19 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from bridge.display.comfort import Comfort
-from bridge.display.roles import PointRoles
-from bridge.rerun.building_view import BuildingView
-from bridge.rerun.carpet import CarpetView
-from bridge.rerun.comfort_scale import ComfortScale
-from bridge.rerun.meshes import BuildingModel
-from bridge.rerun.recording import EpisodeLog, episode_path
-from bridge.rerun.samples import BlockReader, Floats, RewardTerms, SampleBlock
-from bridge.rerun.series import REWARD, Lines, Series, all_series, reward_lines, vectors
-from bridge.rerun.summary import NUMBERS, NodeNumbers, NodeStatus, markdown, numbers_of
-from bridge.rerun.totals import TotalRows, Totals
-from bridge.rerun.value_sources import SourcesView
-from topics.messages import Geometry, Manifest, Sample
+from zenostat.bridge.display.comfort import Comfort
+from zenostat.bridge.display.roles import PointRoles
+from zenostat.bridge.rerun.building_view import BuildingView
+from zenostat.bridge.rerun.carpet import CarpetView
+from zenostat.bridge.rerun.comfort_scale import ComfortScale
+from zenostat.bridge.rerun.meshes import BuildingModel
+from zenostat.bridge.rerun.recording import EpisodeLog, episode_path
+from zenostat.bridge.rerun.samples import BlockReader, Floats, RewardTerms, SampleBlock
+from zenostat.bridge.rerun.series import REWARD, Lines, Series, all_series, reward_lines, vectors
+from zenostat.bridge.rerun.summary import NUMBERS, NodeNumbers, NodeStatus, markdown, numbers_of
+from zenostat.bridge.rerun.totals import TotalRows, Totals
+from zenostat.bridge.rerun.value_sources import SourcesView
+from zenostat.topics.messages import Geometry, Manifest, Sample
 
 LONG_DAYS = 31.0
 """Length of an episode from which the sun's position is logged less often."""

@@ -6,16 +6,16 @@ from pathlib import Path
 
 import rerun as rr
 
-from bridge.display.comfort import default_comfort
-from bridge.recording.reader import RecordingReader
-from bridge.rerun.layout import blueprint
-from bridge.rerun.node_stream import NodeStream
-from bridge.rerun.samples import ComfortFactory, RewardFactory
-from bridge.rerun.stream import ROWS
-from topics import codec
-from topics.atomic_file import atomic_file
-from topics.errors import BadMessage, InvalidRecording, ViewerError
-from topics.messages import Event, Manifest, Sample
+from zenostat.bridge.display.comfort import default_comfort
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.bridge.rerun.layout import blueprint
+from zenostat.bridge.rerun.node_stream import NodeStream
+from zenostat.bridge.rerun.samples import ComfortFactory, RewardFactory
+from zenostat.bridge.rerun.stream import ROWS
+from zenostat.topics import codec
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import BadMessage, InvalidRecording, ViewerError
+from zenostat.topics.messages import Event, Manifest, Sample
 
 _SCHEMAS = frozenset(("Sample", "Event", "Manifest"))
 
@@ -32,8 +32,8 @@ def write_rrd(
     Args:
         reader: of the recording.
         path: of the file.
-        comfort: as of `bridge.rerun.stream.RerunStream`.
-        reward: as of `bridge.rerun.stream.RerunStream`.
+        comfort: as of `zenostat.bridge.rerun.stream.RerunStream`.
+        reward: as of `zenostat.bridge.rerun.stream.RerunStream`.
 
     Raises:
         InvalidRecording: the recording has no samples, or is damaged.

@@ -6,9 +6,9 @@ from collections.abc import Callable
 
 import numpy as np
 
-from bridge.rerun.samples import Floats
-from topics import codec
-from topics.messages import HistoryQuery, HistorySeries, Manifest
+from zenostat.bridge.rerun.samples import Floats
+from zenostat.topics import codec
+from zenostat.topics.messages import HistoryQuery, HistorySeries, Manifest
 
 _MAX_POINTS = 1000
 """Largest number of points in a query."""

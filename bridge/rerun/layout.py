@@ -12,18 +12,18 @@ import rerun.blueprint as rrb
 from rerun.blueprint.encodings import TimelineColumn
 from rerun.encodings import TimeRange, TimeRangeBoundary
 
-from bridge.rerun import series as names
-from bridge.rerun.building_view import BUILDING
-from bridge.rerun.carpet import CARPET
-from bridge.rerun.comfort_scale import COMFORT_SCALE
-from bridge.rerun.episode import EpisodeView, NodeModel
-from bridge.rerun.meshes import BuildingModel
-from bridge.rerun.recording import ELAPSED, SIMULATED, entity_path
-from bridge.rerun.series import Lines
-from bridge.rerun.summary import NUMBERS
-from bridge.rerun.value_sources import SOURCES
-from topics.energyplus_names import THERMOSTAT
-from topics.messages import Manifest
+from zenostat.bridge.rerun import series as names
+from zenostat.bridge.rerun.building_view import BUILDING
+from zenostat.bridge.rerun.carpet import CARPET
+from zenostat.bridge.rerun.comfort_scale import COMFORT_SCALE
+from zenostat.bridge.rerun.episode import EpisodeView, NodeModel
+from zenostat.bridge.rerun.meshes import BuildingModel
+from zenostat.bridge.rerun.recording import ELAPSED, SIMULATED, entity_path
+from zenostat.bridge.rerun.series import Lines
+from zenostat.bridge.rerun.summary import NUMBERS
+from zenostat.bridge.rerun.value_sources import SOURCES
+from zenostat.topics.energyplus_names import THERMOSTAT
+from zenostat.topics.messages import Manifest
 
 OVERVIEW = "overview"
 EVENTS = "events"

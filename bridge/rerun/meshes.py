@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.display.surfaces import Surface, surfaces, triangulate
-from topics.messages import Geometry, SurfaceKind
+from zenostat.bridge.display.surfaces import Surface, surfaces, triangulate
+from zenostat.topics.messages import Geometry, SurfaceKind
 
 Points = NDArray[np.float64]
 

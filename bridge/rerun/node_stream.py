@@ -9,15 +9,15 @@ from datetime import datetime, timedelta
 import numpy as np
 import rerun as rr
 
-from bridge.display.roles import roles
-from bridge.rerun.episode import EpisodeView, NodeModel
-from bridge.rerun.layout import EVENTS
-from bridge.rerun.meshes import building_model
-from bridge.rerun.recording import EpisodeLog, episode_path
-from bridge.rerun.samples import ComfortFactory, Floats, RewardFactory
-from bridge.rerun.summary import NodeNumbers, NodeStatus
-from topics.errors import BadMessage, InvalidConfig
-from topics.messages import AlarmChange, AlarmState, Event, EventKind, Geometry, Manifest, Sample
+from zenostat.bridge.display.roles import roles
+from zenostat.bridge.rerun.episode import EpisodeView, NodeModel
+from zenostat.bridge.rerun.layout import EVENTS
+from zenostat.bridge.rerun.meshes import building_model
+from zenostat.bridge.rerun.recording import EpisodeLog, episode_path
+from zenostat.bridge.rerun.samples import ComfortFactory, Floats, RewardFactory
+from zenostat.bridge.rerun.summary import NodeNumbers, NodeStatus
+from zenostat.topics.errors import BadMessage, InvalidConfig
+from zenostat.topics.messages import AlarmChange, AlarmState, Event, EventKind, Geometry, Manifest, Sample
 
 _WARNINGS = (
     EventKind.FAILED, EventKind.REJECTED, EventKind.LATE, EventKind.ACCEPTED_LATE, EventKind.WARNING, EventKind.FAULT,

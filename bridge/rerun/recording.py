@@ -8,7 +8,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from bridge.rerun.samples import SampleBlock
+from zenostat.bridge.rerun.samples import SampleBlock
 
 SIMULATED = "simulated"
 ELAPSED = "elapsed"

@@ -10,10 +10,10 @@ import rerun as rr
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from bridge.display.colors import RGB
-from bridge.rerun.comfort_scale import draw_legend
-from bridge.rerun.recording import EpisodeLog
-from bridge.rerun.samples import SampleBlock
+from zenostat.bridge.display.colors import RGB
+from zenostat.bridge.rerun.comfort_scale import draw_legend
+from zenostat.bridge.rerun.recording import EpisodeLog
+from zenostat.bridge.rerun.samples import SampleBlock
 
 MAX_COLUMNS = 1400
 """Largest number of columns; the smallest width of the rows in pixels is half of it."""

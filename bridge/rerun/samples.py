@@ -10,9 +10,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.display.comfort import Comfort, deviations
-from topics import codec
-from topics.messages import Manifest, Sample
+from zenostat.bridge.display.comfort import Comfort, deviations
+from zenostat.topics import codec
+from zenostat.topics.messages import Manifest, Sample
 
 Floats = NDArray[np.float64]
 

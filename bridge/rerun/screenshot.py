@@ -14,11 +14,11 @@ from typing import TypeVar
 import numpy as np
 from PIL import Image
 
-from bridge.rerun.recording import ELAPSED, SIMULATED
-from bridge.rerun.tabs import check_tab, open_tab
-from bridge.rerun.viewer import NO_VULKAN, Server, has_vulkan, readable, serving
-from topics.calendar import parse_moment
-from topics.errors import InvalidConfig, ViewerError
+from zenostat.bridge.rerun.recording import ELAPSED, SIMULATED
+from zenostat.bridge.rerun.tabs import check_tab, open_tab
+from zenostat.bridge.rerun.viewer import NO_VULKAN, Server, has_vulkan, readable, serving
+from zenostat.topics.calendar import parse_moment
+from zenostat.topics.errors import InvalidConfig, ViewerError
 
 SIZE = "1920x1080"
 

@@ -10,13 +10,13 @@ import rerun as rr
 from numpy.typing import NDArray
 from rerun.components import AggregationPolicy, InterpolationMode
 
-from bridge.display.colors import OUTDOOR, RGB, zone_color
-from bridge.display.labels import label, point_unit, unit_label
-from bridge.display.roles import EndUse, PointRoles, PowerSource
-from bridge.rerun.samples import Floats, SampleBlock
-from bridge.rerun.totals import TotalRows
-from topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
-from topics.messages import Actuator, Manifest
+from zenostat.bridge.display.colors import OUTDOOR, RGB, zone_color
+from zenostat.bridge.display.labels import label, point_unit, unit_label
+from zenostat.bridge.display.roles import EndUse, PointRoles, PowerSource
+from zenostat.bridge.rerun.samples import Floats, SampleBlock
+from zenostat.bridge.rerun.totals import TotalRows
+from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
+from zenostat.topics.messages import Actuator, Manifest
 
 COLDEST: RGB = (45, 125, 235)
 MEDIAN: RGB = (132, 132, 128)

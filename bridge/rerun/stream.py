@@ -17,17 +17,17 @@ import rerun as rr
 import zenoh
 from zenoh.handlers import RingChannel
 
-from bridge.display.comfort import default_comfort
-from bridge.rerun.history import read_history
-from bridge.rerun.layout import OVERVIEW, blueprint
-from bridge.rerun.node_stream import PRESENT, NodeStream
-from bridge.rerun.recording import entity_path
-from bridge.rerun.samples import ComfortFactory, Floats, RewardFactory
-from bridge.rerun.summary import NodeRow, overview
-from bridge.transport.request import ask
-from topics import codec, keys
-from topics.errors import BadMessage, ZenostatError
-from topics.messages import (
+from zenostat.bridge.display.comfort import default_comfort
+from zenostat.bridge.rerun.history import read_history
+from zenostat.bridge.rerun.layout import OVERVIEW, blueprint
+from zenostat.bridge.rerun.node_stream import PRESENT, NodeStream
+from zenostat.bridge.rerun.recording import entity_path
+from zenostat.bridge.rerun.samples import ComfortFactory, Floats, RewardFactory
+from zenostat.bridge.rerun.summary import NodeRow, overview
+from zenostat.bridge.transport.request import ask
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import BadMessage, ZenostatError
+from zenostat.topics.messages import (
     SCHEMA_VERSION,
     AlarmList,
     AlarmQuery,

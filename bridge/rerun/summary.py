@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from bridge.display.roles import PointRoles
-from bridge.rerun.samples import BASELINE, Floats, SampleBlock
-from bridge.rerun.totals import TotalRows, fuels_besides_electricity
+from zenostat.bridge.display.roles import PointRoles
+from zenostat.bridge.rerun.samples import BASELINE, Floats, SampleBlock
+from zenostat.bridge.rerun.totals import TotalRows, fuels_besides_electricity
 
 NUMBERS = "numbers"
 _NO_VALUE = "\N{EN DASH}"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from topics.errors import InvalidConfig, ViewerError, did_you_mean
+from zenostat.topics.errors import InvalidConfig, ViewerError, did_you_mean
 
 OVERVIEW_TAB = "Overview"
 NODE_TABS = ("Building", "Zones", "Energy", "Control", "Other points", "Events")

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from bridge.display.roles import EndUse, PointRoles, PowerSource
-from bridge.rerun.samples import Floats, SampleBlock
-from topics.messages import Manifest
+from zenostat.bridge.display.roles import EndUse, PointRoles, PowerSource
+from zenostat.bridge.rerun.samples import Floats, SampleBlock
+from zenostat.topics.messages import Manifest
 
 
 @dataclass(frozen=True, eq=False)

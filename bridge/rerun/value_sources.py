@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.display.colors import RGB, UNKNOWN, zone_color
-from bridge.rerun.recording import EpisodeLog
-from bridge.rerun.row_picture import EMPTY, Columns, RowPicture
-from bridge.rerun.samples import BASELINE, UNRECORDED, SampleBlock
-from topics.messages import Manifest
+from zenostat.bridge.display.colors import RGB, UNKNOWN, zone_color
+from zenostat.bridge.rerun.recording import EpisodeLog
+from zenostat.bridge.rerun.row_picture import EMPTY, Columns, RowPicture
+from zenostat.bridge.rerun.samples import BASELINE, UNRECORDED, SampleBlock
+from zenostat.topics.messages import Manifest
 
 SOURCES = "sources"
 

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from topics.errors import InvalidConfig, ViewerError
+from zenostat.topics.errors import InvalidConfig, ViewerError
 
 NO_VULKAN = (
     "a screenshot needs a Vulkan driver, and none was found; on Debian: apt install mesa-vulkan-drivers libvulkan1"
@@ -32,7 +32,7 @@ _NO_ADAPTER = ("render context", "graphics adapter", "wgpu")
 _START_S = 60.0
 _EXIT_S = 5.0
 _ENDS_WITH_PARENT = (
-    "import os, sys; from bridge.engine.system_calls import die_with_parent as bind; "
+    "import os, sys; from zenostat.bridge.engine.system_calls import die_with_parent as bind; "
     "bind(int(sys.argv[1])); os.execv(sys.argv[2], sys.argv[2:])"
 )
 """Python code that becomes a program, which the kernel ends with the thread that started it."""

@@ -7,7 +7,7 @@ from importlib.machinery import ModuleSpec, SourceFileLoader
 from pathlib import Path
 from typing import Any
 
-from topics.typing_compat import override
+from zenostat.topics.typing_compat import override
 
 
 class _SourceLoader(SourceFileLoader):

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from topics import keys
-from topics.keys import TOPICS, Delivery, Role, Topic
+from zenostat.topics import keys
+from zenostat.topics.keys import TOPICS, Delivery, Role, Topic
 
 
 class Direction(StrEnum):

@@ -28,9 +28,9 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from bridge.transport.access_control import ROLES, common_name
-from topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
-from topics.keys import Role, check_name
+from zenostat.bridge.transport.access_control import ROLES, common_name
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.keys import Role, check_name
 
 AUTHORITY = "ca"
 DAYS = 365

@@ -6,10 +6,10 @@ from typing import TypeVar
 
 import zenoh
 
-from topics import codec, keys
-from topics.errors import PeerError, from_wire
-from topics.messages import ErrorReply, Message
-from topics.printable import replace_controls
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import PeerError, from_wire
+from zenostat.topics.messages import ErrorReply, Message
+from zenostat.topics.printable import replace_controls
 
 M = TypeVar("M", bound=Message)
 

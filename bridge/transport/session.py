@@ -18,14 +18,14 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
-from bridge.runtime.exhaustion import describe_exhaustion
-from bridge.transport.access_control import ROLES, acl_config
-from topics import codec
-from topics.errors import AddressInUse, BusError, ErrorCollector, InvalidConfig, NodeNotFound
-from topics.keys import DEFAULT_HOST, DEFAULT_PORT, Role
+from zenostat.bridge.runtime.exhaustion import describe_exhaustion
+from zenostat.bridge.transport.access_control import ROLES, acl_config
+from zenostat.topics import codec
+from zenostat.topics.errors import AddressInUse, BusError, ErrorCollector, InvalidConfig, NodeNotFound
+from zenostat.topics.keys import DEFAULT_HOST, DEFAULT_PORT, Role
 
 if TYPE_CHECKING:
-    from bridge.transport.certificates import Identity
+    from zenostat.bridge.transport.certificates import Identity
 
 DEFAULT_ENDPOINT = f"tcp/{DEFAULT_HOST}:{DEFAULT_PORT}"
 DEFAULT_TLS_ENDPOINT = f"tls/{DEFAULT_HOST}:{DEFAULT_PORT}"
@@ -119,7 +119,7 @@ def open_session(
         wait: keep trying to connect in the background instead of failing.
         expose: allow listening on addresses that other machines can reach.
         keys: a folder created by `zenostat keys init`; then all endpoints must be `tls/` ones, both sides present their
-            certificates, and the listening side applies the rules of `bridge.transport.access_control`.
+            certificates, and the listening side applies the rules of `zenostat.bridge.transport.access_control`.
         role: role of the certificate to present; required with `keys`.
         certificate: name of another certificate of that role, created by `zenostat keys add`.
         mode: by default peer if the session listens, otherwise client.
@@ -205,7 +205,7 @@ def _identity(keys: Path | None, role: Role | None, certificate: str | None, *, 
         raise InvalidConfig(f"keys need a role: {', '.join(ROLES)}")
     if listens and role is not Role.NODE:
         raise InvalidConfig(f"a {role} does not listen; connect to a node or router, or listen as a node")
-    from bridge.transport.certificates import identity  # slow to import, and rarely needed
+    from zenostat.bridge.transport.certificates import identity  # slow to import, and rarely needed
 
     return identity(keys, role, certificate)
 
@@ -261,7 +261,7 @@ def _bus_error(
         )
     if "Unable to connect" in text or "Timeout" in text:
         if identity is not None:
-            from bridge.transport.tls_diagnosis import diagnose_tls
+            from zenostat.bridge.transport.tls_diagnosis import diagnose_tls
 
             return NodeNotFound("\n".join(diagnose_tls(endpoint, identity) for endpoint in connect))
         if answerless := [endpoint for endpoint in connect if _accepts(endpoint)]:

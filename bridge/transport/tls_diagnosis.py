@@ -7,7 +7,7 @@ import ssl
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from bridge.transport.certificates import Identity
+    from zenostat.bridge.transport.certificates import Identity
 
 _TIMEOUT_S = 2.0
 

@@ -13,7 +13,7 @@ import threading
 import zenoh
 from zenoh import Locality
 
-from topics import keys
+from zenostat.topics import keys
 
 _receivers = itertools.count(1)
 

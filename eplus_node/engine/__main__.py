@@ -1,4 +1,4 @@
-"""Run an engine: `python -m eplus_node.engine ORDERS FRAMES PARENT`.
+"""Run an engine: `python -m zenostat.eplus_node.engine ORDERS FRAMES PARENT`.
 
 The arguments are the descriptors of two sockets and the node's process id.
 """
@@ -10,8 +10,8 @@ import socket
 import sys
 from typing import NoReturn
 
-from bridge.engine.system_calls import receive_spec
-from eplus_node.engine.process import Engine
+from zenostat.bridge.engine.system_calls import receive_spec
+from zenostat.eplus_node.engine.process import Engine
 
 
 def main(orders_descriptor: int, frames_descriptor: int, parent: int) -> NoReturn:

@@ -9,11 +9,11 @@ from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
-from bridge.engine.launch import LOG
-from eplus_node.config import kept_episodes
-from eplus_node.plan import Plan
-from models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw
-from topics.errors import EngineDied, ForkFailed
+from zenostat.bridge.engine.launch import LOG
+from zenostat.eplus_node.config import kept_episodes
+from zenostat.eplus_node.plan import Plan
+from zenostat.models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw
+from zenostat.topics.errors import EngineDied, ForkFailed
 
 
 class EpisodeFolders:

@@ -14,7 +14,7 @@ import os
 import sys
 from collections.abc import Iterator
 
-from eplus_node.engine.huge_pages import HUGE_PAGE, anonymous_regions, use_huge_pages
+from zenostat.eplus_node.engine.huge_pages import HUGE_PAGE, anonymous_regions, use_huge_pages
 
 _PAGE = mmap.PAGESIZE
 _MAP_FIXED = 0x10

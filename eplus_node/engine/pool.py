@@ -9,16 +9,16 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from bridge.engine.client import EngineClient
-from bridge.engine.registry import EngineRegistry
-from bridge.engine.spec import EngineSpec
-from eplus_node.engine.episode_folders import EpisodeFolders, is_used
-from eplus_node.engine.spec import engine_spec
-from eplus_node.engine.template import EngineTemplate
-from eplus_node.plan import Plan
-from models.scenario.episode_weather import EpisodeFiles, WeatherDraw, WeatherSampler
-from topics.errors import EngineDied, ForkFailed, InvalidRecording, SimulatorError
-from topics.messages import EngineStart
+from zenostat.bridge.engine.client import EngineClient
+from zenostat.bridge.engine.registry import EngineRegistry
+from zenostat.bridge.engine.spec import EngineSpec
+from zenostat.eplus_node.engine.episode_folders import EpisodeFolders, is_used
+from zenostat.eplus_node.engine.spec import engine_spec
+from zenostat.eplus_node.engine.template import EngineTemplate
+from zenostat.eplus_node.plan import Plan
+from zenostat.models.scenario.episode_weather import EpisodeFiles, WeatherDraw, WeatherSampler
+from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, SimulatorError
+from zenostat.topics.messages import EngineStart
 
 _UNPREDICTABLE = 2
 """Consecutive resets with a seed after which the next weather is not predicted."""

@@ -1,7 +1,7 @@
 """The engine: EnergyPlus in a process of its own that exchanges one frame per timestep with its node.
 
-`python -m eplus_node.engine` runs it; `protocol.py` describes the frames. It imports neither Zenoh nor NumPy and starts
-no thread, so that the process can be forked while it waits.
+`python -m zenostat.eplus_node.engine` runs it; `protocol.py` describes the frames. It imports neither Zenoh nor NumPy
+and starts no thread, so that the process can be forked while it waits.
 """
 
 from __future__ import annotations
@@ -17,11 +17,18 @@ from math import isfinite
 from operator import itemgetter
 from typing import Any, NoReturn
 
-from bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
-from bridge.engine.system_calls import clone, die_with_parent, leave, reopen_files, replace_file, set_up_process
-from bridge.runtime.polling import Polling
-from eplus_node.engine.huge_pages import collapse_huge_pages
-from eplus_node.engine.memory import SaturationCache
+from zenostat.bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
+from zenostat.bridge.engine.system_calls import (
+    clone,
+    die_with_parent,
+    leave,
+    reopen_files,
+    replace_file,
+    set_up_process,
+)
+from zenostat.bridge.runtime.polling import Polling
+from zenostat.eplus_node.engine.huge_pages import collapse_huge_pages
+from zenostat.eplus_node.engine.memory import SaturationCache
 
 RUN_PERIOD = 3
 """EnergyPlus's `kind_of_sim` for a run period that reads a weather file."""

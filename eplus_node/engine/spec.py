@@ -7,13 +7,13 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from bridge.engine.spec import EngineProgram, EngineSpec
-from eplus_node.plan import Plan
-from models.energyplus import ISOLATED
-from models.err_file import explain
-from models.points.selection import Points
-from models.scenario.episode_weather import EpisodeFiles
-from topics.errors import ModelError
+from zenostat.bridge.engine.spec import EngineProgram, EngineSpec
+from zenostat.eplus_node.plan import Plan
+from zenostat.models.energyplus import ISOLATED
+from zenostat.models.err_file import explain
+from zenostat.models.points.selection import Points
+from zenostat.models.scenario.episode_weather import EpisodeFiles
+from zenostat.topics.errors import ModelError
 
 
 def _failure(source: Path | None, text: str, folder: Path) -> ModelError:
@@ -21,7 +21,7 @@ def _failure(source: Path | None, text: str, folder: Path) -> ModelError:
 
 
 ENERGYPLUS = EngineProgram(
-    command=(*ISOLATED, "eplus_node.engine"),
+    command=(*ISOLATED, "zenostat.eplus_node.engine"),
     failure=partial(_failure, None),
     explain=explain,
     # Huge pages mean fewer page tables for a fork to copy: a fork takes half the time (docs/performance.md).

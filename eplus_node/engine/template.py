@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from bridge.engine.client import EngineClient
-from bridge.engine.spec import EngineSpec
-from models.scenario.episode_weather import EpisodeFiles, WeatherDraw
+from zenostat.bridge.engine.client import EngineClient
+from zenostat.bridge.engine.spec import EngineSpec
+from zenostat.models.scenario.episode_weather import EpisodeFiles, WeatherDraw
 
 
 class EngineTemplate:

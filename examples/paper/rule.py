@@ -6,9 +6,8 @@ recommends for data centers (18 to 27 degC), up while it is below, and stay wher
 
 from __future__ import annotations
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers import Controller, Values
-from topics.messages import Manifest
+from zenostat import Manifest, SampleView
+from zenostat.controllers import Controller, Values
 
 ZONES = ("west_zone_air_temperature", "east_zone_air_temperature")
 SETPOINTS = {"heating_setpoint": "west_zone_htg_setpoint", "cooling_setpoint": "west_zone_clg_setpoint"}

@@ -21,9 +21,9 @@ from stable_baselines3 import PPO, SAC, TD3
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize
 
-import agent_sdk  # noqa: F401  # registers the environments
-from agent_sdk.envs.sb3_vec_env import as_sb3
-from agent_sdk.training import EvaluationCallback, evaluate_model
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.envs import as_sb3
+from zenostat.training import EvaluationCallback, evaluate_model
 
 SCENARIO = "paper-datacenter-mixed-continuous-stochastic-v1"
 ALGORITHMS = {"ppo": PPO, "sac": SAC, "td3": TD3}

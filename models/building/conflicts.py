@@ -19,8 +19,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
-from topics.energyplus_names import SCHEDULE_VALUE, THERMOSTAT
-from topics.messages import Actuator
+from zenostat.topics.energyplus_names import SCHEDULE_VALUE, THERMOSTAT
+from zenostat.topics.messages import Actuator
 
 Objects = Mapping[str, Mapping[str, Any]]
 

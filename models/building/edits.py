@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from models.building import schema
-from topics.errors import InvalidConfig, did_you_mean
+from zenostat.models.building import schema
+from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 Edits = dict[str, dict[str, dict[str, Any] | None]]
 """Object type, object name, fields.

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import cos, isfinite, radians, sin
 from typing import Any, NamedTuple
 
-from models.building.model import Objects
+from zenostat.models.building.model import Objects
 
 SITE = None
 """Frame of what does not turn with the building; other frames are a zone, case-folded, or `""`: the building."""

@@ -8,12 +8,12 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from models.building.frames import Frame
-from models.building.model import Building, Objects
-from models.building.polygons import Polygon, PolygonReader
-from models.building.summary import conditioned_zones, used_zones, zone_areas, zone_multipliers
-from models.weather.header import Header
-from topics.messages import Geometry, SurfaceKind, ZoneGeometry
+from zenostat.models.building.frames import Frame
+from zenostat.models.building.model import Building, Objects
+from zenostat.models.building.polygons import Polygon, PolygonReader
+from zenostat.models.building.summary import conditioned_zones, used_zones, zone_areas, zone_multipliers
+from zenostat.models.weather.header import Header
+from zenostat.topics.messages import Geometry, SurfaceKind, ZoneGeometry
 
 STOREY_M = 1.0
 """Floors whose heights differ by at most this much belong to one storey."""

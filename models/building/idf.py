@@ -13,11 +13,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from models import energyplus
-from models.building import schema
-from models.building.transition import idf_objects
-from models.err_file import severe_messages
-from topics.errors import InvalidConfig, ModelError, did_you_mean
+from zenostat.models import energyplus
+from zenostat.models.building import schema
+from zenostat.models.building.transition import idf_objects
+from zenostat.models.err_file import severe_messages
+from zenostat.topics.errors import InvalidConfig, ModelError, did_you_mean
 
 _MAX_ERRORS = 10
 _UNKNOWN_TYPE = re.compile(r'"(.*)" is not a valid Object Type')

@@ -10,14 +10,14 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from models import energyplus
-from models.building import idf, output_objects, schema, transition
-from models.building.edits import Edits, apply_edits
-from models.cache import cached_bytes, digest
-from models.catalog import Entry
-from models.scenario.run_period import Period, year_of
-from topics.calendar import parse_day
-from topics.errors import InvalidConfig
+from zenostat.models import energyplus
+from zenostat.models.building import idf, output_objects, schema, transition
+from zenostat.models.building.edits import Edits, apply_edits
+from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.catalog import Entry
+from zenostat.models.scenario.run_period import Period, year_of
+from zenostat.topics.calendar import parse_day
+from zenostat.topics.errors import InvalidConfig
 
 Objects = dict[str, dict[str, Any]]
 """epJSON: object type, object name, fields."""

@@ -8,9 +8,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from models.building import schema
-from topics.energyplus_names import COMPUTED_ON_REQUEST
-from topics.errors import InvalidConfig
+from zenostat.models.building import schema
+from zenostat.topics.energyplus_names import COMPUTED_ON_REQUEST
+from zenostat.topics.errors import InvalidConfig
 
 Objects = dict[str, dict[str, Any]]
 

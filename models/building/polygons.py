@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 from math import acos, atan2, cos, degrees, hypot, isfinite, radians, sin
 from typing import Any
 
-from models.building.frames import SITE, frames
-from models.building.model import Objects
-from topics.messages import SurfaceKind
+from zenostat.models.building.frames import SITE, frames
+from zenostat.models.building.model import Objects
+from zenostat.topics.messages import SurfaceKind
 
 Corner = tuple[float, float, float]
 
@@ -27,7 +27,7 @@ class Polygon:
         kind: wall, window, etc.
         label: type and name of its object.
         zone: case-folded name of its zone; empty for a shading surface.
-        frame: of its corners; a zone, the building or the site; see `models.building.frames`.
+        frame: of its corners; a zone, the building or the site; see `zenostat.models.building.frames`.
         is_exposed: whether it borders on outdoors or ground.
         corners: counter-clockwise as seen from outside, from the upper left one.
     """

@@ -23,10 +23,10 @@ from typing import Any
 
 from cbor2 import CBORDecodeError, CBORDecoder
 
-from models import energyplus
-from models.cache import cached_bytes
-from models.catalog import wheel
-from topics.errors import InvalidConfig, did_you_mean
+from zenostat.models import energyplus
+from zenostat.models.cache import cached_bytes
+from zenostat.models.catalog import wheel
+from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 FORMAT = "1"
 """Version of the stored file."""

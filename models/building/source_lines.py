@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from topics.errors import did_you_mean
+from zenostat.topics.errors import did_you_mean
 
 _WHOLE_WORD = r"(?<![\w:.-]){}(?![\w:.-])"
 _NOT_FOUND = re.compile(r"(\w+) ?= ?([^=]+?), item not found")

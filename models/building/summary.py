@@ -11,11 +11,11 @@ from math import sqrt
 from pathlib import Path
 from typing import Any
 
-from models import energyplus
-from models.building.model import Building, Objects, read_building
-from models.cache import cached_bytes, digest
-from models.catalog import Entry
-from models.points.discovery import Kinds, locations, own_zones, texts, zone_names
+from zenostat.models import energyplus
+from zenostat.models.building.model import Building, Objects, read_building
+from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.catalog import Entry
+from zenostat.models.points.discovery import Kinds, locations, own_zones, texts, zone_names
 
 _FORMAT = "1"  # raise it when the summary of the same file changes
 

@@ -12,9 +12,9 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from models import energyplus
-from models.building import schema
-from topics.errors import InvalidConfig
+from zenostat.models import energyplus
+from zenostat.models.building import schema
+from zenostat.topics.errors import InvalidConfig
 
 Objects = Mapping[str, Mapping[str, Any]]
 Renames = tuple[tuple[str, str], ...]

@@ -12,12 +12,12 @@ from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from models import energyplus
-from models.building.model import Building, Objects, check_runnable, for_episode, write
-from models.cache import cached_bytes, digest
-from models.scenario.run_period import Period
-from topics.energyplus_names import HVAC_METERS
-from topics.units import unit_name
+from zenostat.models import energyplus
+from zenostat.models.building.model import Building, Objects, check_runnable, for_episode, write
+from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.scenario.run_period import Period
+from zenostat.topics.energyplus_names import HVAC_METERS
+from zenostat.topics.units import unit_name
 
 Kinds = Mapping[str, Objects]
 

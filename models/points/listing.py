@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from models.building.model import Building
-from models.points.discovery import PointCatalog, locations
-from models.points.selection import Points, actuator_bounds, meter_low, sensor_bounds
+from zenostat.models.building.model import Building
+from zenostat.models.points.discovery import PointCatalog, locations
+from zenostat.models.points.selection import Points, actuator_bounds, meter_low, sensor_bounds
 
 
 @dataclass(frozen=True, slots=True)

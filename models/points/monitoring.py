@@ -6,11 +6,11 @@ import re
 from collections.abc import Collection
 from dataclasses import replace
 
-from models.building.conflicts import thermostat_setpoints
-from models.building.model import Building
-from models.points.discovery import PointCatalog
-from models.points.selection import Points, default_meters, default_sensors, select_points, thermostat_zones
-from topics.energyplus_names import (
+from zenostat.models.building.conflicts import thermostat_setpoints
+from zenostat.models.building.model import Building
+from zenostat.models.points.discovery import PointCatalog
+from zenostat.models.points.selection import Points, default_meters, default_sensors, select_points, thermostat_zones
+from zenostat.topics.energyplus_names import (
     COOLING_SETPOINT,
     COOLING_SETPOINT_VARIABLE,
     END_USES,
@@ -24,7 +24,7 @@ from topics.energyplus_names import (
     ZONE_TEMPERATURE,
     ZONE_TEMPERATURES,
 )
-from topics.points import PointIndex
+from zenostat.topics.points import PointIndex
 
 _UNOBSERVED = {"observed": False}
 _OUTDOORS = "outdoor_temperature"

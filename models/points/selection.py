@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from math import isfinite, nan
 from typing import TypeVar
 
-from models.building.model import Building
-from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable
-from models.points.thermostat_bounds import setpoint_bounds
-from topics.energyplus_names import (
+from zenostat.models.building.model import Building
+from zenostat.models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable
+from zenostat.models.points.thermostat_bounds import setpoint_bounds
+from zenostat.topics.energyplus_names import (
     COMPUTED_ON_REQUEST,
     COOLING_SETPOINT,
     COOLING_SETPOINT_VARIABLE,
@@ -24,10 +24,10 @@ from topics.energyplus_names import (
     THERMOSTAT,
     ZONE_TEMPERATURE,
 )
-from topics.errors import ErrorCollector, InvalidConfig, UnknownName, UsageError, did_you_mean
-from topics.keys import check_name, safe_name
-from topics.messages import Actuator, Aggregation, Meter, Sensor
-from topics.units import limits
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, UsageError, did_you_mean
+from zenostat.topics.keys import check_name, safe_name
+from zenostat.topics.messages import Actuator, Aggregation, Meter, Sensor
+from zenostat.topics.units import limits
 
 S = TypeVar("S")
 T = TypeVar("T")

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from models.building.model import Building
-from topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
+from zenostat.models.building.model import Building
+from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
 
 _DEFAULT = {HEATING_SETPOINT: (15.0, 22.5), COOLING_SETPOINT: (22.5, 30.0)}
 """Bounds of the medium office in the paper that Zenostat follows (Sinergym), degC. They meet, because EnergyPlus aborts

@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from models.building.model import Building, for_episode, write
-from models.scenario.run_period import Period
-from models.scenario.schema import NoiseStart, Order
-from models.weather import design_days, epw
-from models.weather.design_days import Site
-from models.weather.fixed_width import FixedWidthWeather
-from models.weather.header import Header
-from models.weather.noise import Variability, with_noise
+from zenostat.models.building.model import Building, for_episode, write
+from zenostat.models.scenario.run_period import Period
+from zenostat.models.scenario.schema import NoiseStart, Order
+from zenostat.models.weather import design_days, epw
+from zenostat.models.weather.design_days import Site
+from zenostat.models.weather.fixed_width import FixedWidthWeather
+from zenostat.models.weather.header import Header
+from zenostat.models.weather.noise import Variability, with_noise
 
 
 @dataclass(frozen=True, slots=True)

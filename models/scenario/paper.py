@@ -10,10 +10,10 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from models.scenario.schema import ActuatorSpec, Scenario, SensorSpec
-from models.weather.noise import ColumnNoise
-from topics.messages import Aggregation, TimeField
-from topics.scenario_ids import PAPER_IDS
+from zenostat.models.scenario.schema import ActuatorSpec, Scenario, SensorSpec
+from zenostat.models.weather.noise import ColumnNoise
+from zenostat.topics.messages import Aggregation, TimeField
+from zenostat.topics.scenario_ids import PAPER_IDS
 
 LAMBDA_ENERGY = 5e-5
 """Weight of power in the paper's reward, 1/W."""
@@ -51,7 +51,7 @@ _NOISE = {"dry_bulb_temperature": ColumnNoise(sigma=1.0, mu=0.0, tau_h=8.76)}
 
 @cache
 def paper_scenarios() -> dict[str, Scenario]:
-    """Return the scenarios by id, in the order of `topics.scenario_ids.PAPER_IDS`."""
+    """Return the scenarios by id, in the order of `zenostat.topics.scenario_ids.PAPER_IDS`."""
     return {name: _scenario(name) for name in PAPER_IDS}
 
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from models.building.model import Building
-from models.points.selection import Points
-from models.scenario.schema import ActionSpec, ActuatorSpec, DiscreteActionSpec, Scenario, SensorSpec
-from models.weather.noise import ColumnNoise, Variability
-from topics.errors import UnknownName, did_you_mean
-from topics.messages import Actuator, Sensor, Task
-from topics.scenario_ids import BUILDINGS, PAPER_IDS, WEATHERS, all_ids, pack_ids
+from zenostat.models.building.model import Building
+from zenostat.models.points.selection import Points
+from zenostat.models.scenario.schema import ActionSpec, ActuatorSpec, DiscreteActionSpec, Scenario, SensorSpec
+from zenostat.models.weather.noise import ColumnNoise, Variability
+from zenostat.topics.errors import UnknownName, did_you_mean
+from zenostat.topics.messages import Actuator, Sensor, Task
+from zenostat.topics.scenario_ids import BUILDINGS, PAPER_IDS, WEATHERS, all_ids, pack_ids
 
 STEPS = 10
 """Number of choices of the discrete scenarios, the same as in Sinergym's."""
@@ -39,11 +39,11 @@ def find_scenario(text: str) -> Scenario:
     """
     name = text.removeprefix("zenostat/")
     if name in pack_ids():
-        from models.sinergym.scenarios import pack_scenarios
+        from zenostat.models.sinergym.scenarios import pack_scenarios
 
         return pack_scenarios()[name]
     if name in PAPER_IDS:
-        from models.scenario.paper import paper_scenarios
+        from zenostat.models.scenario.paper import paper_scenarios
 
         return paper_scenarios()[name]
     match = _ID.fullmatch(name)

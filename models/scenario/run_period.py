@@ -6,8 +6,8 @@ import calendar
 from dataclasses import dataclass
 from datetime import date, datetime, timedelta
 
-from topics.calendar import LEAP_YEAR, WEEKDAY_NAMES
-from topics.errors import InvalidConfig
+from zenostat.topics.calendar import LEAP_YEAR, WEEKDAY_NAMES
+from zenostat.topics.errors import InvalidConfig
 
 
 def year_of(begin_month: int, begin_day: int, weekday: str | None) -> int:

@@ -23,14 +23,14 @@ from pydantic import (
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema
 
-from models.building.edits import Edits
-from models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
-from models.weather.noise import ColumnNoise
-from topics.codec import describe_validation_errors
-from topics.errors import ErrorCollector, InvalidConfig, UnknownName
-from topics.file_kinds import FileKind, check_file_kind
-from topics.messages import Aggregation, SafeName, TimeField
-from topics.points import check_order
+from zenostat.models.building.edits import Edits
+from zenostat.models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
+from zenostat.models.weather.noise import ColumnNoise
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
+from zenostat.topics.file_kinds import FileKind, check_file_kind
+from zenostat.topics.messages import Aggregation, SafeName, TimeField
+from zenostat.topics.points import check_order
 
 Order = Literal["random", "sequence"]
 Control = Literal["point", "zone", "building"]
@@ -150,7 +150,7 @@ Discrete = Annotated[
 class Scenario(_Part):
     """Definition of an experiment: simulation, observations, actions and reward.
 
-    `topics.scenario_fields` describes each field.
+    `zenostat.topics.scenario_fields` describes each field.
     """
 
     id: str = ""
@@ -212,7 +212,7 @@ def load_yaml(path: Path) -> dict[str, Any]:
         UnknownName: there is no such file.
         InvalidConfig: the file is not YAML, or not a mapping.
     """
-    from topics import yaml12  # slow to import, and only files need it
+    from zenostat.topics import yaml12  # slow to import, and only files need it
 
     try:
         text = yaml12.read_text(path)
@@ -259,7 +259,7 @@ def _time_series(value: Any, absolute: Callable[[Any], Any]) -> Any:
 
 def dump(scenario: Scenario, *, defaults: bool = False) -> str:
     """Write the scenario as YAML, which `load_scenario` reads back; `defaults`: include fields with default values."""
-    from topics import yaml12  # slow to import, and only files need it
+    from zenostat.topics import yaml12  # slow to import, and only files need it
 
     plain = scenario.model_dump(mode="json", exclude_defaults=not defaults, exclude_none=defaults)
     if scenario.reward is None:

@@ -7,13 +7,13 @@ from typing import TypeVar
 
 import numpy as np
 
-from models.points.selection import Points
-from models.scenario.schema import Scenario
-from topics.energyplus_names import COOLING_SETPOINT, THERMOSTAT
-from topics.errors import InvalidConfig, did_you_mean
-from topics.keys import check_name, safe_name
-from topics.messages import Action, Actuator, DiscreteAction, Task, TerminationLimit
-from topics.points import PointIndex, contains, describe_bounds
+from zenostat.models.points.selection import Points
+from zenostat.models.scenario.schema import Scenario
+from zenostat.topics.energyplus_names import COOLING_SETPOINT, THERMOSTAT
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.keys import check_name, safe_name
+from zenostat.topics.messages import Action, Actuator, DiscreteAction, Task, TerminationLimit
+from zenostat.topics.points import PointIndex, contains, describe_bounds
 
 T = TypeVar("T")
 

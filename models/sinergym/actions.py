@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping
 from typing import Any
 
-from models import data_packs
-from models.scenario.schema import ActionSpec, ActuatorSpec, DiscreteActionSpec
-from models.sinergym.choices import choice_specs
-from models.sinergym.literals import BoxSpec, Space, Table, read_space
-from models.sinergym.section_reader import SectionReader
-from topics.scenario_ids import PACK_IDS
+from zenostat.models import data_packs
+from zenostat.models.scenario.schema import ActionSpec, ActuatorSpec, DiscreteActionSpec
+from zenostat.models.sinergym.choices import choice_specs
+from zenostat.models.sinergym.literals import BoxSpec, Space, Table, read_space
+from zenostat.models.sinergym.section_reader import SectionReader
+from zenostat.topics.scenario_ids import PACK_IDS
 
 
 class ActionReader:

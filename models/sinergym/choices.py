@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from models.scenario.schema import ActuatorSpec, DiscreteActionSpec
-from models.sinergym.literals import DiscreteSpec, MultiDiscrete, Offsets, Rows, Table
-from topics.errors import InvalidConfig
-from topics.points import bounds
+from zenostat.models.scenario.schema import ActuatorSpec, DiscreteActionSpec
+from zenostat.models.sinergym.literals import DiscreteSpec, MultiDiscrete, Offsets, Rows, Table
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.points import bounds
 
 _Values = tuple[tuple[float, ...], ...]
 

@@ -10,20 +10,20 @@ from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
-from models import catalog, data_packs
-from models.catalog import Entry
-from models.scenario.schema import DiscreteActionSpec, Scenario, SensorSpec, read_scenario
-from models.sinergym.actions import ActionReader
-from models.sinergym.literals import Table
-from models.sinergym.rewards import RewardReader
-from models.sinergym.section_reader import SectionReader
-from models.weather.epw import find_column
-from models.weather.noise import ColumnNoise
-from topics.codec import describe_validation_errors
-from topics.errors import InvalidConfig, did_you_mean
-from topics.keys import check_name
-from topics.messages import Aggregation, TimeField
-from topics.scenario_ids import CONTINUOUS, DISCRETE
+from zenostat.models import catalog, data_packs
+from zenostat.models.catalog import Entry
+from zenostat.models.scenario.schema import DiscreteActionSpec, Scenario, SensorSpec, read_scenario
+from zenostat.models.sinergym.actions import ActionReader
+from zenostat.models.sinergym.literals import Table
+from zenostat.models.sinergym.rewards import RewardReader
+from zenostat.models.sinergym.section_reader import SectionReader
+from zenostat.models.weather.epw import find_column
+from zenostat.models.weather.noise import ColumnNoise
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.keys import check_name
+from zenostat.topics.messages import Aggregation, TimeField
+from zenostat.topics.scenario_ids import CONTINUOUS, DISCRETE
 
 T = TypeVar("T")
 

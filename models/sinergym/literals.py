@@ -14,7 +14,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.errors import InvalidConfig, UnknownName
 
 _MAX_CHARACTERS = 200_000
 _MAX_LEVELS = 100

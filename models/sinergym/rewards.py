@@ -1,4 +1,4 @@
-"""Convert the reward of a Sinergym configuration to a reward of `agent_sdk.rewards`."""
+"""Convert the reward of a Sinergym configuration to a reward of `zenostat.rewards`."""
 
 from __future__ import annotations
 
@@ -7,9 +7,9 @@ from datetime import date
 from pathlib import Path
 from typing import Any
 
-from models import data_packs
-from models.sinergym.section_reader import SectionReader
-from topics.errors import did_you_mean
+from zenostat.models import data_packs
+from zenostat.models.sinergym.section_reader import SectionReader
+from zenostat.topics.errors import did_you_mean
 
 MODULE = "sinergym.utils.rewards:"
 

@@ -1,7 +1,7 @@
 """Read scenarios from Sinergym's configuration files and from the data pack `sinergym`, without running their code.
 
-The format is that of Sinergym 3.12. Python expressions in its files are read by `models.sinergym.literals`; the choices
-of its discrete scenarios are defined in its code and are read from the syntax tree.
+The format is that of Sinergym 3.12. Python expressions in its files are read by `zenostat.models.sinergym.literals`;
+the choices of its discrete scenarios are defined in its code and are read from the syntax tree.
 """
 
 from __future__ import annotations
@@ -14,12 +14,12 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from models import data_packs
-from models.scenario.schema import Scenario, load_yaml
-from models.sinergym.config import PACK, Reader, SinergymConfig
-from models.sinergym.literals import Table, parse, read_literal, read_table, text_of
-from topics.errors import InvalidConfig, UnknownName, did_you_mean
-from topics.scenario_ids import DEMO, DISCRETE, pack_ids, variants
+from zenostat.models import data_packs
+from zenostat.models.scenario.schema import Scenario, load_yaml
+from zenostat.models.sinergym.config import PACK, Reader, SinergymConfig
+from zenostat.models.sinergym.literals import Table, parse, read_literal, read_table, text_of
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.scenario_ids import DEMO, DISCRETE, pack_ids, variants
 
 _TABLE = ("DEFAULT_", "_DISCRETE_FUNCTION")
 _EPLUS = "Eplus-"
@@ -67,8 +67,8 @@ def scenario_of(
         wanted: an id, with or without the prefix `Eplus-`, or a suffix that only one id has, as `hot-discrete`; None
             selects the first scenario.
         discrete_tables: as in `scenarios_of`.
-        overridden: arguments (see `models.sinergym.config.OVERRIDDEN_BY`) that replace settings of the file; errors in
-            those settings are ignored.
+        overridden: arguments (see `zenostat.models.sinergym.config.OVERRIDDEN_BY`) that replace settings of the file;
+            errors in those settings are ignored.
 
     Raises:
         UnknownName: no scenario matches, or several do.
@@ -147,7 +147,7 @@ def _tables_in(root: Path) -> dict[str, Table]:
 
 
 def pack_scenarios() -> dict[str, Scenario]:
-    """Return the scenarios of the data pack `sinergym` by id, in the order of `topics.scenario_ids.pack_ids`.
+    """Return the scenarios of the data pack `sinergym` by id, in the order of `zenostat.topics.scenario_ids.pack_ids`.
 
     Raises:
         InvalidConfig: the pack has not been added; the text has the command.

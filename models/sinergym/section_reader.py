@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, TypeVar
 
-from topics.errors import InvalidConfig, UsageError, did_you_mean
-from topics.keys import check_name, safe_name
+from zenostat.topics.errors import InvalidConfig, UsageError, did_you_mean
+from zenostat.topics.keys import check_name, safe_name
 
 T = TypeVar("T")
 

@@ -13,11 +13,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from models import energyplus
-from models.building.model import Objects
-from models.cache import cached_bytes, digest
-from models.weather.header import DesignConditions, Header
-from topics.errors import InvalidConfig, ModelError
+from zenostat.models import energyplus
+from zenostat.models.building.model import Objects
+from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.weather.header import DesignConditions, Header
+from zenostat.topics.errors import InvalidConfig, ModelError
 
 _LOCATION, _DAY = "Site:Location", "SizingPeriod:DesignDay"
 _NAMES = (re.compile(r"Ann Htg 99\.6% Condns DB$", re.I), re.compile(r"Ann Clg \.4% Condns DB=>MC?WB$", re.I))

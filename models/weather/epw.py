@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from models.weather.header import HEADER_LINES, Header, parse_header
-from topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.models.weather.header import HEADER_LINES, Header, parse_header
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 Floats = NDArray[np.float64]
 

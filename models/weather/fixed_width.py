@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from models.weather.epw import NUMBER_COLUMNS, Floats, Weather, find_column
-from topics.errors import InvalidConfig
+from zenostat.models.weather.epw import NUMBER_COLUMNS, Floats, Weather, find_column
+from zenostat.topics.errors import InvalidConfig
 
 _FIRST_COLUMN = 6
 """The columns before it are the date and the source flags, which stay as they are."""

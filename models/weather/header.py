@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from datetime import date, timedelta
 from pathlib import Path
 
-from models.scenario.run_period import Period
-from topics.calendar import format_month_day
-from topics.errors import InvalidConfig
+from zenostat.models.scenario.run_period import Period
+from zenostat.topics.calendar import format_month_day
+from zenostat.topics.errors import InvalidConfig
 
 HEADER_LINES = 8
 

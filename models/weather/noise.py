@@ -27,10 +27,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, BeforeValidator, ConfigDict, field_validator, model_validator
 
-from models.weather.epw import COLUMNS, Column, Floats, Weather, find_column
-from models.weather.psychrometrics import clear_sky_infrared, dew_point, relative_humidity
-from topics.errors import InvalidConfig
-from topics.points import bounds, check_order
+from zenostat.models.weather.epw import COLUMNS, Column, Floats, Weather, find_column
+from zenostat.models.weather.psychrometrics import clear_sky_infrared, dew_point, relative_humidity
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.points import bounds, check_order
 
 Mask = NDArray[np.bool_]
 

@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from models.weather.epw import Floats
-from models.weather.header import read_header
-from topics.errors import InvalidConfig
+from zenostat.models.weather.epw import Floats
+from zenostat.models.weather.header import read_header
+from zenostat.topics.errors import InvalidConfig
 
 _YEAR_DAYS = 365
 _TEMPERATURE_MISSING, _HUMIDITY_MISSING = 99.9, 999.0

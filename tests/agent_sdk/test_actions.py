@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.builders import actuator, manifest, own_action
 
-from agent_sdk.envs.actions import Actions
-from topics.errors import InvalidAction
-from topics.messages import Action, Actuator, CommandOp, DiscreteAction, Task
+from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.topics.errors import InvalidAction
+from zenostat.topics.messages import Action, Actuator, CommandOp, DiscreteAction, Task
 
 HEAT_A, COOL_A = actuator("heat_a", 15.0, 22.5), actuator("cool_a", 22.5, 30.0)
 HEAT_B, COOL_B = actuator("heat_b", 15.0, 22.5), actuator("cool_b", 22.5, 30.0)

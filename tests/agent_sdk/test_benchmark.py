@@ -13,7 +13,7 @@ import pytest
 from support import benchmark_page
 from typer.testing import CliRunner
 
-from agent_sdk.benchmark import (
+from zenostat.agent_sdk.benchmark import (
     SETS,
     Results,
     Row,
@@ -26,16 +26,16 @@ from agent_sdk.benchmark import (
     run_benchmark,
     score_rows,
 )
-from agent_sdk.benchmark import run as benchmark_run
-from agent_sdk.benchmark.episodes import Job
-from agent_sdk.benchmark.figures import write_figures
-from agent_sdk.benchmark.page import write_page
-from agent_sdk.benchmark.scores import bootstrap_interval
-from agent_sdk.benchmark.tables import tables
-from cli.commands import app
-from models.catalog import find_building, find_weather
-from topics.errors import InvalidConfig, UnknownName, UsageError
-from topics.file_lock import locked
+from zenostat.agent_sdk.benchmark import run as benchmark_run
+from zenostat.agent_sdk.benchmark.episodes import Job
+from zenostat.agent_sdk.benchmark.figures import write_figures
+from zenostat.agent_sdk.benchmark.page import write_page
+from zenostat.agent_sdk.benchmark.scores import bootstrap_interval
+from zenostat.agent_sdk.benchmark.tables import tables
+from zenostat.cli.commands import app
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError
+from zenostat.topics.file_lock import locked
 
 OFFICE, WAREHOUSE = SETS["smoke"].buildings
 
@@ -123,8 +123,8 @@ def test_all_names_exist() -> None:
 
 @pytest.mark.slow
 def test_trainings_of_all_sets_are_valid() -> None:
-    from agent_sdk.training import read_training
-    from agent_sdk.training.run import check_training
+    from zenostat.agent_sdk.training import read_training
+    from zenostat.agent_sdk.training.run import check_training
 
     for benchmark_set in SETS.values():
         for algorithm in benchmark_set.training_steps:
@@ -246,7 +246,7 @@ def test_check_runs_the_selected_rows_and_prints_its_progress_without_a_terminal
         return [rows[name, *job.task.key, seed] for name, seed in job.episodes], []
 
     monkeypatch.setattr(benchmark_run, "run_job", run_again)
-    monkeypatch.setattr("cli.benchmark._hashes", lambda _: {})
+    monkeypatch.setattr("zenostat.cli.benchmark._hashes", lambda _: {})
     options = ["--controllers", "rbc", "--building", f"{OFFICE},{WAREHOUSE}", "--season", "summer", "--seed", "1"]
     done = CliRunner().invoke(app, ["benchmark", "--check", str(saved), *options])
     assert done.exit_code == 0, done.output

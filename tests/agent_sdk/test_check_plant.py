@@ -12,9 +12,9 @@ from typing import Any
 
 import pytest
 
-from agent_sdk.testing import ConformanceError, FakePlant, check_plant
-from agent_sdk.testing.check_plant import PLANT_CHECKS
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.testing import ConformanceError, FakePlant, check_plant
+from zenostat.agent_sdk.testing.check_plant import PLANT_CHECKS
+from zenostat.topics.errors import InvalidConfig
 
 numbers = itertools.count()
 

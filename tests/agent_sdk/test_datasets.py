@@ -13,10 +13,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import agent_sdk  # noqa: F401  # registers the environments
-from agent_sdk.controllers import Agent, load_controller
-from agent_sdk.datasets import datasets_folder, write_dataset
-from topics.errors import InvalidConfig, UnknownName
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.agent_sdk.controllers import Agent, load_controller
+from zenostat.agent_sdk.datasets import datasets_folder, write_dataset
+from zenostat.topics.errors import InvalidConfig, UnknownName
 
 minari = pytest.importorskip("minari")
 h5py = pytest.importorskip("h5py")
@@ -226,7 +226,7 @@ def test_jax_is_neither_required_nor_imported(tmp_path: Path) -> None:
     assert not any("jax" in text or "create" in text for text in extra)
     program = (
         "import sys\nsys.modules['jax'] = None  # an import of it would fail\n"
-        "import gymnasium as gym\nimport agent_sdk\nfrom agent_sdk.datasets import write_dataset\n"
+        "import gymnasium as gym\nimport zenostat\nfrom zenostat.datasets import write_dataset\n"
         f"write_dataset(gym.make('zenostat/Fake-v1'), ['rbc'], {ID!r}, folder={str(tmp_path)!r})\n"
         "import os\n"
         f"os.environ['MINARI_DATASETS_PATH'] = {str(tmp_path)!r}\n"

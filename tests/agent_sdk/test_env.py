@@ -18,12 +18,12 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from support.nodes import COOLING, SMALL, ZONES, NodeProgram, free_port, new_episode, remains
 
-import agent_sdk
-from agent_sdk.rewards import LinearReward
-from models.building.model import read_building
-from models.catalog import find_building
-from topics.errors import EpisodeChanged, InvalidConfig
-from topics.messages import Aggregation
+import zenostat
+from zenostat.agent_sdk.rewards import LinearReward
+from zenostat.models.building.model import read_building
+from zenostat.models.catalog import find_building
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig
+from zenostat.topics.messages import Aggregation
 
 N = 96
 """Timesteps of the day that most of these tests simulate."""
@@ -45,7 +45,7 @@ def env() -> Iterator[gym.Env[Any, Any]]:
     made.close()
 
 
-def connected(bus: agent_sdk.Bus, **given: Any) -> gym.Env[Any, Any]:
+def connected(bus: zenostat.Bus, **given: Any) -> gym.Env[Any, Any]:
     """An environment of the node that the tests of this module share."""
     new_episode(bus)
     return gym.make("zenostat/Building-v1", connect=bus.endpoint, node="office", affinity="off", **given)
@@ -104,7 +104,7 @@ def test_a_step_after_the_end_raises_and_a_reset_begins_anew(env: gym.Env[Any, A
     assert (truncated, info["step"]) == (False, 1)
 
 
-def test_a_step_before_the_first_reset_raises(shared_bus: agent_sdk.Bus) -> None:
+def test_a_step_before_the_first_reset_raises(shared_bus: zenostat.Bus) -> None:
     with connected(shared_bus) as fresh, pytest.raises(EpisodeChanged, match=r"call reset\(\) before step\(\)"):
         fresh.unwrapped.step(fresh.action_space.low)
 
@@ -146,9 +146,7 @@ def test_a_reset_amid_an_episode_leaves_no_trace(env: gym.Env[Any, Any]) -> None
     assert rollout(env, seed=3, steps=10) == first
 
 
-def test_two_environments_give_the_same_trajectory_to_the_bit(
-    env: gym.Env[Any, Any], shared_bus: agent_sdk.Bus
-) -> None:
+def test_two_environments_give_the_same_trajectory_to_the_bit(env: gym.Env[Any, Any], shared_bus: zenostat.Bus) -> None:
     with connected(shared_bus) as other:
         assert rollout(other, seed=5) == rollout(env, seed=5)
 
@@ -178,7 +176,7 @@ def test_the_action_at_sample_0_rules_the_first_timestep() -> None:
     assert dict(high[1:])["core_zn_temperature"] > dict(low[1:])["core_zn_temperature"]
 
 
-def test_no_actuators_is_the_buildings_own_control(shared_bus: agent_sdk.Bus) -> None:
+def test_no_actuators_is_the_buildings_own_control(shared_bus: zenostat.Bus) -> None:
     with make(actuators={}) as own:
         assert own.action_space.shape == (0,)
         observation, _ = own.reset(seed=1)
@@ -236,7 +234,7 @@ def test_the_default_reward_by_hand(begin: str) -> None:
     assert bands == {(23.0, 26.0), (20.0, 23.5)}
 
 
-def test_a_reward_of_the_users_and_none(shared_bus: agent_sdk.Bus) -> None:
+def test_a_reward_of_the_users_and_none(shared_bus: zenostat.Bus) -> None:
     with connected(shared_bus, reward=LinearReward(weight=1.0, lambda_energy=1.0)) as energetic:
         energetic.reset(seed=1)
         observation, reward, *_ = energetic.step(energetic.action_space.low)
@@ -321,11 +319,12 @@ def test_what_the_node_decides_is_not_asked_of_it(folder: Path) -> None:
 
 def test_import_is_light() -> None:
     """Neither Rerun nor EnergyPlus nor the rooms of the building's side."""
-    text = "import sys, agent_sdk; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    text = "import sys, zenostat; zenostat.connect; print(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    assert "agent_sdk" in loaded
-    assert not loaded & {"rerun", "rerun_sdk", "rerun_bindings", "pyenergyplus", "eplus_node", "models"}
+    assert "zenostat.agent_sdk.bus.bus" in loaded
+    assert not loaded & {"rerun", "rerun_sdk", "rerun_bindings", "pyenergyplus"}
+    assert not loaded & {"zenostat.eplus_node", "zenostat.models"}
 
 
 @pytest.mark.slow
@@ -359,7 +358,7 @@ def test_close_twice_and_unused(scratch: Path) -> None:
 _FORKS = """
 import os, sys, signal
 import gymnasium as gym
-import agent_sdk
+import zenostat
 env = gym.make("zenostat/Building-v1", building="ref-small-office", weather="USA_CO_Denver", begin="07-03", end="07-03")
 held = env.unwrapped.local_node._processes[0]
 child = os.fork()

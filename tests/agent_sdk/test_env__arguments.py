@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent_sdk.envs.arguments import FROM_SCENARIO, _fields_of_file, check_agent_settings, for_node
-from bridge.runtime.affinity import Affinity
-from eplus_node.config import read_config
-from topics.errors import InvalidConfig, UsageError
-from topics.messages import Aggregation
-from topics.scenario_fields import NODE_ARGUMENTS
+from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO, _fields_of_file, check_agent_settings, for_node
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.eplus_node.config import read_config
+from zenostat.topics.errors import InvalidConfig, UsageError
+from zenostat.topics.messages import Aggregation
+from zenostat.topics.scenario_fields import NODE_ARGUMENTS
 
 BASE: dict[str, Any] = {"building": "office-small", "weather": "USA_CO_Denver"}
 TEMPERATURE = ("Zone Air Temperature", "Core_ZN")
@@ -92,7 +92,7 @@ def test_the_home_of_nobody_is_a_mistake_of_the_users() -> None:
 
 def read_and_find(given: dict[str, Any]) -> None:
     """What a node does with the settings before it starts anything."""
-    from eplus_node.plan import plan
+    from zenostat.eplus_node.plan import plan
 
     plan(read_config(for_node(given, "b")))
 

@@ -10,8 +10,8 @@ import pytest
 from support import data_packs as packs
 from support.engine_forks import FOUR, KINDS, SMALL, engines, kill, make, plan, row, same
 
-from agent_sdk.envs.building_env import BuildingEnv
-from topics.errors import EngineDied
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.topics.errors import EngineDied
 
 Rows = list[list[float]]
 

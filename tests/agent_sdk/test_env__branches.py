@@ -35,15 +35,15 @@ from support.engine_forks import (
 )
 from support.nodes import until, within
 
-from agent_sdk.envs.building_env import BuildingEnv
-from topics.errors import (
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.topics.errors import (
     EngineDied,
     EpisodeChanged,
     ForkFailed,
     RequestRejected,
     SimulatorError,
 )
-from topics.messages import State
+from zenostat.topics.messages import State
 
 GROWTH_BYTES = 15e6
 PUT_TOGETHER_BYTES = 20e6

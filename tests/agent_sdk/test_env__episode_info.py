@@ -14,10 +14,10 @@ import pytest
 from support.builders import manifest, sensor
 from support.nodes import command_of, until
 
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.termination import TerminationLimits
-from topics.errors import EpisodeChanged, InvalidConfig
-from topics.messages import Task, TerminationLimit
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.termination import TerminationLimits
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig
+from zenostat.topics.messages import Task, TerminationLimit
 
 NAME = "zenostat/ref-small-office-USA_CO_Denver-continuous-v1"
 DAY = {"begin": "07-03", "end": "07-03", "steps_per_hour": 4, "affinity": "off"}
@@ -105,11 +105,11 @@ def test_a_step_says_what_was_commanded_and_who_ruled(scratch: Path) -> None:
 
 def test_what_a_person_sets_is_told(scratch: Path) -> None:
     """A write at a higher priority rules over the agent, and the step says so."""
-    import agent_sdk
+    import zenostat
 
     env = make()
     env.reset(seed=0)
-    with agent_sdk.connect(env.local_node.endpoint) as bus:
+    with zenostat.connect(env.local_node.endpoint) as bus:
         bus.write("building", "core_zn_cooling_setpoint", 29.0, priority=8, source="facility manager")
     at = [a.name for a in env.manifest.actuators].index("core_zn_cooling_setpoint")
     told = env.step([20.0, 25.0])[4]
@@ -187,7 +187,7 @@ def test_gymnasiums_vector_environments_hold_buildings_of_their_own(mode: str, s
     """Each slot is the single environment of its seed; asked of a program, since async ones start by fork or spawn."""
     code = f"""
 import gymnasium as gym, numpy as np
-import agent_sdk
+import zenostat
 given = dict(begin="07-03", end="07-03", steps_per_hour=1, affinity="off")
 name = {NAME.replace("continuous", "continuous-stochastic")!r}
 if __name__ == "__main__":
@@ -211,9 +211,9 @@ if __name__ == "__main__":
 
 
 def test_an_environment_goes_to_one_file_and_comes_back_equal(scratch: Path) -> None:
-    from agent_sdk import load_env, save_env
-    from agent_sdk.rewards import LinearReward
-    from agent_sdk.wrappers import apply_wrappers, wrappers_of
+    from zenostat import load_env, save_env
+    from zenostat.agent_sdk.rewards import LinearReward
+    from zenostat.agent_sdk.wrappers import apply_wrappers, wrappers_of
 
     wrappers = [{"wrapper": "CyclicTime"}, {"wrapper": "ReducedObservation", "keep": ["core_zn_air_temperature"]}]
     env = apply_wrappers(gym.make(NAME, **DAY, reward=LinearReward(weight=0.25), control="zone"), wrappers)
@@ -244,7 +244,7 @@ def test_a_wrapper_that_cannot_be_leaves_nothing_behind(scratch: Path) -> None:
 
 
 def test_an_own_reward_cannot_be_written(scratch: Path) -> None:
-    from agent_sdk import save_env
+    from zenostat import save_env
 
     def mine(values: Any, begin: Any) -> dict[str, float]:
         return {"heat": -float(values["core_zn_air_temperature"])}

@@ -13,18 +13,18 @@ import numpy as np
 import pytest
 from support.nodes import SMALL, NodeProgram
 
-from agent_sdk.benchmark import SETS
-from agent_sdk.controllers import make_controller
-from agent_sdk.controllers.comfort_band import comfort_bands, default_setback
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.vector_env import BuildingVectorEnv
-from agent_sdk.evaluation.comfort import comfort
-from agent_sdk.rewards import REWARDS, LinearReward, OccupiedReward, read_reward
-from agent_sdk.rewards.manifest_data import reward_data
-from agent_sdk.testing import FakeEnv
-from topics import yaml12
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.benchmark import SETS
+from zenostat.agent_sdk.controllers import make_controller
+from zenostat.agent_sdk.controllers.comfort_band import comfort_bands, default_setback
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
+from zenostat.agent_sdk.evaluation.comfort import comfort
+from zenostat.agent_sdk.rewards import REWARDS, LinearReward, OccupiedReward, read_reward
+from zenostat.agent_sdk.rewards.manifest_data import reward_data
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.topics import yaml12
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
 
 BAND = {"winter": (20.0, 24.0), "summer": (22.0, 26.0)}
 OCCUPIED: dict[str, Any] = {"kind": "occupied", **BAND}
@@ -126,7 +126,7 @@ def test_rules_take_band_and_setback_of_the_benchmark() -> None:
         assert (band(manifest), comfort_bands(manifest)(JANUARY)) == ((22.0, 26.0), (20.0, 24.0))
         assert default_setback(manifest) == 6.0
         env.reset(seed=20_001)
-        from agent_sdk.controllers import Agent, load_controller
+        from zenostat.agent_sdk.controllers import Agent, load_controller
 
         for name, expected in (("rbc", (16.0, 30.0)), ("fixed", (22.5, 25.0))):  # heating ends at 22.5
             agent = Agent(make_controller(load_controller(name), manifest, {}), env)

@@ -11,11 +11,11 @@ import pytest
 from numpy.typing import NDArray
 from support.engine_forks import FOUR, make
 
-from agent_sdk.controllers import Agent, OracleController
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.rewards import from_function
-from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, RequestRejected
-from topics.messages import Claim, SimulatePlan
+from zenostat.agent_sdk.controllers import Agent, OracleController
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.rewards import from_function
+from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, RequestRejected
+from zenostat.topics.messages import Claim, SimulatePlan
 
 
 class RunningMean:

@@ -28,10 +28,10 @@ from support.engine_forks import (
 from support.nodes import SMALL as SMALL_NODE
 from support.nodes import NodeProgram, until, within
 
-from agent_sdk import wrappers as w
-from agent_sdk.envs.building_env import BuildingEnv
-from topics.errors import EngineDied, EpisodeChanged, InvalidConfig, NodeLost, RequestRejected, ZenostatError
-from topics.messages import CreateBranch, EngineStart, Reset
+from zenostat import wrappers as w
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.topics.errors import EngineDied, EpisodeChanged, InvalidConfig, NodeLost, RequestRejected, ZenostatError
+from zenostat.topics.messages import CreateBranch, EngineStart, Reset
 
 STOCHASTIC = SMALL.replace("continuous", "continuous-stochastic")
 COLUMNS = ["dry_bulb_temperature", "relative_humidity"]

@@ -10,14 +10,14 @@ import gymnasium as gym
 import pytest
 from support.nodes import SMALL
 
-from agent_sdk.controllers.pid import PIDController
-from agent_sdk.controllers.rule_based import RuleBasedController
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.evaluate import _create_controllers
-from agent_sdk.testing import FakeEnv
-from models.building.model import read_building
-from models.catalog import find_building
-from topics.errors import UsageError
+from zenostat.agent_sdk.controllers.pid import PIDController
+from zenostat.agent_sdk.controllers.rule_based import RuleBasedController
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.evaluation.evaluate import _create_controllers
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.models.building.model import read_building
+from zenostat.models.catalog import find_building
+from zenostat.topics.errors import UsageError
 
 PLANT = """
 class Room:

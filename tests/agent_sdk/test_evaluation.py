@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from support.builders import actuator, manifest, meter, own_action, sensor
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers import Agent, Controller, FixedSetpoints, RandomController, RuleBasedController
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.evaluate import EpisodeRecord, Evaluation, evaluate
-from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-from agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, read_reward
-from agent_sdk.testing import Climate, FakeBuilding, FakeLink
-from topics.errors import InvalidConfig, UnknownName
-from topics.messages import Aggregation, Manifest, Meter, Sample, Task
-from topics.points import value_index
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers import Agent, Controller, FixedSetpoints, RandomController, RuleBasedController
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.evaluation.evaluate import EpisodeRecord, Evaluation, evaluate
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, read_reward
+from zenostat.agent_sdk.testing import Climate, FakeBuilding, FakeLink
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.messages import Aggregation, Manifest, Meter, Sample, Task
+from zenostat.topics.points import value_index
 
 BEGIN = datetime(2017, 7, 1)
 KWH = 3.6e6

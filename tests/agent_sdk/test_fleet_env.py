@@ -13,13 +13,13 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from support.nodes import SMALL, NodeProgram, engines_of, free_port, until
 
-import agent_sdk
-from agent_sdk import wrappers as w
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.fleet_env import FleetVectorEnv
-from agent_sdk.envs.fleet_nodes import check_compatible, node_addresses
-from agent_sdk.testing import FakeEnv
-from topics.errors import (
+import zenostat
+from zenostat import wrappers as w
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.fleet_env import FleetVectorEnv
+from zenostat.agent_sdk.envs.fleet_nodes import check_compatible, node_addresses
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.topics.errors import (
     BusError,
     EpisodeChanged,
     InvalidAction,
@@ -383,7 +383,7 @@ def test_a_node_with_slots_is_refused_and_nothing_is_claimed(nodes: list[NodePro
         pytest.raises(InvalidConfig, match=r"^slot 1 \(node .* has 2 slots; a fleet needs nodes with one slot$"),
     ):
         fleet([nodes[0], slots])
-    with agent_sdk.connect(nodes[0].endpoint) as bus:
+    with zenostat.connect(nodes[0].endpoint) as bus:
         until(lambda: bus.controllers() == [], "whoever was refused has gone")
         assert not any(c.state.is_connected for c in bus.status("office").controllers)
 

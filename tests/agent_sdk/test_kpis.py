@@ -16,14 +16,14 @@ from support.builders import manifest, meter, sensor, view
 from support.examples import examples
 from support.nodes import SMALL
 
-from agent_sdk.evaluation import evaluate
-from agent_sdk.evaluation.energy_sources import WITH_PLANT, WITHOUT_PLANT, hvac_sources
-from agent_sdk.evaluation.kpis import CO2_LIMIT_PPM, KPIS, PeakPower
-from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-from agent_sdk.evaluation.tariffs import read_emissions, read_prices
-from agent_sdk.testing import FakeBuilding, FakeLink
-from topics.errors import InvalidConfig
-from topics.messages import Aggregation, Manifest, Task
+from zenostat.agent_sdk.evaluation import evaluate
+from zenostat.agent_sdk.evaluation.energy_sources import WITH_PLANT, WITHOUT_PLANT, hvac_sources
+from zenostat.agent_sdk.evaluation.kpis import CO2_LIMIT_PPM, KPIS, PeakPower
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.agent_sdk.evaluation.tariffs import read_emissions, read_prices
+from zenostat.agent_sdk.testing import FakeBuilding, FakeLink
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Aggregation, Manifest, Task
 
 KWH = 3.6e6
 BEGIN = datetime(2017, 7, 3)

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 from gymnasium.vector import SyncVectorEnv
 
-import agent_sdk
-from agent_sdk import wrappers
-from agent_sdk.testing import FakeEnv
-from topics.errors import InvalidConfig
+import zenostat
+from zenostat import wrappers
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.topics.errors import InvalidConfig
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("topics", "models", "bridge", "eplus_node", "agent_sdk", "cli")
@@ -39,7 +39,7 @@ def test_the_constraints_are_the_lower_bounds() -> None:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_module_imports(package: str) -> None:
-    for found in pkgutil.walk_packages([str(ROOT / package)], f"{package}."):
+    for found in pkgutil.walk_packages([str(ROOT / package)], f"zenostat.{package}."):
         if found.name.endswith("__main__"):
             continue
         try:
@@ -66,5 +66,5 @@ def test_wrappers_of_both_kinds_go_around_vectors() -> None:
 
 
 def test_the_command_line_imports() -> None:
-    assert agent_sdk.__name__ == "agent_sdk"
-    assert importlib.import_module("cli.main").main is not None
+    assert Path(zenostat.__file__).parent == ROOT / "src" / "zenostat"
+    assert importlib.import_module("zenostat.cli.main").main is not None

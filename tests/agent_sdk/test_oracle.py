@@ -13,17 +13,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.builders import actuator, manifest, sensor, view
 
-from agent_sdk.controllers import Agent, OracleController, action_of, load_controller
-from agent_sdk.controllers.agent import values_of
-from agent_sdk.controllers.base import Controller, Values
-from agent_sdk.controllers.sequence_search import (
+from zenostat.agent_sdk.controllers import Agent, OracleController, action_of, load_controller
+from zenostat.agent_sdk.controllers.agent import values_of
+from zenostat.agent_sdk.controllers.base import Controller, Values
+from zenostat.agent_sdk.controllers.sequence_search import (
     CategoricalSearch,
     GaussianSearch,
     elite_weights,
     path_integral_weights,
 )
-from topics.errors import InvalidConfig, SimulatorError
-from topics.messages import DiscreteAction, Manifest, Task
+from zenostat.topics.errors import InvalidConfig, SimulatorError
+from zenostat.topics.messages import DiscreteAction, Manifest, Task
 
 HEAT, COOL = actuator("heating_setpoint", 15.0, 25.0), actuator("cooling_setpoint", 20.0, 30.0)
 NODE = manifest(sensors=[sensor("air", key="ROOM")], actuators=[HEAT, COOL])

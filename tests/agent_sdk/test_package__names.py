@@ -1,4 +1,4 @@
-"""The names that `agent_sdk` offers, and the modules that importing it loads."""
+"""The names that `zenostat` offers, and the modules that importing it loads."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ import sys
 
 import pytest
 
-import agent_sdk
+import zenostat
 
 HEAVY = ("rerun", "pyenergyplus", "torch", "stable_baselines3", "matplotlib", "pettingzoo", "pandas")
 
 
-@pytest.mark.parametrize("name", agent_sdk.__all__)
+@pytest.mark.parametrize("name", zenostat.__all__)
 def test_each_name_is_offered(name: str) -> None:
-    assert getattr(agent_sdk, name) is not None
-    assert name in dir(agent_sdk)
+    assert getattr(zenostat, name) is not None
+    assert name in dir(zenostat)
 
 
 def test_an_unknown_name_is_no_attribute() -> None:
-    with pytest.raises(AttributeError, match="module 'agent_sdk' has no attribute 'mak'"):
-        _ = agent_sdk.mak
+    with pytest.raises(AttributeError, match="module 'zenostat' has no attribute 'mak'"):
+        _ = zenostat.mak
 
 
 def test_importing_the_package_loads_no_environments() -> None:
-    program = "import sys, agent_sdk; print(*sorted(sys.modules))"
+    program = "import sys, zenostat; print(*sorted(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
     assert not [module for module in loaded if module.split(".")[0] in HEAVY]
-    assert not [module for module in loaded if module.startswith("agent_sdk.envs.")]
+    assert not [module for module in loaded if module.startswith("zenostat.agent_sdk.")]

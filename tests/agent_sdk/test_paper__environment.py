@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 from support.data_packs import sinergym
 
-import agent_sdk  # noqa: F401  # registers the environments
-from agent_sdk.controllers import Agent, load_controller
-from models import data_packs
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.agent_sdk.controllers import Agent, load_controller
+from zenostat.models import data_packs
 
 DAY = {"begin": "07-21", "end": "07-21"}
 RULE = str(Path(__file__).parents[2] / "examples" / "paper" / "rule.py") + ":DataCenterRule"

@@ -12,14 +12,14 @@ import pytest
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from agent_sdk.controllers import Agent
-from agent_sdk.controllers.policy import load_policy
-from agent_sdk.envs.sb3_vec_env import as_sb3
-from agent_sdk.testing import FakeEnv
-from agent_sdk.vec_normalization import normalization_path
-from agent_sdk.wrappers import restore_wrappers, save_wrappers
-from topics import yaml12
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.controllers import Agent
+from zenostat.agent_sdk.controllers.policy import load_policy
+from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.agent_sdk.vec_normalization import normalization_path
+from zenostat.agent_sdk.wrappers import restore_wrappers, save_wrappers
+from zenostat.topics import yaml12
+from zenostat.topics.errors import InvalidConfig
 
 ONE = (np.float32(-1), np.float32(1))
 DAY: dict[str, Any] = {"steps_per_hour": 1, "control": "building"}

@@ -17,13 +17,13 @@ from support import data_packs as packs
 from support.nodes import SMALL, command_of, interrupted, nothing_left, programs_of
 from support.run_cli import run_in_process
 
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.probe import ProbeReport, ProbeRequest, probe
-from agent_sdk.evaluation.probe_effects import HoldExperiment, Ranges, effect_of
-from topics.errors import InvalidConfig, UnknownName
-from topics.messages import Actuator, Aggregation, Manifest, Meter, Mode, Policy, Sensor, Versions
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.evaluation.probe import ProbeReport, ProbeRequest, probe
+from zenostat.agent_sdk.evaluation.probe_effects import HoldExperiment, Ranges, effect_of
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Mode, Policy, Sensor, Versions
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main", "probe"]
+ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main", "probe"]
 BEGIN = datetime(2017, 7, 3, 7)
 
 OFFICE: dict[str, Any] = {
@@ -310,6 +310,6 @@ def test_ctrl_c_leaves_nothing_behind(scratch: Path) -> None:
     command = [*ZENOSTAT, SCENARIO, "--set", "control=zone", "--begin", "07-03", "--hours", "24", "--json"]
 
     def branches() -> bool:
-        return len([p for p in programs_of(scratch) if "eplus_node.engine" in command_of(p)]) > 2
+        return len([p for p in programs_of(scratch) if "zenostat.eplus_node.engine" in command_of(p)]) > 2
 
     interrupted(command, branches, "it branches", cwd=scratch)

@@ -15,10 +15,10 @@ import psutil
 import pytest
 from support.nodes import SMALL, command_of, runs, until
 
-import agent_sdk.ray
-from agent_sdk.envs.zone_agents import ZonesEnv
-from agent_sdk.testing.fake_building import FakeBuilding
-from agent_sdk.testing.fake_link import FakeLink
+import zenostat.agent_sdk.ray
+from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
+from zenostat.agent_sdk.testing.fake_building import FakeBuilding
+from zenostat.agent_sdk.testing.fake_link import FakeLink
 
 ray = pytest.importorskip("ray")
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.filterwarnings("ignore")]
@@ -45,9 +45,9 @@ def cluster(module_folder: Path) -> Iterator[None]:
 def ppo(runners: int, cores: int, **env_config: Any) -> Any:
     from ray.rllib.algorithms.ppo import PPOConfig
 
-    config = PPOConfig().environment(agent_sdk.ray.register(), env_config=env_config)
+    config = PPOConfig().environment(zenostat.agent_sdk.ray.register(), env_config=env_config)
     config.training(train_batch_size_per_learner=192, minibatch_size=64, num_epochs=2)
-    return agent_sdk.ray.set_env_runners(config, runners=runners, cores=cores).debugging(seed=3)
+    return zenostat.agent_sdk.ray.set_env_runners(config, runners=runners, cores=cores).debugging(seed=3)
 
 
 def pids(algorithm: Any) -> list[int]:

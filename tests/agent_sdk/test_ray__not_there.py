@@ -10,18 +10,20 @@ import numpy as np
 import pytest
 from support.nodes import free_port
 
-import agent_sdk.ray
-from topics.errors import InvalidConfig, NodeNotFound
+import zenostat.agent_sdk.ray
+from zenostat.topics.errors import InvalidConfig, NodeNotFound
 
 without_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is not None, reason="Ray is installed")
 
 
 @without_ray
 @pytest.mark.parametrize(
-    "call", [agent_sdk.ray.register, lambda: agent_sdk.ray.connect("127.0.0.1:6379")], ids=["register", "connect"]
+    "call",
+    [zenostat.agent_sdk.ray.register, lambda: zenostat.agent_sdk.ray.connect("127.0.0.1:6379")],
+    ids=["register", "connect"],
 )
 def test_without_ray_the_command_that_installs_it(call: Callable[[], object]) -> None:
-    with pytest.raises(InvalidConfig, match=r"^agent_sdk\.ray needs ray.*pip install -e '.*\[ray\]'$"):
+    with pytest.raises(InvalidConfig, match=r"^zenostat\.ray needs ray.*pip install -e '.*\[ray\]'$"):
         call()
 
 
@@ -29,20 +31,20 @@ def test_without_ray_the_command_that_installs_it(call: Callable[[], object]) ->
 def test_an_address_that_cannot_be(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", sys)
     with pytest.raises(InvalidConfig, match="is not the address of a Ray cluster; write HOST:PORT"):
-        agent_sdk.ray.connect(address)
+        zenostat.agent_sdk.ray.connect(address)
 
 
 def test_a_cluster_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", sys)
     port = free_port()
     with pytest.raises(NodeNotFound, match=rf"^no Ray cluster answers at 127\.0\.0\.1:{port} \(.*refused.*ray start"):
-        agent_sdk.ray.connect(f"127.0.0.1:{port}")
+        zenostat.agent_sdk.ray.connect(f"127.0.0.1:{port}")
 
 
 @pytest.mark.parametrize("numbers", [{"runners": -1}, {"runners": 1, "cores": 0}, {"runners": 1, "cores": 257}])
 def test_numbers_that_cannot_be(numbers: dict[str, int]) -> None:
     with pytest.raises(InvalidConfig, match=r"a number from (0|1 to 256) expected"):
-        agent_sdk.ray.set_env_runners(None, **numbers)
+        zenostat.agent_sdk.ray.set_env_runners(None, **numbers)
 
 
 class Context(dict[str, object]):
@@ -54,9 +56,9 @@ class Context(dict[str, object]):
 def test_the_creator_makes_what_is_asked_for() -> None:
     """A single environment, or a vector whose seeds no other EnvRunner has."""
     building = {"id": "Fake-v1", "zones": 2, "steps_per_hour": 1}
-    single = agent_sdk.ray.create_env(Context(building))
+    single = zenostat.agent_sdk.ray.create_env(Context(building))
     assert single.unwrapped.manifest.slots == 1
-    vector = agent_sdk.ray.create_env(Context(building, num_envs=3))
+    vector = zenostat.agent_sdk.ray.create_env(Context(building, num_envs=3))
     assert vector.num_envs == 3
     seeds: list[int | None] = []
     vector.env.reset = lambda *, seed, options: seeds.append(seed)  # type: ignore[method-assign,union-attr]

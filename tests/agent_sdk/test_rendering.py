@@ -16,13 +16,13 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from numpy.typing import NDArray
 
-import agent_sdk  # noqa: F401  # registers the environments
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.rendering import EpisodeHistory
-from agent_sdk.rendering.panels import Panel
-from agent_sdk.testing import FakeBuilding, FakeLink, Zone
-from agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from topics.errors import EpisodeChanged
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.rendering import EpisodeHistory
+from zenostat.agent_sdk.rendering.panels import Panel
+from zenostat.agent_sdk.testing import FakeBuilding, FakeLink, Zone
+from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
+from zenostat.topics.errors import EpisodeChanged
 
 Picture = NDArray[np.uint8]
 BAND = (23.0, 26.0)
@@ -245,7 +245,7 @@ def test_band_and_occupied_hours_are_where_they_belong() -> None:
 
 
 def test_zones_have_the_colors_of_all_pictures() -> None:
-    from bridge.display.roles import roles
+    from zenostat.bridge.display.roles import roles
 
     env = fake(zones=4)
     run(env, 20)

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent_sdk.rendering.scale import format_time, format_time_tick, format_value, round_scale, time_ticks
+from zenostat.agent_sdk.rendering.scale import format_time, format_time_tick, format_value, round_scale, time_ticks
 
 NUMBERS = st.floats(-1e6, 1e6, allow_subnormal=False)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.traces import office_comparison
 
-from agent_sdk.report import write_report
+from zenostat.agent_sdk.report import write_report
 
 pytest.importorskip("matplotlib")
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.traces import J_PER_KWH, SHARES, office, office_comparison, run
 
-from agent_sdk.evaluation.trace import WeatherTrace
-from agent_sdk.report.figures import actuators, carpets, comfort, energy, months, reward, weather
-from agent_sdk.report.figures.base import Curve
-from agent_sdk.report.quantities import by_hour, by_period, load_duration
+from zenostat.agent_sdk.evaluation.trace import WeatherTrace
+from zenostat.agent_sdk.report.figures import actuators, carpets, comfort, energy, months, reward, weather
+from zenostat.agent_sdk.report.figures.base import Curve
+from zenostat.agent_sdk.report.quantities import by_hour, by_period, load_duration
 
 pytest.importorskip("matplotlib")
 

@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 from support.traces import SHARES, office, office_comparison, run
 
-from agent_sdk.evaluation import Evaluation
-from agent_sdk.evaluation.trace import EpisodeTrace, WeatherTrace
-from agent_sdk.report import Comparison, Run, write_figures, write_report
-from agent_sdk.report.figures.base import Figure
-from agent_sdk.report.page import page
-from agent_sdk.report.theme import DARK, LIGHT
-from agent_sdk.report.totals import difference, kpis, metrics, number, total
-from agent_sdk.report.totals_section import totals_section
-from bridge.display.colors import contrast
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.evaluation import Evaluation
+from zenostat.agent_sdk.evaluation.trace import EpisodeTrace, WeatherTrace
+from zenostat.agent_sdk.report import Comparison, Run, write_figures, write_report
+from zenostat.agent_sdk.report.figures.base import Figure
+from zenostat.agent_sdk.report.page import page
+from zenostat.agent_sdk.report.theme import DARK, LIGHT
+from zenostat.agent_sdk.report.totals import difference, kpis, metrics, number, total
+from zenostat.agent_sdk.report.totals_section import totals_section
+from zenostat.bridge.display.colors import contrast
+from zenostat.topics.errors import InvalidConfig
 
 pytest.importorskip("matplotlib")
 

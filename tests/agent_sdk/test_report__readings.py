@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from support.traces import office_comparison
 
-from agent_sdk.report.figures.base import draw
-from agent_sdk.report.page import page
-from agent_sdk.report.readings import CODE, Series, read_lines, read_series, readings
+from zenostat.agent_sdk.report.figures.base import draw
+from zenostat.agent_sdk.report.page import page
+from zenostat.agent_sdk.report.readings import CODE, Series, read_lines, read_series, readings
 
 pytest.importorskip("matplotlib")
 

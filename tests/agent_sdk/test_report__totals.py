@@ -8,12 +8,12 @@ from dataclasses import replace
 import pytest
 from support.traces import office_comparison
 
-from agent_sdk.evaluation.metrics import EpisodeMetrics
-from agent_sdk.report import Comparison, Run
-from agent_sdk.report.runs import short_names
-from agent_sdk.report.summary import summary
-from agent_sdk.report.totals import Metric, difference, metrics, number, signed
-from agent_sdk.report.totals_section import totals_section
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
+from zenostat.agent_sdk.report import Comparison, Run
+from zenostat.agent_sdk.report.runs import short_names
+from zenostat.agent_sdk.report.summary import summary
+from zenostat.agent_sdk.report.totals import Metric, difference, metrics, number, signed
+from zenostat.agent_sdk.report.totals_section import totals_section
 
 ELECTRICITY = Metric("electricity_kwh", "Electricity", "kWh")
 REWARD = Metric("reward", "Reward", "", 1)

@@ -21,8 +21,8 @@ from pydantic import ValidationError
 from support.builders import manifest, meter, sensor
 from support.examples import examples
 
-from agent_sdk import rewards
-from agent_sdk.rewards import (
+from zenostat import rewards
+from zenostat.agent_sdk.rewards import (
     REWARDS,
     BoundReward,
     CarbonReward,
@@ -41,10 +41,10 @@ from agent_sdk.rewards import (
     from_function,
     read_reward,
 )
-from agent_sdk.rewards.thermal_sensation import percentage_dissatisfied
-from topics import yaml12
-from topics.errors import InvalidConfig, UnknownName
-from topics.messages import Aggregation, Manifest, Meter, Sensor
+from zenostat.agent_sdk.rewards.thermal_sensation import percentage_dissatisfied
+from zenostat.topics import yaml12
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.messages import Aggregation, Manifest, Meter, Sensor
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 WINTER, SUMMER = datetime(2017, 1, 16, 12), datetime(2017, 7, 17, 12)  # Mondays

@@ -17,9 +17,9 @@ from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
 from support.builders import manifest, meter, sensor
 
-from agent_sdk.rewards import LinearReward, read_reward
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.rewards import LinearReward, read_reward
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
 
 POWER = "Facility Total HVAC Electricity Demand Rate"
 WINTER, SUMMER = datetime(2017, 1, 15, 12), datetime(2017, 7, 15, 12)

@@ -15,12 +15,12 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from support.nodes import SMALL
 
-import agent_sdk  # noqa: F401  # registers the environments
-from agent_sdk import wrappers as w
-from agent_sdk.testing import Climate, FakeEnv
-from agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from agent_sdk.wrappers import CyclicTime
-from topics.errors import EpisodeChanged, InvalidConfig
+import zenostat  # noqa: F401  # registers the environments
+from zenostat import wrappers as w
+from zenostat.agent_sdk.testing import Climate, FakeEnv
+from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
+from zenostat.agent_sdk.wrappers import CyclicTime
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig
 
 pytest.importorskip("stable_baselines3")
 torch = pytest.importorskip("torch")
@@ -30,7 +30,7 @@ from stable_baselines3.common.evaluation import evaluate_policy  # noqa: E402
 from stable_baselines3.common.monitor import Monitor  # noqa: E402
 from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize  # noqa: E402
 
-from agent_sdk.envs.sb3_vec_env import SlotsVecEnv, as_sb3  # noqa: E402
+from zenostat.agent_sdk.envs.sb3_vec_env import SlotsVecEnv, as_sb3  # noqa: E402
 
 SAME = AutoresetMode.SAME_STEP
 WARM = {"points": ["zone_1_air_temperature"], "low": 17.0, "high": 26.0, "duration_h": 2.0}
@@ -174,7 +174,7 @@ def test_what_cannot_be() -> None:
 
 
 def test_without_stable_baselines_it_says_what_to_install() -> None:
-    program = "import sys; sys.modules['stable_baselines3'] = None\nimport agent_sdk.envs.sb3_vec_env"
+    program = "import sys; sys.modules['stable_baselines3'] = None\nimport zenostat.agent_sdk.envs.sb3_vec_env"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert "[train]'" in done.stderr
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-import agent_sdk
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.vector_env import BuildingVectorEnv
-from agent_sdk.envs.zone_agents import ZonesEnv
-from agent_sdk.testing import FakeBuilding, FakeLink
-from agent_sdk.testing.fake_vector_env import FakeSlots
-from topics.errors import InvalidConfig
+import zenostat
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
+from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
+from zenostat.agent_sdk.testing import FakeBuilding, FakeLink
+from zenostat.agent_sdk.testing.fake_vector_env import FakeSlots
+from zenostat.topics.errors import InvalidConfig
 
 WRONG = pytest.mark.parametrize(
     "seed", [2**70, 2**64, -1, 1.0, 1.5, True, "1", np.float64(2), np.bool_(True)], ids=repr
@@ -54,7 +54,7 @@ def test_seeds_of_numpy_are_taken() -> None:
     env.close()
 
 
-def test_a_controller_without_gymnasium(bus: agent_sdk.Bus) -> None:
+def test_a_controller_without_gymnasium(bus: zenostat.Bus) -> None:
     with bus.controller("office") as link:
         wrong: list[Any] = [2**70, -1, 1.5, [2**70]]
         for seed in wrong:

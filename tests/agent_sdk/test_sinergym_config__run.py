@@ -9,8 +9,8 @@ import pytest
 import yaml
 from support.data_packs import sinergym
 
-import agent_sdk  # noqa: F401  # registers the environments
-from topics.errors import InvalidConfig
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.topics.errors import InvalidConfig
 
 DAY = {"begin": "07-03", "end": "07-03", "affinity": "off"}
 OCCUPANCY = {

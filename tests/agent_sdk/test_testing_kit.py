@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent_sdk.controllers import (
+from zenostat.agent_sdk.controllers import (
     BaselineController,
     Controller,
     FixedSetpoints,
@@ -26,8 +26,8 @@ from agent_sdk.controllers import (
     RuleBasedController,
     ScheduledSetback,
 )
-from agent_sdk.rewards import BoundReward, LinearReward, Outcome
-from agent_sdk.testing import (
+from zenostat.agent_sdk.rewards import BoundReward, LinearReward, Outcome
+from zenostat.agent_sdk.testing import (
     Climate,
     ConformanceError,
     FakeBuilding,
@@ -39,10 +39,10 @@ from agent_sdk.testing import (
     check_environment,
     check_reward,
 )
-from agent_sdk.testing.check_controller import CONTROLLER_CHECKS
-from agent_sdk.testing.check_environment import ENVIRONMENT_CHECKS
-from agent_sdk.testing.check_reward import REWARD_CHECKS
-from topics.errors import (
+from zenostat.agent_sdk.testing.check_controller import CONTROLLER_CHECKS
+from zenostat.agent_sdk.testing.check_environment import ENVIRONMENT_CHECKS
+from zenostat.agent_sdk.testing.check_reward import REWARD_CHECKS
+from zenostat.topics.errors import (
     EpisodeChanged,
     InvalidAction,
     InvalidConfig,
@@ -859,6 +859,6 @@ def test_a_name_twice_is_named() -> None:
 
 
 def test_the_kit_needs_no_pytest() -> None:
-    text = "import sys, agent_sdk.testing as t; t.check_reward('linear'); print('pytest' in sys.modules)"
+    text = "import sys, zenostat.testing as t; t.check_reward('linear'); print('pytest' in sys.modules)"
     done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

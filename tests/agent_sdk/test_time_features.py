@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent_sdk.envs.time_features import BOUNDS, time_features
-from models.building.model import for_episode, read_building, write
-from models.catalog import find_building, find_weather
-from topics.messages import TimeField
+from zenostat.agent_sdk.envs.time_features import BOUNDS, time_features
+from zenostat.models.building.model import for_episode, read_building, write
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.topics.messages import TimeField
 
 DIVISORS = (1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30, 60)
 DATE = (TimeField.YEAR, TimeField.MONTH, TimeField.DAY_OF_MONTH, TimeField.DAY_OF_WEEK, TimeField.DAY_OF_YEAR)

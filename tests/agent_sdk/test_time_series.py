@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 from support.data_packs import sinergym
 from support.examples import examples
 
-from agent_sdk.time_series import (
+from zenostat.agent_sdk.time_series import (
     HOURS,
     LEAP_HOURS,
     Constant,
@@ -28,9 +28,9 @@ from agent_sdk.time_series import (
     grams_per_kwh,
     per_kwh,
 )
-from topics import yaml12
-from topics.calendar import hour_of_leap_year, in_hours
-from topics.errors import InvalidConfig
+from zenostat.topics import yaml12
+from zenostat.topics.calendar import hour_of_leap_year, in_hours
+from zenostat.topics.errors import InvalidConfig
 
 SIGNAL: TypeAdapter[Any] = TypeAdapter(Signal)
 YEAR = tuple(float(hour) for hour in range(HOURS))

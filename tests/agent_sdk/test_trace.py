@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from support.traces import office, sample
 
-from agent_sdk.evaluation.trace import TraceRecorder, weather_trace
-from topics.errors import UsageError
-from topics.messages import WeatherSeries
+from zenostat.agent_sdk.evaluation.trace import TraceRecorder, weather_trace
+from zenostat.topics.errors import UsageError
+from zenostat.topics.messages import WeatherSeries
 
 OFFICE = office(("core",), steps=4)
 VALUES = [24.0, 2.0, 1e6, 5e5, 4e5, 3e5, 3e5]

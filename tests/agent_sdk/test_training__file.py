@@ -13,10 +13,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import agent_sdk  # noqa: F401  # registers the environments
-from agent_sdk.testing import Climate, FakeEnv
-from topics.errors import InvalidConfig, UnknownName
-from topics.file_lock import locked
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.agent_sdk.testing import Climate, FakeEnv
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.file_lock import locked
 
 pytest.importorskip("stable_baselines3")
 torch = pytest.importorskip("torch")
@@ -24,11 +24,11 @@ torch = pytest.importorskip("torch")
 from stable_baselines3.common.save_util import load_from_zip_file  # noqa: E402
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
 
-from agent_sdk.controllers import Agent, load_controller  # noqa: E402
-from agent_sdk.envs.sb3_vec_env import as_sb3  # noqa: E402
-from agent_sdk.evaluation.evaluate import run_episode  # noqa: E402
-from agent_sdk.training import ALGORITHMS, load_policy, read_training, resume_training, train  # noqa: E402
-from agent_sdk.training.run import check_training  # noqa: E402
+from zenostat.agent_sdk.controllers import Agent, load_controller  # noqa: E402
+from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3  # noqa: E402
+from zenostat.agent_sdk.evaluation.evaluate import run_episode  # noqa: E402
+from zenostat.agent_sdk.training import ALGORITHMS, load_policy, read_training, resume_training, train  # noqa: E402
+from zenostat.agent_sdk.training.run import check_training  # noqa: E402
 
 NET = {"net_arch": [8]}
 OFF_POLICY = {"learning_starts": 40, "batch_size": 16, "buffer_size": 150, "train_freq": 4, "policy_kwargs": NET}

@@ -8,17 +8,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agent_sdk.evaluation.evaluate import evaluate, run_episode
-from agent_sdk.testing import FakeEnv
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.evaluation.evaluate import evaluate, run_episode
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.topics.errors import InvalidConfig
 
 pytest.importorskip("stable_baselines3")
 
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-from agent_sdk.controllers import Agent
-from agent_sdk.training import EvaluationCallback, PolicyController, evaluate_model, load_policy
+from zenostat.agent_sdk.controllers import Agent
+from zenostat.agent_sdk.training import EvaluationCallback, PolicyController, evaluate_model, load_policy
 
 DAY: dict[str, Any] = {"zones": 2, "begin": "07-03", "steps_per_hour": 1}
 KINDS: dict[str, tuple[Any, dict[str, Any]]] = {

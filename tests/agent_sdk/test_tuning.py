@@ -11,14 +11,14 @@ from typing import Any
 
 import pytest
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 optuna = pytest.importorskip("optuna")
 pytest.importorskip("stable_baselines3")
 
-from agent_sdk.training.study import Tuning, distribution, open_study  # noqa: E402
-from agent_sdk.training.study_figures import write_results  # noqa: E402
-from agent_sdk.training.tuning_config import Range, TuningConfig, read_tuning  # noqa: E402
+from zenostat.agent_sdk.training.study import Tuning, distribution, open_study  # noqa: E402
+from zenostat.agent_sdk.training.study_figures import write_results  # noqa: E402
+from zenostat.agent_sdk.training.tuning_config import Range, TuningConfig, read_tuning  # noqa: E402
 
 TRAINING: dict[str, Any] = {
     "algorithm": "a2c", "scenario": "Fake-v1", "steps": 60, "threads": 1,

@@ -7,8 +7,8 @@ from datetime import timedelta
 import pytest
 from support.builders import NOON, manifest, meter, sensor, view
 
-from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-from topics.messages import Aggregation, Manifest
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.topics.messages import Aggregation, Manifest
 
 SUMMED = {"aggregation": Aggregation.SUM}
 OFFICE = manifest(

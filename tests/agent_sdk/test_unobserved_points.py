@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from support.builders import view
 
-from agent_sdk.controllers import CONTROLLERS, Agent, make_controller
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.vector_env import BuildingVectorEnv
-from agent_sdk.envs.zone_agents import ZonesEnv
-from agent_sdk.evaluation.metrics import MetricsAccumulator
-from agent_sdk.rewards import REWARDS, LinearReward, from_function, read_reward
-from agent_sdk.testing import FakeBuilding, FakeLink, check_environment
-from agent_sdk.testing.fake_vector_env import FakeSlots
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.controllers import CONTROLLERS, Agent, make_controller
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
+from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
+from zenostat.agent_sdk.evaluation.metrics import MetricsAccumulator
+from zenostat.agent_sdk.rewards import REWARDS, LinearReward, from_function, read_reward
+from zenostat.agent_sdk.testing import FakeBuilding, FakeLink, check_environment
+from zenostat.agent_sdk.testing.fake_vector_env import FakeSlots
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
 
 HIDDEN = ("zone_2_air_temperature", "zone_1_occupants", "electricity_facility")
 TIME = ("hour",)

@@ -18,12 +18,12 @@ from support import data_packs as packs
 from support.engine_forks import kill
 from support.nodes import SMALL, NodeProgram, engines_of, runs, until
 
-import agent_sdk
-from agent_sdk import wrappers as w
-from agent_sdk.envs.vector_env import BuildingVectorEnv
-from agent_sdk.testing import Climate, FakeEnv
-from agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from topics.errors import (
+import zenostat
+from zenostat import wrappers as w
+from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
+from zenostat.agent_sdk.testing import Climate, FakeEnv
+from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
+from zenostat.topics.errors import (
     EngineDied,
     EpisodeChanged,
     InvalidAction,
@@ -32,7 +32,7 @@ from topics.errors import (
     SimulatorError,
     ZenostatError,
 )
-from topics.messages import State
+from zenostat.topics.messages import State
 
 MODES = list(AutoresetMode)
 each_mode = pytest.mark.parametrize("mode", MODES, ids=lambda mode: mode.value)
@@ -522,7 +522,7 @@ def test_a_wrong_choice_of_slots_claims_nothing(scratch: Path) -> None:
             gym.make_vec("zenostat/Building-v1", num_envs=3, **way)
         with pytest.raises(InvalidConfig, match=r"node 'office' has 2 slots, not 1: .*num_envs=2"):
             gym.make("zenostat/Building-v1", **way)
-        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        with zenostat.connect(node.endpoint, affinity="off") as bus:
             until(lambda: bus.controllers() == [], "whoever was refused has gone")
             assert bus.status("office").controllers == []
         env = gym.make_vec("zenostat/Building-v1", num_envs=2, **way)

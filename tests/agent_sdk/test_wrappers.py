@@ -29,15 +29,15 @@ from gymnasium.wrappers import (
 )
 from support.fakes import NAMES, FakeBuilding
 
-from agent_sdk import wrappers as w
-from agent_sdk.testing import FakeEnv
-from agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from agent_sdk.time_series import HourlySeries
-from agent_sdk.wrappers.base import Infos
-from agent_sdk.wrappers.incremental import rounded
-from agent_sdk.wrappers.observation import cyclic
-from agent_sdk.wrappers.weather_forecast import ErrorModel, error_path
-from topics.errors import InvalidAction, InvalidConfig, UnknownName
+from zenostat import wrappers as w
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
+from zenostat.agent_sdk.time_series import HourlySeries
+from zenostat.agent_sdk.wrappers.base import Infos
+from zenostat.agent_sdk.wrappers.incremental import rounded
+from zenostat.agent_sdk.wrappers.observation import cyclic
+from zenostat.agent_sdk.wrappers.weather_forecast import ErrorModel, error_path
+from zenostat.topics.errors import InvalidAction, InvalidConfig, UnknownName
 
 MIDDLE = np.array([20.0, 26.0], np.float32)
 DRY, WIND = "dry_bulb_temperature", "wind_direction"

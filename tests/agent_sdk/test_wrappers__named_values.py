@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import DtypeObservation, FrameStackObservation, TimeAwareObservation, TimeLimit
 
-from agent_sdk import wrappers as w
-from agent_sdk.testing import FakeEnv
-from agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from topics.errors import InvalidConfig
+from zenostat import wrappers as w
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
+from zenostat.topics.errors import InvalidConfig
 
 TWO = ["outdoor_temperature", "zone_1_air_temperature"]
 

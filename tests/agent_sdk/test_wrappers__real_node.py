@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from support.nodes import COOLING, SMALL
 
-from agent_sdk import wrappers as w
+from zenostat import wrappers as w
 
 N = 96
 DRY, HUMIDITY = "dry_bulb_temperature", "relative_humidity"

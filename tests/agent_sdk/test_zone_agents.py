@@ -14,11 +14,11 @@ import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 from support.nodes import COOLING, SMALL, ZONES
 
-from agent_sdk.envs.zone_agents import ZonesEnv
-from agent_sdk.rewards import LinearReward
-from agent_sdk.testing import FakeBuilding, FakeEnv, FakeLink
-from topics.errors import EpisodeChanged, InvalidAction, InvalidConfig
-from topics.extras import install_command
+from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
+from zenostat.agent_sdk.rewards import LinearReward
+from zenostat.agent_sdk.testing import FakeBuilding, FakeEnv, FakeLink
+from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig
+from zenostat.topics.extras import install_command
 
 
 def fake(
@@ -88,7 +88,7 @@ def test_what_is_no_single_zones_is_the_buildings() -> None:
 
 
 def test_a_zone_that_is_called_as_another_agent_gets_a_number() -> None:
-    from agent_sdk.testing import Zone
+    from zenostat.agent_sdk.testing import Zone
 
     env = fake([Zone("building"), Zone("a-b"), Zone("plain")], equipment_control=True)
     assert env.possible_agents == ["building_2", "a-b", "plain", "building"]
@@ -338,9 +338,9 @@ def test_only_the_zones_that_are_set_have_agents() -> None:
 
 
 def test_without_pettingzoo_one_sentence_says_what_to_do() -> None:
-    text = "import sys; sys.modules['pettingzoo'] = None; import agent_sdk.envs.zone_agents"
+    text = "import sys; sys.modules['pettingzoo'] = None; import zenostat.agent_sdk.envs.zone_agents"
     done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True)
     assert done.returncode != 0
     last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("topics.errors.InvalidConfig: an environment of zone agents needs PettingZoo (")
+    assert last.startswith("zenostat.topics.errors.InvalidConfig: an environment of zone agents needs PettingZoo (")
     assert last.endswith(f": {install_command('multi-agent')}")

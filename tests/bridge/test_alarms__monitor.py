@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.alarms.monitor import AlarmMonitor
-from bridge.alarms.rules import applies_at, point_alarms, read_rules
-from bridge.alarms.state_machine import Alarm
-from bridge.node.plant import PlantDescription, RunPeriod
-from topics.alarm_rules import AlarmRules
-from topics.energyplus_names import OCCUPANTS
-from topics.errors import InvalidConfig, RequestRejected, UnknownName
-from topics.messages import (
+from zenostat.bridge.alarms.monitor import AlarmMonitor
+from zenostat.bridge.alarms.rules import applies_at, point_alarms, read_rules
+from zenostat.bridge.alarms.state_machine import Alarm
+from zenostat.bridge.node.plant import PlantDescription, RunPeriod
+from zenostat.topics.alarm_rules import AlarmRules
+from zenostat.topics.energyplus_names import OCCUPANTS
+from zenostat.topics.errors import InvalidConfig, RequestRejected, UnknownName
+from zenostat.topics.messages import (
     Acknowledge,
     AlarmState,
     AlarmTransition,

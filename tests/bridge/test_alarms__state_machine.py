@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.alarms import state_machine
-from bridge.alarms.state_machine import ALERTING, SET_ASIDE, TRANSITIONS, Alarm, Limits
-from topics.messages import AlarmState, AlarmTransition, EventState
+from zenostat.bridge.alarms import state_machine
+from zenostat.bridge.alarms.state_machine import ALERTING, SET_ASIDE, TRANSITIONS, Alarm, Limits
+from zenostat.topics.messages import AlarmState, AlarmTransition, EventState
 
 NORMAL, ACTIVE, ACKNOWLEDGED, RETURNED, SUPPRESSED, SHELVED, OUT_OF_SERVICE = AlarmState
 OK, HIGH, LOW, FAULT = EventState

@@ -8,10 +8,16 @@ from bacpypes3 import basetypes
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.gateways.bacnet import units
-from bridge.gateways.bacnet.objects import double, real
-from bridge.gateways.bacnet.points import MAX_INSTANCE, ObjectKind, instance_number, instance_numbers, point_specs
-from topics.messages import Actuator, Manifest, Meter, Mode, Policy, Sensor, Versions
+from zenostat.bridge.gateways.bacnet import units
+from zenostat.bridge.gateways.bacnet.objects import double, real
+from zenostat.bridge.gateways.bacnet.points import (
+    MAX_INSTANCE,
+    ObjectKind,
+    instance_number,
+    instance_numbers,
+    point_specs,
+)
+from zenostat.topics.messages import Actuator, Manifest, Meter, Mode, Policy, Sensor, Versions
 
 
 def manifest(**points: tuple) -> Manifest:

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any
 
-from bridge.node.batching import BATCH_S, SampleBatcher
-from topics import codec
-from topics.messages import Batch
+from zenostat.bridge.node.batching import BATCH_S, SampleBatcher
+from zenostat.topics import codec
+from zenostat.topics.messages import Batch
 
 
 class Setup:

@@ -7,11 +7,11 @@ from datetime import datetime
 import numpy as np
 import pytest
 
-from bridge.gateways.boptest import forecast_errors
-from bridge.gateways.boptest.prices import rate_at, read_rates
-from bridge.gateways.boptest.test_periods import find_test_periods
-from bridge.gateways.boptest.weather import COLUMNS, Weather, wet_bulb
-from topics.errors import InvalidConfig
+from zenostat.bridge.gateways.boptest import forecast_errors
+from zenostat.bridge.gateways.boptest.prices import rate_at, read_rates
+from zenostat.bridge.gateways.boptest.test_periods import find_test_periods
+from zenostat.bridge.gateways.boptest.weather import COLUMNS, Weather, wet_bulb
+from zenostat.topics.errors import InvalidConfig
 
 DAY_S = 86400
 

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.gateways.boptest import parsing
-from bridge.gateways.boptest.parsing import BadRequest
+from zenostat.bridge.gateways.boptest import parsing
+from zenostat.bridge.gateways.boptest.parsing import BadRequest
 
 JSON = "application/json"
 FORM = "application/x-www-form-urlencoded"

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from bridge.gateways.boptest.history import History
-from bridge.gateways.boptest.points import PointTable
-from topics.errors import InvalidConfig
-from topics.messages import Actuator, Manifest, Meter, Mode, Policy, Sensor, Versions
+from zenostat.bridge.gateways.boptest.history import History
+from zenostat.bridge.gateways.boptest.points import PointTable
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Actuator, Manifest, Meter, Mode, Policy, Sensor, Versions
 
 
 def table(**fields):

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 from support.certificates import expire
 
-from bridge.transport import certificates
-from bridge.transport.certificates import add, identity, make, show
-from topics.errors import InvalidConfig, UnknownName
-from topics.keys import Role
+from zenostat.bridge.transport import certificates
+from zenostat.bridge.transport.certificates import add, identity, make, show
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.keys import Role
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 ROLES = ("node", "controller", "monitor")
 
 
@@ -207,17 +207,17 @@ def test_a_file_of_something_else(made: Path, name: str, said: str) -> None:
 
 @pytest.mark.slow
 def test_the_command_makes_adds_and_shows(tmp_path: Path) -> None:
-    def zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
+    def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run([*ZENOSTAT, "keys", *arguments], capture_output=True, text=True, cwd=tmp_path)
 
-    first = zenostat("init", "--host", "lab.example.org", "--days", "30")
+    first = run_zenostat("init", "--host", "lab.example.org", "--days", "30")
     assert first.returncode == 0, first.stderr
-    assert zenostat("add", "controller", "annex").returncode == 0
-    shown = zenostat("show").stdout
+    assert run_zenostat("add", "controller", "annex").returncode == 0
+    shown = run_zenostat("show").stdout
     rows = [tuple(cell.strip() for cell in line.split("│")[1:3]) for line in shown.splitlines() if "│" in line]
     expected = [("authority", "ca"), ("node", "node"), ("controller", "annex"), ("controller", "controller")]
     assert [row for row in rows if row[1]] == [*expected, ("monitor", "monitor")]
-    again = zenostat("init")
+    again = run_zenostat("init")
     assert again.returncode == 2
     assert "--force" in again.stderr
-    assert zenostat("add", "owner", "x").returncode == 2
+    assert run_zenostat("add", "owner", "x").returncode == 2

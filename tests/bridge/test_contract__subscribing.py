@@ -10,7 +10,7 @@ import pytest
 import zenoh
 from support.contract_page import PAGE
 
-from bridge.transport.session import open_session
+from zenostat.bridge.transport.session import open_session
 
 UNREAD = 1000  # four times what Zenoh's default FIFO holds
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from support.builders import advance, answer, claim, command, exchange, wire
 
-from bridge.exchange.claims import ClaimHolder, ControllerStats
-from bridge.exchange.transitions import CONTROLLER_TRANSITIONS, ControllerTrigger, IllegalTransition
-from topics.messages import ControllerState, EventKind, Policy
+from zenostat.bridge.exchange.claims import ClaimHolder, ControllerStats
+from zenostat.bridge.exchange.transitions import CONTROLLER_TRANSITIONS, ControllerTrigger, IllegalTransition
+from zenostat.topics.messages import ControllerState, EventKind, Policy
 
 CONNECTED, UNRESPONSIVE = ControllerState.CONNECTED, ControllerState.UNRESPONSIVE
 DISCONNECTED, ABSENT, BYPASSED = ControllerState.DISCONNECTED, ControllerState.ABSENT, ControllerState.BYPASSED

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.builders import sensor
 
-from bridge.display.colors import (
+from zenostat.bridge.display.colors import (
     COMFORT_RANGE_K,
     OUTDOOR,
     UNKNOWN,
@@ -22,9 +22,9 @@ from bridge.display.colors import (
     hex_color,
     zone_color,
 )
-from bridge.display.labels import label, point_unit, unit_label, zone_label, zone_labels
-from bridge.rerun import series
-from topics.energyplus_names import END_USES
+from zenostat.bridge.display.labels import label, point_unit, unit_label, zone_label, zone_labels
+from zenostat.bridge.rerun import series
+from zenostat.topics.energyplus_names import END_USES
 
 WHITE, DARK = (255, 255, 255), (13, 17, 23)
 

@@ -11,14 +11,14 @@ import pytest
 from support.builders import manifest, meter, sensor
 from support.data_packs import sinergym
 
-from agent_sdk.evaluation.comfort import comfort, display_comfort
-from agent_sdk.testing import FakeBuilding
-from bridge.display.colors import zone_color
-from bridge.display.comfort import DEFAULT_BAND_DEGC
-from bridge.display.roles import PowerSource, roles
-from bridge.python_plant.description import describe, load_class
-from topics.keys import safe_name
-from topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor, Task
+from zenostat.agent_sdk.evaluation.comfort import comfort, display_comfort
+from zenostat.agent_sdk.testing import FakeBuilding
+from zenostat.bridge.display.colors import zone_color
+from zenostat.bridge.display.comfort import DEFAULT_BAND_DEGC
+from zenostat.bridge.display.roles import PowerSource, roles
+from zenostat.bridge.python_plant.description import describe, load_class
+from zenostat.topics.keys import safe_name
+from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor, Task
 
 JULY = datetime(2017, 7, 3, 12)
 
@@ -196,7 +196,7 @@ ZONES = {
 
 def test_the_scenarios_of_the_data_pack() -> None:
     sinergym()
-    from models.sinergym.scenarios import pack_scenarios
+    from zenostat.models.sinergym.scenarios import pack_scenarios
 
     first = {name.partition("-")[0]: scenario for name, scenario in reversed(list(pack_scenarios().items()))}
     assert first.keys() == ZONES.keys()

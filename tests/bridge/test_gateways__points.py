@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from bridge.gateways.points import readings
-from topics.messages import Aggregation, Manifest, Meter, Mode, Policy, Sensor, Versions
+from zenostat.bridge.gateways.points import readings
+from zenostat.topics.messages import Aggregation, Manifest, Meter, Mode, Policy, Sensor, Versions
 
 
 @pytest.mark.parametrize(

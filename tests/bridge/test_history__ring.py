@@ -9,11 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.node import history as module
-from bridge.node.history import History
-from bridge.node.plant import PlantDescription, RunPeriod
-from topics.errors import RequestRejected, UnknownName
-from topics.messages import Actuator, HistoryQuery, HistorySeries, Meter, Sensor, Versions
+from zenostat.bridge.node import history as module
+from zenostat.bridge.node.history import History
+from zenostat.bridge.node.plant import PlantDescription, RunPeriod
+from zenostat.topics.errors import RequestRejected, UnknownName
+from zenostat.topics.messages import Actuator, HistoryQuery, HistorySeries, Meter, Sensor, Versions
 
 NAMES = ("air", "power", "setpoint")
 

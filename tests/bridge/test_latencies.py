@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from bridge.exchange.latency import LatencyWindow
+from zenostat.bridge.exchange.latency import LatencyWindow
 
 
 def test_one_that_was_hardly_used_is_small() -> None:

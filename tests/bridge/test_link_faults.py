@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.faults import LinkFaults, Transition
-from topics.errors import InvalidConfig
-from topics.fault_plan import FaultPlan
+from zenostat.bridge.faults import LinkFaults, Transition
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.fault_plan import FaultPlan
 
 BEGIN = datetime(2017, 7, 3)
 MANY = 20_000

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from support.builders import actuator, advance, claim, command, exchange, ruling
 
-from bridge.exchange.claims import MAX_CLAIMS
-from bridge.exchange.priority_array import MAX_SOURCES
-from topics.errors import RequestRejected
-from topics.messages import CommandOp, EventKind, Write
+from zenostat.bridge.exchange.claims import MAX_CLAIMS
+from zenostat.bridge.exchange.priority_array import MAX_SOURCES
+from zenostat.topics.errors import RequestRejected
+from zenostat.topics.messages import CommandOp, EventKind, Write
 
 IDLE = 300
 

@@ -14,12 +14,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from bridge.faults import FaultTransition, PointFaults, Transition, read_plan
-from topics import codec, yaml12
-from topics.calendar import WEEKDAYS
-from topics.errors import InvalidConfig
-from topics.fault_plan import KINDS, FaultPlan
-from topics.messages import Actuator
+from zenostat.bridge.faults import FaultTransition, PointFaults, Transition, read_plan
+from zenostat.topics import codec, yaml12
+from zenostat.topics.calendar import WEEKDAYS
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.fault_plan import KINDS, FaultPlan
+from zenostat.topics.messages import Actuator
 
 ROOT = Path(__file__).parents[2]
 BEGIN = datetime(2017, 7, 3)  # a Monday

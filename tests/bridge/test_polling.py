@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from bridge.runtime import polling
-from bridge.runtime.polling import Polling
+from zenostat.bridge.runtime import polling
+from zenostat.bridge.runtime.polling import Polling
 
 LIMIT_S = Polling.LIMIT_S
 SHORT_S = LIMIT_S / 4

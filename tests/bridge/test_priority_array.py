@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from bridge.exchange.priority_array import BASELINE_SOURCE, PRIORITIES, PriorityArray
+from zenostat.bridge.exchange.priority_array import BASELINE_SOURCE, PRIORITIES, PriorityArray
 
 SLOTS, ACTUATORS = 2, 3
 NAMES = [f"controller {i}" for i in range(5)]

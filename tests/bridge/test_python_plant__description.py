@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from bridge.python_plant.description import ClassDescription, Point, create, describe, load_class
-from topics.errors import InvalidConfig
+from zenostat.bridge.python_plant.description import ClassDescription, Point, create, describe, load_class
+from zenostat.topics.errors import InvalidConfig
 
 
 class Tank:
@@ -273,7 +273,7 @@ def test_a_module_that_the_users_own_module_lacks_is_no_missing_plant(folder: Pa
             load_class(plant)
 
 
-@pytest.mark.parametrize("name", ["statistics", "topics", "json", "my-tank.v2", "2tanks"])
+@pytest.mark.parametrize("name", ["statistics", "zenostat", "json", "my-tank.v2", "2tanks"])
 def test_a_file_of_any_name_replaces_no_other_module_and_its_instances_can_be_pickled(folder: Path, name: str) -> None:
     present = sys.modules.get(name)
     (folder / f"{name}.py").write_text("class Tank: pass\n")

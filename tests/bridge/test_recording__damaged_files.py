@@ -13,9 +13,9 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 from support.recordings import chunk_ends, record_samples, rewrite
 
-from bridge.recording.reader import RecordingReader
-from topics.errors import InvalidRecording
-from topics.recording import SUMMARY
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.topics.errors import InvalidRecording
+from zenostat.topics.recording import SUMMARY
 
 SAMPLES = 700
 

@@ -16,12 +16,12 @@ from mcap.reader import make_reader
 from support.nodes import until
 from support.recordings import chunk_ends, new_recorder, record_samples
 
-from bridge.recording.channels import SAMPLES
-from bridge.recording.file import MAGIC, check_path, open_recording, recording_path
-from bridge.recording.reader import RecordingReader
-from topics import codec, keys
-from topics.errors import InvalidConfig, InvalidRecording
-from topics.messages import Command, OnFull, RecordingState
+from zenostat.bridge.recording.channels import SAMPLES
+from zenostat.bridge.recording.file import MAGIC, check_path, open_recording, recording_path
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import InvalidConfig, InvalidRecording
+from zenostat.topics.messages import Command, OnFull, RecordingState
 
 
 def numbers(path: Path) -> list[int]:

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.monitor import BEGIN
 
-from bridge.rerun.building_view import PERIOD_S, QUANTUM_K, ColorChanges
+from zenostat.bridge.rerun.building_view import PERIOD_S, QUANTUM_K, ColorChanges
 
 SERIES = st.lists(st.floats(-6, 6) | st.just(float("nan")), min_size=1, max_size=60)
 

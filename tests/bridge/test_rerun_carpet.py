@@ -6,9 +6,9 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.display.colors import comfort_color
-from bridge.rerun.carpet import Carpet, picture
-from bridge.rerun.row_picture import EMPTY, MAX_COLUMNS, Columns
+from zenostat.bridge.display.colors import comfort_color
+from zenostat.bridge.rerun.carpet import Carpet, picture
+from zenostat.bridge.rerun.row_picture import EMPTY, MAX_COLUMNS, Columns
 
 NOBODY = np.zeros((26, 2), bool)
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from support import builders
 
-from bridge.rerun.history import read_history
-from topics import codec
-from topics.messages import HistoryQuery, HistorySeries
+from zenostat.bridge.rerun.history import read_history
+from zenostat.topics import codec
+from zenostat.topics.messages import HistoryQuery, HistorySeries
 
 
 class _Node:

@@ -12,12 +12,12 @@ import rerun.blueprint as rrb
 from support import builders
 from support.monitor import office, rows, samples, two_storeys
 
-from bridge.display.comfort import default_comfort
-from bridge.rerun.layout import blueprint
-from bridge.rerun.node_stream import NodeStream
-from bridge.rerun.summary import NodeNumbers, NodeRow, markdown, overview, quantity
-from bridge.rerun.tabs import Blueprint, check_tab, open_tab
-from topics.errors import InvalidConfig, ViewerError
+from zenostat.bridge.display.comfort import default_comfort
+from zenostat.bridge.rerun.layout import blueprint
+from zenostat.bridge.rerun.node_stream import NodeStream
+from zenostat.bridge.rerun.summary import NodeNumbers, NodeRow, markdown, overview, quantity
+from zenostat.bridge.rerun.tabs import Blueprint, check_tab, open_tab
+from zenostat.topics.errors import InvalidConfig, ViewerError
 
 
 def _node(recording: rr.RecordingStream, **changes: Any) -> NodeStream:

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.monitor import ZONES, geometry, two_storeys
 
-from bridge.display.surfaces import area
-from bridge.rerun.meshes import CUT_M, MAX_STACKED, building_model, clip_above, storey_names, storey_offsets
+from zenostat.bridge.display.surfaces import area
+from zenostat.bridge.rerun.meshes import CUT_M, MAX_STACKED, building_model, clip_above, storey_names, storey_offsets
 
 WALL = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 0.0], [8.0, 0.0, 0.0], [8.0, 0.0, 3.0]])
 

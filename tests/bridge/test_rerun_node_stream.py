@@ -14,12 +14,12 @@ import rerun.blueprint as rrb
 from support import builders
 from support.monitor import BEGIN, STEP, logged, office, rows, samples, static, times, two_storeys
 
-from bridge.display.colors import comfort_color
-from bridge.display.comfort import default_comfort
-from bridge.rerun.layout import blueprint
-from bridge.rerun.node_stream import NodeStream
-from topics.errors import InvalidConfig
-from topics.messages import (
+from zenostat.bridge.display.colors import comfort_color
+from zenostat.bridge.display.comfort import default_comfort
+from zenostat.bridge.rerun.layout import blueprint
+from zenostat.bridge.rerun.node_stream import NodeStream
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import (
     AlarmChange,
     AlarmPriority,
     AlarmState,

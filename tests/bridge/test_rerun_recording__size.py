@@ -9,9 +9,9 @@ import rerun as rr
 from support import builders
 from support.monitor import office, samples, two_storeys
 
-from bridge.display.comfort import default_comfort
-from bridge.rerun.node_stream import NodeStream
-from bridge.rerun.stream import ROWS
+from zenostat.bridge.display.comfort import default_comfort
+from zenostat.bridge.rerun.node_stream import NodeStream
+from zenostat.bridge.rerun.stream import ROWS
 
 YEAR, SHARE = 35040, 10
 LIMIT_BYTES = 27e6

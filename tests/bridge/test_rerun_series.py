@@ -9,12 +9,19 @@ from hypothesis import strategies as st
 from support import builders
 from support.monitor import office, rows, samples
 
-from bridge.display.comfort import default_comfort
-from bridge.display.roles import roles
-from bridge.rerun.samples import BlockReader, SampleBlock
-from bridge.rerun.series import MAX_SMOOTH_ROWS, Series, all_series, band_rows, significant_rows, temperature_range
-from bridge.rerun.totals import Totals
-from topics.messages import Manifest
+from zenostat.bridge.display.comfort import default_comfort
+from zenostat.bridge.display.roles import roles
+from zenostat.bridge.rerun.samples import BlockReader, SampleBlock
+from zenostat.bridge.rerun.series import (
+    MAX_SMOOTH_ROWS,
+    Series,
+    all_series,
+    band_rows,
+    significant_rows,
+    temperature_range,
+)
+from zenostat.bridge.rerun.totals import Totals
+from zenostat.topics.messages import Manifest
 
 
 def _block(manifest: Manifest, table: np.ndarray) -> SampleBlock:

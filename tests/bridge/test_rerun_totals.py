@@ -7,10 +7,10 @@ import pytest
 from support import builders
 from support.monitor import office, rows, samples
 
-from bridge.display.comfort import default_comfort
-from bridge.display.roles import roles
-from bridge.rerun.samples import BlockReader
-from bridge.rerun.totals import TotalRows, Totals
+from zenostat.bridge.display.comfort import default_comfort
+from zenostat.bridge.display.roles import roles
+from zenostat.bridge.rerun.samples import BlockReader
+from zenostat.bridge.rerun.totals import TotalRows, Totals
 
 
 def _add(totals: Totals, table: np.ndarray, *, first: int = 0, fault_free: np.ndarray | None = None) -> TotalRows:

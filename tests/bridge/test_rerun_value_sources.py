@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from bridge.rerun.row_picture import Columns
-from bridge.rerun.value_sources import SourceColumns
+from zenostat.bridge.rerun.row_picture import Columns
+from zenostat.bridge.rerun.value_sources import SourceColumns
 
 
 def _shown(sources: SourceColumns, column: int) -> str:

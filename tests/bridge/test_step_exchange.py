@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from support.builders import NAN, actuator, advance, answer, claim, command, exchange, ruling, wire
 from support.examples import examples
 
-from bridge.exchange.step_exchange import TRANSITIONS, IllegalTransition, StepExchange, Trigger
-from topics import codec
-from topics.errors import RequestRejected
-from topics.messages import Command, CommandOp, ControllerState, Event, EventKind, Mode, State, Write
+from zenostat.bridge.exchange.step_exchange import TRANSITIONS, IllegalTransition, StepExchange, Trigger
+from zenostat.topics import codec
+from zenostat.topics.errors import RequestRejected
+from zenostat.topics.messages import Command, CommandOp, ControllerState, Event, EventKind, Mode, State, Write
 
 KEEP, SET, RELEASE = CommandOp.KEEP, CommandOp.SET, CommandOp.RELINQUISH
 

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from support.builders import NAN, advance, answer, claim, command, exchange, wire
 from support.examples import examples
 
-from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, StepExchange, Trigger
-from topics.errors import EpisodeAborted
-from topics.messages import CommandOp, ControllerState, ControllerStatus, Event, EventKind, Mode, Policy, State
+from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, StepExchange, Trigger
+from zenostat.topics.errors import EpisodeAborted
+from zenostat.topics.messages import CommandOp, ControllerState, ControllerStatus, Event, EventKind, Mode, Policy, State
 
 KEEP, SET = CommandOp.KEEP, CommandOp.SET
 GO_ON = [Policy.HOLD, Policy.RELINQUISH]

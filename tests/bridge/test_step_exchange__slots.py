@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.builders import NAN, answer, claim, command, exchange, ruling
 
-from bridge.exchange.priority_array import PRIORITIES, PriorityArray
-from bridge.exchange.step_exchange import StepExchange
-from topics.messages import Command, CommandOp, EventKind, Mode, State, Write
+from zenostat.bridge.exchange.priority_array import PRIORITIES, PriorityArray
+from zenostat.bridge.exchange.step_exchange import StepExchange
+from zenostat.topics.messages import Command, CommandOp, EventKind, Mode, State, Write
 
 KEEP, SET, RELEASE = CommandOp.KEEP, CommandOp.SET, CommandOp.RELINQUISH
 

@@ -8,10 +8,10 @@ from pathlib import Path
 import pytest
 from support.nodes import PATIENCE_S, until
 
-from bridge.node.subscriptions import Subscriptions
-from bridge.transport.session import open_session
-from topics import codec, keys
-from topics.messages import Ack, ErrorReply, Message, Stop, StopRecording
+from zenostat.bridge.node.subscriptions import Subscriptions
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics import codec, keys
+from zenostat.topics.messages import Ack, ErrorReply, Message, Stop, StopRecording
 
 
 @pytest.mark.process

@@ -10,10 +10,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from bridge.display.surfaces import area, azimuth_deg, sun_direction, surfaces, tilt_deg, triangulate, unit_normal
-from topics import codec
-from topics.errors import BadMessage
-from topics.messages import Geometry, SurfaceKind, ZoneGeometry
+from zenostat.bridge.display.surfaces import (
+    area,
+    azimuth_deg,
+    sun_direction,
+    surfaces,
+    tilt_deg,
+    triangulate,
+    unit_normal,
+)
+from zenostat.topics import codec
+from zenostat.topics.errors import BadMessage
+from zenostat.topics.messages import Geometry, SurfaceKind, ZoneGeometry
 
 SQUARE = np.array([[0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0]], float)
 # A frame whose hole is joined to its outside by a cut, as EnergyPlus's polygons with holes are.

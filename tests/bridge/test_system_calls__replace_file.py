@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from bridge.engine.system_calls import replace_file
+from zenostat.bridge.engine.system_calls import replace_file
 
 
 def test_reading_continues_at_the_same_offset_of_the_other_file(folder: Path) -> None:

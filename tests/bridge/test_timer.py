@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.nodes import until
 
-from bridge.runtime.timer import Timer
+from zenostat.bridge.runtime.timer import Timer
 
 
 class Clock:

@@ -16,7 +16,7 @@ import numpy as np
 
 from chaos.flooder import PERSON_LEVEL
 from chaos.journal import Sent
-from topics.messages import Event, EventKind, Flag, Manifest, Sample
+from zenostat.topics.messages import Event, EventKind, Flag, Manifest, Sample
 
 Entry = tuple[float | None, str]
 Row = tuple[Entry, ...]

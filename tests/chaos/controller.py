@@ -17,14 +17,14 @@ from zlib import crc32
 
 import numpy as np
 
-import agent_sdk
-from agent_sdk.bus.bus import Bus
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.bus.sample import SampleView
-from bridge.runtime.affinity import Affinity
+import zenostat
 from chaos.journal import Journal
-from topics.errors import EpisodeChanged, NodeLost, NodeNotFound, RequestRejected, SimulatorError
-from topics.messages import Actuator, CommandOp
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics.errors import EpisodeChanged, NodeLost, NodeNotFound, RequestRejected, SimulatorError
+from zenostat.topics.messages import Actuator, CommandOp
 
 LOST = 4
 REPEATS = 300
@@ -121,7 +121,7 @@ def main() -> int:
     signal.signal(signal.SIGUSR1, _on_repeat)
     settings = json.loads(sys.argv[1])
     try:
-        with agent_sdk.connect(settings["endpoint"], affinity=Affinity.OFF) as bus:
+        with zenostat.connect(settings["endpoint"], affinity=Affinity.OFF) as bus:
             Controller(bus, settings).run()
     except (NodeLost, NodeNotFound) as error:
         sys.stderr.write(f"{error}\n")

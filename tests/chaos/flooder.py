@@ -18,13 +18,13 @@ import numpy as np
 import zenoh
 from zenoh import CongestionControl
 
-import agent_sdk
-from agent_sdk.bus.bus import Bus
-from bridge.runtime.affinity import Affinity
+import zenostat
 from chaos.disturbances import Disturbance
 from chaos.journal import Journal
-from topics import codec, keys
-from topics.messages import SCHEMA_VERSION, Claim, Command, ErrorReply, Manifest, Reset, Sample, Write
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics import codec, keys
+from zenostat.topics.messages import SCHEMA_VERSION, Claim, Command, ErrorReply, Manifest, Reset, Sample, Write
 
 PERSONS = 12
 """Names of those who write; a few, since each sample tells the names of those that hold something."""
@@ -157,7 +157,7 @@ class Flooder:
 def main() -> None:
     """Floods as it is told, line by line."""
     settings: dict[str, Any] = json.loads(sys.argv[1])
-    with agent_sdk.connect(settings["endpoint"], affinity=Affinity.OFF) as bus:
+    with zenostat.connect(settings["endpoint"], affinity=Affinity.OFF) as bus:
         flooder = Flooder(bus, settings["node"], Journal(Path(settings["journal"])))
         for line in sys.stdin:
             order = json.loads(line)

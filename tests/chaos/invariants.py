@@ -15,7 +15,7 @@ from chaos.disturbances import Disturbance
 from chaos.recordings import recording_faults
 from chaos.replay import differences
 from chaos.run import LEVELS, Outcome
-from topics.messages import Event, EventKind, Flag, Sample
+from zenostat.topics.messages import Event, EventKind, Flag, Sample
 
 MAY_GROW_BYTES = ((600.0, 8e6), (120.0, 16e6), (0.0, 48e6))
 """By the least seconds of a run: how much more the end of a run may hold than the most of its first half. In a short

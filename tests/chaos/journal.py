@@ -11,8 +11,8 @@ from typing import Any
 
 import msgpack
 
-from topics import codec
-from topics.messages import Event, Sample
+from zenostat.topics import codec
+from zenostat.topics.messages import Event, Sample
 
 
 class Journal:

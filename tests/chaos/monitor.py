@@ -16,10 +16,10 @@ import msgpack
 import zenoh
 from zenoh.handlers import RingChannel
 
-from bridge.transport.session import open_session
 from chaos.journal import KINDS
-from topics import codec, keys
-from topics.messages import Event, EventKind
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics import codec, keys
+from zenostat.topics.messages import Event, EventKind
 
 _LISTEN = 65536
 _PATIENCE_S = 60.0

@@ -19,13 +19,13 @@ import numpy as np
 from rich.console import Console
 from support.nodes import SMALL, NodeProgram
 
-import agent_sdk
-from bridge.recording.reader import RecordingReader
-from bridge.runtime.affinity import Affinity
-from eplus_node.verification import verify
-from topics import codec
-from topics.errors import InvalidRecording, ZenostatError
-from topics.messages import Sample
+import zenostat
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.eplus_node.verification import verify
+from zenostat.topics import codec
+from zenostat.topics.errors import InvalidRecording, ZenostatError
+from zenostat.topics.messages import Sample
 
 _NOISE = {"weather_noise": {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 5.0}}}
 _NOTHING = "ends before its first message"
@@ -88,7 +88,7 @@ def kill_recorded_nodes(folder: Path, *, seconds: float, seed: int) -> Killed:
         }
         node = NodeProgram(folder / f"node-{number}", **settings, record=str(path))
         try:
-            with agent_sdk.connect(node.endpoint, affinity=Affinity.OFF) as bus:
+            with zenostat.connect(node.endpoint, affinity=Affinity.OFF) as bus:
                 is_early = number % _EARLY_EVERY == 0
                 _kill_in_time(node, bus, rng, killed.faults, is_early=is_early)
         finally:
@@ -102,7 +102,7 @@ def kill_recorded_nodes(folder: Path, *, seconds: float, seed: int) -> Killed:
 
 
 def _kill_in_time(
-    node: NodeProgram, bus: agent_sdk.Bus, rng: random.Random, faults: list[str], *, is_early: bool
+    node: NodeProgram, bus: zenostat.Bus, rng: random.Random, faults: list[str], *, is_early: bool
 ) -> None:
     """Trouble a node until it is killed; an error before that is a fault."""
     is_killed = threading.Event()
@@ -124,7 +124,7 @@ def _kill_in_time(
             moment.join()
 
 
-def _trouble(bus: agent_sdk.Bus, rng: random.Random, *, on_first_sample: Callable[[], None]) -> None:
+def _trouble(bus: zenostat.Bus, rng: random.Random, *, on_first_sample: Callable[[], None]) -> None:
     """Step, write, pause a slot, take snapshots and reset until the node is gone."""
     values = np.random.default_rng(rng.randrange(2**32))
     with bus.controller("office", name="random") as link:

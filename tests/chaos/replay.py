@@ -7,13 +7,13 @@ from pathlib import Path
 import numpy as np
 from support.nodes import NodeProgram
 
-import agent_sdk
-from agent_sdk.bus.controller_link import ControllerLink
-from bridge.runtime.affinity import Affinity
+import zenostat
 from chaos.account import Episode
 from chaos.run import BUILDING
-from topics.errors import ZenostatError
-from topics.messages import CommandOp, Flag, Sample
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics.errors import ZenostatError
+from zenostat.topics.messages import CommandOp, Flag, Sample
 
 QUIET = BUILDING | {"policy": "abort", "deadline_s": 60.0}
 """Without a policy, a sample that did not come would be waited for without end."""
@@ -21,7 +21,7 @@ QUIET = BUILDING | {"policy": "abort", "deadline_s": 60.0}
 
 def differences(folder: Path, episodes: list[Episode]) -> list[str]:
     """Where the quiet run is not the same to the bit; one line for an episode at most."""
-    with NodeProgram(folder, **QUIET) as node, agent_sdk.connect(node.endpoint, affinity=Affinity.OFF) as bus:
+    with NodeProgram(folder, **QUIET) as node, zenostat.connect(node.endpoint, affinity=Affinity.OFF) as bus:
         with bus.controller(node.name, name="quiet") as link:
             try:
                 found = [_compared(link, episode) for episode in episodes if episode.samples]

@@ -20,15 +20,15 @@ import zenoh
 from support.nodes import SMALL, ZONES, NodeProgram, engines_of, until
 from zenoh.handlers import Callback
 
-import agent_sdk
-from bridge.runtime.affinity import Affinity
-from bridge.runtime.timer import Timer
+import zenostat
 from chaos.controller import LOST
 from chaos.crew import Member
 from chaos.disturbances import FLOODS, LONG_S, SIZES, Disturbance, Step, script
-from topics import codec, keys
-from topics.errors import SimulatorError
-from topics.messages import Ack, Event, EventKind, Manifest, Pause, Reset, Resume, Status
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime.timer import Timer
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import SimulatorError
+from zenostat.topics.messages import Ack, Event, EventKind, Manifest, Pause, Reset, Resume, Status
 
 BUILDING = SMALL | {"begin": "07-01", "end": "07-07"}
 NODE = BUILDING | {"policy": "hold", "deadline_s": 0.25, "baseline": False}
@@ -119,7 +119,7 @@ class Chaos:
         folder, enter = self.outcome.folder, self._close.enter_context
         self.node = enter(NodeProgram(folder / "node", **NODE, record=str(self.outcome.recording)))
         self._close.callback(self._thaw_all)
-        self._bus = enter(agent_sdk.connect(self.node.endpoint, affinity=Affinity.OFF))
+        self._bus = enter(zenostat.connect(self.node.endpoint, affinity=Affinity.OFF))
         self.outcome.manifest = self._bus.manifest(self.node.name)
         hears = self._bus.session.declare_subscriber(keys.EVENT.at("office"), Callback(self._on_event, indirect=False))
         self._close.callback(hears.undeclare)

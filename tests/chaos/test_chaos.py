@@ -23,7 +23,7 @@ from chaos.invariants import _contiguous, _flat
 from chaos.journal import Sent
 from chaos.report import BEGIN, END
 from chaos.run import Outcome, Resources
-from topics.messages import Actuator, Event, EventKind, Flag, Manifest, Mode, Policy, Sample, Versions
+from zenostat.topics.messages import Actuator, Event, EventKind, Flag, Manifest, Mode, Policy, Sample, Versions
 
 PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 

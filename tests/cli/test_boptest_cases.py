@@ -13,10 +13,10 @@ pytest.importorskip("fastapi", reason="fastapi is not installed")
 
 import typer.main
 
-from cli.boptest_cases import BundledTestCases
-from cli.commands import app
-from topics.errors import UnknownName
-from topics.scenario_ids import BUILDINGS
+from zenostat.cli.boptest_cases import BundledTestCases
+from zenostat.cli.commands import app
+from zenostat.topics.errors import UnknownName
+from zenostat.topics.scenario_ids import BUILDINGS
 
 SCENARIO = "building: office-small\nweather: [USA_FL_Miami, USA_CO_Denver]\nsteps_per_hour: 6\n"
 

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cli.chart import Line, Scale, chart, scale_of
+from zenostat.cli.chart import Line, Scale, chart, scale_of
 
 BEGIN = datetime(2017, 7, 3)
 

@@ -11,7 +11,7 @@ import pytest
 from support.nodes import SMALL, NodeProgram, command_of, free_port, interrupted, programs_of, until
 from support.run_cli import DAY, ZENOSTAT, plain, run_in_process, run_program
 
-import agent_sdk
+import zenostat
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -20,7 +20,7 @@ def test_node__that_is_ended_while_it_starts_leaves_nothing(scratch: Path, numbe
     command = [*ZENOSTAT, "node", *DAY, "--listen", f"tcp/127.0.0.1:{free_port()}", "--affinity", "off"]
 
     def simulates() -> bool:
-        return any("eplus_node.engine" in command_of(program) for program in programs_of(scratch))
+        return any("zenostat.eplus_node.engine" in command_of(program) for program in programs_of(scratch))
 
     interrupted(command, simulates, "its engine runs", cwd=scratch, number=number)
 
@@ -74,7 +74,7 @@ def test_node_controller_and_monitor__are_three_programs(scratch: Path) -> None:
 
 def test_run__ctrl_c_leaves_the_node_waiting(scratch: Path) -> None:
     year = SMALL | {"begin": "01-01", "end": "12-31"}
-    with NodeProgram(scratch / "node", **year) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with NodeProgram(scratch / "node", **year) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
         run = subprocess.Popen(
             [*ZENOSTAT, "run", "--node", "office", "--controller", "baseline", "--connect", node.endpoint],
             stdout=subprocess.PIPE,

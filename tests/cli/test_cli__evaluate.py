@@ -13,9 +13,9 @@ import pytest
 from support.nodes import SMALL, interrupted
 from support.run_cli import ZENOSTAT, plain, run_in_process, run_program
 
-from agent_sdk.evaluation.statistics import summarize
-from cli.evaluate import INTERVAL_NOTE, check_file, metric_text, write
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.evaluation.statistics import summarize
+from zenostat.cli.evaluate import INTERVAL_NOTE, check_file, metric_text, write
+from zenostat.topics.errors import InvalidConfig
 
 SCENARIO = f"""
 building: {SMALL["building"]}
@@ -64,7 +64,7 @@ def test_two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> Non
 @pytest.mark.slow
 def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> None:
     (scratch / "mine.py").write_text(
-        "from agent_sdk.controllers import FixedSetpoints\n\n\n"
+        "from zenostat.agent_sdk.controllers import FixedSetpoints\n\n\n"
         "class Mine(FixedSetpoints):\n    def __init__(self, manifest, *, core=26.0):\n"
         "        super().__init__(manifest, cooling_setpoint=core)\n"
     )
@@ -122,7 +122,7 @@ def test_an_unknown_scenario_lists_near_ones(scratch: Path) -> None:
 def test_evaluate__a_signal_leaves_nothing(scratch: Path, number: signal.Signals) -> None:
     (scratch / "office.yaml").write_text(SCENARIO)
     (scratch / "signals.py").write_text(
-        "from agent_sdk.controllers import RuleBasedController\n\n\n"
+        "from zenostat.agent_sdk.controllers import RuleBasedController\n\n\n"
         "class Signals(RuleBasedController):\n    def act(self, sample):\n"
         "        if sample.step == 40:\n            open('step-40', 'w').close()\n        return super().act(sample)\n"
     )

@@ -8,26 +8,26 @@ import sys
 import pytest
 import typer
 
-from cli.commands import GROUPS, app, command_name
+from zenostat.cli.commands import GROUPS, app, command_name
 
 SCRIPT = """
 import sys
-from cli.main import main
+from zenostat.cli.main import main
 try:
     main()
 finally:
     print(*sys.modules, sep="\\n", file=sys.stderr)
 """
 SLOW = {
-    "agent_sdk",
     "asyncio",
-    "eplus_node",
     "gymnasium",
     "matplotlib",
-    "models",
     "rerun",
     "stable_baselines3",
     "torch",
+    "zenostat.agent_sdk",
+    "zenostat.eplus_node",
+    "zenostat.models",
 }
 """What no help needs: frameworks, and packages of ours that import them."""
 
@@ -44,26 +44,26 @@ def imported(*arguments: str) -> set[str]:
 def test_the_list_of_commands_imports_no_command_and_nothing_large() -> None:
     modules = imported("--help")
     assert not modules & (SLOW | {"msgpack", "numpy", "pydantic", "yaml", "zenoh"})
-    assert {name for name in modules if name.startswith("cli.")} == {
-        "cli.commands",
-        "cli.console",
-        "cli.failures",
-        "cli.main",
+    assert {name for name in modules if name.startswith("zenostat.cli.")} == {
+        "zenostat.cli.commands",
+        "zenostat.cli.console",
+        "zenostat.cli.failures",
+        "zenostat.cli.main",
     }
 
 
 @pytest.mark.parametrize(
     ("command", "others"),
     [
-        ("status", {"cli.record", "cli.write"}),
+        ("status", {"zenostat.cli.record", "zenostat.cli.write"}),
         ("asyncapi", set()),
     ],
 )
 def test_the_help_of_a_command_imports_its_own_module(command: str, others: set[str]) -> None:
     modules = imported(command, "--help")
     assert not modules & SLOW
-    own = {f"cli.{place.split('.')[0]}" for places in GROUPS.values() for place in places}
-    assert {name for name in modules if name in own} <= {f"cli.{command}"} | others
+    own = {f"zenostat.cli.{place.split('.')[0]}" for places in GROUPS.values() for place in places}
+    assert {name for name in modules if name in own} <= {f"zenostat.cli.{command}"} | others
 
 
 def test_the_list_has_the_first_paragraph_of_each_command() -> None:

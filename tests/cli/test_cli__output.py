@@ -122,7 +122,7 @@ def test_points__show_a_location_once_and_nothing_is_cut_at_80_columns(monkeypat
     select = ("points", "ref-small-office", "--default")
     rows = json.loads(run_in_process(*select, "--json").stdout)
     terminal = Console(width=80, force_terminal=True, color_system=None, file=io.StringIO())
-    monkeypatch.setattr("cli.tables.out", terminal)
+    monkeypatch.setattr("zenostat.cli.tables.out", terminal)
     run_in_process(*select)
     printed = terminal.file.getvalue().splitlines()
     rule = next(number for number, line in enumerate(printed) if line.startswith("─"))

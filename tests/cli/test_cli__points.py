@@ -16,27 +16,27 @@ import pytest
 from support.nodes import NodeProgram, new_episode, until
 from support.run_cli import ZENOSTAT, run_in_process, run_program
 
-import agent_sdk
-from cli.write import seconds
-from topics.errors import InvalidAction, InvalidConfig, NodeLost, RequestRejected, UnknownName
-from topics.messages import Manifest
+import zenostat
+from zenostat.cli.write import seconds
+from zenostat.topics.errors import InvalidAction, InvalidConfig, NodeLost, RequestRejected, UnknownName
+from zenostat.topics.messages import Manifest
 
 POINT = "core_zn_cooling_setpoint"
 AIR = "core_zn_air_temperature"
 
 
-def zenostat(endpoint: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def run_zenostat(endpoint: str, *arguments: str) -> subprocess.CompletedProcess[str]:
     return run_in_process(*arguments, "--connect", endpoint, columns=200)
 
 
 @pytest.fixture
-def bus(shared_bus: agent_sdk.Bus) -> agent_sdk.Bus:
+def bus(shared_bus: zenostat.Bus) -> zenostat.Bus:
     """The bus of the node that the tests of this module share, at the begin of an episode."""
     new_episode(shared_bus)
     return shared_bus
 
 
-def sources(link: agent_sdk.ControllerLink, steps: int) -> list[tuple[float, str]]:
+def sources(link: zenostat.ControllerLink, steps: int) -> list[tuple[float, str]]:
     """What the point really was in each of the next timesteps, and who set it; the controller keeps all as it is."""
     sample, found = link.current(), []
     place = [a.name for a in link.manifest.actuators].index(POINT)
@@ -48,14 +48,14 @@ def sources(link: agent_sdk.ControllerLink, steps: int) -> list[tuple[float, str
 
 
 def actuator_of(endpoint: str) -> dict[str, Any]:
-    read = json.loads(zenostat(endpoint, "read", "office", POINT, "--json").stdout)
+    read = json.loads(run_zenostat(endpoint, "read", "office", POINT, "--json").stdout)
     return next(row for row in read["points"] if row["kind"] == "actuator")
 
 
 # write and release
 
 
-def test_a_write_rules_until_it_is_released(bus: agent_sdk.Bus) -> None:
+def test_a_write_rules_until_it_is_released(bus: zenostat.Bus) -> None:
     """ann writes 26 → node@1 → ann releases → node@2; by programs"""
     connect = ("--connect", bus.endpoint)
     written = run_program("write", "office", POINT, "26", "--source", "ann", *connect)
@@ -71,39 +71,39 @@ def test_a_write_rules_until_it_is_released(bus: agent_sdk.Bus) -> None:
         assert actuator_of(bus.endpoint)["value_source"] == ""
 
 
-def test_a_write_for_half_an_hour_rules_two_quarters(bus: agent_sdk.Bus) -> None:
-    written = zenostat(bus.endpoint, "write", "office", POINT, "26", "--duration", "30min", "--source", "ann")
+def test_a_write_for_half_an_hour_rules_two_quarters(bus: zenostat.Bus) -> None:
+    written = run_zenostat(bus.endpoint, "write", "office", POINT, "26", "--duration", "30min", "--source", "ann")
     assert written.stdout == f"office: {POINT} = 26 degC at priority 8 for 30min\n"
     with bus.controller("office") as link:
         assert [who for _, who in sources(link, 4)] == ["ann", "ann", "", ""]
 
 
-def test_the_higher_priority_rules_and_a_release_is_of_one_level(bus: agent_sdk.Bus) -> None:
+def test_the_higher_priority_rules_and_a_release_is_of_one_level(bus: zenostat.Bus) -> None:
     for value, priority, who in (("25", "9", "low"), ("27", "3", "high")):
-        done = zenostat(bus.endpoint, "write", "office", POINT, value, "--priority", priority, "--source", who)
+        done = run_zenostat(bus.endpoint, "write", "office", POINT, value, "--priority", priority, "--source", who)
         assert done.returncode == 0, done.stderr
     with bus.controller("office") as link:
         assert sources(link, 1) == [(27.0, "high")]
-        assert zenostat(bus.endpoint, "relinquish", "office", POINT, "--priority", "3").returncode == 0
+        assert run_zenostat(bus.endpoint, "relinquish", "office", POINT, "--priority", "3").returncode == 0
         assert sources(link, 1) == [(25.0, "low")]
 
 
-def test_who_writes_is_a_person_at_a_machine_if_nobody_is_named(bus: agent_sdk.Bus) -> None:
-    assert zenostat(bus.endpoint, "write", "office", POINT, "26").returncode == 0
+def test_who_writes_is_a_person_at_a_machine_if_nobody_is_named(bus: zenostat.Bus) -> None:
+    assert run_zenostat(bus.endpoint, "write", "office", POINT, "26").returncode == 0
     with bus.controller("office") as link:
         ((_, who),) = sources(link, 1)
     assert re.fullmatch(r"[^@]+@.+", who)
 
 
-def test_what_the_node_refuses_ends_with_1_and_its_reason(bus: agent_sdk.Bus) -> None:
+def test_what_the_node_refuses_ends_with_1_and_its_reason(bus: zenostat.Bus) -> None:
     before = bus.status("office").rejected
     low, high = next((a.low, a.high) for a in bus.manifest("office").actuators if a.name == POINT)
     for value in ("99", "-5"):
-        done = zenostat(bus.endpoint, "write", "office", POINT, value)
+        done = run_zenostat(bus.endpoint, "write", "office", POINT, value)
         assert (done.returncode, done.stdout) == (1, "")
         assert f"{POINT} = {value}; its bounds are {low:g} to {high:g} degC" in done.stderr
     with bus.controller("office", name="holder", priority=8) as link:
-        done = zenostat(bus.endpoint, "write", "office", POINT, "26")
+        done = run_zenostat(bus.endpoint, "write", "office", POINT, "26")
         assert done.returncode == 1
         assert f"priority 8 of '{POINT}' is claimed by '{link.name}'" in done.stderr
     assert bus.status("office").rejected == before + 3
@@ -127,10 +127,10 @@ def test_what_the_node_refuses_ends_with_1_and_its_reason(bus: agent_sdk.Bus) ->
     ],
 )
 def test_mistakes_are_named_before_anything_is_sent(
-    bus: agent_sdk.Bus, arguments: list[str], code: int, words: list[str]
+    bus: zenostat.Bus, arguments: list[str], code: int, words: list[str]
 ) -> None:
     before = bus.status("office").rejected
-    done = zenostat(bus.endpoint, *arguments)
+    done = run_zenostat(bus.endpoint, *arguments)
     assert (done.returncode, done.stdout) == (code, "")
     for word in words:
         assert word in done.stderr
@@ -154,7 +154,7 @@ def test_times_that_are_none(text: str) -> None:
 # From Python
 
 
-def test_each_writer_hears_of_its_own_write(bus: agent_sdk.Bus) -> None:
+def test_each_writer_hears_of_its_own_write(bus: zenostat.Bus) -> None:
     """Four write at once under one name, some of it refused; each is told what it wrote."""
     values = [20.0, 26.0, 27.0, 40.0]
     heard: dict[float, list[str]] = {value: [] for value in values}
@@ -190,7 +190,7 @@ def test_each_writer_hears_of_its_own_write(bus: agent_sdk.Bus) -> None:
     ],
     ids=str,
 )
-def test_a_write_that_cannot_be_is_not_sent(bus: agent_sdk.Bus, wrong: dict[str, Any]) -> None:
+def test_a_write_that_cannot_be_is_not_sent(bus: zenostat.Bus, wrong: dict[str, Any]) -> None:
     before = bus.status("office").rejected
     with pytest.raises(InvalidAction, match=POINT):
         bus.write("office", POINT, **wrong)
@@ -200,7 +200,7 @@ def test_a_write_that_cannot_be_is_not_sent(bus: agent_sdk.Bus, wrong: dict[str,
 
 
 def test_a_node_that_dies_under_a_write_is_named(node: NodeProgram, monkeypatch: pytest.MonkeyPatch) -> None:
-    with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with zenostat.connect(node.endpoint, affinity="off") as bus:
         manifest = bus.manifest
 
         def and_dies(name: str) -> Manifest:
@@ -216,12 +216,12 @@ def test_a_node_that_dies_under_a_write_is_named(node: NodeProgram, monkeypatch:
 # read
 
 
-def test_read_shows_the_latest_sample(bus: agent_sdk.Bus) -> None:
+def test_read_shows_the_latest_sample(bus: zenostat.Bus) -> None:
     with bus.controller("office") as link:
         sample = link.current()
         sample.send()
         sample = link.receive()
-        said = json.loads(zenostat(bus.endpoint, "read", "office", "--json").stdout)
+        said = json.loads(run_zenostat(bus.endpoint, "read", "office", "--json").stdout)
         assert (said["node"], said["episode"], said["step"]) == ("office", bus.status("office").episode[0], 1)
         assert said["time"] == sample.time.isoformat()
         kinds = {
@@ -239,11 +239,11 @@ def test_read_shows_the_latest_sample(bus: agent_sdk.Bus) -> None:
         effective = [float("nan") if row["value"] is None else row["value"] for row in kinds["actuator"]]
         assert np.array_equal(effective, sample.effective, equal_nan=True)
         assert {row["name"]: row["value_source"] for row in kinds["actuator"]} == sample.value_source
-        lines = zenostat(bus.endpoint, "read", "office", AIR).stdout.splitlines()
+        lines = run_zenostat(bus.endpoint, "read", "office", AIR).stdout.splitlines()
         assert lines[0].split() == ["kind", "name", "value", "unit", "low", "high", "value", "source"]
         assert lines[1].split()[:4] == ["sensor", AIR, f"{sample[AIR]:.6g}", "degC"]
         people = "core_zn_occupants"
-        lines = zenostat(bus.endpoint, "read", "office", people).stdout.splitlines()
+        lines = run_zenostat(bus.endpoint, "read", "office", people).stdout.splitlines()
         assert lines[1].split() == ["sensor", people, f"{sample[people]:.6g}", "0"], "no unit, but its low bound"
         assert len(lines) == 2
 
@@ -262,7 +262,7 @@ def watching(endpoint: str, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
-def test_watch_tells_each_sample_once_from_the_present_one_on(bus: agent_sdk.Bus) -> None:
+def test_watch_tells_each_sample_once_from_the_present_one_on(bus: zenostat.Bus) -> None:
     with watching(bus.endpoint, AIR, POINT, "--json", "--steps", "6") as watch, bus.controller("office") as link:
         first = json.loads(watch.stdout.readline())
         sample = link.current()
@@ -284,7 +284,7 @@ def test_watch_tells_each_sample_once_from_the_present_one_on(bus: agent_sdk.Bus
         assert line["actuators"] == {POINT: None if np.isnan(effective) else effective}
 
 
-def test_the_table_has_the_extremes_since_it_began(bus: agent_sdk.Bus) -> None:
+def test_the_table_has_the_extremes_since_it_began(bus: zenostat.Bus) -> None:
     (episode,) = bus.status("office").episode
     screen, terminal = os.openpty()
     drawn = bytearray()
@@ -321,7 +321,7 @@ def test_watch_ends_with_the_node(node: NodeProgram) -> None:
     assert "node 'office' is gone" in err
 
 
-def test_watch_ends_with_ctrl_c(bus: agent_sdk.Bus) -> None:
+def test_watch_ends_with_ctrl_c(bus: zenostat.Bus) -> None:
     with watching(bus.endpoint, "--json") as watch:
         assert json.loads(watch.stdout.readline())["step"] == 0
         watch.send_signal(signal.SIGINT)

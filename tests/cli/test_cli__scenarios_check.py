@@ -9,9 +9,9 @@ import pytest
 from support.nodes import SMALL
 from typer.testing import CliRunner
 
-from cli.commands import app
-from models.catalog import find_weather
-from topics.errors import UsageError
+from zenostat.cli.commands import app
+from zenostat.models.catalog import find_weather
+from zenostat.topics.errors import UsageError
 
 HEAD = "building: ref-small-office\nbegin: 07-03\nend: 07-03\n"
 

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from support.run_cli import plain, run_in_process, run_program
 
-from topics import yaml12
+from zenostat.topics import yaml12
 
 pytest.importorskip("stable_baselines3")
 torch = pytest.importorskip("torch")
@@ -144,9 +144,9 @@ def test_options_override_the_file_and_resume_continues(trained: Path, tmp_path:
 
 def test_a_study_whose_trainings_are_invalid_ends_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("optuna")
-    from agent_sdk.training.study import Tuning
-    from agent_sdk.training.tuning_config import load_tuning
-    from topics.errors import InvalidConfig
+    from zenostat.agent_sdk.training.study import Tuning
+    from zenostat.agent_sdk.training.tuning_config import load_tuning
+    from zenostat.topics.errors import InvalidConfig
 
     tuning = Tuning(load_tuning(tmp_path / write(tmp_path, "s.yaml", STUDY, output=str(tmp_path / "study"))))
     for _ in range(2):

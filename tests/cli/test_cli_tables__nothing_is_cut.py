@@ -9,8 +9,8 @@ import pytest
 from rich.console import Console
 from support.run_cli import run_in_process, run_program
 
-from cli.commands import GROUPS, command_name
-from cli.tables import fitted
+from zenostat.cli.commands import GROUPS, command_name
+from zenostat.cli.tables import fitted
 
 COLUMNS = ("kind", "name", "key", "unit", "low", "high")
 ROWS = [

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.run_cli import plain
 
-from cli.failures import print_failure
+from zenostat.cli.failures import print_failure
 
 
 @pytest.mark.parametrize(

@@ -9,10 +9,10 @@ import pytest
 from rich.console import Console
 from rich.progress import Progress
 
-from bridge.recording.verification import Verification
-from cli.node import _ProgressBar
-from cli.record import describe_recording
-from topics.messages import RecordingState, RecordingStatus
+from zenostat.bridge.recording.verification import Verification
+from zenostat.cli.node import _ProgressBar
+from zenostat.cli.record import describe_recording
+from zenostat.topics.messages import RecordingState, RecordingStatus
 
 STOPPED = RecordingStatus(path="/x/run.mcap", state=RecordingState.STOPPED, reason="No space left on device")
 

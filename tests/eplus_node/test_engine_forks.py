@@ -13,8 +13,8 @@ from support import data_packs as packs
 from support.engine_forks import KINDS, SMALL, engines, make
 from support.nodes import runs, until, within
 
-from agent_sdk.envs.building_env import BuildingEnv
-from topics.errors import EngineDied
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.topics.errors import EngineDied
 
 ALL = KINDS | {
     "many zones, whose points fill more than a socket takes at once": "outpatient-USA_FL_Orlando-continuous-v1",

@@ -15,8 +15,8 @@ import psutil
 import pytest
 from support.engine_forks import FOUR, SMALL, Row, engines, episode, go, make, plan, same
 
-from agent_sdk.envs.building_env import BuildingEnv
-from eplus_node.engine.memory import SaturationCache
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.eplus_node.engine.memory import SaturationCache
 
 SLOTS, HEAD, WET_BULB, SATURATION, BY_PRESSURE, SETTING, BY_ENTHALPY = 1 << 20, 8, 1 << 25, 1 << 24, 3 << 23, 8, 3 << 23
 SETTING_AT = HEAD + WET_BULB + SATURATION + BY_PRESSURE

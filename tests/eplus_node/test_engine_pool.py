@@ -15,14 +15,14 @@ from support.engine_forks import FOUR, SMALL, Faults, engines, episode, go, make
 from support.nodes import SMALL as OFFICE
 from support.nodes import runs, until
 
-from bridge.engine.client import EngineClient
-from eplus_node.config import read_config
-from eplus_node.engine.pool import EnginePool
-from eplus_node.engine.template import EngineTemplate
-from eplus_node.plan import Plan
-from eplus_node.plan import plan as read_plan
-from topics.errors import EngineDied, ForkFailed, SimulatorError
-from topics.messages import EngineStart, State
+from zenostat.bridge.engine.client import EngineClient
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.engine.pool import EnginePool
+from zenostat.eplus_node.engine.template import EngineTemplate
+from zenostat.eplus_node.plan import Plan
+from zenostat.eplus_node.plan import plan as read_plan
+from zenostat.topics.errors import EngineDied, ForkFailed, SimulatorError
+from zenostat.topics.messages import EngineStart, State
 
 STOCHASTIC = SMALL.replace("continuous", "continuous-stochastic")
 IN_TURN = {"weather": ["USA_CO_Denver", "USA_FL_Miami"], "weather_order": "sequence"}

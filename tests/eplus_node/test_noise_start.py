@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from support.engine_forks import KINDS, SMALL, Row, engines, episode, go, make, plan, row, same
 from support.nodes import until
 
-from agent_sdk.envs.building_env import BuildingEnv
-from eplus_node.config import read_config
-from eplus_node.plan import plan as read_plan
-from models.catalog import find_weather
-from topics.errors import InvalidConfig
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.plan import plan as read_plan
+from zenostat.models.catalog import find_weather
+from zenostat.topics.errors import InvalidConfig
 
 NOISE = {"dry_bulb_temperature": {"sigma": 3.0, "mu": 1.0}, "direct_normal_radiation": {"sigma": 80.0}}
 LATE = {"weather_noise": NOISE, "noise_start": "third_day", "end": "07-06", "steps_per_hour": 1}

@@ -12,7 +12,7 @@ THIRD_PARTY = {"cryptography", "gymnasium", "numpy", "psutil", "pydantic", "rich
 
 @pytest.mark.parametrize(
     ("program", "needed"),
-    [("eplus_node", {"numpy", "psutil", "pydantic", "zenoh"}), ("eplus_node.engine", set())],
+    [("zenostat.eplus_node", {"numpy", "psutil", "pydantic", "zenoh"}), ("zenostat.eplus_node.engine", set())],
 )
 def test_a_program_imports_only_what_each_start_needs(program: str, needed: set[str]) -> None:
     text = f"import sys, {program}.__main__; print(*sys.modules)"

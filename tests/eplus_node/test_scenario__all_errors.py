@@ -9,12 +9,12 @@ import gymnasium as gym
 import pytest
 from typer.testing import CliRunner
 
-import agent_sdk  # noqa: F401  # registers the environments
-from cli.commands import app
-from eplus_node.config import read_config
-from eplus_node.plan import plan
-from topics.calendar import parse_day
-from topics.errors import InvalidConfig
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.cli.commands import app
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.plan import plan
+from zenostat.topics.calendar import parse_day
+from zenostat.topics.errors import InvalidConfig
 
 MINE = """
 building: offfice-small

@@ -15,9 +15,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.energyplus_reference import _RUN
 
-from models.building import schema
-from models.building.model import for_episode, read_building, write
-from models.catalog import Entry, buildings, find_building, find_weather
+from zenostat.models.building import schema
+from zenostat.models.building.model import for_episode, read_building, write
+from zenostat.models.catalog import Entry, buildings, find_building, find_weather
 
 GYPSUM = "1/2IN Gypsum"
 MATERIAL = {"roughness": "Smooth", "thickness": 0.1, "conductivity": 0.2, "density": 800.0, "specific_heat": 900.0}

@@ -12,17 +12,17 @@ from typing import Any
 
 import pytest
 
-from models import catalog
-from models.building import summary
-from models.building.model import Building, for_episode, read_building, write
-from models.building.summary import (
+from zenostat.models import catalog
+from zenostat.models.building import summary
+from zenostat.models.building.model import Building, for_episode, read_building, write
+from zenostat.models.building.summary import (
     BuildingSummary,
     building_summary,
     listed_summaries,
     zone_areas,
 )
-from models.points.discovery import discover, locations
-from models.scenario.run_period import Period
+from zenostat.models.points.discovery import discover, locations
+from zenostat.models.scenario.run_period import Period
 
 # Multipliers of zones and of a list of zones, plenums, attics, no heating in some zones, condenser loops.
 ASKED = ("restaurant-fast-food", "hotel-small", "office-large", "ref-midrise-apartment", "ref-outpatient", "warehouse")

@@ -15,9 +15,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models import cache as cache_module
-from models.cache import cached_bytes, cached_dir, digest
-from topics.errors import InvalidConfig
+from zenostat.models import cache as cache_module
+from zenostat.models.cache import cached_bytes, cached_dir, digest
+from zenostat.topics.errors import InvalidConfig
 
 
 @pytest.fixture(autouse=True)

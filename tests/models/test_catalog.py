@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from models import catalog
-from models.catalog import Entry, building_name, find_building, find_weather, weather_name
-from models.weather.header import read_header
-from topics.errors import InvalidConfig, UnknownName
-from topics.keys import safe_name
+from zenostat.models import catalog
+from zenostat.models.catalog import Entry, building_name, find_building, find_weather, weather_name
+from zenostat.models.weather.header import read_header
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.keys import safe_name
 
 
 def test_the_wheel_has_32_buildings_and_16_weathers() -> None:

@@ -10,13 +10,13 @@ from typing import Any
 
 import pytest
 
-from models.building.conflicts import conflicts
-from models.building.edits import Edits, apply_edits
-from models.building.model import for_episode, read_building, write
-from models.catalog import find_building, find_weather
-from models.points.discovery import discover
-from models.points.selection import select_points
-from topics.messages import Actuator
+from zenostat.models.building.conflicts import conflicts
+from zenostat.models.building.edits import Edits, apply_edits
+from zenostat.models.building.model import for_episode, read_building, write
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.points.discovery import discover
+from zenostat.models.points.selection import select_points
+from zenostat.topics.messages import Actuator
 
 ZONE, SCHEDULE = "Zone Temperature Control", "Schedule:Compact"
 COOLING = Actuator(name="zone", component_type=ZONE, control_type="Cooling Setpoint", key="CORE_ZN", unit="degC")

@@ -19,13 +19,13 @@ from pathlib import Path
 import pytest
 from support.data_packs import pack_of, sinergym, wheel
 
-from models import catalog
-from models import data_packs as store
-from models.cache import cached_dir, evict
-from models.catalog import find_building, find_weather
-from models.data_packs import PACKS, Pack, add, check_hash, folder, installed, remove, unzip
-from topics.errors import InvalidConfig, UnknownName
-from topics.scenario_ids import pack_ids
+from zenostat.models import catalog
+from zenostat.models import data_packs as store
+from zenostat.models.cache import cached_dir, evict
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.data_packs import PACKS, Pack, add, check_hash, folder, installed, remove, unzip
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.scenario_ids import pack_ids
 
 FILES = {
     "fake/data/buildings/hut.epJSON": "{}",
@@ -399,9 +399,9 @@ def test_the_command_lists_adds_and_removes(fake, cache, monkeypatch):
     from rich.console import Console
     from typer.testing import CliRunner
 
-    from cli.data_packs import app
+    from zenostat.cli.data_packs import app
 
-    monkeypatch.setattr("cli.data_packs.out", Console(width=300, highlight=False))
+    monkeypatch.setattr("zenostat.cli.data_packs.out", Console(width=300, highlight=False))
     runner = CliRunner()
     for arguments in ([], ["list"]):
         _, *rows = runner.invoke(app, arguments).stdout.splitlines()

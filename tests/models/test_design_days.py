@@ -14,13 +14,13 @@ import pytest
 from support.energyplus_reference import _RUN
 from support.weather_files import DRY_BULB, Outdoors, run
 
-from models.building.model import for_episode, read_building, write
-from models.catalog import find_building, find_weather
-from models.err_file import severe_messages
-from models.scenario.run_period import Period
-from models.weather.design_days import Site, apply, from_header, site, standard_pressure
-from models.weather.header import DesignConditions, Header, read_header
-from topics.errors import InvalidConfig
+from zenostat.models.building.model import for_episode, read_building, write
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.err_file import severe_messages
+from zenostat.models.scenario.run_period import Period
+from zenostat.models.weather.design_days import Site, apply, from_header, site, standard_pressure
+from zenostat.models.weather.header import DesignConditions, Header, read_header
+from zenostat.topics.errors import InvalidConfig
 
 DENVER = find_weather("USA_CO_Denver").path
 BOULDER = find_weather("USA_CO_Boulder").path
@@ -123,8 +123,8 @@ def test_a_ddy_that_lacks_something_is_not_taken_and_the_source_says_so(folder: 
 
 
 def test_a_ddy_that_energyplus_cannot_convert_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from models.weather import design_days
-    from topics.errors import ModelError
+    from zenostat.models.weather import design_days
+    from zenostat.topics.errors import ModelError
 
     def refuse(*_: object, **__: object) -> None:
         raise ModelError("EnergyPlus could not convert it")
@@ -136,7 +136,7 @@ def test_a_ddy_that_energyplus_cannot_convert_is_refused(folder: Path, monkeypat
 
 
 def test_a_ddy_is_converted_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from models.weather import design_days
+    from zenostat.models.weather import design_days
 
     monkeypatch.setenv("ZENOSTAT_CACHE", str(folder / "cache"))
     epw, header = beside(folder, LOCATION + HEATING + COOLING)

@@ -14,12 +14,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.building.model import Building, read_building
-from models.catalog import find_building, find_weather
-from models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw, WeatherSampler, WeatherSource
-from models.weather import design_days, epw
-from models.weather.header import read_header
-from models.weather.noise import ColumnNoise, Variability
+from zenostat.models.building.model import Building, read_building
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.scenario.episode_weather import (
+    EpisodeFactory,
+    EpisodeFiles,
+    WeatherDraw,
+    WeatherSampler,
+    WeatherSource,
+)
+from zenostat.models.weather import design_days, epw
+from zenostat.models.weather.header import read_header
+from zenostat.models.weather.noise import ColumnNoise, Variability
 
 SEEDS = st.integers(0, 2**64)
 ORDERS = ("random", "sequence")

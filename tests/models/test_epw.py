@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from support.weather_files import STEPS_PER_HOUR, run
 
-from models.catalog import find_weather, weathers
-from models.scenario.run_period import Period
-from models.weather.epw import COLUMNS, find_column, read, write
-from models.weather.header import DesignConditions, Header, check_covers, read_header
-from topics.errors import InvalidConfig, UnknownName
+from zenostat.models.catalog import find_weather, weathers
+from zenostat.models.scenario.run_period import Period
+from zenostat.models.weather.epw import COLUMNS, find_column, read, write
+from zenostat.models.weather.header import DesignConditions, Header, check_covers, read_header
+from zenostat.topics.errors import InvalidConfig, UnknownName
 
 DENVER = find_weather("USA_CO_Denver").path
 YEAR = 8760

@@ -10,12 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.weather_files import DRY_BULB, run
 
-from models.catalog import find_weather
-from models.scenario.run_period import date
-from models.weather.epw import COLUMNS, Weather, read
-from models.weather.fixed_width import FixedWidthWeather
-from models.weather.noise import ColumnNoise, with_noise
-from topics.errors import InvalidConfig, UnknownName
+from zenostat.models.catalog import find_weather
+from zenostat.models.scenario.run_period import date
+from zenostat.models.weather.epw import COLUMNS, Weather, read
+from zenostat.models.weather.fixed_width import FixedWidthWeather
+from zenostat.models.weather.noise import ColumnNoise, with_noise
+from zenostat.topics.errors import InvalidConfig, UnknownName
 
 DENVER = find_weather("USA_CO_Denver").path
 

@@ -11,12 +11,12 @@ import pytest
 from support import data_packs, eio
 from support.geometry_models import DENVER, EVERY_FORM, rules
 
-from bridge.display.surfaces import Surface, sun_direction, surfaces
-from models import catalog
-from models.building.geometry import building_geometry
-from models.building.model import Building, Objects, read_building
-from models.building.polygons import PolygonReader
-from topics.messages import SurfaceKind
+from zenostat.bridge.display.surfaces import Surface, sun_direction, surfaces
+from zenostat.models import catalog
+from zenostat.models.building.geometry import building_geometry
+from zenostat.models.building.model import Building, Objects, read_building
+from zenostat.models.building.polygons import PolygonReader
+from zenostat.topics.messages import SurfaceKind
 
 _PRINTED_M = 0.0051
 """EnergyPlus prints coordinates and areas with two digits."""

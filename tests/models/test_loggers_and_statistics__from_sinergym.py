@@ -10,13 +10,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agent_sdk import wrappers as w
-from agent_sdk.testing.fake_env import FakeEnv
-from agent_sdk.wrappers import BuildingWrapper
-from agent_sdk.wrappers.base import StepBatch
-from agent_sdk.wrappers.metric_loggers import MeansLog
-from models.weather.noise import ornstein_uhlenbeck
-from topics.errors import InvalidConfig
+from zenostat import wrappers as w
+from zenostat.agent_sdk.testing.fake_env import FakeEnv
+from zenostat.agent_sdk.wrappers import BuildingWrapper
+from zenostat.agent_sdk.wrappers.base import StepBatch
+from zenostat.agent_sdk.wrappers.metric_loggers import MeansLog
+from zenostat.models.weather.noise import ornstein_uhlenbeck
+from zenostat.topics.errors import InvalidConfig
 
 
 class RowCore(MeansLog):

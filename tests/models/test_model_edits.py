@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.energyplus_reference import Alone, Case
 
-from models.building.edits import Edits, apply_edits
-from models.building.model import read_building
-from models.catalog import find_building
-from topics.errors import InvalidConfig
-from topics.messages import Meter
+from zenostat.models.building.edits import Edits, apply_edits
+from zenostat.models.building.model import read_building
+from zenostat.models.catalog import find_building
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Meter
 
 BRICK = {"roughness": "Smooth", "thickness": 0.1, "conductivity": 0.2, "density": 800.0, "specific_heat": 900.0}
 MODEL: dict[str, dict[str, Any]] = {

@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from models.building.model import read_building
-from models.building.source_lines import locate, read_objects
-from models.catalog import bundled_weathers, find_building
-from models.err_file import explain
-from models.points.discovery import discover
-from topics.errors import ModelError
+from zenostat.models.building.model import read_building
+from zenostat.models.building.source_lines import locate, read_objects
+from zenostat.models.catalog import bundled_weathers, find_building
+from zenostat.models.err_file import explain
+from zenostat.models.points.discovery import discover
+from zenostat.topics.errors import ModelError
 
 REFERENCES = {
     "Lights": "Schedule Name",

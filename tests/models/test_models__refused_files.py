@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from models import energyplus
-from models.building import model
-from models.building.model import Building, check_runnable, read_building
-from models.catalog import bundled_weathers, find_building
-from models.points.discovery import discover
-from models.weather.design_days import site
-from models.weather.header import read_header
-from topics.errors import InvalidConfig, ModelError
+from zenostat.models import energyplus
+from zenostat.models.building import model
+from zenostat.models.building.model import Building, check_runnable, read_building
+from zenostat.models.catalog import bundled_weathers, find_building
+from zenostat.models.points.discovery import discover
+from zenostat.models.weather.design_days import site
+from zenostat.models.weather.header import read_header
+from zenostat.topics.errors import InvalidConfig, ModelError
 
 pytestmark = pytest.mark.process
 

@@ -6,11 +6,11 @@ from collections.abc import Mapping
 
 import pytest
 
-from models.building.model import Building
-from models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable, hvac_meters
-from models.points.monitoring import with_monitoring, with_unobserved
-from models.points.selection import Points, select_points
-from topics.errors import UnknownName
+from zenostat.models.building.model import Building
+from zenostat.models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable, hvac_meters
+from zenostat.models.points.monitoring import with_monitoring, with_unobserved
+from zenostat.models.points.selection import Points, select_points
+from zenostat.topics.errors import UnknownName
 
 THERMOSTAT = "Zone Temperature Control"
 BUILDING = Building("b", {"Building": {"b": {}}}, "0")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from models.building.output_objects import with_requests, without_files
+from zenostat.models.building.output_objects import with_requests, without_files
 
 WET_BULB = {"key_value": "*", "variable_name": "Zone Wetbulb Globe Temperature", "reporting_frequency": "Hourly"}
 OTHER = {"key_value": "*", "variable_name": "Zone Air Temperature", "reporting_frequency": "Hourly"}

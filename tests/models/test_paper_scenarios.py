@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 from support.data_packs import sinergym
 
-from models import catalog, data_packs
-from models.scenario.paper import paper_scenarios
-from models.scenario.registry import find_scenario
-from models.scenario.schema import Scenario
-from topics.errors import InvalidConfig, UnknownName
-from topics.scenario_ids import PAPER_IDS, all_ids
+from zenostat.models import catalog, data_packs
+from zenostat.models.scenario.paper import paper_scenarios
+from zenostat.models.scenario.registry import find_scenario
+from zenostat.models.scenario.schema import Scenario
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.scenario_ids import PAPER_IDS, all_ids
 
 STOCHASTIC = "paper-datacenter-mixed-continuous-stochastic-v1"
 

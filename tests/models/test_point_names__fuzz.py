@@ -12,15 +12,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.builders import actuator, advance, claim, command, exchange
 
-import agent_sdk  # noqa: F401  # registers the environments
-from models.building.model import read_building
-from models.catalog import find_building
-from models.points.discovery import ActuatorPoint, PointCatalog, Variable
-from models.points.selection import default_actuators, default_sensors, find_actuator, thermostat_zones
-from topics import codec
-from topics.errors import BadMessage, InvalidConfig, UnknownName
-from topics.keys import check_name, safe_name
-from topics.messages import CommandOp, EventKind, Write
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.models.building.model import read_building
+from zenostat.models.catalog import find_building
+from zenostat.models.points.discovery import ActuatorPoint, PointCatalog, Variable
+from zenostat.models.points.selection import default_actuators, default_sensors, find_actuator, thermostat_zones
+from zenostat.topics import codec
+from zenostat.topics.errors import BadMessage, InvalidConfig, UnknownName
+from zenostat.topics.keys import check_name, safe_name
+from zenostat.topics.messages import CommandOp, EventKind, Write
 
 MANY = 10_000
 ODD = [

@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
-from models import catalog
-from models.building.model import Building, for_episode, read_building, write
-from models.building.summary import zone_areas
-from models.points.discovery import (
+from zenostat.models import catalog
+from zenostat.models.building.model import Building, for_episode, read_building, write
+from zenostat.models.building.summary import zone_areas
+from zenostat.models.points.discovery import (
     ActuatorPoint,
     InternalVariable,
     MeterPoint,
@@ -23,8 +23,8 @@ from models.points.discovery import (
     discover,
     hvac_meters,
 )
-from models.points.listing import PointListing, listing
-from models.points.selection import (
+from zenostat.models.points.listing import PointListing, listing
+from zenostat.models.points.selection import (
     MeterSpec,
     Points,
     Spec,
@@ -32,11 +32,11 @@ from models.points.selection import (
     select_points,
     sensor_bounds,
 )
-from models.scenario.run_period import Period
-from topics.energyplus_names import HVAC_METERS
-from topics.errors import InvalidConfig, UnknownName
-from topics.messages import Aggregation
-from topics.units import limits, unit_name
+from zenostat.models.scenario.run_period import Period
+from zenostat.topics.energyplus_names import HVAC_METERS
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.messages import Aggregation
+from zenostat.topics.units import limits, unit_name
 
 THERMOSTAT = "Zone Temperature Control"
 

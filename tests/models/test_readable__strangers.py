@@ -9,15 +9,15 @@ from typing import Any
 
 import pytest
 
-from agent_sdk.envs.arguments import check_agent_settings
-from agent_sdk.wrappers import restore_wrappers
-from bridge.alarms.rules import read_rules
-from bridge.faults import read_plan
-from bridge.runtime.affinity import Affinity
-from models.scenario.schema import load_scenario, read_scenario
-from models.sinergym.scenarios import scenarios_of
-from topics import yaml12
-from topics.errors import InvalidConfig, UsageError
+from zenostat.agent_sdk.envs.arguments import check_agent_settings
+from zenostat.agent_sdk.wrappers import restore_wrappers
+from zenostat.bridge.alarms.rules import read_rules
+from zenostat.bridge.faults import read_plan
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.models.scenario.schema import load_scenario, read_scenario
+from zenostat.models.sinergym.scenarios import scenarios_of
+from zenostat.topics import yaml12
+from zenostat.topics.errors import InvalidConfig, UsageError
 
 
 def _nested(first: str, level: str) -> str:

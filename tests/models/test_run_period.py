@@ -10,11 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.building.model import Building
-from models.scenario.run_period import Period, year_of
-from models.weather.header import Header, check_covers
-from topics.calendar import parse_day
-from topics.errors import InvalidConfig
+from zenostat.models.building.model import Building
+from zenostat.models.scenario.run_period import Period, year_of
+from zenostat.models.weather.header import Header, check_covers
+from zenostat.topics.calendar import parse_day
+from zenostat.topics.errors import InvalidConfig
 
 WEEKDAYS = list(calendar.day_name)
 DIVISORS = [1, 2, 3, 4, 5, 6, 10, 12, 15, 20, 30, 60]

@@ -17,11 +17,11 @@ from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from support.examples import examples
 
-from agent_sdk.rewards import read_reward
-from cli.scenarios import scenario_schema
-from eplus_node.config import read_config
-from eplus_node.plan import plan
-from models.scenario.schema import (
+from zenostat.agent_sdk.rewards import read_reward
+from zenostat.cli.scenarios import scenario_schema
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.plan import plan
+from zenostat.models.scenario.schema import (
     ActionSpec,
     ActuatorSpec,
     DiscreteActionSpec,
@@ -32,9 +32,9 @@ from models.scenario.schema import (
     read_scenario,
     resolve_paths,
 )
-from models.weather.noise import ColumnNoise
-from topics.errors import InvalidConfig, UnknownName, UsageError
-from topics.messages import Aggregation
+from zenostat.models.weather.noise import ColumnNoise
+from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError
+from zenostat.topics.messages import Aggregation
 
 BASE: dict[str, Any] = {"building": "b", "weather": "w"}
 SCHEMA = Draft202012Validator(scenario_schema())
@@ -215,7 +215,7 @@ def test_a_file_is_utf_8_wherever_it_is_read(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("building: b\nweather: w\nabout: Bürogebäude\n", encoding="utf-8")
     program = (
-        "import sys; from pathlib import Path; from models.scenario.schema import load_scenario; "
+        "import sys; from pathlib import Path; from zenostat.models.scenario.schema import load_scenario; "
         "print(ascii(load_scenario(Path(sys.argv[1])).about))"
     )
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}

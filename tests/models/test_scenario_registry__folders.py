@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from models.scenario.registry import find_scenario
-from topics.errors import UnknownName
+from zenostat.models.scenario.registry import find_scenario
+from zenostat.topics.errors import UnknownName
 
 
 def test_the_folder_of_a_training_names_its_scenario(tmp_path: Path) -> None:

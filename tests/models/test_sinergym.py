@@ -13,15 +13,23 @@ import pytest
 import yaml
 from support.data_packs import sinergym
 
-from agent_sdk.rewards import read_reward
-from models.catalog import find_building, find_weather
-from models.scenario.schema import DiscreteActionSpec, Scenario, dump, load_scenario
-from models.sinergym import scenarios as reader
-from models.sinergym.literals import BoxSpec, DiscreteSpec, MultiDiscrete, Offsets, Rows, read_space, read_table
-from models.sinergym.scenarios import discrete_tables, pack_scenarios, scenario_of, scenarios_of
-from models.weather.noise import ColumnNoise
-from topics.errors import InvalidConfig, UnknownName
-from topics.scenario_ids import DEMO, PACK_IDS
+from zenostat.agent_sdk.rewards import read_reward
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.scenario.schema import DiscreteActionSpec, Scenario, dump, load_scenario
+from zenostat.models.sinergym import scenarios as reader
+from zenostat.models.sinergym.literals import (
+    BoxSpec,
+    DiscreteSpec,
+    MultiDiscrete,
+    Offsets,
+    Rows,
+    read_space,
+    read_table,
+)
+from zenostat.models.sinergym.scenarios import discrete_tables, pack_scenarios, scenario_of, scenarios_of
+from zenostat.models.weather.noise import ColumnNoise
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.scenario_ids import DEMO, PACK_IDS
 
 FORMS = ("continuous", "discrete", "continuous-stochastic", "discrete-stochastic")
 

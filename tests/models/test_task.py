@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from models.building.model import Building
-from models.points.selection import Points
-from models.scenario.registry import expanded
-from models.scenario.schema import Scenario, read_scenario
-from models.scenario.task import task_of
-from topics.errors import InvalidConfig
-from topics.messages import Action, Actuator, DiscreteAction, Task, TimeField
+from zenostat.models.building.model import Building
+from zenostat.models.points.selection import Points
+from zenostat.models.scenario.registry import expanded
+from zenostat.models.scenario.schema import Scenario, read_scenario
+from zenostat.models.scenario.task import task_of
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Action, Actuator, DiscreteAction, Task, TimeField
 
 THERMOSTAT = "Zone Temperature Control"
 

@@ -6,13 +6,13 @@ from typing import Any
 
 import pytest
 
-from agent_sdk.benchmark.definition import BUILDINGS
-from agent_sdk.benchmark.frozen_bounds import frozen_actuators
-from models.building.model import Building, read_building
-from models.catalog import bundled_buildings, find_building, find_weather
-from models.points import discovery, selection
-from models.points.thermostat_bounds import setpoint_bounds
-from topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
+from zenostat.agent_sdk.benchmark.definition import BUILDINGS
+from zenostat.agent_sdk.benchmark.frozen_bounds import frozen_actuators
+from zenostat.models.building.model import Building, read_building
+from zenostat.models.catalog import bundled_buildings, find_building, find_weather
+from zenostat.models.points import discovery, selection
+from zenostat.models.points.thermostat_bounds import setpoint_bounds
+from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
 
 
 def building(heating: dict[str, Any], **objects: dict[str, Any]) -> Building:

@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from models import energyplus
-from models.building import schema, transition
-from models.building.model import read_building
-from models.building.transition import TRANSITIONS, check_epjson, check_idf
-from models.catalog import find_building
-from topics.errors import InvalidConfig
+from zenostat.models import energyplus
+from zenostat.models.building import schema, transition
+from zenostat.models.building.model import read_building
+from zenostat.models.building.transition import TRANSITIONS, check_epjson, check_idf
+from zenostat.models.catalog import find_building
+from zenostat.topics.errors import InvalidConfig
 
 pytestmark = pytest.mark.skipif(not energyplus.version().startswith("25.2"), reason="the tables end at 25.2")
 

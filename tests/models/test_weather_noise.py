@@ -18,18 +18,18 @@ from pydantic import ValidationError
 from support.examples import examples
 from support.weather_files import DRY_BULB, STEPS_PER_HOUR, run
 
-from models.catalog import find_weather
-from models.scenario.run_period import date
-from models.weather.epw import Weather, read, write
-from models.weather.noise import (
+from zenostat.models.catalog import find_weather
+from zenostat.models.scenario.run_period import date
+from zenostat.models.weather.epw import Weather, read, write
+from zenostat.models.weather.noise import (
     ColumnNoise,
     NoisyWeather,
     ornstein_uhlenbeck,
     resolve_columns,
     with_noise,
 )
-from models.weather.psychrometrics import clear_sky_infrared, dew_point, relative_humidity, saturation_pressure
-from topics.errors import InvalidConfig, UnknownName
+from zenostat.models.weather.psychrometrics import clear_sky_infrared, dew_point, relative_humidity, saturation_pressure
+from zenostat.topics.errors import InvalidConfig, UnknownName
 
 DENVER = find_weather("USA_CO_Denver").path
 Z = 4.0

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from models import catalog
-from models.weather.summary import climate_zone, weather_summary
-from topics.errors import InvalidConfig
+from zenostat.models import catalog
+from zenostat.models.weather.summary import climate_zone, weather_summary
+from zenostat.topics.errors import InvalidConfig
 
 
 def epw(path: Path, temperature: np.ndarray, *, years: tuple[int, ...] = (2019,), humidity: float = 50.0) -> Path:

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from models.building.model import read_building
-from models.building.whole_weather import reads_whole_weather
-from models.catalog import find_building
+from zenostat.models.building.model import read_building
+from zenostat.models.building.whole_weather import reads_whole_weather
+from zenostat.models.catalog import find_building
 
 
 @pytest.mark.parametrize(

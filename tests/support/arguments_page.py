@@ -8,10 +8,10 @@ from typing import Any, get_type_hints
 
 from typer.main import get_command
 
-from cli.commands import app
-from eplus_node.config import NodeConfig
-from models.scenario.schema import Scenario
-from topics.scenario_fields import MEANING, FileFields, NodeArguments
+from zenostat.cli.commands import app
+from zenostat.eplus_node.config import NodeConfig
+from zenostat.models.scenario.schema import Scenario
+from zenostat.topics.scenario_fields import MEANING, FileFields, NodeArguments
 
 PAGE = Path(__file__).parents[2] / "docs" / "environments.md"
 BEGIN, END = "<!-- made: arguments -->", "<!-- end -->"

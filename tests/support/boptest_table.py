@@ -12,14 +12,14 @@ import re
 import sys
 from pathlib import Path
 
-from bridge.gateways.boptest import test_periods
-from bridge.gateways.boptest.cases import TestCase
-from bridge.gateways.boptest.extensions import ExtendedTest
-from bridge.gateways.boptest.prices import read_rates
-from bridge.gateways.boptest.test_periods import TIME_PERIODS, simulate_test_periods
-from cli.boptest_cases import BundledTestCases, own_weather
-from topics import yaml12
-from topics.scenario_ids import BUILDINGS
+from zenostat.bridge.gateways.boptest import test_periods
+from zenostat.bridge.gateways.boptest.cases import TestCase
+from zenostat.bridge.gateways.boptest.extensions import ExtendedTest
+from zenostat.bridge.gateways.boptest.prices import read_rates
+from zenostat.bridge.gateways.boptest.test_periods import TIME_PERIODS, simulate_test_periods
+from zenostat.cli.boptest_cases import BundledTestCases, own_weather
+from zenostat.topics import yaml12
+from zenostat.topics.scenario_ids import BUILDINGS
 
 ROOT = Path(__file__).resolve().parents[2]
 DAYS = Path(test_periods.__file__).with_name("test_periods.yaml")

@@ -7,10 +7,10 @@ from datetime import datetime
 
 import numpy as np
 
-from agent_sdk.bus.sample import SampleView
-from bridge.exchange.step_exchange import StepExchange
-from topics import codec
-from topics.messages import (
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.exchange.step_exchange import StepExchange
+from zenostat.topics import codec
+from zenostat.topics.messages import (
     Action,
     Actuator,
     Aggregation,
@@ -27,7 +27,7 @@ from topics.messages import (
     Task,
     Versions,
 )
-from topics.points import value_index
+from zenostat.topics.points import value_index
 
 NAN = float("nan")
 NOON = datetime(2017, 1, 16, 12)

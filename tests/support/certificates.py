@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from bridge.transport import certificates
-from bridge.transport.access_control import Role
+from zenostat.bridge.transport import certificates
+from zenostat.bridge.transport.access_control import Role
 
 
 def expire(folder: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,10 +13,10 @@ from typing import Any
 
 import msgpack
 
-from topics import asyncapi, codec, errors, yaml12
-from topics.errors import ZenostatError
-from topics.keys import PREFIX, TOPICS, Delivery, Topic
-from topics.messages import Command, CommandOp, Flag, Sample
+from zenostat.topics import asyncapi, codec, errors, yaml12
+from zenostat.topics.errors import ZenostatError
+from zenostat.topics.keys import PREFIX, TOPICS, Delivery, Topic
+from zenostat.topics.messages import Command, CommandOp, Flag, Sample
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "contract.md"

@@ -6,8 +6,8 @@ import hashlib
 import zipfile
 from pathlib import Path
 
-from models import data_packs
-from models.data_packs import Pack
+from zenostat.models import data_packs
+from zenostat.models.data_packs import Pack
 
 
 def sinergym() -> Path:

@@ -15,8 +15,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from models.building.model import Objects
-from models.catalog import find_weather
+from zenostat.models.building.model import Objects
+from zenostat.models.catalog import find_weather
 
 WEATHER = find_weather("USA_CO_Denver").path
 

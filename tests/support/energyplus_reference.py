@@ -19,15 +19,15 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-import agent_sdk
-from models.building.edits import Edits
-from models.building.model import for_episode, read_building, with_edits, write
-from models.catalog import find_building, find_weather
-from models.weather import design_days
-from models.weather.header import read_header
+import zenostat
 from support.nodes import NodeProgram
-from topics.energyplus_names import HVAC_METERS
-from topics.messages import Aggregation, Manifest, Meter, Sensor
+from zenostat.models.building.edits import Edits
+from zenostat.models.building.model import for_episode, read_building, with_edits, write
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.weather import design_days
+from zenostat.models.weather.header import read_header
+from zenostat.topics.energyplus_names import HVAC_METERS
+from zenostat.topics.messages import Aggregation, Manifest, Meter, Sensor
 
 _RUN = """
 import sys
@@ -73,7 +73,7 @@ def run_both(case: Case, folder: Path, **points: object) -> Runs:
         points: settings of the node: `sensors`, `meters`, `actuators`.
     """
     with NodeProgram(folder, **case.settings(), **points) as node:
-        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        with zenostat.connect(node.endpoint, affinity="off") as bus:
             manifest = bus.manifest("office")
         alone = Alone(case, manifest.sensors, manifest.meters, folder / "alone")
         try:
@@ -88,7 +88,7 @@ def run_both(case: Case, folder: Path, **points: object) -> Runs:
 
 def _over_the_bus(node: NodeProgram) -> tuple[Manifest, NDArray[np.float64]]:
     """All samples of an episode that nobody commands; shape (steps + 1, points)."""
-    with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+    with zenostat.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         samples = []
         for sample in link:
             assert sample.step == len(samples)

@@ -12,9 +12,9 @@ import numpy as np
 import psutil
 import pytest
 
-import agent_sdk  # noqa: F401  # registers the environments
-from agent_sdk.envs.building_env import BuildingEnv
+import zenostat  # noqa: F401  # registers the environments
 from support.nodes import engines_of, runs, until
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
 
 SMALL = "zenostat/ref-small-office-USA_CO_Denver-continuous-v1"
 """One summer day of it has 96 steps with `FOUR`."""
@@ -120,16 +120,16 @@ def kill(process: psutil.Process) -> None:
 
 _NODE_STARTS_THEM = """
 import sys
-if sys.orig_argv[-2:] == ["-m", "eplus_node"]:
+if sys.orig_argv[-2:] == ["-m", "zenostat.eplus_node"]:
     from dataclasses import replace
-    from eplus_node.engine import spec
-    spec.ENERGYPLUS = replace(spec.ENERGYPLUS, command=(sys.executable, "-P", {engine!r}, "eplus_node.engine"))
+    from zenostat.eplus_node.engine import spec
+    spec.ENERGYPLUS = replace(spec.ENERGYPLUS, command=(sys.executable, "-P", {engine!r}, "zenostat.eplus_node.engine"))
 """
 
 _ENGINE = """
 import errno, os, signal, sys
-from eplus_node.engine import process as engine
-from eplus_node.engine.__main__ import main
+from zenostat.eplus_node.engine import process as engine
+from zenostat.eplus_node.engine.__main__ import main
 
 def fault():
     try:

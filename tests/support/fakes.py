@@ -10,12 +10,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.envs import spaces
-from agent_sdk.envs.actions import Actions
-from agent_sdk.envs.time_features import time_features
 from support import builders
-from topics.errors import UnknownName
-from topics.messages import Action, Task, TimeField, WeatherSeries
+from zenostat.agent_sdk.envs import spaces
+from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.time_features import time_features
+from zenostat.topics.errors import UnknownName
+from zenostat.topics.messages import Action, Task, TimeField, WeatherSeries
 
 COLUMNS = {"dry_bulb_temperature": "C", "relative_humidity": "%", "wind_direction": "deg", "snow_depth": "cm"}
 TIME = (TimeField.MONTH, TimeField.DAY_OF_WEEK, TimeField.HOUR, TimeField.MINUTES)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from models.building.model import Building, Objects
-from models.weather.header import Header
+from zenostat.models.building.model import Building, Objects
+from zenostat.models.weather.header import Header
 
 DENVER = Header("Denver", 39.72, -104.75, -7.0, 1726.0, (1, 1), (12, 31))
 

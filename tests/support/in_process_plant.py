@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.empty_plant import EmptyPlant, empty_node
-from bridge.node.plant import PlantContext, SlotPlacement
-from bridge.node.program import main
-from topics.errors import PlantFailed
-from topics.messages import EngineStart, EpisodeStart
+from zenostat.bridge.node.plant import PlantContext, SlotPlacement
+from zenostat.bridge.node.program import main
+from zenostat.topics.errors import PlantFailed
+from zenostat.topics.messages import EngineStart, EpisodeStart
 
 FATAL = 1313.0
 COPIES = "ZENOSTAT_TEST_COPIES"

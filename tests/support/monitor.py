@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from rerun.chunk import RrdReader
 
 from support import builders
-from topics import codec
-from topics.messages import Geometry, Manifest, Sample, SurfaceKind, ZoneGeometry
+from zenostat.topics import codec
+from zenostat.topics.messages import Geometry, Manifest, Sample, SurfaceKind, ZoneGeometry
 
 ZONES = ("Core_ZN", "Perimeter_ZN_1")
 BEGIN = np.datetime64("2017-07-01T00:00", "ns")

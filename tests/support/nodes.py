@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 import psutil
 
-import agent_sdk
-from agent_sdk import ControllerLink
-from topics.errors import from_wire
-from topics.messages import Mode, Reset, State
+import zenostat
+from zenostat import ControllerLink
+from zenostat.topics.errors import from_wire
+from zenostat.topics.messages import Mode, Reset, State
 
 PATIENCE_S = 60.0
 """How long `until` waits before it says what did not happen; no test depends on its length."""
@@ -37,7 +37,7 @@ SMALL: dict[str, Any] = {
 }
 """A summer weekday (96 timesteps) of a building of five zones that has no EMS programs of its own."""
 
-HOST = "bridge.python_plant.host"
+HOST = "zenostat.bridge.python_plant.host"
 """In the command line of a process of a plant that is a Python class."""
 
 ZONES = ("core_zn", "perimeter_zn_1", "perimeter_zn_2", "perimeter_zn_3", "perimeter_zn_4")
@@ -63,13 +63,13 @@ def free_port() -> int:
 
 
 class NodeProgram:
-    """A node as a program: `python -P -m eplus_node`, its settings on standard input; with `plant` that of a class.
+    """A node as a program: `python -P -m zenostat.eplus_node`, settings on stdin; with `plant` that of a class.
 
     Args:
         folder: for its socket (if `listen` names nothing else) and its scratch files.
         before: the words before its own on its command line, say of a network namespace.
         module: that runs the node; by default chosen from the settings.
-        settings: of `eplus_node.config.NodeConfig`, or of `bridge.python_plant.node.PlantSettings`.
+        settings: of `zenostat.eplus_node.config.NodeConfig`, or of `zenostat.bridge.python_plant.node.PlantSettings`.
 
     Raises:
         ZenostatError: what the node said when it could not start; it has ended by then.
@@ -88,7 +88,7 @@ class NodeProgram:
                 sys.executable,
                 "-P",
                 "-m",
-                module or ("bridge.python_plant" if "plant" in settings else "eplus_node"),
+                module or ("zenostat.bridge.python_plant" if "plant" in settings else "zenostat.eplus_node"),
             ],
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
@@ -150,7 +150,7 @@ class NodeProgram:
             self.process.kill()
 
 
-def begin_new_episode(bus: agent_sdk.Bus, node: str = "office") -> list[int]:
+def begin_new_episode(bus: zenostat.Bus, node: str = "office") -> list[int]:
     """Give a shared node the state of a new one, but for its counts and its episode's number, which is returned."""
     until(lambda: not any(c.state.is_connected for c in bus.status(node).controllers), "all controllers have left")
     bus.pause(node)
@@ -164,7 +164,7 @@ def begin_new_episode(bus: agent_sdk.Bus, node: str = "office") -> list[int]:
     return episode
 
 
-def new_episode(bus: agent_sdk.Bus, node: str = "office") -> int:
+def new_episode(bus: zenostat.Bus, node: str = "office") -> int:
     """Begin an episode of a shared node, with no controller connected and nothing written; return its number."""
     until(lambda: not any(c.state.is_connected for c in bus.status(node).controllers), "all controllers have left")
     (episode,) = bus.reset(node, Reset()).episode
@@ -186,7 +186,9 @@ def values_of_day(link: ControllerLink) -> list[bytes]:
 
 def engines_of(node_pid: int) -> list[psutil.Process]:
     """The engines of a node, the one that simulates its episode last; before it, one may wait to be forked."""
-    engines = [child for child in psutil.Process(node_pid).children() if "eplus_node.engine" in command_of(child)]
+    engines = [
+        child for child in psutil.Process(node_pid).children() if "zenostat.eplus_node.engine" in command_of(child)
+    ]
     return sorted(engines, key=lambda engine: (engine.create_time(), engine.pid))
 
 

@@ -11,10 +11,10 @@ from typing import Any
 import gymnasium as gym
 import pytest
 
-from agent_sdk.bus.local_node import LocalNode
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.vector_env import BuildingVectorEnv
 from support.nodes import NodeProgram, Program
+from zenostat.agent_sdk.bus.local_node import LocalNode
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 
 STARTERS = (NodeProgram, Program, LocalNode, BuildingEnv, BuildingVectorEnv)
 """A function that refers to one of these starts a process."""
@@ -22,7 +22,7 @@ STARTERS = (NodeProgram, Program, LocalNode, BuildingEnv, BuildingVectorEnv)
 CALLS = ((subprocess, {"Popen", "run"}), (gym, {"make", "make_vec"}))
 """So does one that refers to one of these modules and these names."""
 
-FOLLOWED = ("support", "conftest", "test_", "agent_sdk", "eplus_node", "models.data_packs")
+FOLLOWED = ("support", "conftest", "test_", "zenostat.agent_sdk", "zenostat.eplus_node", "zenostat.models.data_packs")
 """Functions of these modules are searched; not those of `models` that ask EnergyPlus, whose answers are cached."""
 
 

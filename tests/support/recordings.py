@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 from mcap.opcode import Opcode
 
-from agent_sdk.testing import FakeEnv
-from bridge.node.plant import PlantDescription, RunPeriod
-from bridge.recording.channels import SAMPLES
-from bridge.recording.chunk_writer import ChunkWriter
-from bridge.recording.file import open_recording
-from bridge.recording.reader import RecordedItem, RecordingReader
-from bridge.recording.recorder import Recorder, attachments
-from topics import recording
-from topics.messages import Manifest
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.bridge.node.plant import PlantDescription, RunPeriod
+from zenostat.bridge.recording.channels import SAMPLES
+from zenostat.bridge.recording.chunk_writer import ChunkWriter
+from zenostat.bridge.recording.file import open_recording
+from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
+from zenostat.bridge.recording.recorder import Recorder, attachments
+from zenostat.topics import recording
+from zenostat.topics.messages import Manifest
 
 
 def unchanged(_: int, item: RecordedItem) -> bytes:

@@ -13,10 +13,10 @@ from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from unittest.mock import patch
 
-from cli.main import main
 from support.nodes import SMALL
+from zenostat.cli.main import main
 
-ZENOSTAT = (sys.executable, "-P", "-m", "cli.main")
+ZENOSTAT = (sys.executable, "-P", "-m", "zenostat.cli.main")
 """A command as a program starts with these words."""
 
 DAY = ("--building", SMALL["building"], "--weather", SMALL["weather"], "--begin", "07-03", "--end", "07-03")

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-from agent_sdk.evaluation.trace import EpisodeTrace, TraceRecorder, WeatherTrace
-from agent_sdk.report import Comparison, Run
 from support.builders import actuator, manifest, meter, own_action, sensor
-from topics.messages import Manifest, Sample, Task
-from topics.points import value_index
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.agent_sdk.evaluation.trace import EpisodeTrace, TraceRecorder, WeatherTrace
+from zenostat.agent_sdk.report import Comparison, Run
+from zenostat.topics.messages import Manifest, Sample, Task
+from zenostat.topics.points import value_index
 
 J_PER_KWH = 3.6e6
 USES = ("Cooling", "Fans", "InteriorLights")

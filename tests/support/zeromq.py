@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 import zmq
 
-import agent_sdk
+import zenostat
 from support.nodes import NodeProgram, begin_new_episode, until
-from topics import codec
-from topics.messages import Event, EventKind, Sample
+from zenostat.topics import codec
+from zenostat.topics.messages import Event, EventKind, Sample
 
 ANY = "tcp://127.0.0.1:*"
 PATIENCE_MS = 60_000
@@ -37,7 +37,7 @@ class GatewayProgram:
     """`zenostat gateway zeromq` as a program, on free ports."""
 
     def __init__(self, endpoint: str, *options: str) -> None:
-        command = [sys.executable, "-P", "-u", "-m", "cli.main", "gateway", "zeromq", "--connect", endpoint]
+        command = [sys.executable, "-P", "-u", "-m", "zenostat.cli.main", "gateway", "zeromq", "--connect", endpoint]
         command += [*(() if "--publish" in options else ("--publish", ANY, "--command", ANY)), *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
         line = self.said = self.process.stdout.readline()
@@ -134,7 +134,7 @@ def module_gateway(shared_node: NodeProgram) -> Iterator[GatewayProgram]:
 @pytest.fixture
 def gateway(shared_node: NodeProgram, module_gateway: GatewayProgram) -> GatewayProgram:
     """`module_gateway`, after it has published the first sample of a new episode."""
-    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
+    with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         episode = begin_new_episode(bus)
     with Peer(module_gateway) as peer:
         peer.listen("sample")

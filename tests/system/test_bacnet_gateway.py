@@ -17,14 +17,14 @@ from bacpypes3.primitivedata import CharacterString, Real, Unsigned
 from support.bacnet import ADVANCE, DEVICE, INSTANCE, PAUSED, STEP, TIME, Client, client, free_udp_port, served, single
 from support.nodes import SMALL, NodeProgram, until
 
-import agent_sdk
-from bridge.gateways.bacnet import BacnetGateway
-from bridge.gateways.bacnet.cov import COV_INTERVAL_S
-from bridge.gateways.bacnet.network import find_interface
-from bridge.gateways.node_client import NodeClient
-from bridge.transport.session import open_session
-from topics.errors import AddressInUse, InvalidConfig
-from topics.messages import Event, EventKind, Reset
+import zenostat
+from zenostat.bridge.gateways.bacnet import BacnetGateway
+from zenostat.bridge.gateways.bacnet.cov import COV_INTERVAL_S
+from zenostat.bridge.gateways.bacnet.network import find_interface
+from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics.errors import AddressInUse, InvalidConfig
+from zenostat.topics.messages import Event, EventKind, Reset
 
 COOLING, HEATING = "core_zn_cooling_setpoint", "core_zn_heating_setpoint"
 INPUT = "core_zn_air_temperature"
@@ -40,7 +40,7 @@ def run(main: Coroutine[Any, Any, None]) -> None:
 
 
 @pytest.fixture
-def paused_bus(episode_bus: agent_sdk.Bus) -> agent_sdk.Bus:
+def paused_bus(episode_bus: zenostat.Bus) -> zenostat.Bus:
     """A node that steps on command only, at the first sample."""
     episode_bus.pace("office", mode="free")
     episode_bus.pause("office")
@@ -49,7 +49,7 @@ def paused_bus(episode_bus: agent_sdk.Bus) -> agent_sdk.Bus:
 
 
 def test_points_have_the_values_units_and_bounds_of_the_node(
-    paused_bus: agent_sdk.Bus, shared_node: NodeProgram
+    paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     manifest = paused_bus.manifest("office")
 
@@ -81,7 +81,7 @@ def test_points_have_the_values_units_and_bounds_of_the_node(
 
 
 def test_a_client_commands_an_output_at_its_priority_and_relinquishes_it(
-    paused_bus: agent_sdk.Bus, shared_node: NodeProgram
+    paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     index = [a.name for a in paused_bus.manifest("office").actuators].index(COOLING)
 
@@ -117,7 +117,7 @@ def test_a_client_commands_an_output_at_its_priority_and_relinquishes_it(
 
 
 def test_commands_of_others_on_the_bus_are_in_the_priority_array_at_once(
-    paused_bus: agent_sdk.Bus, shared_node: NodeProgram
+    paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (_, reader, _):
@@ -161,7 +161,7 @@ REJECTED: list[tuple[str, Any, dict[str, Any], str]] = [
 
 
 def test_writes_that_are_not_possible_get_the_errors_of_the_standard_and_move_nothing(
-    paused_bus: agent_sdk.Bus, shared_node: NodeProgram
+    paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (gateway, reader, _):
@@ -196,7 +196,7 @@ def test_writes_that_are_not_possible_get_the_errors_of_the_standard_and_move_no
     assert commanded == {(HEATING, 9): 18.0}
 
 
-def test_the_device_describes_itself_and_answers_who_is(paused_bus: agent_sdk.Bus, shared_node: NodeProgram) -> None:
+def test_the_device_describes_itself_and_answers_who_is(paused_bus: zenostat.Bus, shared_node: NodeProgram) -> None:
     manifest = paused_bus.manifest("office")
 
     async def main() -> None:
@@ -224,7 +224,7 @@ def test_the_device_describes_itself_and_answers_who_is(paused_bus: agent_sdk.Bu
 
 
 def test_a_broadcast_who_is_on_the_network_of_the_interface_is_answered(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram
+    episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     who_is = bytes.fromhex("810b000c0120ffff00ff1008")  # original broadcast, global network, all devices
 
@@ -243,7 +243,7 @@ def test_a_broadcast_who_is_on_the_network_of_the_interface_is_answered(
 
 
 def test_subscribers_hear_of_changes_beyond_the_increment_of_others_commands_and_of_the_end(
-    paused_bus: agent_sdk.Bus, shared_node: NodeProgram
+    paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (gateway, reader, _):
@@ -271,7 +271,7 @@ def test_subscribers_hear_of_changes_beyond_the_increment_of_others_commands_and
 
 
 def test_a_fast_simulation_sends_few_notifications_and_the_last_value_always(
-    paused_bus: agent_sdk.Bus, shared_node: NodeProgram
+    paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (gateway, reader, _):
@@ -289,7 +289,7 @@ def test_a_fast_simulation_sends_few_notifications_and_the_last_value_always(
 
 
 def test_a_value_that_is_not_a_number_and_a_failed_simulation_are_faults(
-    paused_bus: agent_sdk.Bus, shared_node: NodeProgram
+    paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (gateway, reader, _):
@@ -314,7 +314,7 @@ def test_a_value_that_is_not_a_number_and_a_failed_simulation_are_faults(
 
 
 def test_a_paused_node_steps_on_command_and_a_running_one_does_not(
-    paused_bus: agent_sdk.Bus, shared_node: NodeProgram
+    paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (_, reader, _):
@@ -373,7 +373,7 @@ def test_a_node_that_is_gone_is_a_fault_and_one_that_returns_is_served_again(tmp
 
 
 def test_an_address_in_use_or_of_no_interface_is_refused_before_anything_starts(
-    shared_node: NodeProgram, episode_bus: agent_sdk.Bus
+    shared_node: NodeProgram, episode_bus: zenostat.Bus
 ) -> None:
     port = free_udp_port()
 

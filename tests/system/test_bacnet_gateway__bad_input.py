@@ -14,8 +14,8 @@ from bacpypes3.apdu import SubscribeCOVRequest
 from support.bacnet import PAUSED, STEP, Client, client, served
 from support.nodes import NodeProgram
 
-import agent_sdk
-from bridge.gateways.bacnet import application, transactions
+import zenostat
+from zenostat.bridge.gateways.bacnet import application, transactions
 
 COOLING = "core_zn_cooling_setpoint"
 OUTPUT = 1  # number of the object type analog-output
@@ -53,7 +53,7 @@ async def ask(raw: socket.socket, port: int, message: bytes) -> bytes:
     return (await asyncio.to_thread(raw.recv, 2000))[6:]
 
 
-def commanded(bus: agent_sdk.Bus) -> dict[tuple[str, int], float]:
+def commanded(bus: zenostat.Bus) -> dict[tuple[str, int], float]:
     return {
         (name, number): entry.value
         for name, array in bus.priorities("office").items()
@@ -63,7 +63,7 @@ def commanded(bus: agent_sdk.Bus) -> dict[tuple[str, int], float]:
 
 
 def test_malformed_requests_are_rejected_and_half_datagrams_counted(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram
+    episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (gateway, reader, port):
@@ -90,7 +90,7 @@ def test_malformed_requests_are_rejected_and_half_datagrams_counted(
 
 
 def test_random_and_mutated_datagrams_crash_nothing_and_move_no_other_actuator(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram
+    episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     """Mutations of valid writes may be valid; those of one output only, within its bounds."""
     draw = random.Random(7)
@@ -142,7 +142,7 @@ async def patient_read(reader: Client) -> float:
 
 
 def test_a_flood_of_writes_is_answered_each_or_aborted_and_the_device_serves_others(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram
+    episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (gateway, reader, port):
@@ -164,7 +164,7 @@ def test_a_flood_of_writes_is_answered_each_or_aborted_and_the_device_serves_oth
     asyncio.run(main())
 
 
-def test_a_duplicate_of_a_request_is_carried_out_once(episode_bus: agent_sdk.Bus, shared_node: NodeProgram) -> None:
+def test_a_duplicate_of_a_request_is_carried_out_once(episode_bus: zenostat.Bus, shared_node: NodeProgram) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (gateway, reader, port):
             request = datagram(write_request(reader.objects[COOLING][1], real(26.0), b"\x49\x08"))
@@ -179,7 +179,7 @@ def test_a_duplicate_of_a_request_is_carried_out_once(episode_bus: agent_sdk.Bus
 
 
 def test_a_client_that_dies_amid_a_segmented_request_or_with_subscriptions_costs_nothing(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram
+    episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (gateway, reader, port):
@@ -206,7 +206,7 @@ def test_a_client_that_dies_amid_a_segmented_request_or_with_subscriptions_costs
     asyncio.run(main())
 
 
-def test_subscriptions_are_limited(episode_bus: agent_sdk.Bus, shared_node: NodeProgram, monkeypatch) -> None:
+def test_subscriptions_are_limited(episode_bus: zenostat.Bus, shared_node: NodeProgram, monkeypatch) -> None:
     monkeypatch.setattr(application, "MAX_SUBSCRIPTIONS", 5)
 
     async def main() -> None:

@@ -18,9 +18,9 @@ from support.bacnet import INSTANCE, free_udp_port, served
 from support.nodes import NodeProgram, Program
 from support.run_cli import ZENOSTAT, run_in_process, run_program
 
-import agent_sdk
-from bridge.gateways.bacnet.points import instance_numbers
-from topics.messages import Reset
+import zenostat
+from zenostat.bridge.gateways.bacnet.points import instance_numbers
+from zenostat.topics.messages import Reset
 
 COOLING = "core_zn_cooling_setpoint"
 EXAMPLE = Path(__file__).parents[2] / "examples/bacnet_client.py"
@@ -82,7 +82,7 @@ def gateway(node: NodeProgram, port: int) -> Iterator[subprocess.Popen]:
 
 @pytest.mark.skipif(importlib.util.find_spec("BAC0") is None, reason="BAC0 is not installed: pip install BAC0")
 def test_bac0_finds_the_device_reads_commands_and_relinquishes(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram
+    episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pause("office")
     episode_bus.reset("office", Reset())
@@ -109,7 +109,7 @@ def test_bac0_finds_the_device_reads_commands_and_relinquishes(
 @pytest.mark.skipif(
     not (shutil.which("bacrp") and shutil.which("bacwp")), reason="bacrp and bacwp of bacnet-stack are not installed"
 )
-def test_bacnet_stack_reads_and_writes(episode_bus: agent_sdk.Bus, shared_node: NodeProgram) -> None:
+def test_bacnet_stack_reads_and_writes(episode_bus: zenostat.Bus, shared_node: NodeProgram) -> None:
     port = free_udp_port()
     output = str(instance_numbers(a.name for a in episode_bus.manifest("office").actuators)[COOLING])
 
@@ -152,7 +152,7 @@ def test_a_node_that_does_not_exist_is_one_line(shared_node: NodeProgram) -> Non
 
 
 def test_the_example_steps_the_node_and_commands_it_in_the_afternoon(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram
+    episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pace("office", mode="free")
     episode_bus.pause("office")
@@ -171,7 +171,7 @@ def test_the_example_steps_the_node_and_commands_it_in_the_afternoon(
 
 
 def test_the_objects_are_written_as_a_table(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram, tmp_path: Path
+    episode_bus: zenostat.Bus, shared_node: NodeProgram, tmp_path: Path
 ) -> None:
     file = tmp_path / "objects.csv"
     words = ["gateway", "bacnet", "office", "--connect", shared_node.endpoint, "--instance", str(INSTANCE)]

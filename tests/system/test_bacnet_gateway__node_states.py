@@ -13,8 +13,8 @@ from support.bacnet import served
 from support.nodes import NodeProgram, until
 from support.run_cli import ZENOSTAT
 
-import agent_sdk
-from topics.messages import State
+import zenostat
+from zenostat.topics.messages import State
 
 
 @pytest.mark.slow
@@ -23,7 +23,7 @@ def test_a_replayed_recording_is_reliable_and_takes_no_writes(tmp_path: Path) ->
     record, bus = tmp_path / "room.mcap", f"unixsock-stream/{tmp_path}/bus"
     with (
         NodeProgram(tmp_path / "room", plant=plant, name="room", mode="free", record=str(record)) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as recorded,
+        zenostat.connect(node.endpoint, affinity="off") as recorded,
     ):
         until(lambda: recorded.status("room").state is State.ENDED, "the episode is over")
         node.interrupt()

@@ -11,15 +11,15 @@ import psutil
 import pytest
 from support.nodes import SMALL, NodeProgram, Program, until
 
-import agent_sdk
-from agent_sdk.bus.bus import Bus
-from topics.errors import InvalidConfig, NodeLost, NodeNotFound, RequestRejected
-from topics.messages import CreateBranch, Reset
+import zenostat
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.topics.errors import InvalidConfig, NodeLost, NodeNotFound, RequestRejected
+from zenostat.topics.messages import CreateBranch, Reset
 
 OWNER = """
 import sys
-import agent_sdk  # registers the environments
-from agent_sdk.envs.building_env import BuildingEnv
+import zenostat  # registers the environments
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
 env = BuildingEnv(connect=sys.argv[1], node="office", affinity="off")
 env.reset()
 for _ in range(3):
@@ -84,7 +84,7 @@ def test_the_status_command_shows_forks_with_their_memory(bus: Bus) -> None:
         link.reset()
         branch, snapshot = bus.branch("office", CreateBranch(controller=link.name)), bus.snapshot("office", link.name)
         said = subprocess.run(
-            [sys.executable, "-P", "-m", "cli.main", "status", "--connect", bus.endpoint],
+            [sys.executable, "-P", "-m", "zenostat.cli.main", "status", "--connect", bus.endpoint],
             capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "200"},
         ).stdout  # fmt: skip
     for words in (f"branch {branch}", f"snapshot {snapshot.snapshot}", link.name, "MB"):
@@ -109,7 +109,7 @@ def test_a_stop_ends_a_branch_alone(bus: Bus) -> None:
 
 def test_branch_without_an_owner__ends_with_its_parent(node: NodeProgram) -> None:
     """It outlives the controller of the episode, its reset and its end."""
-    with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with zenostat.connect(node.endpoint, affinity="off") as bus:
         with bus.controller("office") as link:
             link.reset()
             name = bus.branch("office", CreateBranch())
@@ -152,7 +152,7 @@ def test_a_killed_environment_leaves_a_shared_node_without_its_forks(shared_node
         assert cooling_of(link, 3) == 3
 
 
-def cooling_of(link: agent_sdk.ControllerLink, steps: int) -> int:
+def cooling_of(link: zenostat.ControllerLink, steps: int) -> int:
     sample = link.current()
     for _ in range(steps):
         sample.send({"core_zn_cooling_setpoint": 24.0})
@@ -162,7 +162,7 @@ def cooling_of(link: agent_sdk.ControllerLink, steps: int) -> int:
 
 def test_a_killed_node_takes_its_branches_along(scratch: Path) -> None:
     node = NodeProgram(scratch / "node", **SMALL)
-    with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+    with zenostat.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         link.reset()
         hold = bus.controller(bus.branch("office", CreateBranch(controller=link.name)))
         hold.current().send()
@@ -177,7 +177,7 @@ def test_a_branch_whose_name_would_be_too_long_is_refused(scratch: Path) -> None
     name = "x" * 127
     with (
         NodeProgram(scratch / "node", **SMALL | {"name": name}) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller(name) as link,
     ):
         link.reset()

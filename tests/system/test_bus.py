@@ -13,11 +13,11 @@ import zenoh
 from support.nodes import SMALL, NodeProgram, Program, until
 from zenoh.handlers import FifoChannel
 
-import agent_sdk
-from bridge.transport.session import MAX_MESSAGE_BYTES
-from topics import codec, keys
-from topics.errors import NodeNotFound, RequestRejected
-from topics.messages import Claim, Event, EventKind, State
+import zenostat
+from zenostat.bridge.transport.session import MAX_MESSAGE_BYTES
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import NodeNotFound, RequestRejected
+from zenostat.topics.messages import Claim, Event, EventKind, State
 
 DAY = {**SMALL, "name": "office"}
 
@@ -42,7 +42,7 @@ def unpacked(message):
 
 with zenoh.open(config) as session:
     manifest = unpacked(next(iter(session.get(root + "/manifest"))).ok)
-    say(manifest=manifest, ours=[m for m in sys.modules if m in ("topics", "bridge", "agent_sdk", "eplus_node")])
+    say(manifest=manifest, ours=[m for m in sys.modules if m.startswith("zenostat")])
     points = [session.declare_subscriber(f"{root}/sensor/{s['name']}") for s in manifest["sensors"]]
     points += [session.declare_subscriber(f"{root}/meter/{m['name']}") for m in manifest["meters"]]
     samples = session.declare_subscriber(root + "/sample")
@@ -63,8 +63,8 @@ with zenoh.open(config) as session:
 
 TAKES_THREE_STEPS = """
 import sys
-import agent_sdk
-with agent_sdk.connect(sys.argv[1], affinity="off") as bus, bus.controller("office", name="first") as link:
+import zenostat
+with zenostat.connect(sys.argv[1], affinity="off") as bus, bus.controller("office", name="first") as link:
     for sample in link:
         if sample.step == 3:
             print(link.name, flush=True)
@@ -75,7 +75,7 @@ with agent_sdk.connect(sys.argv[1], affinity="off") as bus, bus.controller("offi
 LISTENS_TO_ALL = """
 import sys
 import zenoh
-from bridge.transport.session import open_session
+from zenostat.bridge.transport.session import open_session
 with open_session(connect=[sys.argv[1]]) as session:
     with session.declare_subscriber("zenostat/**") as subscriber:
         next(iter(session.get("zenostat/v2/office/manifest")))
@@ -95,19 +95,19 @@ def endpoint(module_folder: Path) -> Iterator[str]:
 
 
 @pytest.fixture
-def bus(endpoint: str) -> Iterator[agent_sdk.Bus]:
-    with agent_sdk.connect(endpoint, affinity="off") as connected:
+def bus(endpoint: str) -> Iterator[zenostat.Bus]:
+    with zenostat.connect(endpoint, affinity="off") as connected:
         yield connected
 
 
 @pytest.fixture
-def second_bus(endpoint: str) -> Iterator[agent_sdk.Bus]:
-    with agent_sdk.connect(endpoint, affinity="off") as connected:
+def second_bus(endpoint: str) -> Iterator[zenostat.Bus]:
+    with zenostat.connect(endpoint, affinity="off") as connected:
         yield connected
 
 
 @contextmanager
-def events_of(bus: agent_sdk.Bus) -> Iterator[zenoh.Subscriber]:
+def events_of(bus: zenostat.Bus) -> Iterator[zenoh.Subscriber]:
     with bus.session.declare_subscriber(keys.EVENT.at("office"), FifoChannel(1024)) as events:
         yield events
 
@@ -123,7 +123,7 @@ def next_event(events: zenoh.Subscriber, kind: EventKind) -> Event:
 # Strangers
 
 
-def test_a_stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: agent_sdk.Bus) -> None:
+def test_a_stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: zenostat.Bus) -> None:
     """stranger joins late: manifest → subscribes → writes → node@1 → releases → node@2"""
     with (
         bus.controller("office") as link,
@@ -152,7 +152,7 @@ def test_a_stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: agen
         assert stranger.end()[0] == 0
 
 
-def _check_points(values: dict[str, dict[str, object]], sample: agent_sdk.bus.sample.SampleView) -> None:
+def _check_points(values: dict[str, dict[str, object]], sample: zenostat.bus.sample.SampleView) -> None:
     """Each point came under its own key, equal to the sample to the bit."""
     manifest = sample.manifest
     points = {f"zenostat/v2/office/sensor/{s.name}": s for s in manifest.sensors}
@@ -168,7 +168,7 @@ def _check_points(values: dict[str, dict[str, object]], sample: agent_sdk.bus.sa
         }
 
 
-def test_a_strangers_faulty_write_changes_nothing_and_is_named(bus: agent_sdk.Bus) -> None:
+def test_a_strangers_faulty_write_changes_nothing_and_is_named(bus: zenostat.Bus) -> None:
     with bus.controller("office") as link, events_of(bus) as events:
         sample = link.reset()
         rejected = bus.status("office").rejected
@@ -191,7 +191,7 @@ def test_a_strangers_faulty_write_changes_nothing_and_is_named(bus: agent_sdk.Bu
         assert after.message.rejected == rejected + 3
 
 
-def test_a_message_that_is_too_large_is_refused_by_name_and_a_larger_one_not_taken_in(bus: agent_sdk.Bus) -> None:
+def test_a_message_that_is_too_large_is_refused_by_name_and_a_larger_one_not_taken_in(bus: zenostat.Bus) -> None:
     with events_of(bus) as events:
         before = bus.status("office").rejected
         key = keys.COMMAND.at("office", name="huge")
@@ -204,7 +204,7 @@ def test_a_message_that_is_too_large_is_refused_by_name_and_a_larger_one_not_tak
 # Several controllers
 
 
-def test_two_controllers_are_both_waited_for(bus: agent_sdk.Bus, second_bus: agent_sdk.Bus) -> None:
+def test_two_controllers_are_both_waited_for(bus: zenostat.Bus, second_bus: zenostat.Bus) -> None:
     """core@0 → (node waits) → rest@0 → node@1"""
     names = [a.name for a in bus.manifest("office").actuators]
     half = len(names) // 2
@@ -233,7 +233,7 @@ def test_two_controllers_are_both_waited_for(bus: agent_sdk.Bus, second_bus: age
             assert ours.effective.tolist() == [value["heating" in name] for name in names]
 
 
-def test_a_higher_level_rules_until_it_is_released(bus: agent_sdk.Bus, second_bus: agent_sdk.Bus) -> None:
+def test_a_higher_level_rules_until_it_is_released(bus: zenostat.Bus, second_bus: zenostat.Bus) -> None:
     with (
         bus.controller("office", name="usual") as usual,
         second_bus.controller("office", name="urgent", priority=2, required=False) as urgent,
@@ -252,7 +252,7 @@ def test_a_higher_level_rules_until_it_is_released(bus: agent_sdk.Bus, second_bu
         assert sources == [(urgent.name, 29.0), (usual.name, 24.0)]
 
 
-def test_a_second_claim_of_a_level_names_the_holder(bus: agent_sdk.Bus, second_bus: agent_sdk.Bus) -> None:
+def test_a_second_claim_of_a_level_names_the_holder(bus: zenostat.Bus, second_bus: zenostat.Bus) -> None:
     until(lambda: bus.controllers() == [], "those of other tests have gone")
     with bus.controller("office", name="holder") as holder:
         with pytest.raises(
@@ -267,7 +267,7 @@ def test_a_second_claim_of_a_level_names_the_holder(bus: agent_sdk.Bus, second_b
         bus.controller("office", actuators=["core_zn_heating"])
 
 
-def test_nodes_controllers_and_status(bus: agent_sdk.Bus) -> None:
+def test_nodes_controllers_and_status(bus: zenostat.Bus) -> None:
     assert bus.nodes() == ["office"]
     until(lambda: bus.controllers() == [], "those of other tests have gone")
     with bus.controller("office", name="one") as link:
@@ -290,7 +290,7 @@ def test_nodes_controllers_and_status(bus: agent_sdk.Bus) -> None:
         bus.manifest("offise")
 
 
-def test_another_takes_over_from_one_that_vanished(endpoint: str, bus: agent_sdk.Bus) -> None:
+def test_another_takes_over_from_one_that_vanished(endpoint: str, bus: zenostat.Bus) -> None:
     """first@0 … first@2 → node@3 → first dies → second@3 → node@4"""
     until(lambda: bus.controllers() == [], "those of other tests have gone")
     with bus.controller("office", name="resets") as link:
@@ -318,7 +318,7 @@ def test_another_takes_over_from_one_that_vanished(endpoint: str, bus: agent_sdk
 # Listeners
 
 
-def trajectory(link: agent_sdk.ControllerLink) -> Iterator[tuple[bytes, bytes]]:
+def trajectory(link: zenostat.ControllerLink) -> Iterator[tuple[bytes, bytes]]:
     """Values and actuators of an episode under commands that change, sample by sample."""
     sample, chance = link.reset(), np.random.default_rng(1)
     while True:
@@ -336,7 +336,7 @@ def test_a_listener_changes_nothing(folder: Path, fate: str) -> None:
     week = {**DAY, "begin": "07-01", "end": "07-07"}
     with (
         NodeProgram(folder, **week) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
         Program(LISTENS_TO_ALL, node.endpoint) as listener,
     ):

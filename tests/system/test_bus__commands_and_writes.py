@@ -14,15 +14,15 @@ import zenoh
 from support.nodes import NodeProgram, until
 from zenoh.handlers import Callback
 
-from agent_sdk.bus.bus import Bus
-from bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP
-from bridge.node.publications import EVENTS_A_STEP
-from bridge.node.subscriptions import MAX_PENDING
-from bridge.transport.session import open_session
-from topics import codec, keys
-from topics.errors import InvalidConfig, NodeNotFound
-from topics.keys import Topic
-from topics.messages import (
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP
+from zenostat.bridge.node.publications import EVENTS_A_STEP
+from zenostat.bridge.node.subscriptions import MAX_PENDING
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import InvalidConfig, NodeNotFound
+from zenostat.topics.keys import Topic
+from zenostat.topics.messages import (
     Ack,
     Claim,
     Command,

@@ -12,55 +12,55 @@ from pathlib import Path
 import pytest
 from support.nodes import SMALL, NodeProgram, free_port
 
-import agent_sdk
+import zenostat
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 POINT = "core_zn_cooling_setpoint"
 
 
-def zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
+def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100)
 
 
-def test_reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, bus: agent_sdk.Bus) -> None:
+def test_reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, bus: zenostat.Bus) -> None:
     at = ("--connect", node.endpoint)
-    done = zenostat("reset", "office", "--seed", "3", *at)
+    done = run_zenostat("reset", "office", "--seed", "3", *at)
     assert (done.returncode, done.stderr) == (0, "")
     assert re.fullmatch(r"office: episode 1, 96 timesteps, USA_CO_Denver\S*\n", done.stdout)
     assert bus.status("office").episode == [1]
-    done = zenostat("stop", "office", *at)
+    done = run_zenostat("stop", "office", *at)
     assert (done.returncode, done.stdout, done.stderr) == (0, "office: ended\n", "")
     assert node.process.wait() == 0
-    gone = zenostat("stop", "office", *at)
+    gone = run_zenostat("stop", "office", *at)
     assert (gone.returncode, gone.stdout) == (1, "")
 
 
 def test_relinquish__reports_whether_a_value_was_held(shared_node: NodeProgram) -> None:
     at = ("--connect", shared_node.endpoint)
     nothing = f"office: {POINT} had nothing to relinquish at priority 8\n"
-    assert zenostat("relinquish", "office", POINT, *at).stdout == nothing
-    assert zenostat("write", "office", POINT, "26", *at).returncode == 0
-    assert zenostat("relinquish", "office", POINT, *at).stdout == f"office: {POINT} relinquished at priority 8\n"
-    assert zenostat("relinquish", "office", POINT, *at).stdout == nothing
+    assert run_zenostat("relinquish", "office", POINT, *at).stdout == nothing
+    assert run_zenostat("write", "office", POINT, "26", *at).returncode == 0
+    assert run_zenostat("relinquish", "office", POINT, *at).stdout == f"office: {POINT} relinquished at priority 8\n"
+    assert run_zenostat("relinquish", "office", POINT, *at).stdout == nothing
 
 
 @pytest.mark.slow
-def test_step__reports_the_timestep_that_it_reached(shared_node: NodeProgram, episode_bus: agent_sdk.Bus) -> None:
+def test_step__reports_the_timestep_that_it_reached(shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
     at = ("--connect", shared_node.endpoint)
     for arguments in (("pause", "office"), ("pace", "office", "free")):
-        assert zenostat(*arguments, *at).returncode == 0
-    assert "free; paused; step 4 of 96" in zenostat("step", "office", "4", *at).stdout
-    assert "free; paused; step 5 of 96" in zenostat("step", "office", *at).stdout
-    assert zenostat("pace", "office", "lockstep", *at).returncode == 0
-    said = zenostat("step", "office", "2", *at).stdout
+        assert run_zenostat(*arguments, *at).returncode == 0
+    assert "free; paused; step 4 of 96" in run_zenostat("step", "office", "4", *at).stdout
+    assert "free; paused; step 5 of 96" in run_zenostat("step", "office", *at).stdout
+    assert run_zenostat("pace", "office", "lockstep", *at).returncode == 0
+    said = run_zenostat("step", "office", "2", *at).stdout
     assert "lockstep; paused; step 5 of 96" in said
     assert "2 of 2 timesteps left: waiting for a controller" in said
 
 
 def second_node(endpoint: str, *arguments: str, cwd: Path) -> subprocess.Popen[str]:
     """`zenostat node` on a machine whose default endpoint is `endpoint`."""
-    elsewhere = f"from bridge.transport import session; session.DEFAULT_ENDPOINT = {endpoint!r}"
-    program = f"{elsewhere}; from cli.main import main; main()"
+    elsewhere = f"from zenostat.bridge.transport import session; session.DEFAULT_ENDPOINT = {endpoint!r}"
+    program = f"{elsewhere}; from zenostat.cli.main import main; main()"
     day = ("--building", SMALL["building"], "--weather", SMALL["weather"], "--begin", "07-03", "--end", "07-03")
     command = [sys.executable, "-P", "-u", "-c", program, "node", *day, "--name", "annex", "--affinity", "off"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
@@ -73,7 +73,7 @@ def test_a_second_node_on_the_default_port_joins_the_bus_of_the_first(scratch: P
     with (
         NodeProgram(scratch / "node", **SMALL, listen=[endpoint]),
         second_node(endpoint, cwd=scratch) as second,
-        agent_sdk.connect(endpoint, affinity="off") as bus,
+        zenostat.connect(endpoint, affinity="off") as bus,
     ):
         try:
             said = second.stdout.readline()

@@ -12,10 +12,10 @@ from pathlib import Path
 import pytest
 from support.nodes import NodeProgram, until
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 
 MINE = """
-from agent_sdk.controllers import Controller
+from zenostat.agent_sdk.controllers import Controller
 
 
 def gain(sample):
@@ -57,7 +57,7 @@ def test_a_signal_during_imports_ends_without_a_traceback(number: signal.Signals
     """The import of typer is held up until the signal has come."""
     mark = tmp_path / "imports"
     (tmp_path / "typer.py").write_text(f"import signal\nopen({str(mark)!r}, 'w').close()\nsignal.pause()\n")
-    program = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from cli.main import main; main()"
+    program = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from zenostat.cli.main import main; main()"
     with subprocess.Popen([sys.executable, "-P", "-c", program], stderr=subprocess.PIPE, text=True) as process:
         until(mark.exists, "it imports typer")
         process.send_signal(number)
@@ -69,7 +69,7 @@ def test_a_signal_during_imports_ends_without_a_traceback(number: signal.Signals
 def test_a_signal_during_the_shutdown_ends_without_a_traceback(number: signal.Signals) -> None:
     program = (
         f"import atexit, os, sys; atexit.register(lambda: os.kill(os.getpid(), {int(number)}))\n"
-        "sys.argv = ['zenostat', '--version']; from cli.main import main; main()"
+        "sys.argv = ['zenostat', '--version']; from zenostat.cli.main import main; main()"
     )
     done = subprocess.run(
         [sys.executable, "-P", "-c", program], capture_output=True, text=True, env={**os.environ}, timeout=60

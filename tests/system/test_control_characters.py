@@ -14,16 +14,16 @@ from support.nodes import NodeProgram, until
 from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
-import agent_sdk
-from agent_sdk.recording import load
-from bridge.recording.reader import RecordedItem
-from bridge.rerun.summary import NodeNumbers, NodeRow, markdown, overview
-from topics import codec, keys
-from topics.errors import UnknownName
-from topics.messages import ErrorReply, Event, Write
-from topics.printable import replace_controls
+import zenostat
+from zenostat.agent_sdk.recording import load
+from zenostat.bridge.recording.reader import RecordedItem
+from zenostat.bridge.rerun.summary import NodeNumbers, NodeRow, markdown, overview
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import UnknownName
+from zenostat.topics.messages import ErrorReply, Event, Write
+from zenostat.topics.printable import replace_controls
 
-PLANT = "agent_sdk.testing.fake_plant:FakePlant"
+PLANT = "zenostat.agent_sdk.testing.fake_plant:FakePlant"
 EVIL = "\x1b]0;owned\x07\x9b31m\u202e\r\nok"
 HARMLESS = replace_controls(EVIL)
 
@@ -48,7 +48,7 @@ def recorded(module_scratch: Path) -> tuple[Path, list[bytes]]:
     path, events = module_scratch / "run.mcap", list[bytes]()
     with (
         NodeProgram(module_scratch / "room", plant=PLANT, name="room", record=str(path)) as program,
-        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        zenostat.connect(program.endpoint, affinity="off") as bus,
         raw_session(program.endpoint) as session,
     ):
         subscriber = session.declare_subscriber(keys.EVENT.at("room"), lambda m: events.append(m.payload.to_bytes()))

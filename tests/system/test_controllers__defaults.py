@@ -14,13 +14,13 @@ from support import data_packs as packs
 from support.builders import actuator, manifest, sensor, view
 from support.nodes import SMALL
 
-from agent_sdk.controllers import Agent, PIDController
-from agent_sdk.controllers.comfort_band import inside
-from agent_sdk.envs.arguments import of_scenario
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.evaluation.evaluate import evaluate
-from topics.errors import InvalidConfig
-from topics.messages import Manifest
+from zenostat.agent_sdk.controllers import Agent, PIDController
+from zenostat.agent_sdk.controllers.comfort_band import inside
+from zenostat.agent_sdk.envs.arguments import of_scenario
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.evaluation.evaluate import evaluate
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
 
 SETPOINT_NAMES = ("heating_setpoint", "cooling_setpoint")
 WEEK = {"begin": "07-10", "end": "07-16", "affinity": "off"}

@@ -15,15 +15,22 @@ from support.builders import manifest
 from support.nodes import SMALL, NodeProgram
 from support.run_cli import run_in_process
 
-import agent_sdk
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.controllers import Agent, Controller, IncrementalRules, RandomController, RuleBasedController, action_of
-from agent_sdk.envs.spaces import action_space
-from eplus_node.config import read_config
-from eplus_node.plan import plan
-from topics.messages import Manifest, Sample
-from topics.points import value_index
-from topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids
+import zenostat
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.controllers import (
+    Agent,
+    Controller,
+    IncrementalRules,
+    RandomController,
+    RuleBasedController,
+    action_of,
+)
+from zenostat.agent_sdk.envs.spaces import action_space
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.plan import plan
+from zenostat.topics.messages import Manifest, Sample
+from zenostat.topics.points import value_index
+from zenostat.topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 BUNDLED = ("office-small", "office-medium", "ref-warehouse", "warehouse", "ref-large-hotel", "hotel-small")
@@ -135,13 +142,13 @@ def test_rules_are_more_comfortable_than_chance(name: str) -> None:
 
 
 def run(node: NodeProgram, *arguments: str, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-P", "-m", "cli.main", "run", "--node", node.name, "--connect", node.endpoint]
+    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "run", "--node", node.name, "--connect", node.endpoint]
     return subprocess.run([*command, *arguments], capture_output=True, text=True, cwd=cwd, timeout=120)
 
 
 @pytest.mark.slow
 def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Path) -> None:
-    with NodeProgram(scratch / "node", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with NodeProgram(scratch / "node", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
 
         def ruled(*arguments: str, cwd: Path | None = None) -> list[float]:
             done = run(node, "--reset", *arguments, cwd=cwd)
@@ -165,7 +172,7 @@ def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Pat
         assert mine.count(28.5) == 5  # the last timestep is before midnight
         (scratch / "models.py").write_text("NIGHT = 27.25\n")
         (scratch / "brain.py").write_text(
-            "import models\nfrom agent_sdk.controllers import FixedSetpoints\n\n"
+            "import models\nfrom zenostat.controllers import FixedSetpoints\n\n"
             "class Brain(FixedSetpoints):\n    def __init__(self, manifest):\n"
             "        super().__init__(manifest, core_zn_cooling_setpoint=models.NIGHT)\n"
         )
@@ -193,5 +200,5 @@ def test_mistakes_are_one_sentence_and_claim_nothing(shared_node: NodeProgram, a
     assert done.returncode == 2
     assert says in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
-    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
+    with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         assert bus.status("office").controllers == []

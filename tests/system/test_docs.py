@@ -22,9 +22,9 @@ from click.testing import CliRunner
 from support import data_packs as packs
 from support.nodes import NodeProgram
 
-from agent_sdk.rewards import read_reward
-from cli.commands import app
-from models.scenario.schema import Scenario, read_scenario
+from zenostat.agent_sdk.rewards import read_reward
+from zenostat.cli.commands import app
+from zenostat.models.scenario.schema import Scenario, read_scenario
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
@@ -55,7 +55,7 @@ SLOW = tuple(
 COMMAND: Any = typer.main.get_command(app)
 ENDPOINT = "tcp/127.0.0.1:7447"
 PRESUPPOSED = {
-    ("docs/scenarios.md", 'gym.make("zenostat/office-medium'): "import gymnasium as gym\nimport agent_sdk",
+    ("docs/scenarios.md", 'gym.make("zenostat/office-medium'): "import gymnasium as gym\nimport zenostat",
     ("docs/wrappers.md", "w.save_wrappers"): "import pathlib\npathlib.Path('model').mkdir()",
     ("docs/wrappers.md", "w.ChangingContext"): """
 env.close()
@@ -289,5 +289,5 @@ def test_the_site_fetches_nothing_from_elsewhere(site: Path) -> None:
 @pytest.mark.parametrize("room", ["controllers", "rewards", "testing", "wrappers"])
 def test_the_api_has_all_that_a_room_shows(site: Path, room: str) -> None:
     text = (site / "api" / f"{room}.html").read_text(encoding="utf-8")
-    there = {name.rpartition(".")[2] for name in re.findall(r"id=\"(agent_sdk\.[\w.]+)\"", text)}
-    assert set(importlib.import_module(f"agent_sdk.{room}").__all__) - there == set()
+    there = {name.rpartition(".")[2] for name in re.findall(r"id=\"(zenostat\.[\w.]+)\"", text)}
+    assert set(importlib.import_module(f"zenostat.{room}").__all__) - there == set()

@@ -12,11 +12,11 @@ import pytest
 from support.nodes import SMALL, NodeProgram, Program, engines_of, until
 from zenoh.handlers import FifoChannel
 
-import agent_sdk
-from bridge.runtime.idle_watch import IdleWatch
-from topics import codec, keys
-from topics.errors import EngineUnresponsive, InvalidConfig
-from topics.messages import EngineStart, Event, EventKind
+import zenostat
+from zenostat.bridge.runtime.idle_watch import IdleWatch
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import EngineUnresponsive, InvalidConfig
+from zenostat.topics.messages import EngineStart, Event, EventKind
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -78,7 +78,7 @@ def test_one_of_several_that_stands_still_fails_the_step() -> None:
 def test_an_event_says_so(folder: Path) -> None:
     with (
         NodeProgram(folder / "node", **SMALL, unresponsive_s=2.0) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office", name="mine") as link,
     ):
         link.reset().send()
@@ -107,7 +107,7 @@ def test_one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
         until(lambda: len(engines_of(own.pid)) == 2, "another engine waits")
         engines_of(own.pid)[place].suspend()
         with (
-            agent_sdk.connect(own.endpoint, affinity="off") as bus,
+            zenostat.connect(own.endpoint, affinity="off") as bus,
             bus.session.declare_subscriber(keys.EVENT.at("building"), FifoChannel(1024)) as heard,
         ):
             assert env.reset()[1]["engine_start"] == engine_start

@@ -12,10 +12,10 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from support.nodes import SMALL
 
-import agent_sdk  # noqa: F401  # registers the environments
-from agent_sdk.testing import FakeEnv
-from agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from topics.errors import InvalidConfig
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
+from zenostat.topics.errors import InvalidConfig
 
 DAY: dict[str, Any] = {"zones": 1, "steps_per_hour": 1, "begin": "07-03", "end": "07-03"}
 WARM = [{"points": ["zone_1_air_temperature"], "low": 0.0, "high": 60.0}]

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from support import data_packs as packs
 
-import agent_sdk  # noqa: F401  # registers the environments
-from topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids
 
 DAYS = 2
 PERIOD = {"begin": "01-15", "end": "01-16"}

@@ -16,7 +16,7 @@ import pytest
 from support import data_packs as packs
 from support.nodes import SMALL, NodeProgram
 
-from agent_sdk.testing import check_plant
+from zenostat.agent_sdk.testing import check_plant
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

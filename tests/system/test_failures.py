@@ -36,12 +36,12 @@ from support.nodes import (
     until,
 )
 
-import agent_sdk
-from eplus_node.config import read_config
-from eplus_node.plan import plan
-from models.building.model import read_building
-from models.catalog import find_building
-from topics.errors import (
+import zenostat
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.plan import plan
+from zenostat.models.building.model import read_building
+from zenostat.models.catalog import find_building
+from zenostat.topics.errors import (
     AddressInUse,
     EngineDied,
     EpisodeChanged,
@@ -55,7 +55,7 @@ from topics.errors import (
     UnknownName,
     ZenostatError,
 )
-from topics.messages import State
+from zenostat.topics.messages import State
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -85,8 +85,8 @@ def env(module_folder: Path) -> Iterator[gym.Env[Any, Any]]:
 
 
 @contextmanager
-def node_and_bus(folder: Path) -> Iterator[tuple[NodeProgram, agent_sdk.Bus]]:
-    with NodeProgram(folder / "node", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+def node_and_bus(folder: Path) -> Iterator[tuple[NodeProgram, zenostat.Bus]]:
+    with NodeProgram(folder / "node", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
         yield node, bus
 
 
@@ -99,7 +99,7 @@ def during_a_timestep(env: gym.Env[Any, Any], do: Callable[[psutil.Process, psut
 
     def act() -> None:
         try:
-            with agent_sdk.connect(own.endpoint, affinity="off") as bus:
+            with zenostat.connect(own.endpoint, affinity="off") as bus:
                 until(lambda: bus.status("building").state is State.RUNNING, "the node simulates a timestep")
                 do(node, engine)
         except BaseException as error:
@@ -320,7 +320,7 @@ def test_the_owner_is_killed(scratch: Path) -> None:
     """Nobody is left to end the node: it ends by itself, and its engine with it."""
     text = f"""
 import sys
-import gymnasium as gym, agent_sdk
+import gymnasium as gym, zenostat
 env = gym.make("zenostat/Building-v1", **{SMALL!r}, affinity="off")
 env.reset()
 print(env.unwrapped.local_node.folder, flush=True)
@@ -343,7 +343,7 @@ def test_the_node_is_stopped_by_a_request(folder: Path) -> None:
         assert node.process.wait() == 0
 
 
-def test_a_controller__raises_when_another_resets_its_node(episode_bus: agent_sdk.Bus) -> None:
+def test_a_controller__raises_when_another_resets_its_node(episode_bus: zenostat.Bus) -> None:
     with (
         episode_bus.controller("office", name="one") as one,
         episode_bus.controller("office", name="two", priority=9) as two,
@@ -383,7 +383,7 @@ def test_faulty_actions_change_nothing(env: gym.Env[Any, Any]) -> None:
     assert observation.tobytes() == undisturbed.tobytes()
 
 
-def test_faulty_values_of_a_controller(episode_bus: agent_sdk.Bus) -> None:
+def test_faulty_values_of_a_controller(episode_bus: zenostat.Bus) -> None:
     with episode_bus.controller("office") as link:
         sample = link.reset()
         with pytest.raises(InvalidAction, match="no actuator 'core_zn_cooling'; did you mean 'core_zn_cooling_setp"):
@@ -413,18 +413,18 @@ def test_a_port_that_a_node_has_taken(folder: Path) -> None:
     with NodeProgram(folder / "one", **SMALL, listen=[endpoint]) as node:
         with pytest.raises(AddressInUse, match=f"another program listens on {endpoint}"):
             NodeProgram(folder / "two", **SMALL, name="other", listen=[endpoint])
-        with agent_sdk.connect(endpoint, affinity="off") as bus:
+        with zenostat.connect(endpoint, affinity="off") as bus:
             assert bus.nodes() == ["office"]
         assert node.process.poll() is None
 
 
-def test_a_socket_that_is_taken(folder: Path, shared_node: NodeProgram, episode_bus: agent_sdk.Bus) -> None:
+def test_a_socket_that_is_taken(folder: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
     with pytest.raises(AddressInUse, match="already exists; name another path"):
         NodeProgram(folder / "two", **SMALL, name="other", listen=[shared_node.endpoint])
     assert episode_bus.nodes() == ["office"]
 
 
-def test_two_nodes_of_one_name(folder: Path, shared_node: NodeProgram, episode_bus: agent_sdk.Bus) -> None:
+def test_two_nodes_of_one_name(folder: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
     with pytest.raises(NameInUse, match=r"a node named 'office' is on this bus already \(instance [0-9a-f]+\)"):
         NodeProgram(folder / "two", **SMALL, connect=[shared_node.endpoint])
     with episode_bus.controller("office") as link:
@@ -435,7 +435,7 @@ def test_two_nodes_of_one_name(folder: Path, shared_node: NodeProgram, episode_b
 def test_connect__names_what_is_missing(shared_node: NodeProgram) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with pytest.raises(NodeNotFound, match=f"nobody listens on {endpoint}; start a node there"):
-        agent_sdk.connect(endpoint)
+        zenostat.connect(endpoint)
     with pytest.raises(NodeNotFound, match=r"no node 'ofice' on .*; did you mean 'office'"):
         gym.make("zenostat/Building-v1", connect=shared_node.endpoint, node="ofice")
 
@@ -469,7 +469,7 @@ def test_ctrl_c_in_a_node_that_simulates(folder: Path) -> None:
 
 
 ENVIRONMENT = f"""
-import gymnasium as gym, agent_sdk
+import gymnasium as gym, zenostat
 env = gym.make("zenostat/Building-v1", **{SMALL!r}, affinity="off")
 """
 
@@ -497,11 +497,11 @@ def test_ctrl_c_in_a_script_with_an_environment(text: str) -> None:
         assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
 
 
-def test_ctrl_c_in_a_controller_leaves_the_node_running(shared_node: NodeProgram, episode_bus: agent_sdk.Bus) -> None:
+def test_ctrl_c_in_a_controller_leaves_the_node_running(shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
     text = """
 import sys
-import agent_sdk
-with agent_sdk.connect(sys.argv[1], affinity="off") as bus, bus.controller("office", name="script") as link:
+import zenostat
+with zenostat.connect(sys.argv[1], affinity="off") as bus, bus.controller("office", name="script") as link:
     while True:
         link.reset()
         print("steps", flush=True)
@@ -523,7 +523,7 @@ with agent_sdk.connect(sys.argv[1], affinity="off") as bus, bus.controller("offi
 def test_ctrl_c_while_a_node_starts(folder: Path) -> None:
     """It may come at any moment; whatever the node had by then is cleared."""
     text = f"""
-import gymnasium as gym, agent_sdk
+import gymnasium as gym, zenostat
 print("starts", flush=True)
 gym.make("zenostat/Building-v1", building="office-medium", weather={WEATHER!r}, affinity="off")
 """
@@ -539,7 +539,7 @@ gym.make("zenostat/Building-v1", building="office-medium", weather={WEATHER!r}, 
 def test_environment__ends_its_node_if_it_is_never_closed(scratch: Path) -> None:
     """The next weather's engine is being prepared when the program ends."""
     text = """
-import gymnasium as gym, agent_sdk
+import gymnasium as gym, zenostat
 env = gym.make("zenostat/ref-small-office-USA_CO_Denver-continuous-stochastic-v1", begin="07-03", end="07-03",
                affinity="off")
 env.reset(seed=0)

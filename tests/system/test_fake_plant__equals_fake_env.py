@@ -11,11 +11,11 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-import agent_sdk
+import zenostat
 
-assert agent_sdk
+assert zenostat
 
-PLANT = "agent_sdk.testing.fake_plant:FakePlant"
+PLANT = "zenostat.agent_sdk.testing.fake_plant:FakePlant"
 BUILDING = {"zones": 2, "begin": "07-03", "time": ["hour"], "steps_per_hour": 6, "equipment_control": True}
 
 
@@ -62,7 +62,8 @@ def test_a_trajectory_is_equal_to_the_bit(env: Any, fake: Any, seed: int) -> Non
 def test_a_snapshot_continues_to_the_bit(is_forkable: bool, tmp_path: Path) -> None:
     """Copied by a fork of its process, or by its state."""
     (tmp_path / "plant.py").write_text(
-        f"from agent_sdk.testing.fake_plant import FakePlant\nclass Copied(FakePlant):\n    forkable = {is_forkable}\n"
+        "from zenostat.agent_sdk.testing.fake_plant import FakePlant\n"
+        f"class Copied(FakePlant):\n    forkable = {is_forkable}\n"
     )
     plant = f"{tmp_path}/plant.py:Copied"
     with closing(gym.make("zenostat/Plant-v1", plant=plant, plant_arguments=BUILDING, reward=None)) as env:

@@ -21,11 +21,11 @@ from support.nodes import COOLING, SMALL, NodeProgram, Program, begin_new_episod
 from support.run_cli import run_in_process
 from zenoh.handlers import FifoChannel
 
-import agent_sdk
-from agent_sdk.bus.sample import SampleView
-from topics import codec, keys
-from topics.errors import EpisodeAborted, InvalidConfig, ZenostatError
-from topics.messages import ControllerState, ControllerStatus, Event, EventKind, Policy, State
+import zenostat
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import EpisodeAborted, InvalidConfig, ZenostatError
+from zenostat.topics.messages import ControllerState, ControllerStatus, Event, EventKind, Policy, State
 
 STEPS = 96
 POINT = "core_zn_cooling_setpoint"
@@ -34,10 +34,10 @@ NORTH, SOUTH = list(COOLING)[:2], list(COOLING)[2:]
 
 TOLD_WHAT_TO_SEND = """
 import sys
-import agent_sdk
-from topics.errors import ZenostatError
+import zenostat
+from zenostat.topics.errors import ZenostatError
 endpoint, name, *points = sys.argv[1:]
-with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office", name=name, actuators=points) as link:
+with zenostat.connect(endpoint, affinity="off") as bus, bus.controller("office", name=name, actuators=points) as link:
     print(link.name, flush=True)
     asks = True
     try:
@@ -54,16 +54,16 @@ with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office"
 
 
 @contextmanager
-def office(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, agent_sdk.Bus]]:
+def office(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus]]:
     with (
         NodeProgram(folder / "node", **{**SMALL, **settings}) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
     ):
         yield node, bus
 
 
 @contextmanager
-def events_of(bus: agent_sdk.Bus) -> Iterator[zenoh.Subscriber]:
+def events_of(bus: zenostat.Bus) -> Iterator[zenoh.Subscriber]:
     with bus.session.declare_subscriber(keys.EVENT.at("office"), FifoChannel(4096)) as events:
         bus.status("office")  # an answer shows that the node has heard of the subscription
         yield events
@@ -98,7 +98,7 @@ def told_steps(program: Program, values: list[float]) -> None:
     assert program.json() == len(values)
 
 
-def status_of(bus: agent_sdk.Bus, name: str) -> ControllerStatus:
+def status_of(bus: zenostat.Bus, name: str) -> ControllerStatus:
     return next(c for c in bus.status("office").controllers if c.controller == name)
 
 
@@ -289,9 +289,9 @@ def wanted(point: str, step: int) -> float:
 
 FOLLOWS_A_PLAN = """
 import sys
-import agent_sdk
+import zenostat
 endpoint, name, *points = sys.argv[1:]
-with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office", name=name, actuators=points) as link:
+with zenostat.connect(endpoint, affinity="off") as bus, bus.controller("office", name=name, actuators=points) as link:
     print(link.name, flush=True)
     zones = "core_zn perimeter_zn_1 perimeter_zn_2 perimeter_zn_3 perimeter_zn_4".split()
     for sample in link:
@@ -301,7 +301,7 @@ with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office"
 
 
 def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(
-    scratch: Path, shared_node: NodeProgram, episode_bus: agent_sdk.Bus
+    scratch: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus
 ) -> None:
     """north and south answer each sample; from sample 8 the supervisor overrides the core at 28 for an hour."""
     with (
@@ -342,10 +342,10 @@ def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(
 # The command line
 
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 
 
-def zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
+def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
     wide = {**os.environ, "COLUMNS": "200"}
     return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100, env=wide)
 
@@ -367,7 +367,7 @@ def test_status_command__shows_the_policy_and_the_bypassed_controller(scratch: P
     try:
         while "Ctrl-C" not in node.stdout.readline():
             assert node.poll() is None
-        with agent_sdk.connect(endpoint, affinity="off") as bus:
+        with zenostat.connect(endpoint, affinity="off") as bus:
             manifest = bus.manifest("office")
             assert (manifest.policy, manifest.grace_s, manifest.deadline_s) == (Policy.HOLD, 0.25, 2000.0)
             with (
@@ -381,7 +381,7 @@ def test_status_command__shows_the_policy_and_the_bypassed_controller(scratch: P
                 assert next_event(events, EventKind.FALLBACK).source == name
                 north.current().send()
                 north.receive()
-                said = zenostat("status", "--connect", endpoint).stdout
+                said = run_zenostat("status", "--connect", endpoint).stdout
     finally:
         node.send_signal(signal.SIGINT)
         node.communicate(timeout=60)
@@ -424,7 +424,7 @@ def test_a_node_s_settings_are_checked_alike(folder: Path) -> None:
 def test_node_on_its_fallback_policy__answers_requests(scratch: Path) -> None:
     """Without a deadline it runs as fast as it can, and whoever comes back is heard at once."""
     year = SMALL | {"begin": "01-01", "end": "12-31", "policy": "hold", "grace_s": 0.0}
-    with NodeProgram(scratch / "n", **year) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with NodeProgram(scratch / "n", **year) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
         link = bus.controller("office", name="goes")
         sample = link.current()
         sample.send()

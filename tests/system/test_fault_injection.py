@@ -14,17 +14,17 @@ import pytest
 import yaml
 from support.nodes import SMALL, WEATHER, NodeProgram, until
 
-import agent_sdk
-from agent_sdk import Bus
-from agent_sdk.bus.controller_link import ControllerLink
-from bridge.faults import LinkFaults
-from bridge.node.fault_injection import FaultInjection
-from eplus_node.config import read_config
-from eplus_node.plan import describe, plan
-from topics import codec, keys
-from topics.errors import InvalidConfig
-from topics.fault_plan import FaultPlan
-from topics.messages import Event, EventKind, Flag, PointValue, Sample
+import zenostat
+from zenostat import Bus
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.bridge.faults import LinkFaults
+from zenostat.bridge.node.fault_injection import FaultInjection
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.plan import describe, plan
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.fault_plan import FaultPlan
+from zenostat.topics.messages import Event, EventKind, Flag, PointValue, Sample
 
 CORE, NORTH, EAST, SOUTH = (
     f"{zone}_air_temperature" for zone in ("core_zn", "perimeter_zn_3", "perimeter_zn_2", "perimeter_zn_1")
@@ -87,7 +87,7 @@ class Stage:
 def stage(module_folder: Path) -> Iterator[Stage]:
     with (
         NodeProgram(module_folder / "n", **SMALL) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
         yield Stage(bus, link)
@@ -113,7 +113,7 @@ def test_an_empty_plan_leaves_all_as_it_is(scratch: Path, stage: Stage) -> None:
     (scratch / "none.yaml").write_text("seed: 5\nfaults: []\n")
     with (
         NodeProgram(scratch / "n", **SMALL, faults=str(scratch / "none.yaml")) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
         assert not link.manifest.faults_injected
@@ -438,7 +438,7 @@ def test_lockstep_with_lost_commands_goes_on_by_its_deadline(scratch: Path) -> N
     settings = SMALL | {"faults": str(scratch / "faults.yaml"), "policy": "hold", "deadline_s": 1.0}
     with (
         NodeProgram(scratch / "n", **settings) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
         ran = day(link)

@@ -15,10 +15,10 @@ import pytest
 from support.energyplus_reference import Case, Runs, check_equal, run_both
 from support.nodes import WEATHER
 
-from models.building.model import read_building
-from models.catalog import find_building, find_weather
-from models.points import discovery, selection
-from topics.messages import Aggregation, Manifest
+from zenostat.models.building.model import read_building
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.points import discovery, selection
+from zenostat.topics.messages import Aggregation, Manifest
 
 ZONE = {"ref-small-office": "Core_ZN", "office-small": "Core_ZN", "office-medium": "Core_mid"}
 """A zone of each building."""

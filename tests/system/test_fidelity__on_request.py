@@ -11,14 +11,14 @@ from support.data_packs import sinergym
 from support.energyplus_reference import Case, check_equal, run_both
 from support.nodes import SMALL, WEATHER
 
-from eplus_node.config import read_config
-from eplus_node.plan import plan
-from models.building.model import read_building
-from models.catalog import find_building, find_weather
-from models.points.discovery import discover
-from topics.energyplus_names import COMPUTED_ON_REQUEST
-from topics.errors import InvalidConfig
-from topics.points import bound_arrays
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.plan import plan
+from zenostat.models.building.model import read_building
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.points.discovery import discover
+from zenostat.topics.energyplus_names import COMPUTED_ON_REQUEST
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.points import bound_arrays
 
 CASE = Case("warehouse", WEATHER, "07-01", "07-02", 4)
 

@@ -13,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("scratch")
 PROGRAM = """
 import gc, json, os, sys
 import gymnasium as gym
-import agent_sdk
+import zenostat
 
 slots, settings = int(sys.argv[1]), json.loads(sys.argv[2])
 if slots == 1:
@@ -23,7 +23,7 @@ else:
 env.reset(seed=0)
 action = env.action_space.sample()
 env.step(action)
-bus = agent_sdk.connect(env.unwrapped.local_node.endpoint, affinity="off")
+bus = zenostat.connect(env.unwrapped.local_node.endpoint, affinity="off")
 listening = bus.listen("building")
 samples = listening.__enter__()
 pid = os.fork()

@@ -22,8 +22,8 @@ from support.mosquitto import Broker, needs_mosquitto
 from support.nodes import NodeProgram, until
 from support.run_cli import ZENOSTAT, run_in_process
 
-import agent_sdk
-from agent_sdk import Bus
+import zenostat
+from zenostat import Bus
 
 PLANT = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
 ENDS = pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
@@ -39,7 +39,7 @@ def room(module_folder: Path) -> Iterator[NodeProgram]:
 @pytest.fixture
 def bus(room: NodeProgram) -> Iterator[Bus]:
     """The bus of the node, on which somebody else commands the compressor."""
-    with agent_sdk.connect(room.endpoint, affinity="off") as connected:
+    with zenostat.connect(room.endpoint, affinity="off") as connected:
         connected.write("room", "compressor", 900.0, priority=12, source="operator")
         yield connected
         for priority in range(1, 17):
@@ -123,7 +123,7 @@ def test_bacnet__relinquishes_what_its_clients_commanded(room: NodeProgram, bus:
 def test_the_end_of_the_episode_is_no_error_of_a_gateway_that_ends(tmp_path: Path) -> None:
     with (
         NodeProgram(tmp_path / "room", plant=PLANT, name="room") as room,
-        agent_sdk.connect(room.endpoint, affinity="off") as bus,
+        zenostat.connect(room.endpoint, affinity="off") as bus,
         RunningGateway("modbus", "room", "--connect", room.endpoint, "--address", "127.0.0.1:0") as gateway,
     ):
         with ModbusTcpClient("127.0.0.1", port=gateway.port, timeout=20) as client:

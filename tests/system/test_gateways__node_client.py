@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 from support.nodes import SMALL, NodeProgram
 
-import agent_sdk
-from bridge.gateways import node_client
-from bridge.gateways.node_client import NodeClient
-from bridge.transport.session import open_session
-from topics.errors import InvalidAction, NodeLost, NodeNotFound, RequestRejected, UnknownName
-from topics.messages import Event, EventKind
+import zenostat
+from zenostat.bridge.gateways import node_client
+from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics.errors import InvalidAction, NodeLost, NodeNotFound, RequestRejected, UnknownName
+from zenostat.topics.messages import Event, EventKind
 
 COOLING = "core_zn_cooling_setpoint"
 
@@ -29,7 +29,7 @@ async def _client(endpoint: str, **options: Any) -> AsyncIterator[NodeClient]:
 
 
 def test_a_paused_node_steps_on_command_and_a_write_takes_effect(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram
+    episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pause("office")
     episode_bus.pace("office", mode="free")
@@ -73,7 +73,7 @@ def test_a_paused_node_steps_on_command_and_a_write_takes_effect(
 
 
 def test_a_node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram
+    episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pause("office")
 
@@ -86,7 +86,7 @@ def test_a_node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(
 
 
 def test_too_many_requests_at_once_are_rejected_and_the_others_answered(
-    episode_bus: agent_sdk.Bus, shared_node: NodeProgram, monkeypatch: pytest.MonkeyPatch
+    episode_bus: zenostat.Bus, shared_node: NodeProgram, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(node_client, "MAX_PENDING", 10)
 

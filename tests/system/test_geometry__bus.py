@@ -9,15 +9,15 @@ import pytest
 import zenoh
 from support.nodes import SMALL, NodeProgram
 
-import agent_sdk
-from bridge.display.surfaces import surfaces
-from models import catalog
-from models.building.geometry import building_geometry
-from models.building.model import read_building
-from models.weather.header import read_header
-from topics import codec, keys
-from topics.errors import NodeNotFound, RequestRejected
-from topics.messages import CreateBranch, Geometry, Manifest
+import zenostat
+from zenostat.bridge.display.surfaces import surfaces
+from zenostat.models import catalog
+from zenostat.models.building.geometry import building_geometry
+from zenostat.models.building.model import read_building
+from zenostat.models.weather.header import read_header
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import NodeNotFound, RequestRejected
+from zenostat.topics.messages import CreateBranch, Geometry, Manifest
 
 PLANT = """
 class Tank:
@@ -41,7 +41,7 @@ def expected() -> Geometry:
     return geometry
 
 
-def test_the_bus_has_the_models_geometry(episode_bus: agent_sdk.Bus, expected: Geometry) -> None:
+def test_the_bus_has_the_models_geometry(episode_bus: zenostat.Bus, expected: Geometry) -> None:
     geometry = episode_bus.geometry("office")
     assert geometry == expected
     assert {surface.zone for surface in surfaces(geometry)} == set(range(len(geometry.zones)))
@@ -50,7 +50,7 @@ def test_the_bus_has_the_models_geometry(episode_bus: agent_sdk.Bus, expected: G
     episode_bus.stop(branch)
 
 
-def test_a_node_that_is_not_there_is_named(episode_bus: agent_sdk.Bus) -> None:
+def test_a_node_that_is_not_there_is_named(episode_bus: zenostat.Bus) -> None:
     with pytest.raises(NodeNotFound, match="no node 'offise'"):
         episode_bus.geometry("offise")
 
@@ -60,14 +60,14 @@ def test_a_python_plant_has_no_geometry(scratch: Path) -> None:
     file.write_text(PLANT)
     with (
         NodeProgram(scratch / "node", plant=f"{file}:Tank", name="tank") as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         pytest.raises(RequestRejected, match=r"^the plant 'tank' is a Python class, which has no geometry$"),
     ):
         bus.geometry("tank")
 
 
 @pytest.fixture
-def old_node(episode_bus: agent_sdk.Bus) -> Iterator[str]:
+def old_node(episode_bus: zenostat.Bus) -> Iterator[str]:
     """A node `old` that answers for its manifest only, as one of a version without this topic would."""
     versions = {"zenostat": "0.1", "energyplus": "25.2"}
     manifest = episode_bus.manifest("office")
@@ -82,6 +82,6 @@ def old_node(episode_bus: agent_sdk.Bus) -> Iterator[str]:
     queryable.undeclare()
 
 
-def test_an_older_node_is_named_with_its_version(episode_bus: agent_sdk.Bus, old_node: str) -> None:
+def test_an_older_node_is_named_with_its_version(episode_bus: zenostat.Bus, old_node: str) -> None:
     with pytest.raises(RequestRejected, match=r"^node 'old' is of Zenostat 0\.1, which does not send a geometry$"):
         episode_bus.geometry(old_node)

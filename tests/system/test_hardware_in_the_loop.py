@@ -18,9 +18,9 @@ import pytest
 from support.nodes import free_port, until
 from support.run_cli import ZENOSTAT
 
-import agent_sdk
-from agent_sdk.recording import load
-from agent_sdk.recording.data import Episode
+import zenostat
+from zenostat.agent_sdk.recording import load
+from zenostat.agent_sdk.recording.data import Episode
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "hardware-in-the-loop.md").read_text()
@@ -149,7 +149,7 @@ def test_the_page_shows_what_it_says(scratch: Path) -> None:
         )
         run.on_bus("zenostat pace")
         until(lambda: "not in effect" in plc.read_text().partition("raised, in effect")[2], "the PLC is overridden")
-        with agent_sdk.connect(run.endpoint, affinity="off") as bus:
+        with zenostat.connect(run.endpoint, affinity="off") as bus:
             bus.pause("office")  # for as long as the commands take
             priorities = run.on_bus("zenostat priorities")
             assert "office" in run.on_bus("zenostat status")

@@ -14,14 +14,14 @@ from support.nodes import NodeProgram, until
 from support.run_cli import plain
 from support.run_cli import run_in_process as run
 
-import agent_sdk
-from agent_sdk import recording
-from bridge.transport.access_control import Permission, may
-from eplus_node.verification import verify
-from topics import keys
-from topics.errors import EpisodeChanged, InvalidConfig, RequestRejected, UnknownName
-from topics.keys import Role
-from topics.messages import AlarmState, CreateBranch, EventKind, HistorySeries, Reset
+import zenostat
+from zenostat import recording
+from zenostat.bridge.transport.access_control import Permission, may
+from zenostat.eplus_node.verification import verify
+from zenostat.topics import keys
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig, RequestRejected, UnknownName
+from zenostat.topics.keys import Role
+from zenostat.topics.messages import AlarmState, CreateBranch, EventKind, HistorySeries, Reset
 
 OVEN = """
 class Oven:
@@ -63,14 +63,14 @@ def oven(module_scratch: Path) -> Iterator[NodeProgram]:
 
 
 @pytest.fixture
-def bus(oven: NodeProgram) -> Iterator[agent_sdk.Bus]:
-    with agent_sdk.connect(oven.endpoint, affinity="off") as connected:
+def bus(oven: NodeProgram) -> Iterator[zenostat.Bus]:
+    with zenostat.connect(oven.endpoint, affinity="off") as connected:
         until(lambda: not connected.controllers(), "all controllers have left")
         connected.reset("oven", Reset())
         yield connected
 
 
-def heat(bus: agent_sdk.Bus, *watts: float) -> list[float]:
+def heat(bus: zenostat.Bus, *watts: float) -> list[float]:
     """Simulate a timestep for each power; return the temperatures, that of the first sample included."""
     with bus.controller("oven", name="cook") as link:
         temperatures = [link.current()["temperature"]]
@@ -83,7 +83,7 @@ def heat(bus: agent_sdk.Bus, *watts: float) -> list[float]:
 # History
 
 
-def test_history__has_the_samples_of_the_episode(bus: agent_sdk.Bus) -> None:
+def test_history__has_the_samples_of_the_episode(bus: zenostat.Bus) -> None:
     temperatures = heat(bus, 200.0, 200.0, 0.0, 300.0)
     history = bus.history("oven", ["heater", "temperature"])
     assert history["temperature"].tolist() == temperatures == [20.0, 21.0, 22.0, 21.0, 23.0]
@@ -96,7 +96,7 @@ def test_history__has_the_samples_of_the_episode(bus: agent_sdk.Bus) -> None:
         history["heatr"]
 
 
-def test_history__of_all_points_and_of_a_range(bus: agent_sdk.Bus) -> None:
+def test_history__of_all_points_and_of_a_range(bus: zenostat.Bus) -> None:
     heat(bus, *[200.0] * 9)
     assert bus.history("oven").points == ("temperature", "people", "energy", "heater")
     part = bus.history("oven", ["temperature"], start="07-03T00:02:30", end=datetime(2017, 7, 3, 0, 5))
@@ -108,7 +108,7 @@ def test_history__of_all_points_and_of_a_range(bus: agent_sdk.Bus) -> None:
     assert thin.highs[:, 0].tolist() == [20.0, 23.0, 26.0, 29.0]
 
 
-def test_a_history_larger_than_a_reply__is_read_in_parts(bus: agent_sdk.Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_history_larger_than_a_reply__is_read_in_parts(bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     temperatures = heat(bus, *[200.0] * 7)
     ask, asked = bus._ask, []
 
@@ -139,13 +139,13 @@ def test_a_history_larger_than_a_reply__is_read_in_parts(bus: agent_sdk.Bus, mon
         bus.history("oven", ["temperature"])
 
 
-def test_a_new_episode__has_a_history_of_its_own(bus: agent_sdk.Bus) -> None:
+def test_a_new_episode__has_a_history_of_its_own(bus: zenostat.Bus) -> None:
     heat(bus, 200.0)
     bus.reset("oven", Reset())
     assert bus.history("oven", ["temperature"])["temperature"].tolist() == [20.0]
 
 
-def test_mistakes_in_a_request_for_history(bus: agent_sdk.Bus) -> None:
+def test_mistakes_in_a_request_for_history(bus: zenostat.Bus) -> None:
     with pytest.raises(UnknownName, match="no point 'temprature'; did you mean 'temperature'"):
         bus.history("oven", ["temprature"])
     with pytest.raises(RequestRejected, match="no slot 3"):
@@ -162,13 +162,13 @@ def test_mistakes_in_a_request_for_history(bus: agent_sdk.Bus) -> None:
         bus.history("oven", "temperature")
 
 
-def test_the_manifest__states_the_memory(bus: agent_sdk.Bus) -> None:
+def test_the_manifest__states_the_memory(bus: zenostat.Bus) -> None:
     manifest = bus.manifest("oven")
     assert manifest.history_samples == manifest.steps + 1
     assert manifest.history_bytes == manifest.history_samples * 8 * (3 + 1 + 2)
 
 
-def test_a_branch_has_no_history(bus: agent_sdk.Bus) -> None:
+def test_a_branch_has_no_history(bus: zenostat.Bus) -> None:
     branch = bus.branch("oven", CreateBranch())
     assert bus.manifest(branch).history_samples == 0
     with pytest.raises(RequestRejected, match="branches keep no history; ask 'oven'"):
@@ -180,7 +180,7 @@ def test_a_node_without_history_says_so(scratch: Path) -> None:
     (scratch / "oven.py").write_text(OVEN)
     with (
         NodeProgram(scratch / "node", name="oven", plant=f"{scratch}/oven.py:Oven", history_mb=0) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
     ):
         assert bus.manifest("oven").history_bytes == 0
         with pytest.raises(RequestRejected, match="the node keeps no history"):
@@ -194,11 +194,11 @@ def test_a_node_without_history_says_so(scratch: Path) -> None:
 # Alarms
 
 
-def states(bus: agent_sdk.Bus, node: str = "oven") -> dict[str, str]:
+def states(bus: zenostat.Bus, node: str = "oven") -> dict[str, str]:
     return {alarm.alarm: str(alarm.state) for alarm in bus.alarms(node).alarms}
 
 
-def test_an_alarm__from_its_limit_to_its_return(bus: agent_sdk.Bus) -> None:
+def test_an_alarm__from_its_limit_to_its_return(bus: zenostat.Bus) -> None:
     heat(bus, *[200.0] * 7)  # 27 degC; above 25 since a minute
     assert states(bus) == {"hot": "normal", "any_heat": "acknowledged"}
     heat(bus, 200.0)
@@ -213,14 +213,14 @@ def test_an_alarm__from_its_limit_to_its_return(bus: agent_sdk.Bus) -> None:
     assert (hot.raised, hot.changed) == ("2017-07-03T00:08:00", "2017-07-03T00:15:00")
 
 
-def test_a_reset__begins_with_normal_alarms(bus: agent_sdk.Bus) -> None:
+def test_a_reset__begins_with_normal_alarms(bus: zenostat.Bus) -> None:
     heat(bus, *[200.0] * 9)
     assert states(bus)["hot"] == "active"
     bus.reset("oven", Reset())
     assert states(bus) == {"hot": "normal", "any_heat": "normal"}
 
 
-def test_a_snapshot__contains_the_alarms(bus: agent_sdk.Bus) -> None:
+def test_a_snapshot__contains_the_alarms(bus: zenostat.Bus) -> None:
     heat(bus, *[200.0] * 9)
     bus.acknowledge("oven", "hot", source="ann")
     snapshot = bus.snapshot("oven").snapshot
@@ -232,7 +232,7 @@ def test_a_snapshot__contains_the_alarms(bus: agent_sdk.Bus) -> None:
     bus.drop("oven", snapshot)
 
 
-def test_what_is_set_aside__is_kept_by_snapshots_and_branches_and_ends_with_its_time(bus: agent_sdk.Bus) -> None:
+def test_what_is_set_aside__is_kept_by_snapshots_and_branches_and_ends_with_its_time(bus: zenostat.Bus) -> None:
     heat(bus, *[200.0] * 9)  # 29 degC at 00:09
     ack = bus.shelve("oven", "hot", 120, source="ann", comment="bread")
     assert ack.text == "hot: temperature is shelved until 2017-07-03T00:11:00 by ann: bread"
@@ -266,7 +266,7 @@ def test_a_monitor__reads_alarms_and_history_and_decides_nothing() -> None:
         assert may(Role.CONTROLLER, topic) == (Permission.ASK,)
 
 
-def test_a_recording__has_the_alarms_and_is_verified(bus: agent_sdk.Bus, module_scratch: Path) -> None:
+def test_a_recording__has_the_alarms_and_is_verified(bus: zenostat.Bus, module_scratch: Path) -> None:
     path = module_scratch / "oven.mcap"
     bus.record("oven", path)
     bus.reset("oven", Reset())
@@ -307,7 +307,7 @@ def test_a_recording__has_the_alarms_and_is_verified(bus: agent_sdk.Bus, module_
 # On the command line
 
 
-def test_zenostat_shelve_and_remove_from_service(bus: agent_sdk.Bus, oven: NodeProgram) -> None:
+def test_zenostat_shelve_and_remove_from_service(bus: zenostat.Bus, oven: NodeProgram) -> None:
     at = ("--connect", oven.endpoint, "--source", "ann")
     heat(bus, *[200.0] * 9)
     done = run("shelve", "oven", "hot", "--duration", "5min", "--comment", "bread", *at)
@@ -330,7 +330,7 @@ def test_zenostat_shelve_and_remove_from_service(bus: agent_sdk.Bus, oven: NodeP
     ]
 
 
-def test_zenostat_alarms_and_acknowledge(bus: agent_sdk.Bus, oven: NodeProgram) -> None:
+def test_zenostat_alarms_and_acknowledge(bus: zenostat.Bus, oven: NodeProgram) -> None:
     at = ("--connect", oven.endpoint)
     assert plain(run("alarms", "oven", *at).stdout) == "oven at 2017-07-03T00:00:00: 2 normal"
     heat(bus, *[200.0] * 9)
@@ -350,7 +350,7 @@ def test_zenostat_alarms_and_acknowledge(bus: agent_sdk.Bus, oven: NodeProgram) 
     assert (hot["state"], hot["acknowledged_by"], hot["value"]) == ("acknowledged", "ann", 29.0)
 
 
-def test_zenostat_plot(bus: agent_sdk.Bus, oven: NodeProgram) -> None:
+def test_zenostat_plot(bus: zenostat.Bus, oven: NodeProgram) -> None:
     heat(bus, *[200.0] * 20)
     at = ("--connect", oven.endpoint)
     done = run("plot", "oven", "temperature", "energy", *at)
@@ -370,11 +370,11 @@ def test_zenostat_plot(bus: agent_sdk.Bus, oven: NodeProgram) -> None:
 
 @pytest.mark.parametrize("is_colored", [True, False])
 def test_zenostat_plot__in_a_terminal(
-    bus: agent_sdk.Bus, oven: NodeProgram, monkeypatch: pytest.MonkeyPatch, is_colored: bool
+    bus: zenostat.Bus, oven: NodeProgram, monkeypatch: pytest.MonkeyPatch, is_colored: bool
 ) -> None:
     from rich.console import Console
 
-    from cli import plot
+    from zenostat.cli import plot
 
     heat(bus, *[200.0] * 3)
     with open(os.devnull, "w") as nowhere:

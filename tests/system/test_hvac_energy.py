@@ -18,14 +18,14 @@ from numpy.typing import NDArray
 from support.builders import view
 from support.nodes import WEATHER, NodeProgram
 
-import agent_sdk
-from agent_sdk.evaluation.energy_sources import FUELS
-from agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-from agent_sdk.rewards import LinearReward
-from bridge.display.roles import roles
-from models import catalog
-from models.building.model import read_building
-from topics.messages import Manifest
+import zenostat
+from zenostat.agent_sdk.evaluation.energy_sources import FUELS
+from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.agent_sdk.rewards import LinearReward
+from zenostat.bridge.display.roles import roles
+from zenostat.models import catalog
+from zenostat.models.building.model import read_building
+from zenostat.topics.messages import Manifest
 
 QUICK = ("ref-warehouse", "office-small")
 """A building whose pumps are of a plant loop, and one with electric water heaters."""
@@ -61,7 +61,7 @@ def _edits(building: str) -> dict[str, dict[str, Any]]:
 
 def _episode(node: NodeProgram) -> tuple[Manifest, NDArray[np.float64]]:
     """Samples of an episode without commands, shape (steps + 1, points)."""
-    with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+    with zenostat.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         samples = []
         for sample in link:
             samples.append(sample.values)

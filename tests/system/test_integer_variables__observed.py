@@ -11,14 +11,14 @@ import pytest
 from support.energyplus_reference import Alone, Case
 from support.nodes import NodeProgram
 
-import agent_sdk
-from models import energyplus
-from models.building.model import Building, for_episode, read_building, write
-from models.catalog import find_building, find_weather
-from models.points.discovery import PointCatalog, discover
-from models.points.selection import default_aggregation, find_variable
-from models.scenario.run_period import Period
-from topics.messages import Aggregation
+import zenostat
+from zenostat.models import energyplus
+from zenostat.models.building.model import Building, for_episode, read_building, write
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.points.discovery import PointCatalog, discover
+from zenostat.models.points.selection import default_aggregation, find_variable
+from zenostat.models.scenario.run_period import Period
+from zenostat.topics.messages import Aggregation
 
 CASE = Case("ref-small-office", "USA_CO_Denver", "04-06", "04-09", 4)
 """A Saturday to a Tuesday; the HVAC divides most timesteps. Daylight saving time begins on the second day of April."""
@@ -73,7 +73,7 @@ def test_they_equal_energyplus_alone_to_the_bit(folder: Path) -> None:
     sensors |= {f"mean{i}": [name, (SYSTEM | ZONE)[name], "mean"] for i, name in enumerate(averaged)}
     sensors |= {f"state{i}": [name, key, "instant"] for i, (name, key) in enumerate(SYSTEM.items()) if "Count" in name}
     with NodeProgram(folder, **CASE.settings(), sensors=sensors, meters={}, actuators={}) as node:
-        with agent_sdk.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+        with zenostat.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
             alone = Alone(CASE, link.manifest.sensors, (), folder / "alone")
             got = []
             for sample in link:

@@ -15,7 +15,7 @@ pytestmark = pytest.mark.usefixtures("scratch")
 PROGRAM = """
 import json, sys, traceback
 import gymnasium as gym
-import agent_sdk
+import zenostat
 
 print("ready", flush=True)
 try:

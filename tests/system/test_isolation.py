@@ -11,7 +11,7 @@ import pytest
 SCRIPT = """
 import gymnasium as gym
 
-import agent_sdk
+import zenostat
 
 env = gym.make(
     "zenostat/Building-v1",
@@ -33,7 +33,8 @@ print("stepped to", info["step"])
 def test_a_script_beside_a_models_file_of_its_own(scratch: Path, from_its_folder: bool) -> None:
     home = scratch / "home"
     home.mkdir()
-    (home / "models.py").write_text("raise RuntimeError('a file of the user was imported')\n")
+    for name in ("agent_sdk", "bridge", "cli", "eplus_node", "models", "topics"):
+        (home / f"{name}.py").write_text("raise RuntimeError('a file of the user was imported')\n")
     (home / "script.py").write_text(SCRIPT)
     done = subprocess.run(
         [sys.executable, str(home / "script.py")],

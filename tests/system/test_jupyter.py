@@ -13,7 +13,7 @@ jupyter_client = pytest.importorskip("jupyter_client")
 pytest.importorskip("ipykernel")
 
 MAKE = f"""
-import asyncio, gymnasium as gym, agent_sdk
+import asyncio, gymnasium as gym, zenostat
 env = gym.make("zenostat/Building-v1", **{SMALL | {"begin": "07-03", "end": "07-30"}!r}, affinity="off")
 env.reset(seed=0)
 async def some():

@@ -18,15 +18,15 @@ from support.nodes import SMALL
 
 CONTROLLER = """
 import hashlib, json, sys, threading
-import agent_sdk
-from topics.errors import BusError
+import zenostat
+from zenostat.topics.errors import BusError
 
 digest, steps = hashlib.sha256(), 0
 
 
 def is_there(endpoint):
     try:
-        with agent_sdk.connect(endpoint, affinity="off") as bus:
+        with zenostat.connect(endpoint, affinity="off") as bus:
             return "office" in bus.nodes()
     except BusError:
         return False
@@ -34,7 +34,7 @@ def is_there(endpoint):
 
 while not is_there(sys.argv[1]):
     threading.Event().wait(0.1)
-with agent_sdk.connect(sys.argv[1], affinity="off") as bus, bus.controller("office") as link:
+with zenostat.connect(sys.argv[1], affinity="off") as bus, bus.controller("office") as link:
     for sample in link:
         digest.update(sample.values.tobytes())
         steps += 1
@@ -102,7 +102,7 @@ def trajectory(hosts: Hosts, folder: Path) -> tuple[int, str]:
     folder.mkdir()
     (folder / "run.py").write_text(CONTROLLER)
     endpoint = f"tcp/{NODE_ADDRESS}:7447"
-    command = [sys.executable, "-P", "-m", "cli.main", "node", "--building", SMALL["building"]]
+    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "node", "--building", SMALL["building"]]
     command += ["--weather", SMALL["weather"], "--begin", "07-03", "--end", "07-03", "--name", "office"]
     command += ["--listen", endpoint, "--expose"]
     with (folder / "node.log").open("w") as log:

@@ -17,8 +17,8 @@ import pytest
 from support.links import CuttableLink
 from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, until
 
-import agent_sdk
-from topics.errors import BusError, EpisodeChanged, NodeLost, NodeNotFound, PeerError, RequestRejected
+import zenostat
+from zenostat.topics.errors import BusError, EpisodeChanged, NodeLost, NodeNotFound, PeerError, RequestRejected
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -74,7 +74,7 @@ def tcp_node(module_folder: Path) -> Iterator[NodeProgram]:
 @pytest.fixture
 def link(tcp_node: NodeProgram) -> Iterator[CuttableLink]:
     """A link to `tcp_node`, which waits at the first sample of a new episode."""
-    with agent_sdk.connect(tcp_node.endpoint, affinity="off") as bus:
+    with zenostat.connect(tcp_node.endpoint, affinity="off") as bus:
         begin_new_episode(bus)
     with CuttableLink(int(tcp_node.endpoint.rpartition(":")[2])) as opened:
         yield opened
@@ -146,14 +146,14 @@ def test_an_environment_closes_while_the_other_side_is_frozen(scratch: Path) -> 
             psutil.Process(node.pid).resume()
 
 
-def answer_for_ever(controller: agent_sdk.ControllerLink) -> None:
+def answer_for_ever(controller: zenostat.ControllerLink) -> None:
     while True:
         controller.receive().send()
 
 
 @contextmanager
 def router(endpoint: str) -> Iterator[None]:
-    program = [sys.executable, "-P", "-m", "cli.main", "router", "--listen", endpoint]
+    program = [sys.executable, "-P", "-m", "zenostat.cli.main", "router", "--listen", endpoint]
     with subprocess.Popen(program, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
@@ -180,7 +180,7 @@ def test_a_router_that_was_killed_and_started_again(scratch: Path) -> None:
 
 def test_a_controller_without_gymnasium(link: CuttableLink) -> None:
     with (
-        agent_sdk.connect(link.endpoint, affinity="off") as bus,
+        zenostat.connect(link.endpoint, affinity="off") as bus,
         bus.controller("office") as controller,
     ):
         controller.reset().send()
@@ -199,7 +199,7 @@ def test_a_claim_that_only_the_node_lost(tcp_node: NodeProgram, link: CuttableLi
     link.down()
     step_until_lost(env)
     with (
-        agent_sdk.connect(tcp_node.endpoint, affinity="off") as bus,
+        zenostat.connect(tcp_node.endpoint, affinity="off") as bus,
         until(lambda: claimed(bus), "the node has lost the environment too"),
     ):
         link.up()
@@ -209,7 +209,7 @@ def test_a_claim_that_only_the_node_lost(tcp_node: NodeProgram, link: CuttableLi
     env.close()
 
 
-def claimed(bus: agent_sdk.Bus) -> agent_sdk.ControllerLink | None:
+def claimed(bus: zenostat.Bus) -> zenostat.ControllerLink | None:
     try:
         return bus.controller("office", name="other")
     except RequestRejected:

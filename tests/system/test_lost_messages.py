@@ -11,22 +11,22 @@ import numpy as np
 import pytest
 from support.nodes import NodeProgram, Program, engines_of, until, values_of_day
 
-import agent_sdk
-from agent_sdk.bus import controller_link, receive_watchdog
-from agent_sdk.bus.controller_link import ControllerLink
-from bridge.gateways.node_client import NodeClient
-from bridge.transport.session import open_session
-from topics import codec, keys
-from topics.errors import EngineDied, EpisodeChanged, RequestRejected
-from topics.messages import Event, EventKind, Reset, Sample, State, Status
+import zenostat
+from zenostat.agent_sdk.bus import controller_link, receive_watchdog
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import EngineDied, EpisodeChanged, RequestRejected
+from zenostat.topics.messages import Event, EventKind, Reset, Sample, State, Status
 
 POINT = "core_zn_cooling_setpoint"
 
 FLOOD = """
 import sys, time
 import zenoh
-from bridge.transport.session import open_session
-from topics import codec
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics import codec
 with open_session(connect=[sys.argv[1]]) as session:
     print("floods", flush=True)
     while True:
@@ -38,7 +38,7 @@ with open_session(connect=[sys.argv[1]]) as session:
 
 SUBSCRIBES_TO_ALL_AND_READS_NOTHING = """
 import sys
-from bridge.transport.session import open_session
+from zenostat.bridge.transport.session import open_session
 with open_session(connect=[sys.argv[1]]) as session:
     subscriber = session.declare_subscriber("zenostat/**")  # its queue holds 256 messages
     print("subscribes", flush=True)
@@ -74,7 +74,7 @@ def is_event(kind: EventKind) -> Callable[[str, bytes], bool]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("step", [40, 0, 96])
-def test_a_lost_sample_is_asked_for(episode_bus: agent_sdk.Bus, step: int) -> None:
+def test_a_lost_sample_is_asked_for(episode_bus: zenostat.Bus, step: int) -> None:
     with episode_bus.controller("office") as link:
         quiet = values_of_day(link)
         lost = lose(link, is_sample(step))
@@ -83,7 +83,7 @@ def test_a_lost_sample_is_asked_for(episode_bus: agent_sdk.Bus, step: int) -> No
 
 
 def test_a_controller_that_connects_late_asks_for_the_sample_after_the_one_that_is_answered(
-    episode_bus: agent_sdk.Bus,
+    episode_bus: zenostat.Bus,
 ) -> None:
     """The node waits for another controller at sample 0, of which this one does not know whether it has answered."""
     with episode_bus.controller("office", actuators=[POINT], name="a") as first:
@@ -97,7 +97,7 @@ def test_a_controller_that_connects_late_asks_for_the_sample_after_the_one_that_
             assert lost
 
 
-def test_a_failure_whose_event_is_lost_is_raised(bus: agent_sdk.Bus, node: NodeProgram) -> None:
+def test_a_failure_whose_event_is_lost_is_raised(bus: zenostat.Bus, node: NodeProgram) -> None:
     with bus.controller("office") as link:
         link.reset()
         lost = lose(link, is_event(EventKind.FAILED))
@@ -110,7 +110,7 @@ def test_a_failure_whose_event_is_lost_is_raised(bus: agent_sdk.Bus, node: NodeP
     assert lost
 
 
-def test_a_reset_by_another_controller_is_raised_though_its_messages_are_lost(episode_bus: agent_sdk.Bus) -> None:
+def test_a_reset_by_another_controller_is_raised_though_its_messages_are_lost(episode_bus: zenostat.Bus) -> None:
     with episode_bus.controller("office", actuators=[POINT]) as link:
         link.reset()
         link.send()
@@ -124,12 +124,12 @@ def test_a_reset_by_another_controller_is_raised_though_its_messages_are_lost(ep
 
 
 def test_a_controller_that_receives_nothing_for_long_gets_replies_and_the_latest_samples(
-    episode_bus: agent_sdk.Bus,
+    episode_bus: zenostat.Bus,
 ) -> None:
     """More samples than its inbox holds come from another controller's episodes."""
     with (
         episode_bus.controller("office", actuators=[], required=False) as link,
-        agent_sdk.connect(episode_bus.endpoint, affinity="off") as elsewhere,
+        zenostat.connect(episode_bus.endpoint, affinity="off") as elsewhere,
         elsewhere.controller("office") as other,
     ):
         link.current()
@@ -162,7 +162,7 @@ def test_a_controller_without_a_claim_does_not_wait_for_ever() -> None:
 
 @pytest.mark.parametrize("priority", ["DATA", "REAL_TIME"])
 def test_large_messages_of_a_stranger_do_not_displace_samples(
-    episode_bus: agent_sdk.Bus, monkeypatch: pytest.MonkeyPatch, priority: str
+    episode_bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch, priority: str
 ) -> None:
     """At Zenoh's default priority none is lost; at a higher one than the samples', which are lost is asked for."""
     regained: list[int] = []
@@ -185,7 +185,7 @@ def test_large_messages_of_a_stranger_do_not_displace_samples(
 
 @pytest.mark.slow
 def test_a_subscriber_to_everything_that_reads_nothing_delays_commands_once_and_is_disconnected(
-    episode_bus: agent_sdk.Bus,
+    episode_bus: zenostat.Bus,
 ) -> None:
     """Commands are not dropped, and `**` includes them; Zenoh gives it five seconds."""
     with episode_bus.controller("office") as link:
@@ -196,7 +196,7 @@ def test_a_subscriber_to_everything_that_reads_nothing_delays_commands_once_and_
                 assert values_of_day(link) == quiet
 
 
-def test_refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus: agent_sdk.Bus) -> None:
+def test_refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus: zenostat.Bus) -> None:
     """More than are published in a step; the controller's own is, or it would wait for a sample that never comes."""
     with episode_bus.controller("office") as link, open_session(connect=[episode_bus.endpoint]) as session:
         link.reset()
@@ -209,7 +209,7 @@ def test_refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus:
             link.receive()
 
 
-def test_a_gateway_asks_for_a_lost_sample(bus: agent_sdk.Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_gateway_asks_for_a_lost_sample(bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     async def main() -> int:
         with open_session(connect=[bus.endpoint]) as session:
             async with NodeClient(session, "office") as client:

@@ -21,12 +21,12 @@ from pymodbus.client import ModbusTcpClient
 from support.nodes import SMALL, NodeProgram, begin_new_episode, until
 from support.run_cli import ZENOSTAT, run_in_process
 
-import agent_sdk
-from agent_sdk import Bus
-from bridge.gateways.modbus import server
-from bridge.gateways.modbus.gateway import ModbusGateway
-from bridge.gateways.node_client import NodeClient
-from bridge.transport.session import open_session
+import zenostat
+from zenostat import Bus
+from zenostat.bridge.gateways.modbus import server
+from zenostat.bridge.gateways.modbus.gateway import ModbusGateway
+from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.transport.session import open_session
 
 COOLING = "core_zn_cooling_setpoint"
 UNIT = 1
@@ -65,7 +65,7 @@ def client(port: int, bus: Bus) -> Iterator[ModbusTcpClient]:
 @pytest.fixture
 def bus(shared_node: NodeProgram) -> Iterator[Bus]:
     """The bus of the node, which is paused at the first sample of an episode and steps on command."""
-    with agent_sdk.connect(shared_node.endpoint, affinity="off") as connected:
+    with zenostat.connect(shared_node.endpoint, affinity="off") as connected:
         begin_new_episode(connected)
         connected.pause("office")
         connected.pace("office", mode="free")
@@ -376,7 +376,7 @@ def test_the_low_word_comes_first_where_that_is_asked_for(bus: Bus, shared_node:
 
 @pytest.mark.slow
 def test_a_node_that_is_gone_is_a_gateway_exception_and_its_return_is_noticed(tmp_path: Path) -> None:
-    from bridge.transport.session import Mode, open_session
+    from zenostat.bridge.transport.session import Mode, open_session
 
     endpoint = f"unixsock-stream/{tmp_path}/router"
     settings = {**SMALL, "listen": [], "name": "office", "connect": [endpoint]}

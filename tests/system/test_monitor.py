@@ -17,13 +17,13 @@ from rerun.chunk import RrdReader
 from support.nodes import SMALL, NodeProgram, free_port, until
 from zenoh.handlers import RingChannel
 
-import agent_sdk
-from bridge.display.roles import roles
-from bridge.rerun.stream import RerunStream
-from bridge.rerun.viewer import web_viewer
-from bridge.transport.session import open_session
-from topics import codec, keys
-from topics.messages import Batch, Event, EventKind
+import zenostat
+from zenostat.bridge.display.roles import roles
+from zenostat.bridge.rerun.stream import RerunStream
+from zenostat.bridge.rerun.viewer import web_viewer
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics import codec, keys
+from zenostat.topics.messages import Batch, Event, EventKind
 
 
 def _recorded(path: Path) -> dict[str, dict[int, list[float]]]:
@@ -40,7 +40,7 @@ def _recorded(path: Path) -> dict[str, dict[int, list[float]]]:
 
 def _run(endpoint: str, *, reset: bool = False) -> list[np.ndarray]:
     """An episode under the building's own control: the values of each sample."""
-    with agent_sdk.connect(endpoint, affinity="off") as bus, bus.controller("office") as link:
+    with zenostat.connect(endpoint, affinity="off") as bus, bus.controller("office") as link:
         if reset:
             link.reset()
         return [sample.values for sample in link]
@@ -89,7 +89,7 @@ def test_batches_have_all_that_was_streamed_in_the_order_sent(scratch):
         assert list(session.get(keys.SAMPLE.at("office")))  # the node has met both now
         _run(node.endpoint)
         _run(node.endpoint, reset=True)
-        with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+        with zenostat.connect(node.endpoint, affinity="off") as bus:
             bus.stop("office")
         assert node.process.wait(30) == 0
         heard = _to_the_stop(one_by_one, lambda m: [(str(m.key_expr).rpartition("/")[2], m.payload.to_bytes())])
@@ -130,7 +130,7 @@ def test_late_monitor_has_the_episode_from_its_beginning(scratch, shared_node, e
 @pytest.mark.parametrize("fate", [signal.SIGSTOP, signal.SIGKILL])
 def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, shared_node, episode_bus, fate):
     quiet = _run(shared_node.endpoint)
-    command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--connect", shared_node.endpoint]
+    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--connect", shared_node.endpoint]
     command += ["--save", str(scratch / "run.rrd")]
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:
@@ -161,7 +161,7 @@ def test_a_viewer_that_is_served_leaves_no_files(scratch):
 @pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_monitor__reports_that_it_waits_for_its_bus_and_can_be_ended(scratch, number):
-    command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--save", "run.rrd"]
+    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--save", "run.rrd"]
     command += ["--connect", f"tcp/127.0.0.1:{free_port()}"]
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
     try:
@@ -177,7 +177,18 @@ def test_monitor__reports_that_it_waits_for_its_bus_and_can_be_ended(scratch, nu
 @pytest.mark.slow
 def test_a_monitor_may_come_before_its_node(scratch):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
-    command = [sys.executable, "-P", "-m", "cli.main", "monitor", "--save", "run.rrd", "--once", "--connect", endpoint]
+    command = [
+        sys.executable,
+        "-P",
+        "-m",
+        "zenostat.cli.main",
+        "monitor",
+        "--save",
+        "run.rrd",
+        "--once",
+        "--connect",
+        endpoint,
+    ]
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
     try:
         assert "waiting for it" in monitor.stdout.readline()

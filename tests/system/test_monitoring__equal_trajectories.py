@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from support.nodes import SMALL
 
-import agent_sdk  # noqa: F401  # registers the ids
-from bridge.display.roles import roles
+import zenostat  # noqa: F401  # registers the ids
+from zenostat.bridge.display.roles import roles
 
 SENSORS = {
     "core_temperature": ("Zone Mean Air Temperature", "Core_ZN"),

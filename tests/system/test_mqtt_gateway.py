@@ -22,13 +22,13 @@ from support.mosquitto import Broker, lines, needs_mosquitto
 from support.nodes import NodeProgram, begin_new_episode, until
 from support.run_cli import ZENOSTAT, run_in_process
 
-import agent_sdk
-from agent_sdk import Bus
-from bridge.gateways.mqtt.broker import Broker as GatewayBroker
-from bridge.gateways.mqtt.gateway import MqttGateway
-from bridge.gateways.node_client import NodeClient
-from bridge.gateways.tasks import cancel
-from bridge.transport.session import open_session
+import zenostat
+from zenostat import Bus
+from zenostat.bridge.gateways.mqtt.broker import Broker as GatewayBroker
+from zenostat.bridge.gateways.mqtt.gateway import MqttGateway
+from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.gateways.tasks import cancel
+from zenostat.bridge.transport.session import open_session
 
 pytestmark = needs_mosquitto
 COOLING, TEMPERATURE = "core_zn_cooling_setpoint", "core_zn_air_temperature"
@@ -67,7 +67,7 @@ def served(shared_node: NodeProgram, broker: Broker) -> Iterator[subprocess.Pope
 @pytest.fixture
 def bus(shared_node: NodeProgram) -> Iterator[Bus]:
     """The bus of the node, which is paused at the first sample of an episode and steps on command."""
-    with agent_sdk.connect(shared_node.endpoint, affinity="off") as connected:
+    with zenostat.connect(shared_node.endpoint, affinity="off") as connected:
         begin_new_episode(connected)
         connected.pause("office")
         connected.pace("office", mode="free")

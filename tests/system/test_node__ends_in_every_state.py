@@ -16,10 +16,10 @@ import psutil
 import pytest
 from support.nodes import SMALL, NodeProgram, Program, engines_of, programs_of, remains, runs, until
 
-import agent_sdk
-from bridge.runtime.scratch import Scratch, sweep
-from topics.errors import ZenostatError
-from topics.messages import CreateBranch, Reset, State
+import zenostat
+from zenostat.bridge.runtime.scratch import Scratch, sweep
+from zenostat.topics.errors import ZenostatError
+from zenostat.topics.messages import CreateBranch, Reset, State
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -31,7 +31,7 @@ NOISE: dict[str, Any] = {
     **{key: SMALL[key] for key in ("begin", "end", "steps_per_hour")},
 }
 NEVER: dict[str, Any] = {"unresponsive_s": 1e6}
-Tell = Callable[[NodeProgram, agent_sdk.Bus], None]
+Tell = Callable[[NodeProgram, zenostat.Bus], None]
 TOLD: dict[str, Tell] = {
     "SIGTERM": lambda node, _: os.kill(node.pid, signal.SIGTERM),
     "SIGINT": lambda node, _: os.kill(node.pid, signal.SIGINT),
@@ -59,11 +59,11 @@ def beside(do: Callable[[], Any]) -> Iterator[None]:
 
 
 @contextmanager
-def office(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, agent_sdk.Bus]]:
+def office(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus]]:
     """A node that would wait for ever for an engine that stands still."""
     with NodeProgram(folder / "node", **(NEVER | settings)) as node:
         try:
-            with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+            with zenostat.connect(node.endpoint, affinity="off") as bus:
                 yield node, bus
         finally:
             node.process.kill()
@@ -145,13 +145,17 @@ def test_while_a_model_is_surveyed(folder: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.setenv("ZENOSTAT_CACHE", str(folder / "cache"))
     text = f"import sys; sys.argv = ['zenostat', 'node', '--building', {SMALL['building']!r}, '--weather', "
     text += f"{SMALL['weather']!r}, '--no-listen', '--connect', 'unixsock-stream/nobody']; "
-    text += "from cli.main import main; main()"
+    text += "from zenostat.cli.main import main; main()"
     with Program(text) as program:
 
         def surveys() -> list[psutil.Process]:
             """Those that compute: the node has the handle of a process only a moment after that has started."""
             children = psutil.Process(program.pid).children()
-            return [c for c in children if "models.energyplus" in " ".join(c.cmdline()) and c.cpu_times().user > 0.05]
+            return [
+                c
+                for c in children
+                if "zenostat.models.energyplus" in " ".join(c.cmdline()) and c.cpu_times().user > 0.05
+            ]
 
         found = until(surveys, "a model is converted or surveyed")
         found[0].suspend()
@@ -178,7 +182,7 @@ def test_a_killed_node_leaves_no_engine(folder: Path, *, frozen: bool) -> None:
 
 def test_what_a_killed_program_and_its_killed_node_left_is_swept_at_the_next_start(scratch: Path) -> None:
     text = f"""
-import gymnasium as gym, agent_sdk, os, signal
+import gymnasium as gym, zenostat, os, signal
 env = gym.make("zenostat/Building-v1", **{SMALL!r}, affinity="off").unwrapped
 os.kill(env.local_node.pid, signal.SIGKILL)
 os.kill(os.getpid(), signal.SIGKILL)
@@ -192,7 +196,9 @@ os.kill(os.getpid(), signal.SIGKILL)
 
 
 def test_a_folder_whose_owner_lives_is_not_swept(scratch: Path) -> None:
-    with Program("from bridge.runtime.scratch import Scratch; print(Scratch().folder, flush=True); input()") as program:
+    with Program(
+        "from zenostat.bridge.runtime.scratch import Scratch; print(Scratch().folder, flush=True); input()"
+    ) as program:
         theirs, mine = Path(program.line()), Scratch()
         joined = Scratch(theirs)
         sweep()

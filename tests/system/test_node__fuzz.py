@@ -16,10 +16,10 @@ import zenoh
 from support.nodes import SMALL, NodeProgram, Program, nothing_left, until, values_of_day
 from zenoh.handlers import RingChannel
 
-import agent_sdk
-from agent_sdk.bus.bus import Bus
-from topics import codec, keys
-from topics.messages import Event, EventKind, State
+import zenostat
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.topics import codec, keys
+from zenostat.topics.messages import Event, EventKind, State
 
 SEED = int(os.environ.get("FUZZ_SEED", "0")) or random.SystemRandom().randrange(1, 2**31)
 FUZZ_S = float(os.environ.get("FUZZ_SECONDS", "8"))
@@ -28,8 +28,8 @@ FUZZER = r"""
 import json, random, sys
 import msgpack, zenoh
 from zenoh.handlers import Callback
-from bridge.transport.session import open_session
-from topics import codec
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics import codec
 
 endpoint, seed, tame, own = sys.argv[1], int(sys.argv[2]), sys.argv[3] == "tame", sys.argv[4]
 draw = random.Random(seed)
@@ -138,8 +138,8 @@ FLOOD = """
 import sys
 import zenoh
 from zenoh.handlers import Callback
-from bridge.transport.session import open_session
-from topics import codec, keys
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics import codec, keys
 kind, endpoint, own = sys.argv[1:]
 point = keys.ACTUATOR.at("office", name="core_zn_cooling_setpoint")
 what = {
@@ -176,7 +176,7 @@ def until_quiet(session: zenoh.Session) -> None:
 @contextmanager
 def node_and_bus(folder: Path) -> Iterator[tuple[NodeProgram, Bus]]:
     print("FUZZ_SEED", SEED)  # noqa: T201  # to run a failure again
-    with NodeProgram(folder / "node", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with NodeProgram(folder / "node", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
         yield node, bus
 
 

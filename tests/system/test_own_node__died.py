@@ -14,11 +14,11 @@ import psutil
 import pytest
 from support.nodes import SMALL, until
 
-import agent_sdk
-from bridge.recording.reader import RecordingReader
-from eplus_node.verification import verify
-from topics.errors import EpisodeChanged, InvalidConfig, InvalidRecording, NodeLost, NodeNotFound
-from topics.messages import RecordingState
+import zenostat
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.eplus_node.verification import verify
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig, InvalidRecording, NodeLost, NodeNotFound
+from zenostat.topics.messages import RecordingState
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -143,7 +143,7 @@ def test_a_recording_that_stops_is_a_warning(slots: int, scratch: Path) -> None:
 def let_recording_stop(env: Any, path: Path) -> None:
     """Let the file not grow any more, which is what a full disk does, and step until the node has noticed."""
     node = env.unwrapped.local_node
-    with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with zenostat.connect(node.endpoint, affinity="off") as bus:
         until(lambda: bus.status("building").recording.messages, "the first chunk is written")
         process = psutil.Process(node.pid)
         _, hard = process.rlimit(psutil.RLIMIT_FSIZE)

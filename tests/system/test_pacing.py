@@ -20,16 +20,16 @@ from hypothesis import strategies as st
 from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, until
 from support.run_cli import run_in_process
 
-import agent_sdk
-from agent_sdk import Bus
-from agent_sdk.bus.controller_link import ControllerLink
-from agent_sdk.bus.sample import SampleView
-from bridge.exchange.step_schedule import StepSchedule
-from cli.pace import read_pace
-from topics.errors import InvalidConfig, RequestRejected
-from topics.messages import EventKind, Mode, Sample, State
+import zenostat
+from zenostat import Bus
+from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.exchange.step_schedule import StepSchedule
+from zenostat.cli.pace import read_pace
+from zenostat.topics.errors import InvalidConfig, RequestRejected
+from zenostat.topics.messages import EventKind, Mode, Sample, State
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 SETPOINT = "core_zn_cooling_setpoint"
 STEP_S = 900.0
 DAY_STEPS = 96
@@ -187,7 +187,7 @@ def year(module_folder: Path) -> Iterator[NodeProgram]:
 @pytest.fixture
 def year_bus(year: NodeProgram) -> Iterator[Bus]:
     """The bus of `year`, which waits at the first sample of a new episode; paused in the end."""
-    with agent_sdk.connect(year.endpoint, affinity="off") as bus:
+    with zenostat.connect(year.endpoint, affinity="off") as bus:
         begin_new_episode(bus)
         yield bus
         bus.pause("office")
@@ -196,7 +196,7 @@ def year_bus(year: NodeProgram) -> Iterator[Bus]:
 @pytest.fixture(scope="module")
 def reference(shared_node: NodeProgram) -> list[Sample]:
     """Samples 1 to the last of a day in lockstep, with one setpoint held."""
-    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
+    with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         begin_new_episode(bus)
         found = []
         for sample in bus.controller("office"):
@@ -241,7 +241,7 @@ def test_paced_node__holds_the_last_command(bus: Bus, reference: list[Sample]) -
 
 @pytest.mark.slow
 def test_an_impossible_speed_is_counted_and_loses_nothing(scratch: Path, reference: list[Sample]) -> None:
-    with NodeProgram(scratch / "n", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with NodeProgram(scratch / "n", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
         with bus.controller("office") as link:
             held(link)
             with bus.listen("office") as samples:
@@ -403,7 +403,7 @@ def test_a_pace_that_is_asked_for_again_and_again_does_not_stop_the_clock(bus: B
 def test_deadlines_stand_still_in_a_pause_and_go_on_after_it(scratch: Path) -> None:
     with (
         NodeProgram(scratch / "node", **SMALL, policy="hold", deadline_s=0.02) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
         bus.pause("office")
@@ -421,8 +421,8 @@ def test_deadlines_stand_still_in_a_pause_and_go_on_after_it(scratch: Path) -> N
 
 
 def test_node__publishes_its_changes_of_pace(bus: Bus) -> None:
-    from topics import codec, keys
-    from topics.messages import Event
+    from zenostat.topics import codec, keys
+    from zenostat.topics.messages import Event
 
     with bus.session.declare_subscriber(keys.EVENT.at("office")) as events:
         bus.pause("office", source="me")
@@ -461,7 +461,7 @@ def test_invalid_requests__refused_with_the_reason(bus: Bus, ask: Any, error: ty
 
 
 def test_an_episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path) -> None:
-    with NodeProgram(scratch / "n", **SMALL, mode="free") as node, agent_sdk.connect(node.endpoint) as bus:
+    with NodeProgram(scratch / "n", **SMALL, mode="free") as node, zenostat.connect(node.endpoint) as bus:
         until(lambda: bus.status("office").state is State.ENDED, "the day is over")
         bus.pause("office")
         with pytest.raises(RequestRejected, match="the episode is over; reset it first"):
@@ -474,7 +474,7 @@ def test_an_episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path) -> 
 # The command line
 
 
-def zenostat(*arguments: str) -> str:
+def run_zenostat(*arguments: str) -> str:
     done = run_in_process(*arguments)
     assert done.returncode == 0, done.stderr
     return " ".join(done.stdout.split())
@@ -484,16 +484,16 @@ def test_commands__pause_pace_step_and_inject_faults(shared_node: NodeProgram, b
     at = ("--connect", shared_node.endpoint)
     plan = tmp_path / "faults.yaml"
     plan.write_text("faults: [{name: off by one, kind: bias, points: core_zn_air_temperature, offset: 1.0}]")
-    assert zenostat("pause", "office", *at) == "office: lockstep; paused; step 0 of 96, 2017-07-03T00:00:00"
-    assert "paced, 60 times the wall clock; paused; step 0" in zenostat("pace", "office", "60", *at)
-    assert "step 4 of 96" in zenostat("step", "office", "4", *at)
+    assert run_zenostat("pause", "office", *at) == "office: lockstep; paused; step 0 of 96, 2017-07-03T00:00:00"
+    assert "paced, 60 times the wall clock; paused; step 0" in run_zenostat("pace", "office", "60", *at)
+    assert "step 4 of 96" in run_zenostat("step", "office", "4", *at)
     assert bus.status("office").step == [4]
-    zenostat("faults", "office", str(plan), *at)
-    zenostat("step", "office", *at)
+    run_zenostat("faults", "office", str(plan), *at)
+    run_zenostat("step", "office", *at)
     until(lambda: bus.status("office").faults == ["off by one"], "the fault is on")
-    assert "faults" not in zenostat("faults", "office", "--clear", *at)
-    assert "office: lockstep; paused; step 5 of 96" in zenostat("pace", "office", "lockstep", *at)
-    assert "paused" not in zenostat("resume", "office", *at)
+    assert "faults" not in run_zenostat("faults", "office", "--clear", *at)
+    assert "office: lockstep; paused; step 5 of 96" in run_zenostat("pace", "office", "lockstep", *at)
+    assert "paused" not in run_zenostat("resume", "office", *at)
 
 
 def test_commands__refuse_invalid_arguments() -> None:
@@ -520,7 +520,7 @@ def test_paced_node__reports_its_overruns_at_the_end(scratch: Path) -> None:
         said = program.stdout.readline()
         while "Ctrl-C" not in said:
             said += program.stdout.readline()
-        with agent_sdk.connect(endpoint, affinity="off") as bus:
+        with zenostat.connect(endpoint, affinity="off") as bus:
             until(lambda: bus.status("office").state == "ended", "the day is over")
             assert bus.status("office").faults == ["drop 1"]
             assert bus.manifest("office").faults_injected

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from support.run_cli import run_program
 
-from models import data_packs
+from zenostat.models import data_packs
 
 SCRIPTS = Path(__file__).parents[2] / "examples" / "paper"
 

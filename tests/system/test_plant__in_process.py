@@ -11,11 +11,11 @@ import pytest
 from support.in_process_plant import COPIES, FATAL
 from support.nodes import NodeProgram, until
 
-import agent_sdk
-from agent_sdk.bus.bus import Bus
-from agent_sdk.envs.building_env import BuildingEnv
-from topics.errors import ForkFailed, InvalidConfig, PlantFailed, RequestRejected
-from topics.messages import Mode, State
+import zenostat
+from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.topics.errors import ForkFailed, InvalidConfig, PlantFailed, RequestRejected
+from zenostat.topics.messages import Mode, State
 
 TESTS = Path(__file__).parents[1]
 STEPS = 20
@@ -146,7 +146,7 @@ def test_slots_have_episodes_of_their_own(plain: Path) -> None:
     """A slot that is reset begins at its seed, and the other one keeps its sample and its command."""
     with (
         NodeProgram(plain, **SETTINGS, slots=2) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("plain") as link,
     ):
         link.reset(seed=5)

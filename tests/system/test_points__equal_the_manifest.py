@@ -11,8 +11,8 @@ from support.data_packs import sinergym
 from support.nodes import WEATHER, NodeProgram
 from support.run_cli import run_in_process
 
-import agent_sdk
-from topics.messages import Manifest
+import zenostat
+from zenostat.topics.messages import Manifest
 
 BUILDINGS = [
     "warehouse",
@@ -27,7 +27,7 @@ def _manifest(folder: Path, building: str, *, monitoring: bool) -> Manifest:
     run: dict[str, Any] = {"weather": WEATHER, "begin": "07-03", "end": "07-03"}
     with (
         NodeProgram(folder, building=building, **run, monitoring=monitoring) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
     ):
         return bus.manifest("office")
 

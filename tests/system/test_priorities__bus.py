@@ -8,8 +8,8 @@ import pytest
 from support.nodes import NodeProgram
 from support.run_cli import run_in_process
 
-from agent_sdk import Bus
-from topics.errors import UnknownName
+from zenostat import Bus
+from zenostat.topics.errors import UnknownName
 
 COOLING, HEATING = "core_zn_cooling_setpoint", "core_zn_heating_setpoint"
 

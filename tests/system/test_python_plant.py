@@ -19,11 +19,11 @@ import pytest
 from numpy.typing import NDArray
 from support.nodes import NodeProgram, hosts_of, nothing_left, runs, until
 
-import agent_sdk
-from agent_sdk.envs.building_env import BuildingEnv
-from bridge.python_plant.node import read_settings
-from bridge.python_plant.plant import PythonEngines, plan_class
-from topics.errors import (
+import zenostat
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.bridge.python_plant.node import read_settings
+from zenostat.bridge.python_plant.plant import PythonEngines, plan_class
+from zenostat.topics.errors import (
     EngineDied,
     EngineUnresponsive,
     ForkFailed,
@@ -32,7 +32,7 @@ from topics.errors import (
     RequestRejected,
     ZenostatError,
 )
-from topics.messages import CreateBranch, State
+from zenostat.topics.messages import CreateBranch, State
 
 TANK = '''
 import os, random, signal, sys, threading, time
@@ -471,7 +471,7 @@ def test_a_node_serves_a_plant_as_any_other(scratch: Path, tank: Path) -> None:
     """Two slots, timesteps of a day, a branch, a write with an expiry, faults."""
     with (
         NodeProgram(scratch / "node", plant=f"{tank}:Daily", slots=2, name="tank") as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("tank", name="first") as link,
     ):
         link.reset(seed=1)
@@ -495,7 +495,7 @@ def test_a_node_serves_a_plant_as_any_other(scratch: Path, tank: Path) -> None:
 def test_a_plant_without_actuators_is_watched(scratch: Path, tank: Path) -> None:
     with (
         NodeProgram(scratch / "node", plant=f"{tank}:NoActuators", mode="free", name="tank") as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
     ):
         until(lambda: bus.status("tank").state is State.ENDED, "it runs freely")
         latest = bus.latest("tank")
@@ -508,7 +508,7 @@ NEVER = {"unresponsive_s": 1e6}
 
 
 def stop(node: NodeProgram) -> None:
-    with suppress(ZenostatError), agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with suppress(ZenostatError), zenostat.connect(node.endpoint, affinity="off") as bus:
         bus.stop(node.name)
 
 
@@ -526,7 +526,7 @@ def test_a_node_ends_while_its_plant_is_created(scratch: Path, tank: Path, time:
         (scratch / "described").touch()
     settings = {"name": "slow", "plant": f"{scratch}/slow.py:Slow", "listen": [f"unixsock-stream/{scratch}/bus"]}
     process = subprocess.Popen(
-        [sys.executable, "-P", "-m", "bridge.python_plant"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        [sys.executable, "-P", "-m", "zenostat.bridge.python_plant"], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     )
     with process:
         process.stdin.write(json.dumps(settings | NEVER | {"folder": str(scratch / "run")}).encode() + b"\n")
@@ -565,7 +565,7 @@ class Slow:
 def test_a_node_ends_while_its_plant_steps(scratch: Path, tank: Path, told: str, deed: str) -> None:
     with (
         NodeProgram(scratch / "node", plant=f"{tank}:Tank", slots=2, name="tank", **NEVER) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("tank") as link,
     ):
         link.current().send({"deed": float(DEEDS.index(deed))})

@@ -16,11 +16,11 @@ import pytest
 from support.nodes import NodeProgram, hosts_of, runs, until
 from zenoh.handlers import Callback
 
-import agent_sdk
-from agent_sdk import ControllerLink
-from topics import codec, keys
-from topics.errors import EngineDied
-from topics.messages import Ack, CreateBranch, ErrorReply, Message, Reset, State, Stop
+import zenostat
+from zenostat import ControllerLink
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import EngineDied
+from zenostat.topics.messages import Ack, CreateBranch, ErrorReply, Message, Reset, State, Stop
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -81,11 +81,11 @@ class Stubborn(Plant):
 
 
 @contextmanager
-def controlled(folder: Path, name: str, **settings: Any) -> Iterator[tuple[NodeProgram, agent_sdk.Bus, ControllerLink]]:
+def controlled(folder: Path, name: str, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus, ControllerLink]]:
     (folder / "plant.py").write_text(PLANT)
     with (
         NodeProgram(folder / "node", plant=f"{folder}/plant.py:{name}", **settings) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
         try:
@@ -108,7 +108,7 @@ def instances(folder: Path, event: str) -> int:
     return len([*folder.glob(f"{event}-*")])
 
 
-def request(bus: agent_sdk.Bus, topic: keys.Topic, message: Message) -> SimpleQueue[Any]:
+def request(bus: zenostat.Bus, topic: keys.Topic, message: Message) -> SimpleQueue[Any]:
     """Send a request and do not wait for its reply."""
     replies: SimpleQueue[Any] = SimpleQueue()
     bus.session.get(
@@ -119,7 +119,7 @@ def request(bus: agent_sdk.Bus, topic: keys.Topic, message: Message) -> SimpleQu
     return replies
 
 
-def in_endless_step(bus: agent_sdk.Bus, link: ControllerLink) -> None:
+def in_endless_step(bus: zenostat.Bus, link: ControllerLink) -> None:
     link.reset()
     link.send({"loops": 1.0})
     until(lambda: bus.status("office").state is State.RUNNING, "the timestep begins")

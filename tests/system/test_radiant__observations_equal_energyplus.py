@@ -15,12 +15,12 @@ import pytest
 from support.data_packs import sinergym
 from support.nodes import NodeProgram
 
-import agent_sdk
-from models.building.model import for_episode, read_building, write
-from models.catalog import find_building, find_weather
-from models.weather import design_days
-from models.weather.header import read_header
-from topics.messages import Manifest
+import zenostat
+from zenostat.models.building.model import for_episode, read_building, write
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.weather import design_days
+from zenostat.models.weather.header import read_header
+from zenostat.topics.messages import Manifest
 
 DAYS = ("01-15", "01-16")
 
@@ -66,7 +66,7 @@ def test_a_trajectory_equals_a_bare_script_in_all_columns(folder: Path) -> None:
     sinergym()
     with (
         NodeProgram(folder, scenario="radiant-stockholm-discrete-v1", begin=DAYS[0], end=DAYS[1]) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
         manifest = link.manifest

@@ -12,13 +12,13 @@ from support.nodes import SMALL, WEATHER, NodeProgram
 from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
-import agent_sdk
-from agent_sdk import recording
-from bridge.recording.reader import RecordingReader
-from topics import codec
-from topics.errors import InvalidConfig, InvalidRecording
-from topics.messages import Manifest, Mode
-from topics.recording import RecordedOrder
+import zenostat
+from zenostat import recording
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.topics import codec
+from zenostat.topics.errors import InvalidConfig, InvalidRecording
+from zenostat.topics.messages import Manifest, Mode
+from zenostat.topics.recording import RecordedOrder
 
 NOISE = {"weather_noise": {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 5.0}}}
 TWIN = {**SMALL, **NOISE, "weather": [WEATHER], "slots": 2}
@@ -31,7 +31,7 @@ def driven(module_scratch: Path) -> Path:
     path, rng = module_scratch / "driven.mcap", np.random.default_rng(3)
     with (
         NodeProgram(module_scratch / "driven", **TWIN, record=str(path)) as program,
-        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        zenostat.connect(program.endpoint, affinity="off") as bus,
         bus.controller("office", name="random") as link,
     ):
         low, high = np.array([[a.low, a.high] for a in link.manifest.actuators]).T
@@ -70,7 +70,7 @@ def test_a_twin_repeats_the_trajectory_to_the_bit(driven: Path, twin: Any) -> No
     assert result.returncode == 0, result.stderr
     assert not result.stderr
     assert "twin: 22 steps of 5 episodes commanded" in result.stdout  # 2 at the reset, 2 at the snapshot, 1 slot
-    with agent_sdk.connect(program.endpoint, affinity="off") as bus:
+    with zenostat.connect(program.endpoint, affinity="off") as bus:
         bus.stop_recording("twin")
     original, copy = recording.load(driven), recording.load(path)
     mine, other = ([e for e in r.episodes if len(e) > 1] for r in (original, copy))
@@ -107,7 +107,7 @@ def test_what_does_not_fit_is_one_error_before_anything_starts(driven: Path, twi
         "2 slots, the recorded node 3 slots": manifest.model_copy(update={"slots": 3}),
         "their actuators differ: it lacks damper; the recorded node lacks": manifest_without_an_actuator(manifest),
     }
-    with agent_sdk.connect(program.endpoint, affinity="off") as bus:
+    with zenostat.connect(program.endpoint, affinity="off") as bus:
         before = bus.status("twin")
         for number, (text, other) in enumerate(changed.items()):
             path = rewrite(driven, scratch / f"{number}.mcap", manifest=other)

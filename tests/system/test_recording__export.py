@@ -17,11 +17,11 @@ from support.nodes import SMALL, WEATHER, NodeProgram, until
 from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
-import agent_sdk
-from agent_sdk import recording
-from agent_sdk.recording.mcap_export import field_names
-from bridge.transport.session import open_session
-from cli.monitor_stream import open_stream
+import zenostat
+from zenostat import recording
+from zenostat.agent_sdk.recording.mcap_export import field_names
+from zenostat.bridge.transport.session import open_session
+from zenostat.cli.monitor_stream import open_stream
 
 FAULTS = "faults: [{kind: bias, points: [core_zn_air_temperature], offset: 2.5}]"
 CORE, SETPOINT = "core_zn_air_temperature", "core_zn_cooling_setpoint"
@@ -38,7 +38,7 @@ def watched(module_scratch: Path) -> Any:
         NodeProgram(module_scratch / "watched", **settings) as program,
         open_session(connect=[program.endpoint]) as session,
         open_stream(session, "*", [rr.FileSink(str(live))], is_live=False) as stream,
-        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        zenostat.connect(program.endpoint, affinity="off") as bus,
         bus.controller("office", name="rbc") as link,
     ):
         for steps in (96, 20):

@@ -12,12 +12,12 @@ import pytest
 from support.recordings import record_samples, rewrite
 from support.run_cli import run_in_process as run
 
-from agent_sdk.testing import fake_plant
-from bridge.python_plant.class_file import class_file
-from bridge.recording.reader import RecordingReader
-from eplus_node.verification import verify
-from topics.errors import InvalidConfig, InvalidRecording, UsageError
-from topics.recording import RecordedSnapshot
+from zenostat.agent_sdk.testing import fake_plant
+from zenostat.bridge.python_plant.class_file import class_file
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.eplus_node.verification import verify
+from zenostat.topics.errors import InvalidConfig, InvalidRecording, UsageError
+from zenostat.topics.recording import RecordedSnapshot
 
 COUNTER = """
 import subprocess
@@ -195,7 +195,7 @@ def test_a_module_is_found_without_importing_its_package(tmp_path: Path, monkeyp
     (package / "quiet.py").write_text("class Quiet: pass\n")
     monkeypatch.chdir(tmp_path)
     assert class_file("loud.quiet:Quiet") == package / "quiet.py"
-    assert class_file("agent_sdk.testing.fake_plant:FakePlant").samefile(str(fake_plant.__file__))
+    assert class_file("zenostat.agent_sdk.testing.fake_plant:FakePlant").samefile(str(fake_plant.__file__))
     for unknown in ("loud.nothing:Quiet", "nowhere:Quiet", "loud.quiet.more:Quiet", "nothing.py:Quiet", "math:Quiet"):
         with pytest.raises(InvalidConfig, match="no file"):
             class_file(unknown)

@@ -21,21 +21,21 @@ from support.nodes import SMALL, NodeProgram, until
 from support.recordings import chunk_ends, rewrite
 from support.run_cli import run_in_process as run
 
-import agent_sdk
-from agent_sdk import recording
-from bridge.recording.reader import RecordingReader
-from bridge.recording.replay import Replay, ReplayRange
-from bridge.transport.session import open_session
-from models.catalog import find_weather
-from topics import codec, keys
-from topics.errors import InvalidConfig, NameInUse, RequestRejected, UnknownName
-from topics.messages import Claim, Command, Sample, Write
-from topics.recording import RecordedWeather
+import zenostat
+from zenostat import recording
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.bridge.recording.replay import Replay, ReplayRange
+from zenostat.bridge.transport.session import open_session
+from zenostat.models.catalog import find_weather
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import InvalidConfig, NameInUse, RequestRejected, UnknownName
+from zenostat.topics.messages import Claim, Command, Sample, Write
+from zenostat.topics.recording import RecordedWeather
 
 SETPOINT, CORE = "core_zn_cooling_setpoint", "core_zn_air_temperature"
 
 
-def put(bus: agent_sdk.Bus, key: str, message: Any) -> None:
+def put(bus: zenostat.Bus, key: str, message: Any) -> None:
     bus.session.put(key, codec.encode(message), encoding=zenoh.Encoding(codec.encoding(type(message))))
 
 
@@ -47,7 +47,7 @@ def seen(module_scratch: Path) -> Any:
     sources: list[str] = []
     with (
         NodeProgram(module_scratch / "seen", **SMALL, record=str(path)) as program,
-        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        zenostat.connect(program.endpoint, affinity="off") as bus,
         bus.controller("office", name="rbc") as link,
     ):
         name, geometry = link.name, bus.geometry("office")
@@ -220,7 +220,7 @@ def test_a_replay_is_the_node_again(seen: Any, session: tuple[zenoh.Session, str
     with (
         RecordingReader(seen.path) as reader,
         Replay(reader, opened, speed=1e6) as replay,
-        agent_sdk.connect(endpoint, affinity="off") as bus,
+        zenostat.connect(endpoint, affinity="off") as bus,
         bus.listen("office") as samples,
     ):
         assert bus.nodes() == ["office"]
@@ -255,7 +255,7 @@ def test_a_part_is_replayed_under_another_name_at_its_pace(seen: Any, session: t
     with (
         RecordingReader(seen.path) as reader,
         Replay(reader, opened, name="again", speed=1e6, selected=part) as replay,
-        agent_sdk.connect(endpoint, affinity="off") as bus,
+        zenostat.connect(endpoint, affinity="off") as bus,
     ):
         assert bus.manifest("again").node == "again"
         waits = [wait_s for wait_s, item in replay._schedule() if item.schema == "Sample"]

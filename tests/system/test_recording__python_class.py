@@ -13,12 +13,12 @@ import pytest
 from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
-from agent_sdk import recording
-from agent_sdk.evaluation.evaluate import evaluate
-from bridge.recording.reader import RecordedItem, RecordingReader
-from eplus_node.verification import verify
-from topics.errors import InvalidConfig, InvalidRecording
-from topics.messages import Flag
+from zenostat import recording
+from zenostat.agent_sdk.evaluation.evaluate import evaluate
+from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
+from zenostat.eplus_node.verification import verify
+from zenostat.topics.errors import InvalidConfig, InvalidRecording
+from zenostat.topics.messages import Flag
 
 WALK = """
 import random

@@ -12,12 +12,12 @@ from support.nodes import SMALL, NodeProgram
 from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
-import agent_sdk
-from agent_sdk import recording
-from agent_sdk.evaluation import evaluate
-from agent_sdk.report import compare_recordings
-from bridge.recording.reader import RecordedItem, RecordingReader
-from topics.errors import InvalidConfig, InvalidRecording
+import zenostat
+from zenostat import recording
+from zenostat.agent_sdk.evaluation import evaluate
+from zenostat.agent_sdk.report import compare_recordings
+from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
+from zenostat.topics.errors import InvalidConfig, InvalidRecording
 
 NOISE = {"weather_noise": {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 5.0}}}
 LIMIT = {"points": ["core_zn_air_temperature"], "high": 24.5, "duration_h": 0.5}
@@ -84,7 +84,7 @@ def interrupted(module_scratch: Path) -> Path:
     settings = {**SMALL, "terminate": [LIMIT], "baseline": True, "record": str(path)}
     with (
         NodeProgram(module_scratch / "interrupted", **settings) as program,
-        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        zenostat.connect(program.endpoint, affinity="off") as bus,
         bus.controller("office", name="rbc") as link,
     ):
         for steps in (20, 96, 10):

@@ -13,14 +13,14 @@ from support.nodes import SMALL, NodeProgram, until
 from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
-import agent_sdk
-from agent_sdk.recording import load
-from bridge.recording.reader import RecordingReader
-from eplus_node.verification import verify
-from models.catalog import find_building
-from topics import codec
-from topics.errors import InvalidConfig, InvalidRecording, RequestRejected
-from topics.messages import Event, EventKind, Flag, RecordingState
+import zenostat
+from zenostat.agent_sdk.recording import load
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.eplus_node.verification import verify
+from zenostat.models.catalog import find_building
+from zenostat.topics import codec
+from zenostat.topics.errors import InvalidConfig, InvalidRecording, RequestRejected
+from zenostat.topics.messages import Event, EventKind, Flag, RecordingState
 
 TWO = {"weather": ["USA_CO_Denver", "USA_FL_Miami"]}
 NOISE = {"weather_noise": {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 5.0}}}
@@ -52,7 +52,7 @@ def eventful(module_scratch: Path) -> Path:
     settings = {**SMALL, **TWO, **NOISE, "slots": 3, "faults": str(folder / "faults.yaml"), "record": str(path)}
     with (
         NodeProgram(folder / "eventful", **settings) as program,
-        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        zenostat.connect(program.endpoint, affinity="off") as bus,
         bus.controller("office", name="random") as link,
     ):
         sample = link.reset(seed=7)
@@ -106,7 +106,7 @@ def test_noise_from_the_third_day_two_controllers_and_a_fallback_policy_verify_t
     zones = {"core": ["core_zn_heating_setpoint", SETPOINT], "north": ["perimeter_zn_3_cooling_setpoint"]}
     with (
         NodeProgram(scratch / "policies", **settings, **policy) as program,
-        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        zenostat.connect(program.endpoint, affinity="off") as bus,
         bus.controller("office", name="core", actuators=zones["core"]) as core,
     ):
 
@@ -173,7 +173,7 @@ def test_a_changed_model_is_a_regression_test(scratch: Path) -> None:
     settings = {**SMALL, "building": str(model), "record": str(path)}
     with (
         NodeProgram(scratch / "day", **settings) as program,
-        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        zenostat.connect(program.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
         for number, _ in enumerate(link):
@@ -204,7 +204,7 @@ def test_a_killed_node_leaves_a_file_that_verifies_to_its_end(scratch: Path) -> 
     path = scratch / "killed.mcap"
     program = NodeProgram(scratch / "killed", **SMALL, record=str(path), monitoring=True, baseline=True)
     try:
-        with agent_sdk.connect(program.endpoint, affinity="off") as bus, bus.controller("office") as link:
+        with zenostat.connect(program.endpoint, affinity="off") as bus, bus.controller("office") as link:
             sample = link.current()
             for _ in range(30):
                 sample.send()
@@ -229,7 +229,7 @@ def test_a_killed_node_leaves_a_file_that_verifies_to_its_end(scratch: Path) -> 
 
 def test_a_running_node_is_recorded_from_its_next_reset(shared_node: NodeProgram, scratch: Path) -> None:
     path = scratch / "running.mcap"
-    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+    with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         link.reset()
         link.send()
         link.receive()
@@ -258,7 +258,7 @@ def test_a_recording_from_within_an_episode_names_what_it_cannot_verify(
     shared_node: NodeProgram, scratch: Path
 ) -> None:
     path = scratch / "now.mcap"
-    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+    with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         link.reset()
         before = bus.snapshot("office", controller=link.name)
         assert bus.record("office", path, now=True).state is RecordingState.RECORDING
@@ -281,7 +281,7 @@ def test_a_recording_from_within_an_episode_names_what_it_cannot_verify(
 
 def test_a_recording_without_a_timestep_says_so(shared_node: NodeProgram, scratch: Path) -> None:
     path = scratch / "none.mcap"
-    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+    with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         bus.record("office", path)
         link.reset()
         bus.stop_recording("office")
@@ -295,7 +295,7 @@ def test_a_full_disk_stops_the_recording_by_name_and_not_the_node(scratch: Path)
     path = scratch / "full.mcap"
     with (
         NodeProgram(scratch / "full", **SMALL, record=str(path)) as program,
-        agent_sdk.connect(program.endpoint, affinity="off") as bus,
+        zenostat.connect(program.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
         until(lambda: bus.status("office").recording.messages, "the first chunk is written")

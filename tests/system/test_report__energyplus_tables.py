@@ -11,13 +11,13 @@ from typing import Any
 import pytest
 from support.nodes import WEATHER, NodeProgram
 
-import agent_sdk
-from agent_sdk.evaluation.trace import EpisodeTrace, TraceRecorder
-from agent_sdk.report.figures import months
-from agent_sdk.report.figures.base import Curve
-from agent_sdk.report.quantities import Quantities
-from models import catalog
-from models.building.model import read_building
+import zenostat
+from zenostat.agent_sdk.evaluation.trace import EpisodeTrace, TraceRecorder
+from zenostat.agent_sdk.report.figures import months
+from zenostat.agent_sdk.report.figures.base import Curve
+from zenostat.agent_sdk.report.quantities import Quantities
+from zenostat.models import catalog
+from zenostat.models.building.model import read_building
 
 BUILDING = "ref-small-office"
 """It uses electricity and gas."""
@@ -47,7 +47,7 @@ def episode(tmp_path_factory: pytest.TempPathFactory) -> tuple[EpisodeTrace, Pat
     settings = {"building": BUILDING, "weather": WEATHER, "steps_per_hour": 4, "edits": edits, **PERIOD}
     with (
         NodeProgram(folder, monitoring=True, output_dir=str(folder / "output"), **settings) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
         recorder = TraceRecorder(link.manifest)

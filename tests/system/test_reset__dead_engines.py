@@ -12,10 +12,10 @@ import psutil
 import pytest
 from support.nodes import SMALL, NodeProgram, engines_of, hosts_of, runs, until
 
-import agent_sdk
-from agent_sdk import ControllerLink
-from topics import codec
-from topics.messages import EngineStart, Event, State
+import zenostat
+from zenostat import ControllerLink
+from zenostat.topics import codec
+from zenostat.topics.messages import EngineStart, Event, State
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -41,7 +41,7 @@ class Tank:
         return {"level": self.level}
 """
 
-Moment = Callable[[agent_sdk.Bus, list[psutil.Process]], Any]
+Moment = Callable[[zenostat.Bus, list[psutil.Process]], Any]
 MOMENTS: dict[str, Moment] = {
     "killed just now": lambda *_: None,
     "dead": lambda _, dead: until(lambda: not any(map(runs, dead)), "the system has ended them"),
@@ -58,10 +58,10 @@ def kill_all(node: NodeProgram) -> list[psutil.Process]:
 
 
 @contextmanager
-def controlled(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, agent_sdk.Bus, ControllerLink]]:
+def controlled(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus, ControllerLink]]:
     with (
         NodeProgram(folder / "node", **settings) as node,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
         yield node, bus, link
@@ -79,7 +79,7 @@ def first_samples(link: ControllerLink) -> list[Any]:
     return seen
 
 
-def check(node: NodeProgram, bus: agent_sdk.Bus, link: ControllerLink) -> None:
+def check(node: NodeProgram, bus: zenostat.Bus, link: ControllerLink) -> None:
     undisturbed = first_samples(link)
     for moment in [MOMENTS["killed just now"], *MOMENTS.values()]:
         link.reset(seed=3)  # they wait at sample 0

@@ -10,10 +10,10 @@ import pytest
 import zenoh
 from support.run_cli import DAY, plain, run_in_process
 
-from bridge.node.subscriptions import Subscriptions
-from bridge.runtime.exhaustion import describe_exhaustion
-from bridge.transport.session import open_session
-from topics.errors import BusError
+from zenostat.bridge.node.subscriptions import Subscriptions
+from zenostat.bridge.runtime.exhaustion import describe_exhaustion
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics.errors import BusError
 
 
 class PanicException(BaseException):
@@ -39,7 +39,7 @@ def test_a_node_without_threads_is_one_sentence_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    monkeypatch.setattr("cli.failures.user_frames", lambda _: [])  # the frame of `refuse`
+    monkeypatch.setattr("zenostat.cli.failures.user_frames", lambda _: [])  # the frame of `refuse`
     done = run_in_process("node", *DAY, "--listen", f"unixsock-stream/{tmp_path}/node.sock")
     assert (done.returncode, done.stdout) == (1, "")
     assert plain(done.stderr).startswith("error: the system cannot start another thread for this process: its limits")

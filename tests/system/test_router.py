@@ -20,22 +20,22 @@ from typing import Any
 import pytest
 from support.nodes import SMALL, NodeProgram, free_port, until
 
-import agent_sdk
-from bridge.transport.certificates import add, make
-from bridge.transport.session import open_session
-from eplus_node.config import read_config
-from topics import codec, keys
-from topics.errors import InvalidConfig, NameInUse
-from topics.keys import Role
-from topics.messages import Claim
+import zenostat
+from zenostat.bridge.transport.certificates import add, make
+from zenostat.bridge.transport.session import open_session
+from zenostat.eplus_node.config import read_config
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import InvalidConfig, NameInUse
+from zenostat.topics.keys import Role
+from zenostat.topics.messages import Claim
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 
 CONTROLLER = """
 import json, sys
 from pathlib import Path
-import agent_sdk
-from topics.errors import NodeLost
+import zenostat
+from zenostat.topics.errors import NodeLost
 
 
 def say(**what):
@@ -43,7 +43,7 @@ def say(**what):
 
 
 keys = Path(sys.argv[2]) if sys.argv[2:] else None
-with agent_sdk.connect(sys.argv[1], keys=keys, affinity="off") as bus:
+with zenostat.connect(sys.argv[1], keys=keys, affinity="off") as bus:
     say(nodes=bus.nodes())
     say(state=bus.status("office").state, step=bus.latest("office").step)
     with bus.controller("office", name="far") as link:
@@ -220,7 +220,7 @@ def test_a_day_through_a_router(place: Place, scratch: Path) -> None:
 
 def straight(folder: Path) -> list[float]:
     """The same day with no router between."""
-    with NodeProgram(folder / "straight", **SMALL) as node, agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with NodeProgram(folder / "straight", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
         link, values = bus.controller("office"), []
         sample = link.reset()
         while not sample.truncated:
@@ -258,7 +258,7 @@ def test_two_routers(folder: Path, scratch: Path, closed: bool) -> None:
         router(Place(near, near, pki)),
         router(Place(far, far, pki), "--connect", near),
         FarNode(scratch / "node", Place(near, near, pki)),
-        agent_sdk.connect(far, keys=pki, affinity="off") as bus,
+        zenostat.connect(far, keys=pki, affinity="off") as bus,
     ):
         until(lambda: bus.nodes() == ["office"], "the routers have met")
         link = bus.controller("office")

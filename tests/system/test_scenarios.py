@@ -15,14 +15,14 @@ import yaml
 from support import data_packs as packs
 from support.nodes import command_of
 
-import agent_sdk
-from agent_sdk.envs.building_env import BuildingEnv
-from eplus_node.config import read_config
-from eplus_node.plan import plan
-from models.catalog import find_weather
-from models.weather.epw import read
-from topics import codec
-from topics.errors import InvalidConfig, ModelError, UnknownName, UsageError
+import zenostat
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.plan import plan
+from zenostat.models.catalog import find_weather
+from zenostat.models.weather.epw import read
+from zenostat.topics import codec
+from zenostat.topics.errors import InvalidConfig, ModelError, UnknownName, UsageError
 
 DAY = {"begin": "07-03", "end": "07-03", "affinity": "off"}
 SMALL = "zenostat/ref-small-office-USA_CO_Denver"
@@ -74,7 +74,7 @@ def play(env: BuildingEnv, seed: int | None) -> tuple[np.ndarray, dict[str, Any]
 @pytest.mark.slow
 def test_a_shown_scenario_simulates_the_same(scratch: Path) -> None:
     name = "ref-small-office-USA_CO_Denver-discrete-v1"
-    show = [sys.executable, "-m", "cli.main", "scenarios", "show", name]
+    show = [sys.executable, "-m", "zenostat.cli.main", "scenarios", "show", name]
     text = subprocess.run(show, capture_output=True, text=True, check=True).stdout
     (scratch / "mine.yaml").write_text(text)
     results = []
@@ -226,7 +226,7 @@ def test_model_that_works_against_its_actuators__warns(scratch: Path) -> None:
     packs.sinergym()
     with pytest.warns(UserWarning, match="cooling_setpoint.*no effect.*FlowControlWithApproachTemperatures"):
         env = make("zenostat/smalldatacenter-hot-continuous-v1")
-    with agent_sdk.connect(env.local_node.endpoint) as bus:
+    with zenostat.connect(env.local_node.endpoint) as bus:
         assert "FlowControlWithApproachTemperatures" in bus.manifest("building").warnings[0]
     env.close()
 

@@ -22,12 +22,12 @@ from rerun.encodings import TimeRange, TimeRangeBoundary
 from support.nodes import until
 from support.run_cli import ZENOSTAT, plain, run_in_process
 
-import agent_sdk
-from bridge.rerun.screenshot import Drawing, Screenshot, draw
-from bridge.rerun.stream import RerunStream
-from bridge.rerun.viewer import has_vulkan, serving, web_viewer
-from bridge.transport.session import open_session
-from topics.errors import ViewerError
+import zenostat
+from zenostat.bridge.rerun.screenshot import Drawing, Screenshot, draw
+from zenostat.bridge.rerun.stream import RerunStream
+from zenostat.bridge.rerun.viewer import has_vulkan, serving, web_viewer
+from zenostat.bridge.transport.session import open_session
+from zenostat.topics.errors import ViewerError
 
 needs_vulkan = pytest.mark.skipif(not has_vulkan(), reason="no Vulkan driver is installed")
 
@@ -109,7 +109,7 @@ def test_each_view_of_a_real_run_shows_its_data(scratch, shared_node, episode_bu
         open_session(connect=[shared_node.endpoint]) as session,
         RerunStream(session, "*", [rr.FileSink(str(path))]) as stream,
     ):
-        with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+        with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
             assert len(list(link)) == 97
         until(lambda: stream.pump() or stream.samples >= 97, "all samples have come")
     with serving("--headless", "--hide-welcome-screen", "--window-size", "1280x720") as server:

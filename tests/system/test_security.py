@@ -23,17 +23,17 @@ from support.certificates import expire
 from support.nodes import SMALL, NodeProgram, free_port, until
 from zenoh.handlers import FifoChannel
 
-import agent_sdk
-from bridge.transport.access_control import ALL_MESSAGES, ROLES, Permission, acl_config, may, rules
-from bridge.transport.certificates import Identity, add, make
-from bridge.transport.session import check_endpoint, exposure, open_session
-from bridge.transport.tls_diagnosis import diagnose_tls
-from topics import codec, keys
-from topics.errors import AddressInUse, InvalidConfig, NodeNotFound, UsageError
-from topics.keys import TOPICS, Role
-from topics.messages import Ack, Claim, Command, Event, EventKind, Reset, State, Stop, Write
+import zenostat
+from zenostat.bridge.transport.access_control import ALL_MESSAGES, ROLES, Permission, acl_config, may, rules
+from zenostat.bridge.transport.certificates import Identity, add, make
+from zenostat.bridge.transport.session import check_endpoint, exposure, open_session
+from zenostat.bridge.transport.tls_diagnosis import diagnose_tls
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import AddressInUse, InvalidConfig, NodeNotFound, UsageError
+from zenostat.topics.keys import TOPICS, Role
+from zenostat.topics.messages import Ack, Claim, Command, Event, EventKind, Reset, State, Stop, Write
 
-ZENOSTAT = [sys.executable, "-P", "-m", "cli.main"]
+ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 POINT = "core_zn_cooling_setpoint"
 FORGED = b"forged"
 _numbers = count()
@@ -63,14 +63,14 @@ def node(module_folder: Path, pki: Path) -> Iterator[NodeProgram]:
 
 
 @pytest.fixture
-def bus(node: NodeProgram, pki: Path) -> Iterator[agent_sdk.Bus]:
-    with agent_sdk.connect(node.endpoint, keys=pki, affinity="off") as connected:
+def bus(node: NodeProgram, pki: Path) -> Iterator[zenostat.Bus]:
+    with zenostat.connect(node.endpoint, keys=pki, affinity="off") as connected:
         yield connected
 
 
 @pytest.fixture
-def watcher(node: NodeProgram, pki: Path) -> Iterator[agent_sdk.Bus]:
-    with agent_sdk.connect(node.endpoint, keys=pki, role=Role.MONITOR, affinity="off") as connected:
+def watcher(node: NodeProgram, pki: Path) -> Iterator[zenostat.Bus]:
+    with zenostat.connect(node.endpoint, keys=pki, role=Role.MONITOR, affinity="off") as connected:
         yield connected
 
 
@@ -105,7 +105,7 @@ def hearing(session: zenoh.Session, key: str) -> Iterator[zenoh.Subscriber]:
             pass
 
 
-def before_fence(bus: agent_sdk.Bus, inbox: zenoh.Subscriber, session: zenoh.Session | None = None) -> list[bytes]:
+def before_fence(bus: zenostat.Bus, inbox: zenoh.Subscriber, session: zenoh.Session | None = None) -> list[bytes]:
     """What `inbox` has heard of until a write by `session` (the controller's, if none is given) is told as an event."""
     source = f"fence-{next(_numbers)}"
     write = codec.encode(Write(value=None, source=source))
@@ -201,7 +201,7 @@ def test_zenoh_denies_what_no_rule_allows() -> None:
 # What may be done
 
 
-def day(link: agent_sdk.bus.controller_link.ControllerLink, meanwhile: Any = lambda _: None) -> list[bytes]:
+def day(link: zenostat.bus.controller_link.ControllerLink, meanwhile: Any = lambda _: None) -> list[bytes]:
     """A day at 25 degC, in lockstep; all values of all samples."""
     sample, values = link.reset(), []
     while True:
@@ -214,7 +214,7 @@ def day(link: agent_sdk.bus.controller_link.ControllerLink, meanwhile: Any = lam
 
 
 def test_a_monitor_s_attacks_leave_the_day_as_it_is(
-    node: NodeProgram, pki: Path, bus: agent_sdk.Bus, watcher: agent_sdk.Bus
+    node: NodeProgram, pki: Path, bus: zenostat.Bus, watcher: zenostat.Bus
 ) -> None:
     """A controller with a good certificate runs a day in lockstep, then the same day under a monitor's attacks."""
     with bus.controller("office") as link, raw(node.endpoint, pki, "monitor") as attacker:
@@ -222,7 +222,7 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
         assert len(quiet) == 97
         replies: list[bytes] = []
 
-        def attack(sample: agent_sdk.bus.sample.SampleView) -> None:
+        def attack(sample: zenostat.bus.sample.SampleView) -> None:
             extreme = np.full(len(link.manifest.actuators), 22.5).astype("<f8").tobytes()
             command = Command(episode=sample.message.episode, step=sample.message.step, values=extreme)
             attacker.put(keys.COMMAND.at("office", name=link.name), codec.encode(command))
@@ -249,9 +249,7 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
         assert [c.controller for c in after.controllers if c.state.is_connected] == [link.name]
 
 
-def test_the_same_attacks_work_with_a_controller_s_certificate(
-    node: NodeProgram, pki: Path, bus: agent_sdk.Bus
-) -> None:
+def test_the_same_attacks_work_with_a_controller_s_certificate(node: NodeProgram, pki: Path, bus: zenostat.Bus) -> None:
     with raw(node.endpoint, pki, "second") as session, hearing(bus.session, keys.EVENT.at("office")) as events:
         assert ask(bus.session, keys.STATUS), "the node knows of the subscription"
         codec.decode(Ack, ask(session, keys.CLAIM, Claim(controller="thief", priority=1, required=False))[0])
@@ -269,18 +267,18 @@ def test_the_same_attacks_work_with_a_controller_s_certificate(
 def test_a_controller_may_stop_a_node_and_a_monitor_not(scratch: Path, pki: Path) -> None:
     listen = [f"tls/127.0.0.1:{free_port()}"]
     with NodeProgram(scratch / "own", **SMALL, listen=listen, keys=str(pki), name="own") as running:
-        with agent_sdk.connect(listen[0], keys=pki, role=Role.MONITOR, affinity="off") as watching:
+        with zenostat.connect(listen[0], keys=pki, role=Role.MONITOR, affinity="off") as watching:
             with pytest.raises(InvalidConfig, match="a monitor may not query rpc/stop"):
                 watching.stop("own")
             with pytest.raises(InvalidConfig, match="a monitor may not query rpc/claim"):
                 watching.controller("own")
             assert watching.status("own").state is State.WAITING
-        with agent_sdk.connect(listen[0], keys=pki, affinity="off") as controlling:
+        with zenostat.connect(listen[0], keys=pki, affinity="off") as controlling:
             controlling.stop("own")
         assert running.process.wait() == 0
 
 
-def test_a_monitor_reads(watcher: agent_sdk.Bus, bus: agent_sdk.Bus) -> None:
+def test_a_monitor_reads(watcher: zenostat.Bus, bus: zenostat.Bus) -> None:
     assert watcher.nodes() == ["office"]
     assert watcher.scenario("office") == bus.scenario("office")
     assert watcher.weather("office", ["dry_bulb_temperature"]).units == ["C"]
@@ -292,7 +290,7 @@ def test_a_monitor_reads(watcher: agent_sdk.Bus, bus: agent_sdk.Bus) -> None:
         assert watcher.latest("office") == sample.message
 
 
-def test_a_monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: agent_sdk.Bus) -> None:
+def test_a_monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: zenostat.Bus) -> None:
     """Nor does another controller; a node, which passes them on, does."""
     heard: dict[str, int] = {}
     for name in ("monitor", "second", "node"):
@@ -327,7 +325,7 @@ def test_a_monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: agent_sd
     ],
 )
 def test_nobody_hears_what_a_controller_says_in_a_node_s_name(
-    node: NodeProgram, pki: Path, bus: agent_sdk.Bus, watcher: agent_sdk.Bus, name: str, mode: str, passes: bool
+    node: NodeProgram, pki: Path, bus: zenostat.Bus, watcher: zenostat.Bus, name: str, mode: str, passes: bool
 ) -> None:
     stream, point = keys.stream("office"), keys.SENSOR.at("office", name="core_zn_air_temperature")
     with (
@@ -347,7 +345,7 @@ def test_nobody_hears_what_a_controller_says_in_a_node_s_name(
 
 @pytest.mark.parametrize(("name", "passes"), [("controller", False), ("node", True)])
 def test_a_forged_presence_is_not_seen(
-    node: NodeProgram, pki: Path, watcher: agent_sdk.Bus, name: str, passes: bool
+    node: NodeProgram, pki: Path, watcher: zenostat.Bus, name: str, passes: bool
 ) -> None:
     with raw(node.endpoint, pki, name) as forger:
         tokens = [
@@ -371,7 +369,7 @@ def test_a_forged_presence_is_not_seen(
 
 @pytest.mark.parametrize(("name", "passes"), [("controller", False), ("monitor", False), ("node", True)])
 def test_only_a_node_answers_requests(
-    node: NodeProgram, pki: Path, watcher: agent_sdk.Bus, bus: agent_sdk.Bus, name: str, passes: bool
+    node: NodeProgram, pki: Path, watcher: zenostat.Bus, bus: zenostat.Bus, name: str, passes: bool
 ) -> None:
     def on_query(query: zenoh.Query) -> None:
         with query:
@@ -441,8 +439,8 @@ def test_an_expired_certificate_is_refused_by_the_node_and_before(
     with pytest.raises(zenoh.ZError, match="Unable to connect"):
         raw(node.endpoint, pki, "late")
     with pytest.raises(InvalidConfig, match="expired on"):
-        agent_sdk.connect(node.endpoint, keys=pki, certificate="late")
-    with agent_sdk.connect(node.endpoint, keys=pki, certificate="second", affinity="off") as connected:
+        zenostat.connect(node.endpoint, keys=pki, certificate="late")
+    with zenostat.connect(node.endpoint, keys=pki, certificate="second", affinity="off") as connected:
         assert connected.nodes() == ["office"]
 
 
@@ -538,16 +536,16 @@ def test_listening_to_all_without_keys_is_warned_of(pki: Path) -> None:
 
 
 def test_the_commands_take_keys(node: NodeProgram, pki: Path) -> None:
-    def zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
+    def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
         given = [*ZENOSTAT, *arguments, "--connect", node.endpoint, "--keys", str(pki)]
         return subprocess.run(given, capture_output=True, text=True)
 
-    ran = zenostat("run", "--node", "office", "--controller", "rbc", "--reset", "--certificate", "second")
+    ran = run_zenostat("run", "--node", "office", "--controller", "rbc", "--reset", "--certificate", "second")
     assert ran.returncode == 0, ran.stderr
-    status = zenostat("status")
+    status = run_zenostat("status")
     assert status.returncode == 0, status.stderr
     assert "step 96 of 96" in status.stdout
-    refused = zenostat("run", "--node", "office", "--certificate", "monitor")
+    refused = run_zenostat("run", "--node", "office", "--certificate", "monitor")
     assert refused.returncode == 2
     assert "is of the role monitor; controller expected" in refused.stderr
 

@@ -13,14 +13,14 @@ import numpy as np
 import pytest
 from support.nodes import SMALL, until
 
-import agent_sdk
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.vector_env import BuildingVectorEnv
-from agent_sdk.envs.zone_agents import ZonesEnv
-from agent_sdk.rewards import from_function
-from agent_sdk.testing import FakeBuilding, FakeLink
-from agent_sdk.testing.fake_vector_env import FakeSlots
-from topics.errors import EpisodeChanged, InvalidAction, UsageError
+import zenostat
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
+from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
+from zenostat.agent_sdk.rewards import from_function
+from zenostat.agent_sdk.testing import FakeBuilding, FakeLink
+from zenostat.agent_sdk.testing.fake_vector_env import FakeSlots
+from zenostat.topics.errors import EpisodeChanged, InvalidAction, UsageError
 
 BUSY = "one thread at a time"
 
@@ -94,7 +94,7 @@ def test_who_comes_second_is_refused_and_who_came_first_goes_on(made: Callable[[
 
 
 def test_actions_of_another_thread_are_not_taken_for_ones_own() -> None:
-    sb3 = pytest.importorskip("agent_sdk.envs.sb3_vec_env")
+    sb3 = pytest.importorskip("zenostat.agent_sdk.envs.sb3_vec_env")
     gate = Gate()
     gate.opens.set()
     slots = FakeSlots([building(), building()])
@@ -164,7 +164,7 @@ def test_threads_that_step_a_real_node(slots: int) -> None:
 @pytest.mark.variants
 @pytest.mark.usefixtures("scratch")
 @pytest.mark.parametrize("reset", [False, True])
-def test_a_controller_has_one_receiver(bus: agent_sdk.Bus, *, reset: bool) -> None:
+def test_a_controller_has_one_receiver(bus: zenostat.Bus, *, reset: bool) -> None:
     with bus.controller("office") as link:
         link.reset()
         with in_thread(link.receive) as first:
@@ -206,7 +206,7 @@ def test_close_while_another_thread_steps(slots: int) -> None:
 
 
 @pytest.mark.usefixtures("scratch")
-def test_close_while_another_thread_waits_for_a_sample(bus: agent_sdk.Bus) -> None:
+def test_close_while_another_thread_waits_for_a_sample(bus: zenostat.Bus) -> None:
     link = bus.controller("office")
     link.reset()
     with in_thread(link.receive) as waiting:

@@ -11,7 +11,7 @@ import pytest
 from support.nodes import SMALL, nothing_left, until
 from support.run_cli import ZENOSTAT, run_program
 
-from topics import yaml12
+from zenostat.topics import yaml12
 
 pytest.importorskip("stable_baselines3")
 pytest.importorskip("torch")

@@ -15,7 +15,7 @@ import pytest
 from support.nodes import free_port, until
 from support.run_cli import ZENOSTAT, plain, run_program
 
-from topics import yaml12
+from zenostat.topics import yaml12
 
 pytest.importorskip("stable_baselines3")
 optuna = pytest.importorskip("optuna")

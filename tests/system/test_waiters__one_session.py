@@ -11,14 +11,14 @@ from contextlib import ExitStack, contextmanager, suppress
 import pytest
 from support.nodes import NodeProgram, until
 
-import agent_sdk
-from agent_sdk import BuildingEnv
-from agent_sdk.bus import receive_watchdog
-from bridge.gateways.node_client import NodeClient
-from bridge.transport.wakeup import Wake
-from topics import keys
-from topics.errors import NodeLost, NodeNotFound, RequestRejected
-from topics.messages import Mode
+import zenostat
+from zenostat import BuildingEnv
+from zenostat.agent_sdk.bus import receive_watchdog
+from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.transport.wakeup import Wake
+from zenostat.topics import keys
+from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected
+from zenostat.topics.messages import Mode
 
 Wait = Callable[[], int]
 """Waits for the sample after sample 0 and returns its step."""
@@ -44,7 +44,7 @@ def wakes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @contextmanager
-def waiter(bus: agent_sdk.Bus, kind: str) -> Iterator[Wait]:
+def waiter(bus: zenostat.Bus, kind: str) -> Iterator[Wait]:
     """One program that has seen sample 0 of `office`, which is paused."""
     if kind == "listen":
         with bus.listen("office") as samples:
@@ -65,7 +65,7 @@ def waiter(bus: agent_sdk.Bus, kind: str) -> Iterator[Wait]:
         yield lambda: _requests(bus)
 
 
-async def _gateway(bus: agent_sdk.Bus) -> int:
+async def _gateway(bus: zenostat.Bus) -> int:
     async with NodeClient(bus.session, "office") as client:
 
         def is_next() -> bool:
@@ -76,7 +76,7 @@ async def _gateway(bus: agent_sdk.Bus) -> int:
         return client.sample.step
 
 
-def _requests(bus: agent_sdk.Bus) -> int:
+def _requests(bus: zenostat.Bus) -> int:
     """Ask for everything that a node answers, again and again, until it has stepped."""
     while bus.status("office").step == [0]:
         assert bus.read("office").step >= 0
@@ -88,7 +88,7 @@ def _requests(bus: agent_sdk.Bus) -> int:
 
 
 @contextmanager
-def waiting(bus: agent_sdk.Bus, wakes: list[str], kinds: tuple[str, ...]) -> Iterator[list[Future[int]]]:
+def waiting(bus: zenostat.Bus, wakes: list[str], kinds: tuple[str, ...]) -> Iterator[list[Future[int]]]:
     """All of them wait, and those with a watchdog have been woken several times."""
     order = sorted(kinds, key=lambda kind: kind != "env")  # first: its reset begins the episode
     with ExitStack() as stack, ThreadPoolExecutor(len(kinds)) as threads:
@@ -110,7 +110,7 @@ PAIRS += [(kind, kind) for kind in ("controller", "gateway", "listen")]
 
 @pytest.mark.parametrize("kinds", PAIRS, ids="-".join)
 def test_of_two_that_wait_for_a_paused_node_both_get_its_next_sample(
-    episode_bus: agent_sdk.Bus, wakes: list[str], kinds: tuple[str, ...]
+    episode_bus: zenostat.Bus, wakes: list[str], kinds: tuple[str, ...]
 ) -> None:
     bus = episode_bus
     bus.pause("office")
@@ -121,13 +121,13 @@ def test_of_two_that_wait_for_a_paused_node_both_get_its_next_sample(
         assert [future.result(60) for future in futures] == [1, 1]
 
 
-def test_a_strangers_message_to_the_key_of_a_wake_up_ends_nothing(episode_bus: agent_sdk.Bus, wakes: list[str]) -> None:
+def test_a_strangers_message_to_the_key_of_a_wake_up_ends_nothing(episode_bus: zenostat.Bus, wakes: list[str]) -> None:
     bus = episode_bus
     bus.pause("office")
     bus.pace("office", mode=Mode.FREE)
     with waiting(bus, wakes, ("listen", "controller")) as futures:
         last = int(wakes[-1].rpartition("-")[2])
-        with agent_sdk.connect(bus.endpoint, affinity="off") as stranger:
+        with zenostat.connect(bus.endpoint, affinity="off") as stranger:
             for number in range(1, last + 10):
                 stranger.session.put(keys.wake("office", number), b"")
             stranger.status("office")
@@ -135,7 +135,7 @@ def test_a_strangers_message_to_the_key_of_a_wake_up_ends_nothing(episode_bus: a
         assert [future.result(60) for future in futures] == [1, 1]
 
 
-def test_all_that_wait_for_a_node_notice_its_loss(bus: agent_sdk.Bus, node: NodeProgram, wakes: list[str]) -> None:
+def test_all_that_wait_for_a_node_notice_its_loss(bus: zenostat.Bus, node: NodeProgram, wakes: list[str]) -> None:
     bus.pause("office")
     bus.pace("office", mode=Mode.FREE)
     kinds = ("env", "controller", "gateway", "listen", "listen", "requests")

@@ -15,9 +15,9 @@ import zmq
 from support.nodes import Program
 from support.zeromq import KILLED, GatewayProgram, Peer, gateway, keeping, module_gateway
 
-import agent_sdk
-from bridge.gateways.zeromq import connections
-from bridge.gateways.zeromq.frames import split
+import zenostat
+from zenostat.bridge.gateways.zeromq import connections
+from zenostat.bridge.gateways.zeromq.frames import split
 
 __all__ = ["gateway", "module_gateway"]
 
@@ -43,7 +43,7 @@ def test_controller_that_starts_again_takes_its_identity_from_a_connection_that_
         program.process.kill()
         program.process.wait()
         assert new.ask("command/doomed", **keeping(new.after(sample)))[0] == "Ack"
-        with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
+        with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
             assert [c.state for c in bus.status("office").controllers] == ["connected"]
 
 

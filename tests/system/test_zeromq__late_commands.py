@@ -9,8 +9,8 @@ pytest.importorskip("zmq", reason="pyzmq is not installed")
 from support.nodes import SMALL, NodeProgram
 from support.zeromq import GatewayProgram, Peer, keeping
 
-import agent_sdk
-from topics.messages import EventKind, Manifest, Policy, Sample
+import zenostat
+from zenostat.topics.messages import EventKind, Manifest, Policy, Sample
 
 
 @pytest.mark.slow
@@ -22,7 +22,7 @@ def test_command_that_is_taken_after_the_deadline_is_accepted(scratch):
         GatewayProgram(node.endpoint) as gateway,
         Peer(gateway) as peer,
         Peer(gateway) as watcher,
-        agent_sdk.connect(node.endpoint, affinity="off") as bus,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
     ):
         watcher.listen("event")
         watcher.listen("manifest")

@@ -14,9 +14,9 @@ from support.nodes import free_port
 from support.zeromq import GatewayProgram, Peer, gateway, module_gateway
 from zenoh.handlers import Callback
 
-import agent_sdk
-from topics import codec, keys
-from topics.messages import ErrorReply, EventKind, Manifest, Sample
+import zenostat
+from zenostat.topics import codec, keys
+from zenostat.topics.messages import ErrorReply, EventKind, Manifest, Sample
 
 __all__ = ["gateway", "module_gateway"]
 
@@ -58,7 +58,7 @@ def test_requests__wait_for_the_manifest_of_their_node(shared_node, gateway):
     """slow's token → a request for slow is kept → slow's manifest and sample → the request is answered"""
     asked: queue.Queue[zenoh.Query] = queue.Queue()
     with (
-        agent_sdk.connect(shared_node.endpoint, affinity="off") as bus,
+        zenostat.connect(shared_node.endpoint, affinity="off") as bus,
         Peer(gateway) as peer,
         Peer(gateway, node="slow") as to,
     ):

@@ -18,9 +18,9 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from support.nodes import SMALL, NodeProgram, Program, free_port, until
 
-import agent_sdk
-from topics import codec, messages
-from topics.messages import Event, EventKind, Manifest, Sample, State
+import zenostat
+from zenostat.topics import codec, messages
+from zenostat.topics.messages import Event, EventKind, Manifest, Sample, State
 
 zmq = pytest.importorskip("zmq", reason="pyzmq is not installed")
 
@@ -35,7 +35,7 @@ from support.zeromq import (  # noqa: E402
     module_gateway,
 )
 
-from bridge.gateways.zeromq.frames import split  # noqa: E402
+from zenostat.bridge.gateways.zeromq.frames import split  # noqa: E402
 
 __all__ = ["gateway", "module_gateway"]
 
@@ -63,7 +63,7 @@ def plan(manifest: Manifest, step: int) -> np.ndarray:
 @pytest.mark.parametrize("kind", ["DEALER", "REQ"])
 def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(shared_node, gateway, kind):
     direct = []
-    with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+    with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         for sample in link:
             direct.append((sample.message.values, sample.message.effective, sample.message.time))
             sample.send(plan(link.manifest, sample.step))
@@ -215,7 +215,7 @@ def test_killed_controller_is_noticed_by_the_node_and_may_come_back(shared_node,
         peer.listen("event")
         with Program(KILLED, gateway.command) as program:
             assert program.line().endswith(".Ack")
-            with agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
+            with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
                 until(lambda: bus.controllers() == [("office", "doomed")], "its token is there")
             program.process.kill()
             assert peer.event(EventKind.DISCONNECTED).source == "doomed"
@@ -234,7 +234,7 @@ def test_frozen_controller_is_gone_after_its_lease(shared_node, episode_bus):
 
 
 def test_name_of_a_connected_controller_is_free_only_once_its_connection_has_ended(shared_node, gateway):
-    with Peer(gateway) as new, agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
+    with Peer(gateway) as new, zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         new.listen("sample")
         sample = new.after(None)
         with Peer(gateway) as old:
@@ -257,7 +257,7 @@ def test_name_of_a_connected_controller_is_free_only_once_its_connection_has_end
 
 
 def test_name_of_a_controller_that_does_not_use_the_gateway_is_taken_too(shared_node, gateway):
-    with Peer(gateway) as peer, agent_sdk.connect(shared_node.endpoint, affinity="off") as bus:
+    with Peer(gateway) as peer, zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         with bus.controller("office") as link:
             kind, denied = peer.ask("rpc/claim", controller=link.name, actuators=[SETPOINT])
             assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
@@ -362,7 +362,7 @@ def test_failure_of_the_engine_is_an_event_after_the_command_was_accepted(shared
 
 
 def agent_status(node: NodeProgram) -> messages.Status:
-    with agent_sdk.connect(node.endpoint, affinity="off") as bus:
+    with zenostat.connect(node.endpoint, affinity="off") as bus:
         return bus.status(node.name)
 
 
@@ -452,7 +452,7 @@ def test_an_envelope_comes_back_as_it_was():
 
 def _fails(*options: str) -> str:
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "cli.main", "gateway", "zeromq", *options], capture_output=True, text=True
+        [sys.executable, "-P", "-m", "zenostat.cli.main", "gateway", "zeromq", *options], capture_output=True, text=True
     )
     assert done.returncode in (1, 2)
     assert "Traceback" not in done.stderr

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from topics.atomic_file import atomic_file
+from zenostat.topics.atomic_file import atomic_file
 
 
 def test_a_file_is_replaced_on_success(tmp_path: Path) -> None:

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent_sdk.time_series import Period
-from topics.calendar import (
+from zenostat.agent_sdk.time_series import Period
+from zenostat.topics.calendar import (
     LEAP_YEAR,
     WEEKDAY_NAMES,
     WEEKDAYS,
@@ -27,8 +27,8 @@ from topics.calendar import (
     parse_moment,
     parse_weekdays,
 )
-from topics.errors import InvalidConfig
-from topics.fault_plan import When
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.fault_plan import When
 
 DAYS = st.dates(date(1990, 1, 1), date(2100, 12, 31))
 MOMENTS = st.datetimes(datetime(1990, 1, 1), datetime(2100, 12, 31)).map(lambda moment: moment.replace(microsecond=0))

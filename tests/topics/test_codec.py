@@ -15,10 +15,10 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from support.builders import actuator, manifest, meter, sensor
 
-from bridge.node.settings import NodeSettings
-from topics import codec
-from topics.errors import BadMessage
-from topics.messages import (
+from zenostat.bridge.node.settings import NodeSettings
+from zenostat.topics import codec
+from zenostat.topics.errors import BadMessage
+from zenostat.topics.messages import (
     Ack,
     Claim,
     Command,

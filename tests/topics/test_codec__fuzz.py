@@ -13,9 +13,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from topics import codec, fault_plan
-from topics.errors import BadMessage
-from topics.messages import Claim, Command, Manifest, Message, Reset, Sample, Write
+from zenostat.topics import codec, fault_plan
+from zenostat.topics.errors import BadMessage
+from zenostat.topics.messages import Claim, Command, Manifest, Message, Reset, Sample, Write
 
 
 def _tree(kind: type[Message]) -> Iterator[type[Message]]:
@@ -24,7 +24,9 @@ def _tree(kind: type[Message]) -> Iterator[type[Message]]:
         yield from _tree(child)
 
 
-KINDS = sorted({kind for kind in _tree(Message) if kind.__module__.startswith("topics.")}, key=lambda k: k.__name__)
+KINDS = sorted(
+    {kind for kind in _tree(Message) if kind.__module__.startswith("zenostat.topics.")}, key=lambda k: k.__name__
+)
 HEARD = (Claim, Command, Reset, Write, fault_plan.FaultPlan)
 """What anybody may send to a node, of each form."""
 
@@ -214,9 +216,9 @@ def test_all_messages_are_fuzzed() -> None:
 
 
 def test_the_limits_in_the_documentation_are_those_of_the_code() -> None:
-    from bridge.exchange import step_exchange
-    from bridge.node import publications, subscriptions
-    from bridge.transport import session
+    from zenostat.bridge.exchange import step_exchange
+    from zenostat.bridge.node import publications, subscriptions
+    from zenostat.bridge.transport import session
 
     page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
     section = page.split("## Limits on incoming messages", 1)[1].split("\n## ", 1)[0]

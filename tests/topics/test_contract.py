@@ -21,14 +21,14 @@ from pydantic_core import PydanticUndefined
 from support import asyncapi_validators, contract_page
 from support.contract_page import COMMAND, DOCUMENT, MASKED, PAGE, SAMPLE
 
-from bridge.faults import read_plan
-from bridge.transport import session
-from topics import codec, keys, messages, yaml12
-from topics.asyncapi import channel_name, document, payload_classes
-from topics.errors import ZenostatError
-from topics.fault_plan import FaultPlan
-from topics.keys import TOPICS, Delivery, Role, Topic
-from topics.messages import ErrorReply, Message
+from zenostat.bridge.faults import read_plan
+from zenostat.bridge.transport import session
+from zenostat.topics import codec, keys, messages, yaml12
+from zenostat.topics.asyncapi import channel_name, document, payload_classes
+from zenostat.topics.errors import ZenostatError
+from zenostat.topics.fault_plan import FaultPlan
+from zenostat.topics.keys import TOPICS, Delivery, Role, Topic
+from zenostat.topics.messages import ErrorReply, Message
 
 MADE = document()
 CLASSES = sorted(payload_classes(), key=lambda kind: kind.__name__)
@@ -176,7 +176,7 @@ def test_schemas_need_nothing_that_is_newer_than_draft_7() -> None:
 def test_every_error_is_named() -> None:
     named = MADE["components"]["messages"]["ErrorReply"]["x-errors"]
     assert {"ZenostatError", "RequestRejected", "UnknownName", "NodeLost"} <= named.keys()
-    assert all(issubclass(getattr(sys.modules["topics.errors"], name), ZenostatError) for name in named)
+    assert all(issubclass(getattr(sys.modules["zenostat.topics.errors"], name), ZenostatError) for name in named)
 
 
 # Real messages
@@ -271,7 +271,7 @@ def test_raw_arrays_tell_their_elements() -> None:
 
 def test_the_file_is_what_the_command_gives(tmp_path: Path) -> None:
     done = subprocess.run(
-        [sys.executable, "-P", "-m", "cli.main", "asyncapi", "--output", str(tmp_path / "asyncapi.yaml")],
+        [sys.executable, "-P", "-m", "zenostat.cli.main", "asyncapi", "--output", str(tmp_path / "asyncapi.yaml")],
         capture_output=True,
         text=True,
     )
@@ -283,7 +283,7 @@ def test_the_file_is_what_the_command_gives(tmp_path: Path) -> None:
 
 
 def test_the_command_prints_it_and_names_a_folder_that_is_not_there() -> None:
-    command = [sys.executable, "-P", "-m", "cli.main", "asyncapi"]
+    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "asyncapi"]
     printed = subprocess.run(command, capture_output=True, text=True)
     assert yaml.safe_load(printed.stdout) == MADE
     missing = subprocess.run([*command, "--output", "nowhere/a.yaml"], capture_output=True, text=True)

@@ -11,9 +11,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from bridge.transport.session import DEFAULT_ENDPOINT, check_endpoint, open_session
-from topics import errors
-from topics.errors import (
+from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, check_endpoint, open_session
+from zenostat.topics import errors
+from zenostat.topics.errors import (
     AddressInUse,
     InvalidConfig,
     NodeNotFound,
@@ -27,7 +27,7 @@ from topics.errors import (
 
 
 def tree(cls: type[ZenostatError] = ZenostatError, depth: int = 0) -> Iterator[tuple[int, type[ZenostatError]]]:
-    """The classes of `topics.errors` in the order in which they are written, with their depth."""
+    """The classes of `zenostat.topics.errors` in the order in which they are written, with their depth."""
     if cls.__module__ == errors.__name__:
         yield depth, cls
         for child in cls.__subclasses__():

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from gymnasium.wrappers import RecordVideo
 
-from topics.extras import install_command
+from zenostat.topics.extras import install_command
 
 ROOT = Path(__file__).resolve().parents[2]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from topics.errors import InvalidConfig
-from topics.file_kinds import FileKind, check_file_kind
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.file_kinds import FileKind, check_file_kind
 
 FILES = {
     FileKind.SCENARIO: {"building", "weather", "steps_per_hour"},

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from topics.errors import InvalidConfig
-from topics.file_lock import locked
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.file_lock import locked
 
 
 def hold(path: Path, held: Event) -> None:

@@ -13,12 +13,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from zenoh import KeyExpr
 
-from bridge.transport.access_control import Permission, may
-from topics import codec, keys, messages
-from topics.errors import InvalidConfig
-from topics.fault_plan import FaultPlan
-from topics.keys import TOPICS, Delivery, Role, Topic
-from topics.messages import Ack, ErrorReply, Message
+from zenostat.bridge.transport.access_control import Permission, may
+from zenostat.topics import codec, keys, messages
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.fault_plan import FaultPlan
+from zenostat.topics.keys import TOPICS, Delivery, Role, Topic
+from zenostat.topics.messages import Ack, ErrorReply, Message
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = ("agent_sdk", "bench", "bridge", "cli", "eplus_node", "examples", "models")

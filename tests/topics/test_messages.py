@@ -10,10 +10,10 @@ import pytest
 from pydantic import ValidationError
 from support.builders import NAN, actuator, manifest, meter, sensor
 
-from agent_sdk.bus.sample import SampleView
-from topics import messages
-from topics.errors import BadMessage, UnknownName
-from topics.messages import (
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.topics import messages
+from zenostat.topics.errors import BadMessage, UnknownName
+from zenostat.topics.messages import (
     Claim,
     Command,
     Event,
@@ -25,7 +25,7 @@ from topics.messages import (
     Sensor,
     Write,
 )
-from topics.points import value_index
+from zenostat.topics.points import value_index
 
 CLASSES = sorted(
     (c for c in vars(messages).values() if isinstance(c, type) and issubclass(c, Message) and c is not Message),

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.builders import actuator, manifest, meter, sensor
 
-from topics.errors import InvalidAction, UnknownName, ZenostatError
-from topics.messages import Action
-from topics.points import (
+from zenostat.topics.errors import InvalidAction, UnknownName, ZenostatError
+from zenostat.topics.messages import Action
+from zenostat.topics.points import (
     LARGEST,
     PointIndex,
     actuator_index,

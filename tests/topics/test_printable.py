@@ -11,22 +11,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import topics.alarm_rules
-import topics.fault_plan
-import topics.recording
-from topics import codec, keys
-from topics.errors import BadMessage
-from topics.messages import Claim, ErrorReply, Event, EventKind, Manifest, Message, Sample, ScenarioText, Write
-from topics.printable import replace_controls, replace_controls_in_lines
+import zenostat.topics.alarm_rules
+import zenostat.topics.fault_plan
+import zenostat.topics.recording
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import BadMessage
+from zenostat.topics.messages import Claim, ErrorReply, Event, EventKind, Manifest, Message, Sample, ScenarioText, Write
+from zenostat.topics.printable import replace_controls, replace_controls_in_lines
 
 EVIL = "\x1b[31mred\x9b0m\x7f\u202etxt\u2066\r\n\x00"
 HARMLESS = "␛[31mred\ufffd0m␡\ufffdtxt\ufffd␍␊␀"
 BIDIRECTIONAL = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
 MARKS = {"ARABIC LETTER MARK", "LEFT-TO-RIGHT MARK", "RIGHT-TO-LEFT MARK"}
 
-assert topics.fault_plan
-assert topics.recording
-assert topics.alarm_rules
+assert zenostat.topics.fault_plan
+assert zenostat.topics.recording
+assert zenostat.topics.alarm_rules
 
 
 def is_control(character: str) -> bool:
@@ -84,7 +84,7 @@ def bare_texts(schema: Any, path: str) -> Iterator[str]:
 
 
 def test_no_field_of_any_message_is_left_out() -> None:
-    classes = [kind for kind in subclasses(Message) if kind.__module__.startswith("topics.")]
+    classes = [kind for kind in subclasses(Message) if kind.__module__.startswith("zenostat.topics.")]
     assert len(classes) > 60
     for kind in classes:
         kind.model_rebuild()
@@ -106,7 +106,7 @@ def test_a_decoded_message_has_no_controls() -> None:
 
 
 def test_the_points_of_a_manifest_and_the_sources_of_a_sample_have_none() -> None:
-    from agent_sdk.testing import FakeEnv
+    from zenostat.agent_sdk.testing import FakeEnv
 
     fields = FakeEnv().manifest.model_dump(mode="json")
     fields["building"] = fields["sensors"][0]["unit"] = fields["location"] = EVIL

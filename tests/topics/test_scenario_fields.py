@@ -12,17 +12,17 @@ from support.arguments_page import PAGE, options, page
 from typer.main import get_command
 from typer.testing import CliRunner
 
-import cli.node
-from agent_sdk.env_factory import make, make_vec
-from agent_sdk.envs.building_env import BuildingEnv
-from agent_sdk.envs.vector_env import BuildingVectorEnv
-from bridge.python_plant.node import PlantSettings
-from cli.commands import app
-from cli.scenarios import scenario_schema
-from eplus_node.config import NodeConfig, read_config
-from models.scenario.schema import Scenario, read_scenario
-from topics.errors import InvalidConfig, UnknownArgument
-from topics.scenario_fields import MEANING, NODE_ARGUMENTS, FileFields, expand_arguments
+import zenostat.cli.node
+from zenostat.agent_sdk.env_factory import make, make_vec
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
+from zenostat.bridge.python_plant.node import PlantSettings
+from zenostat.cli.commands import app
+from zenostat.cli.scenarios import scenario_schema
+from zenostat.eplus_node.config import NodeConfig, read_config
+from zenostat.models.scenario.schema import Scenario, read_scenario
+from zenostat.topics.errors import InvalidConfig, UnknownArgument
+from zenostat.topics.scenario_fields import MEANING, NODE_ARGUMENTS, FileFields, expand_arguments
 
 FILE_ONLY = set(FileFields.__annotations__)
 
@@ -78,14 +78,14 @@ def test_an_unknown_argument_is_named_with_a_near_one(function: Any) -> None:
 def _settings(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> dict[str, Any]:
     """The settings that `zenostat node` hands to the node."""
     runs: list[dict[str, Any]] = []
-    monkeypatch.setattr(cli.node, "_run", lambda settings, **_: runs.append(settings))
+    monkeypatch.setattr(zenostat.cli.node, "_run", lambda settings, **_: runs.append(settings))
     result = CliRunner().invoke(app, ["node", *arguments], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     return runs[0]
 
 
 def test_the_command_line_has_the_defaults_of_a_node(monkeypatch: pytest.MonkeyPatch) -> None:
-    config, _ = cli.node._read(_settings(monkeypatch))
+    config, _ = zenostat.cli.node._read(_settings(monkeypatch))
     assert config.monitoring  # on the bus there may be a monitor; an environment has none by default
     assert config.model_copy(update={"what": {}, "monitoring": False}) == NodeConfig()
 
@@ -111,7 +111,7 @@ def test_the_settings_that_are_no_arguments_follow_their_options(monkeypatch: py
         monkeypatch, "--mode", "paced", "--speed", "60", "--grace", "1.5", "--deadline", "2.5", "--no-listen",
         "--connect", "tcp/127.0.0.1:1", "--slots", "2", "--name", "office",
     )  # fmt: skip
-    config, _ = cli.node._read(settings)
+    config, _ = zenostat.cli.node._read(settings)
     assert (config.mode, config.speed, config.grace_s, config.deadline_s) == ("paced", 60.0, 1.5, 2.5)
     assert (config.listen, config.connect, config.slots, config.name) == ([], ["tcp/127.0.0.1:1"], 2, "office")
 

@@ -6,10 +6,20 @@ from collections import Counter
 
 from support.data_packs import sinergym
 
-from models import catalog
-from models.sinergym.scenarios import pack_scenarios
-from topics.keys import check_name
-from topics.scenario_ids import BUILDINGS, DEMO, PACK_IDS, PAPER_IDS, WEATHERS, all_ids, bundled_ids, pack_ids, variants
+from zenostat.models import catalog
+from zenostat.models.sinergym.scenarios import pack_scenarios
+from zenostat.topics.keys import check_name
+from zenostat.topics.scenario_ids import (
+    BUILDINGS,
+    DEMO,
+    PACK_IDS,
+    PAPER_IDS,
+    WEATHERS,
+    all_ids,
+    bundled_ids,
+    pack_ids,
+    variants,
+)
 
 
 def test_the_wheels_names_are_those_of_its_catalogue():

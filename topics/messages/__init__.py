@@ -7,7 +7,7 @@ with the shape `(slots, points)` and in the manifest's order. `Geometry` and `Pr
 
 from __future__ import annotations
 
-from topics.messages.alarms import (
+from zenostat.topics.messages.alarms import (
     Acknowledge,
     AlarmChange,
     AlarmList,
@@ -23,7 +23,7 @@ from topics.messages.alarms import (
     Shelve,
     Unshelve,
 )
-from topics.messages.base import (
+from zenostat.topics.messages.base import (
     ANONYMOUS,
     SCHEMA_VERSION,
     Count,
@@ -37,7 +37,7 @@ from topics.messages.base import (
     Seed,
     SourceName,
 )
-from topics.messages.enums import (
+from zenostat.topics.messages.enums import (
     Aggregation,
     CommandOp,
     ControllerState,
@@ -48,21 +48,21 @@ from topics.messages.enums import (
     State,
     TimeField,
 )
-from topics.messages.events import (
+from zenostat.topics.messages.events import (
     REJECTIONS,
     Event,
     EventKind,
 )
-from topics.messages.geometry import (
+from zenostat.topics.messages.geometry import (
     Geometry,
     SurfaceKind,
     ZoneGeometry,
 )
-from topics.messages.history import (
+from zenostat.topics.messages.history import (
     HistoryQuery,
     HistorySeries,
 )
-from topics.messages.manifest import (
+from zenostat.topics.messages.manifest import (
     Action,
     Actuator,
     DiscreteAction,
@@ -73,14 +73,14 @@ from topics.messages.manifest import (
     TerminationLimit,
     Versions,
 )
-from topics.messages.recording import (
+from zenostat.topics.messages.recording import (
     OnFull,
     RecordingState,
     RecordingStatus,
     StartRecording,
     StopRecording,
 )
-from topics.messages.requests import (
+from zenostat.topics.messages.requests import (
     Ack,
     BranchCreated,
     Claim,
@@ -104,7 +104,7 @@ from topics.messages.requests import (
     WeatherQuery,
     WeatherSeries,
 )
-from topics.messages.sample import (
+from zenostat.topics.messages.sample import (
     Batch,
     Command,
     PointValue,
@@ -112,7 +112,7 @@ from topics.messages.sample import (
     StreamedMessage,
     Write,
 )
-from topics.messages.status import (
+from zenostat.topics.messages.status import (
     ControllerStatus,
     ForkStatus,
     LatencySummary,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from topics.messages.base import Count, Lines, Message, SourceName
+from zenostat.topics.messages.base import Count, Lines, Message, SourceName
 
 MAX_DURATION_S = 366 * 86400.0
 """Longest time for which an alarm can be set aside, a year."""

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, GetCoreSchema
 from pydantic_core import CoreSchema
 from pydantic_core.core_schema import no_info_after_validator_function
 
-from topics.printable import replace_controls, replace_controls_in_lines
+from zenostat.topics.printable import replace_controls, replace_controls_in_lines
 
 SCHEMA_VERSION = 2
 """Version of the contract; part of every key's root and of every message's encoding."""
@@ -62,7 +62,7 @@ class Message(BaseModel):
     """Base class of all messages.
 
     A message comes from anybody, and its texts reach terminals, logs, reports and pictures. So in each of its texts,
-    control characters are replaced when it is validated (`topics.printable`); data of any type stays as it is.
+    control characters are replaced when it is validated (`zenostat.topics.printable`); data of any type stays as it is.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="null")

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
-from topics.messages.alarms import AlarmChange
-from topics.messages.base import Count, Lines, Message
+from zenostat.topics.messages.alarms import AlarmChange
+from zenostat.topics.messages.base import Count, Lines, Message
 
 
 class EventKind(StrEnum):

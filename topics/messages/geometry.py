@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from topics.messages.base import Count, Message, Raw
+from zenostat.topics.messages.base import Count, Message, Raw
 
 
 class SurfaceKind(IntEnum):
@@ -39,7 +39,7 @@ class ZoneGeometry(Message):
 
 
 class Geometry(Message):
-    """The zones and surfaces of a building; `bridge.display.surfaces` decodes the surfaces.
+    """The zones and surfaces of a building; `zenostat.bridge.display.surfaces` decodes the surfaces.
 
     `storeys`: heights of the storeys' floors in m, ascending. `time_zone_h`: hours ahead of UTC.
 

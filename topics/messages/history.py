@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from topics.messages.base import Count, Message, Raw
+from zenostat.topics.messages.base import Count, Message, Raw
 
 
 class HistoryQuery(Message):

@@ -7,9 +7,9 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from topics.messages.base import SCHEMA_VERSION, Count, Lines, Message, SafeName
-from topics.messages.enums import Aggregation, Mode, Policy, TimeField
-from topics.messages.status import Statistics
+from zenostat.topics.messages.base import SCHEMA_VERSION, Count, Lines, Message, SafeName
+from zenostat.topics.messages.enums import Aggregation, Mode, Policy, TimeField
+from zenostat.topics.messages.status import Statistics
 
 
 class Sensor(Message):
@@ -90,10 +90,10 @@ class Task(Message):
     """The agent's part of a scenario: time features, actions, reward, termination limits and wrappers.
 
     With `discrete_actions` the action is discrete: a number for each of them. Otherwise it is a value for each of
-    `actions`. `reward` is what the environment pays: a kind with its parameters, as `agent_sdk.rewards` reads them, or
+    `actions`. `reward` is what the environment pays: a kind with its parameters, as `zenostat.rewards` reads them, or
     `{"kind": "custom", "name": …}` for code of the user's program. `scenario_reward` is the scenario's own reward where
     `reward` replaces it: its comfort band applies where `reward` has none. `wrappers` are names with arguments,
-    innermost first, as `agent_sdk.wrappers` reads them.
+    innermost first, as `zenostat.wrappers` reads them.
     """
 
     scenario: str = ""

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from topics.messages.base import Count, Lines, Message, SourceName
+from zenostat.topics.messages.base import Count, Lines, Message, SourceName
 
 
 class OnFull(StrEnum):

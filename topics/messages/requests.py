@@ -6,8 +6,8 @@ from typing import Annotated
 
 from pydantic import Field
 
-from topics.messages.base import Count, Finite, Lines, Message, Priority, Raw, SafeName, Seed, SourceName
-from topics.messages.enums import EngineStart, Mode
+from zenostat.topics.messages.base import Count, Finite, Lines, Message, Priority, Raw, SafeName, Seed, SourceName
+from zenostat.topics.messages.enums import EngineStart, Mode
 
 
 class Claim(Message):
@@ -211,7 +211,7 @@ class Ack(Message):
 
 
 class ErrorReply(Message):
-    """The node rejected a request: an error class of `topics.errors` and its text."""
+    """The node rejected a request: an error class of `zenostat.topics.errors` and its text."""
 
     error: str
     message: Lines

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from topics.messages.base import ANONYMOUS, Count, Finite, Message, Priority, Raw, SourceName
+from zenostat.topics.messages.base import ANONYMOUS, Count, Finite, Message, Priority, Raw, SourceName
 
 
 class Sample(Message):

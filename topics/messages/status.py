@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from topics.messages.base import Count, Lines, Message, Priority, SafeName
-from topics.messages.enums import ControllerState, Mode, Policy, State
-from topics.messages.recording import RecordingStatus
+from zenostat.topics.messages.base import Count, Lines, Message, Priority, SafeName
+from zenostat.topics.messages.enums import ControllerState, Mode, Policy, State
+from zenostat.topics.messages.recording import RecordingStatus
 
 
 class LatencySummary(Message):

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.report.figures.base import LONG_DAYS, Curve, Figure, daily, day_numbers, draw, mark_days
-from agent_sdk.report.quantities import Floats
-from agent_sdk.report.readings import Series, read_lines, read_series
-from agent_sdk.report.theme import LIGHT, series_color
-from bridge.display.labels import label, unit_label
-from topics.energyplus_names import THERMOSTAT
+from zenostat.agent_sdk.report.figures.base import LONG_DAYS, Curve, Figure, daily, day_numbers, draw, mark_days
+from zenostat.agent_sdk.report.quantities import Floats
+from zenostat.agent_sdk.report.readings import Series, read_lines, read_series
+from zenostat.agent_sdk.report.theme import LIGHT, series_color
+from zenostat.bridge.display.labels import label, unit_label
+from zenostat.topics.energyplus_names import THERMOSTAT
 
 BASELINE = "the building's own control"
 _MAX_PANELS = 8

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.report.quantities import Floats, Quantities, Times
-from agent_sdk.report.theme import FULL_IN, series_color, series_dashes, style
+from zenostat.agent_sdk.report.quantities import Floats, Quantities, Times
+from zenostat.agent_sdk.report.theme import FULL_IN, series_color, series_dashes, style
 
 Days = Floats
 LONG_DAYS = 45
@@ -185,7 +185,7 @@ def daily(values: Floats, days: Days) -> tuple[Days, Floats, Floats, Floats]:
 
 def ink_on(color: Sequence[int]) -> str:
     """Return the text color, black or white, that reads better on a color."""
-    from bridge.display.colors import contrast
+    from zenostat.bridge.display.colors import contrast
 
     return "#ffffff" if contrast(color, (255, 255, 255)) >= contrast(color, (0, 0, 0)) / 1.35 else "#000000"
 

@@ -8,11 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.report.figures.base import Curve, Figure, draw, mark_days
-from agent_sdk.report.quantities import Floats, Times, by_hour
-from agent_sdk.report.readings import read_cells
-from agent_sdk.report.theme import LIGHT
-from bridge.display.colors import COMFORT_RANGE_K, comfort_colors
+from zenostat.agent_sdk.report.figures.base import Curve, Figure, draw, mark_days
+from zenostat.agent_sdk.report.quantities import Floats, Times, by_hour
+from zenostat.agent_sdk.report.readings import read_cells
+from zenostat.agent_sdk.report.theme import LIGHT
+from zenostat.bridge.display.colors import COMFORT_RANGE_K, comfort_colors
 
 _COLUMNS = 2
 _UNOCCUPIED = 0.35

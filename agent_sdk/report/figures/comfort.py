@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.report.figures.base import Curve, Figure, draw, legend_above
-from agent_sdk.report.quantities import Floats
-from agent_sdk.report.theme import LIGHT
+from zenostat.agent_sdk.report.figures.base import Curve, Figure, draw, legend_above
+from zenostat.agent_sdk.report.quantities import Floats
+from zenostat.agent_sdk.report.theme import LIGHT
 
 _MAX_ZONES = 24
 _MIN_KH = 0.05

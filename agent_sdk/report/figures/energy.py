@@ -7,11 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.report.figures.base import Curve, Figure, draw, ink_on, legend_above, period_label, quiet, text_width
-from agent_sdk.report.quantities import EndUseEnergy, Floats, by_period, load_duration
-from agent_sdk.report.readings import read_lines
-from agent_sdk.report.theme import LIGHT
-from bridge.display.colors import UNKNOWN, hex_color
+from zenostat.agent_sdk.report.figures.base import (
+    Curve,
+    Figure,
+    draw,
+    ink_on,
+    legend_above,
+    period_label,
+    quiet,
+    text_width,
+)
+from zenostat.agent_sdk.report.quantities import EndUseEnergy, Floats, by_period, load_duration
+from zenostat.agent_sdk.report.readings import read_lines
+from zenostat.agent_sdk.report.theme import LIGHT
+from zenostat.bridge.display.colors import UNKNOWN, hex_color
 
 _MAX_CURVE_POINTS = 500
 _REMAINDER_SHARE = 0.005

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.report.figures.base import Curve, Figure, draw, period_label
-from agent_sdk.report.quantities import EndUseEnergy, Times, by_period
-from bridge.display.colors import hex_color
+from zenostat.agent_sdk.report.figures.base import Curve, Figure, draw, period_label
+from zenostat.agent_sdk.report.quantities import EndUseEnergy, Times, by_period
+from zenostat.bridge.display.colors import hex_color
 
 _COLUMNS = 2
 

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.report.figures.base import Curve, Figure, day_numbers, draw, mark_days
-from agent_sdk.report.readings import read_lines
-from bridge.display.labels import label
+from zenostat.agent_sdk.report.figures.base import Curve, Figure, day_numbers, draw, mark_days
+from zenostat.agent_sdk.report.readings import read_lines
+from zenostat.bridge.display.labels import label
 
 _MAX_PANELS = 4
 _MAX_CURVE_POINTS = 400

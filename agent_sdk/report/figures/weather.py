@@ -7,11 +7,20 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.evaluation.trace import WeatherTrace
-from agent_sdk.report.figures.base import LEGEND_ROW_PT, LONG_DAYS, Days, Figure, daily, draw, legend_above, mark_days
-from agent_sdk.report.quantities import Floats
-from agent_sdk.report.readings import read_lines
-from agent_sdk.report.theme import LIGHT, series_color, series_dashes
+from zenostat.agent_sdk.evaluation.trace import WeatherTrace
+from zenostat.agent_sdk.report.figures.base import (
+    LEGEND_ROW_PT,
+    LONG_DAYS,
+    Days,
+    Figure,
+    daily,
+    draw,
+    legend_above,
+    mark_days,
+)
+from zenostat.agent_sdk.report.quantities import Floats
+from zenostat.agent_sdk.report.readings import read_lines
+from zenostat.agent_sdk.report.theme import LIGHT, series_color, series_dashes
 
 _MAX_EPISODES = 6
 _MAX_LABELS = 3

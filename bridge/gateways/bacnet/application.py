@@ -30,13 +30,21 @@ from bacpypes3.netservice import NetworkServiceAccessPoint, NetworkServiceElemen
 from bacpypes3.pdu import Address
 from bacpypes3.primitivedata import Null, ObjectType, TagClass, TagNumber, Unsigned
 
-from bridge.gateways.bacnet.counts import BacnetCounts
-from bridge.gateways.bacnet.device import NodeDevice, NodePort
-from bridge.gateways.bacnet.network import Interface, NodeLink, host_and_port
-from bridge.gateways.bacnet.node_state import BacnetRequest, current_request
-from bridge.gateways.bacnet.transactions import TransactionServer
-from bridge.gateways.notices import Notices
-from topics.errors import InvalidAction, NodeLost, NodeNotFound, PeerError, RequestRejected, UnknownName, ZenostatError
+from zenostat.bridge.gateways.bacnet.counts import BacnetCounts
+from zenostat.bridge.gateways.bacnet.device import NodeDevice, NodePort
+from zenostat.bridge.gateways.bacnet.network import Interface, NodeLink, host_and_port
+from zenostat.bridge.gateways.bacnet.node_state import BacnetRequest, current_request
+from zenostat.bridge.gateways.bacnet.transactions import TransactionServer
+from zenostat.bridge.gateways.notices import Notices
+from zenostat.topics.errors import (
+    InvalidAction,
+    NodeLost,
+    NodeNotFound,
+    PeerError,
+    RequestRejected,
+    UnknownName,
+    ZenostatError,
+)
 
 MAX_SUBSCRIPTIONS = 1000
 """Largest number of COV subscriptions of all clients together."""

@@ -9,9 +9,9 @@ from bacpypes3.errors import ExecutionError, PropertyError
 from bacpypes3.object import AnalogValueObject, BinaryValueObject, DateTimeValueObject
 from bacpypes3.primitivedata import Date, Null, Real, Time
 
-from bridge.gateways.bacnet.fixed_objects import ADVANCE, EPISODE, MAX_STEPS, PAUSED, STEP, TIME, FixedObject
-from bridge.gateways.bacnet.node_state import NodeState
-from bridge.gateways.bacnet.objects import NodeObject, real
+from zenostat.bridge.gateways.bacnet.fixed_objects import ADVANCE, EPISODE, MAX_STEPS, PAUSED, STEP, TIME, FixedObject
+from zenostat.bridge.gateways.bacnet.node_state import NodeState
+from zenostat.bridge.gateways.bacnet.objects import NodeObject, real
 
 
 class _AnalogValue(NodeObject, AnalogValueObject):

@@ -13,9 +13,9 @@ from bacpypes3.local.device import DeviceObject
 from bacpypes3.local.networkport import NetworkPortObject
 from bacpypes3.pdu import IPv4Address
 
-from bridge.gateways.bacnet.fixed_objects import NETWORK_PORT, device_description
-from bridge.gateways.bacnet.node_state import NodeState
-from topics.messages import Manifest
+from zenostat.bridge.gateways.bacnet.fixed_objects import NETWORK_PORT, device_description
+from zenostat.bridge.gateways.bacnet.node_state import NodeState
+from zenostat.topics.messages import Manifest
 
 VENDOR_ID = 999
 """Vendor identifier of programs without a registered one, as in bacpypes3."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from topics.messages import Manifest
+from zenostat.topics.messages import Manifest
 
 MAX_STEPS = 1_000_000
 """Largest number of timesteps of one write to `node/advance`."""

@@ -7,18 +7,18 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from bridge.gateways.bacnet.application import NodeApplication
-from bridge.gateways.bacnet.control_objects import Paused, control_objects
-from bridge.gateways.bacnet.counts import BacnetCounts
-from bridge.gateways.bacnet.cov import COV_INTERVAL_S
-from bridge.gateways.bacnet.device import NodeDevice, NodePort
-from bridge.gateways.bacnet.network import Interface
-from bridge.gateways.bacnet.node_state import NodeState
-from bridge.gateways.bacnet.objects import AnalogInput, AnalogOutput, NodeObject
-from bridge.gateways.bacnet.points import ObjectKind, PointSpec, point_specs
-from bridge.gateways.node_client import NodeClient
-from bridge.gateways.notices import Notices
-from topics.messages import Manifest
+from zenostat.bridge.gateways.bacnet.application import NodeApplication
+from zenostat.bridge.gateways.bacnet.control_objects import Paused, control_objects
+from zenostat.bridge.gateways.bacnet.counts import BacnetCounts
+from zenostat.bridge.gateways.bacnet.cov import COV_INTERVAL_S
+from zenostat.bridge.gateways.bacnet.device import NodeDevice, NodePort
+from zenostat.bridge.gateways.bacnet.network import Interface
+from zenostat.bridge.gateways.bacnet.node_state import NodeState
+from zenostat.bridge.gateways.bacnet.objects import AnalogInput, AnalogOutput, NodeObject
+from zenostat.bridge.gateways.bacnet.points import ObjectKind, PointSpec, point_specs
+from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.gateways.notices import Notices
+from zenostat.topics.messages import Manifest
 
 
 class BacnetGateway:

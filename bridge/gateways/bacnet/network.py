@@ -14,8 +14,8 @@ from bacpypes3.ipv4.bvll import BVLLCodec
 from bacpypes3.ipv4.service import BIPNormal, UDPMultiplexer
 from bacpypes3.pdu import PDU, Address, IPv4Address, LocalBroadcast
 
-from bridge.gateways.bacnet.counts import BacnetCounts
-from topics.errors import AddressInUse, InvalidConfig
+from zenostat.bridge.gateways.bacnet.counts import BacnetCounts
+from zenostat.topics.errors import AddressInUse, InvalidConfig
 
 DEFAULT_PORT = 47808
 """UDP port of BACnet/IP, 0xBAC0."""

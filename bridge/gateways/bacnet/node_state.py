@@ -10,12 +10,12 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-from agent_sdk.bus.priorities import PriorityValue
-from agent_sdk.bus.sample import SampleView
-from bridge.gateways.node_client import NodeClient
-from topics import keys
-from topics.errors import NodeLost, PeerError, RequestRejected, ZenostatError
-from topics.messages import (
+from zenostat.agent_sdk.bus.priorities import PriorityValue
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.topics import keys
+from zenostat.topics.errors import NodeLost, PeerError, RequestRejected, ZenostatError
+from zenostat.topics.messages import (
     Ack,
     Event,
     EventKind,

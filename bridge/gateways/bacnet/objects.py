@@ -20,10 +20,10 @@ from bacpypes3.local.object import Object
 from bacpypes3.object import AnalogInputObject, AnalogOutputObject
 from bacpypes3.primitivedata import Null, ObjectIdentifier, Real
 
-from bridge.gateways.bacnet.cov import CovCriteria
-from bridge.gateways.bacnet.node_state import NodeState
-from bridge.gateways.bacnet.points import PointSpec
-from bridge.gateways.bacnet.units import bacnet_unit
+from zenostat.bridge.gateways.bacnet.cov import CovCriteria
+from zenostat.bridge.gateways.bacnet.node_state import NodeState
+from zenostat.bridge.gateways.bacnet.points import PointSpec
+from zenostat.bridge.gateways.bacnet.units import bacnet_unit
 
 RESERVED_PRIORITY = 6
 """Priority of minimum on and off times (ASHRAE 135, clause 19.2.3), which clients must not write."""

@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from enum import StrEnum
 from typing import NamedTuple
 
-from bridge.gateways.bacnet.units import bacnet_unit
-from bridge.gateways.points import Reading, readings
-from topics.messages import Actuator, Manifest, Sensor
+from zenostat.bridge.gateways.bacnet.units import bacnet_unit
+from zenostat.bridge.gateways.points import Reading, readings
+from zenostat.topics.messages import Actuator, Manifest, Sensor
 
 MAX_INSTANCE = 4_194_302
 """Largest instance number of an object (22 bits); 4,194,303 is the wildcard."""

@@ -17,7 +17,7 @@ from bacpypes3.apdu import (
 from bacpypes3.appservice import ApplicationServiceAccessPoint, ServerSSM
 from bacpypes3.errors import RejectException
 
-from bridge.gateways.bacnet.counts import BacnetCounts
+from zenostat.bridge.gateways.bacnet.counts import BacnetCounts
 
 MAX_TRANSACTIONS = 128
 """Largest number of confirmed requests in progress; further ones are aborted with `out-of-resources`."""

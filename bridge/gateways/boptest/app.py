@@ -14,13 +14,13 @@ from starlette.requests import ClientDisconnect
 from starlette.responses import HTMLResponse, PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
-from bridge.gateways.boptest import parsing
-from bridge.gateways.boptest.manager import TestManager, TooManyTests, UnknownTest
-from bridge.gateways.boptest.operations import OPERATIONS, Operation
-from bridge.gateways.boptest.page import page
-from bridge.gateways.boptest.parsing import BadRequest, PeriodNotOver
-from topics import VERSION
-from topics.errors import UnknownName, UsageError, ZenostatError
+from zenostat.bridge.gateways.boptest import parsing
+from zenostat.bridge.gateways.boptest.manager import TestManager, TooManyTests, UnknownTest
+from zenostat.bridge.gateways.boptest.operations import OPERATIONS, Operation
+from zenostat.bridge.gateways.boptest.page import page
+from zenostat.bridge.gateways.boptest.parsing import BadRequest, PeriodNotOver
+from zenostat.topics import VERSION
+from zenostat.topics.errors import UnknownName, UsageError, ZenostatError
 
 Handler = Callable[..., Coroutine[Any, Any, Response]]
 

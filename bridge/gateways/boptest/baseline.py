@@ -13,14 +13,14 @@ from threading import Lock
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.evaluation.kpis import CO2_LIMIT_PPM
-from bridge.display.comfort import DEFAULT_BAND_DEGC, Comfort
-from bridge.display.roles import ZoneRoles, roles
-from bridge.gateways.boptest.history import History
-from bridge.gateways.boptest.points import KELVIN
-from bridge.gateways.boptest.simulation import DAY_S, YEAR, Simulation
-from topics.messages import Manifest
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.evaluation.kpis import CO2_LIMIT_PPM
+from zenostat.bridge.display.comfort import DEFAULT_BAND_DEGC, Comfort
+from zenostat.bridge.display.roles import ZoneRoles, roles
+from zenostat.bridge.gateways.boptest.history import History
+from zenostat.bridge.gateways.boptest.points import KELVIN
+from zenostat.bridge.gateways.boptest.simulation import DAY_S, YEAR, Simulation
+from zenostat.topics.messages import Manifest
 
 Floats = NDArray[np.float64]
 

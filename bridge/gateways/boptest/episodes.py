@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from agent_sdk.bus.sample import SampleView
-from bridge.gateways.boptest.baseline import Baseline, ZoneSchedules
-from bridge.gateways.boptest.history import History
-from bridge.gateways.boptest.parsing import BadRequest
-from bridge.gateways.boptest.points import PointTable
-from bridge.gateways.boptest.simulation import DAY_S, YEAR_S, Building, Interruption, Simulation
-from bridge.gateways.boptest.weather import COLUMNS, Weather
-from topics.errors import BusError, RequestRejected
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.gateways.boptest.baseline import Baseline, ZoneSchedules
+from zenostat.bridge.gateways.boptest.history import History
+from zenostat.bridge.gateways.boptest.parsing import BadRequest
+from zenostat.bridge.gateways.boptest.points import PointTable
+from zenostat.bridge.gateways.boptest.simulation import DAY_S, YEAR_S, Building, Interruption, Simulation
+from zenostat.bridge.gateways.boptest.weather import COLUMNS, Weather
+from zenostat.topics.errors import BusError, RequestRejected
 
 _MAX_KEPT = 4
 

@@ -6,16 +6,16 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from bridge.gateways.boptest import parsing
-from bridge.gateways.boptest.cases import TestCase
-from bridge.gateways.boptest.episodes import Beginning, Episodes
-from bridge.gateways.boptest.history import History
-from bridge.gateways.boptest.kpis import TestKpis, TimeRatio
-from bridge.gateways.boptest.parsing import BadRequest
-from bridge.gateways.boptest.prices import Rates
-from bridge.gateways.boptest.session import Answer, BuildingTest
-from bridge.gateways.boptest.simulation import Interruption, Simulation
-from topics.errors import did_you_mean
+from zenostat.bridge.gateways.boptest import parsing
+from zenostat.bridge.gateways.boptest.cases import TestCase
+from zenostat.bridge.gateways.boptest.episodes import Beginning, Episodes
+from zenostat.bridge.gateways.boptest.history import History
+from zenostat.bridge.gateways.boptest.kpis import TestKpis, TimeRatio
+from zenostat.bridge.gateways.boptest.parsing import BadRequest
+from zenostat.bridge.gateways.boptest.prices import Rates
+from zenostat.bridge.gateways.boptest.session import Answer, BuildingTest
+from zenostat.bridge.gateways.boptest.simulation import Interruption, Simulation
+from zenostat.topics.errors import did_you_mean
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.gateways.boptest import forecast_errors
-from bridge.gateways.boptest.baseline import Baseline, ZoneSchedules
-from bridge.gateways.boptest.parsing import BadRequest, unknown_names
-from bridge.gateways.boptest.prices import Rates, rate_at
-from bridge.gateways.boptest.weather import Weather
+from zenostat.bridge.gateways.boptest import forecast_errors
+from zenostat.bridge.gateways.boptest.baseline import Baseline, ZoneSchedules
+from zenostat.bridge.gateways.boptest.parsing import BadRequest, unknown_names
+from zenostat.bridge.gateways.boptest.prices import Rates, rate_at
+from zenostat.bridge.gateways.boptest.weather import Weather
 
 Floats = NDArray[np.float64]
 

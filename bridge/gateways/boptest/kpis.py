@@ -1,15 +1,15 @@
-"""KPIs of a test: those of `agent_sdk.evaluation.kpis`, each sample added once, and the time ratio."""
+"""KPIs of a test: those of `zenostat.evaluation.kpis`, each sample added once, and the time ratio."""
 
 from __future__ import annotations
 
 from time import perf_counter
 
-from agent_sdk.evaluation.kpis import KPIS, KpiAccumulator
-from bridge.display.comfort import Comfort
-from bridge.gateways.boptest.history import History
-from bridge.gateways.boptest.prices import Rates
-from bridge.gateways.boptest.simulation import moment
-from topics.messages import Manifest
+from zenostat.agent_sdk.evaluation.kpis import KPIS, KpiAccumulator
+from zenostat.bridge.display.comfort import Comfort
+from zenostat.bridge.gateways.boptest.history import History
+from zenostat.bridge.gateways.boptest.prices import Rates
+from zenostat.bridge.gateways.boptest.simulation import moment
+from zenostat.topics.messages import Manifest
 
 
 class TestKpis:

@@ -10,13 +10,13 @@ from time import monotonic
 from typing import Any
 from uuid import uuid4
 
-from bridge.gateways.boptest.cases import TestCase, TestCases
-from bridge.gateways.boptest.extensions import ExtendedTest
-from bridge.gateways.boptest.parsing import BadRequest
-from bridge.gateways.boptest.prices import Rates
-from bridge.gateways.boptest.simulation import Interruption
-from bridge.gateways.boptest.test_periods import simulate_test_periods
-from topics.errors import ZenostatError
+from zenostat.bridge.gateways.boptest.cases import TestCase, TestCases
+from zenostat.bridge.gateways.boptest.extensions import ExtendedTest
+from zenostat.bridge.gateways.boptest.parsing import BadRequest
+from zenostat.bridge.gateways.boptest.prices import Rates
+from zenostat.bridge.gateways.boptest.simulation import Interruption
+from zenostat.bridge.gateways.boptest.test_periods import simulate_test_periods
+from zenostat.topics.errors import ZenostatError
 
 CHECK_S = 1.0
 

@@ -6,8 +6,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from bridge.gateways.boptest.extensions import ExtendedTest
-from bridge.gateways.boptest.session import Answer
+from zenostat.bridge.gateways.boptest.extensions import ExtendedTest
+from zenostat.bridge.gateways.boptest.session import Answer
 
 _BEYOND = "Beyond BOPTEST"
 _NUMBER = {"type": "number"}

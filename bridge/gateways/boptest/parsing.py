@@ -10,7 +10,7 @@ from urllib.parse import parse_qs
 
 from pydantic_core import from_json
 
-from topics.errors import UsageError
+from zenostat.topics.errors import UsageError
 
 MAX_BYTES = 1_000_000
 _FORM = "application/x-www-form-urlencoded"

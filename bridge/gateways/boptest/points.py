@@ -13,8 +13,8 @@ from math import pi
 import numpy as np
 from numpy.typing import NDArray
 
-from topics.errors import InvalidConfig
-from topics.messages import Actuator, Manifest, Meter, Sensor
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Actuator, Manifest, Meter, Sensor
 
 Floats = NDArray[np.float64]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.evaluation.tariffs import FuelRate, Rate, read_emissions, read_prices
-from bridge.gateways.boptest.simulation import moment
-from topics.errors import InvalidConfig, did_you_mean
+from zenostat.agent_sdk.evaluation.tariffs import FuelRate, Rate, read_emissions, read_prices
+from zenostat.bridge.gateways.boptest.simulation import moment
+from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 Floats = NDArray[np.float64]
 

@@ -14,8 +14,8 @@ from typing import Any, cast
 import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
-from bridge.gateways.boptest.app import Service
-from topics.errors import AddressInUse, InvalidConfig
+from zenostat.bridge.gateways.boptest.app import Service
+from zenostat.topics.errors import AddressInUse, InvalidConfig
 
 _BACKLOG = 256
 _MAX_CONNECTIONS = 512

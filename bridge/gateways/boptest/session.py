@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.gateways.boptest import parsing
-from bridge.gateways.boptest.cases import TestCase
-from bridge.gateways.boptest.episodes import Beginning, Episodes
-from bridge.gateways.boptest.forecast import Forecaster
-from bridge.gateways.boptest.forecast_errors import LEVELS
-from bridge.gateways.boptest.kpis import TestKpis, TimeRatio
-from bridge.gateways.boptest.parsing import BadRequest, PeriodNotOver
-from bridge.gateways.boptest.prices import ELECTRICITY_PRICES, Rates
-from bridge.gateways.boptest.simulation import DAY_S, Interruption, Simulation
-from bridge.gateways.boptest.test_periods import PERIOD_S, TIME_PERIODS, WARMUP_S
-from topics.errors import did_you_mean
-from topics.messages import CommandOp
+from zenostat.bridge.gateways.boptest import parsing
+from zenostat.bridge.gateways.boptest.cases import TestCase
+from zenostat.bridge.gateways.boptest.episodes import Beginning, Episodes
+from zenostat.bridge.gateways.boptest.forecast import Forecaster
+from zenostat.bridge.gateways.boptest.forecast_errors import LEVELS
+from zenostat.bridge.gateways.boptest.kpis import TestKpis, TimeRatio
+from zenostat.bridge.gateways.boptest.parsing import BadRequest, PeriodNotOver
+from zenostat.bridge.gateways.boptest.prices import ELECTRICITY_PRICES, Rates
+from zenostat.bridge.gateways.boptest.simulation import DAY_S, Interruption, Simulation
+from zenostat.bridge.gateways.boptest.test_periods import PERIOD_S, TIME_PERIODS, WARMUP_S
+from zenostat.topics.errors import did_you_mean
+from zenostat.topics.messages import CommandOp
 
 Payload = Any
 Answer = tuple[str, Payload]

@@ -16,13 +16,13 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from agent_sdk.bus.bus import Bus, connect
-from agent_sdk.bus.local_node import LocalNode
-from agent_sdk.bus.sample import SampleView
-from agent_sdk.envs.arguments import for_node
-from bridge.runtime.affinity import Affinity
-from topics.errors import InvalidConfig
-from topics.messages import CommandOp, CreateBranch, Manifest, Mode
+from zenostat.agent_sdk.bus.bus import Bus, connect
+from zenostat.agent_sdk.bus.local_node import LocalNode
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.agent_sdk.envs.arguments import for_node
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Mode
 
 Floats = NDArray[np.float64]
 

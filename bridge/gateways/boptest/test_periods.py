@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.gateways.boptest.simulation import DAY_S, Building, Interruption
-from topics.energyplus_names import END_USES
-from topics.messages import Manifest
+from zenostat.bridge.gateways.boptest.simulation import DAY_S, Building, Interruption
+from zenostat.topics.energyplus_names import END_USES
+from zenostat.topics.messages import Manifest
 
 Floats = NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from bridge.gateways.boptest.points import KELVIN
-from bridge.gateways.boptest.simulation import DAY_S, YEAR_S
+from zenostat.bridge.gateways.boptest.points import KELVIN
+from zenostat.bridge.gateways.boptest.simulation import DAY_S, YEAR_S
 
 Floats = NDArray[np.float64]
 

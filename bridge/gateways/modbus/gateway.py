@@ -9,14 +9,14 @@ from collections.abc import Callable, Sequence
 from contextlib import AsyncExitStack
 from datetime import datetime
 
-from bridge.gateways.modbus.register_map import FIRST_VALUE, HEADER, MAP_VERSION, STATES, RegisterMap, Table
-from bridge.gateways.modbus.server import ExceptionCode, ModbusException, ModbusServer
-from bridge.gateways.node_client import NodeClient
-from bridge.gateways.notices import Notices
-from bridge.gateways.points import effective_value, is_effective, readings
-from topics.errors import InvalidAction, RequestRejected, UnknownName, ZenostatError
-from topics.messages import Actuator, Manifest
-from topics.points import contains
+from zenostat.bridge.gateways.modbus.register_map import FIRST_VALUE, HEADER, MAP_VERSION, STATES, RegisterMap, Table
+from zenostat.bridge.gateways.modbus.server import ExceptionCode, ModbusException, ModbusServer
+from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.gateways.notices import Notices
+from zenostat.bridge.gateways.points import effective_value, is_effective, readings
+from zenostat.topics.errors import InvalidAction, RequestRejected, UnknownName, ZenostatError
+from zenostat.topics.messages import Actuator, Manifest
+from zenostat.topics.points import contains
 
 _EPOCH = datetime(1970, 1, 1)
 

@@ -13,8 +13,8 @@ from dataclasses import astuple, dataclass, fields
 from enum import StrEnum
 from zlib import crc32
 
-from bridge.gateways.points import readings
-from topics.messages import Manifest
+from zenostat.bridge.gateways.points import readings
+from zenostat.topics.messages import Manifest
 
 MAP_VERSION = 1
 """Version of the layout; it changes when registers of the header or blocks move."""

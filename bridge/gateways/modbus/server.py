@@ -15,8 +15,8 @@ from enum import IntEnum
 from time import monotonic
 from typing import Protocol
 
-from bridge.gateways.modbus.register_map import Table
-from topics.errors import AddressInUse, InvalidConfig
+from zenostat.bridge.gateways.modbus.register_map import Table
+from zenostat.topics.errors import AddressInUse, InvalidConfig
 
 MAX_CONNECTIONS = 32
 """Largest number of connections at a time; a further one takes the place of the one that has been idle longest."""

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import aiomqtt
 
-from bridge.gateways.tasks import cancel
-from topics.errors import BusError
+from zenostat.bridge.gateways.tasks import cancel
+from zenostat.topics.errors import BusError
 
 _CONNECT_S = 10.0
 _END_S = 1.0

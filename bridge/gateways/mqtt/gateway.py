@@ -14,10 +14,10 @@ from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
-from agent_sdk.bus.sample import SampleView
-from bridge.gateways.mqtt.broker import Broker, connect, disconnect
-from bridge.gateways.mqtt.home_assistant import discovery
-from bridge.gateways.mqtt.messages import (
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.gateways.mqtt.broker import Broker, connect, disconnect
+from zenostat.bridge.gateways.mqtt.home_assistant import discovery
+from zenostat.bridge.gateways.mqtt.messages import (
     accepted,
     event_json,
     manifest_json,
@@ -26,13 +26,13 @@ from bridge.gateways.mqtt.messages import (
     rejected,
     sample_json,
 )
-from bridge.gateways.mqtt.retained import RetainedMessages, point_topics
-from bridge.gateways.mqtt.topic_names import PREFIX, is_below, is_topic
-from bridge.gateways.node_client import NodeClient
-from bridge.gateways.points import effective_value, readings
-from bridge.gateways.tasks import cancel
-from topics.errors import BadMessage, BusError, NodeLost, RequestRejected, ZenostatError
-from topics.messages import Event, Manifest
+from zenostat.bridge.gateways.mqtt.retained import RetainedMessages, point_topics
+from zenostat.bridge.gateways.mqtt.topic_names import PREFIX, is_below, is_topic
+from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.gateways.points import effective_value, readings
+from zenostat.bridge.gateways.tasks import cancel
+from zenostat.topics.errors import BadMessage, BusError, NodeLost, RequestRejected, ZenostatError
+from zenostat.topics.messages import Event, Manifest
 
 MAX_WAITING = 1000
 """Largest number of commands, samples or events that wait; further commands are rejected, older samples dropped."""

@@ -6,10 +6,10 @@ import json
 from collections.abc import Iterator
 from typing import Any
 
-from bridge.display.labels import label
-from bridge.display.roles import roles
-from bridge.gateways.points import Reading, readings
-from topics.messages import Actuator, Manifest
+from zenostat.bridge.display.labels import label
+from zenostat.bridge.display.roles import roles
+from zenostat.bridge.gateways.points import Reading, readings
+from zenostat.topics.messages import Actuator, Manifest
 
 _UNITS = {"degC": "°C", "percent": "%", "W": "W", "Wh": "Wh", "kWh": "kWh", "Pa": "Pa", "ppm": "ppm", "m/s": "m/s",
           "W/m2": "W/m²", "lux": "lx", "kg/s": "kg/s", "m3/s": "m³/s"}  # fmt: skip

@@ -8,11 +8,11 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from agent_sdk.bus.sample import SampleView
-from bridge.gateways.points import Reading, effective_value
-from topics import codec
-from topics.errors import BadMessage, ZenostatError
-from topics.messages import Event, Manifest, Write
+from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.gateways.points import Reading, effective_value
+from zenostat.topics import codec
+from zenostat.topics.errors import BadMessage, ZenostatError
+from zenostat.topics.messages import Event, Manifest, Write
 
 MAX_PAYLOAD_BYTES = 4096
 """Largest payload of a command."""

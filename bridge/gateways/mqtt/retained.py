@@ -6,8 +6,8 @@ from collections.abc import Iterable
 
 import aiomqtt
 
-from bridge.gateways.points import readings
-from topics.messages import Manifest
+from zenostat.bridge.gateways.points import readings
+from zenostat.topics.messages import Manifest
 
 
 def point_topics(manifest: Manifest, root: str) -> list[str]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig
 
 PREFIX = "zenostat"
 """First level of a gateway's topics, if the user chooses no other; the node's name follows."""

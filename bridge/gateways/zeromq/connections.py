@@ -14,7 +14,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from time import monotonic
 
-from topics import codec
+from zenostat.topics import codec
 
 MAX_UNREAD = 4 * codec.MAX_BYTES
 """Largest number of bytes of an incomplete message: two frames of the largest size."""

@@ -10,11 +10,11 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-from bridge.gateways.bus_side import BusMessage, BusSide
-from bridge.gateways.zeromq.frames import Request, denied
-from topics import keys
-from topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
-from topics.messages import Claim, Message
+from zenostat.bridge.gateways.bus_side import BusMessage, BusSide
+from zenostat.bridge.gateways.zeromq.frames import Request, denied
+from zenostat.topics import keys
+from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
+from zenostat.topics.messages import Claim, Message
 
 Answer = Callable[[Request, Message | BusMessage], None]
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from topics import codec, errors, keys
-from topics.errors import BadMessage, InvalidConfig, ZenostatError, did_you_mean
-from topics.keys import Role, Topic
-from topics.messages import ErrorReply, Message, Query
+from zenostat.topics import codec, errors, keys
+from zenostat.topics.errors import BadMessage, InvalidConfig, ZenostatError, did_you_mean
+from zenostat.topics.keys import Role, Topic
+from zenostat.topics.messages import ErrorReply, Message, Query
 
 _ENVELOPE = 8
 _SHOWN = 300

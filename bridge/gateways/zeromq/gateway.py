@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 
 import zenoh
 
-from bridge.gateways.bus_side import BusMessage, BusSide
-from bridge.gateways.zeromq.delivery import DeliveryQueues, NodeView
-from bridge.gateways.zeromq.frames import Peer, Request, answer, denied, read, split
-from bridge.gateways.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
-from topics import codec, errors, keys
-from topics.errors import (
+from zenostat.bridge.gateways.bus_side import BusMessage, BusSide
+from zenostat.bridge.gateways.zeromq.delivery import DeliveryQueues, NodeView
+from zenostat.bridge.gateways.zeromq.frames import Peer, Request, answer, denied, read, split
+from zenostat.bridge.gateways.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
+from zenostat.topics import codec, errors, keys
+from zenostat.topics.errors import (
     BadMessage,
     InvalidConfig,
     NodeLost,
@@ -26,8 +26,8 @@ from topics.errors import (
     ZenostatError,
     did_you_mean,
 )
-from topics.keys import Delivery, Role
-from topics.messages import ErrorReply, Event, EventKind, Manifest, Message
+from zenostat.topics.keys import Delivery, Role
+from zenostat.topics.messages import ErrorReply, Event, EventKind, Manifest, Message
 
 LEASE_S = 10.0
 

@@ -16,9 +16,9 @@ from time import monotonic
 import zmq
 from zmq.utils.monitor import recv_monitor_message
 
-from bridge.gateways.zeromq.connections import CHECK_S, Connections
-from topics import codec
-from topics.errors import AddressInUse, InvalidConfig
+from zenostat.bridge.gateways.zeromq.connections import CHECK_S, Connections
+from zenostat.topics import codec
+from zenostat.topics.errors import AddressInUse, InvalidConfig
 
 DEFAULT_PUBLISH = "tcp://127.0.0.1:5556"
 DEFAULT_COMMAND = "tcp://127.0.0.1:5557"
