@@ -41,7 +41,7 @@ def register(name: str = ENV) -> str:
     Raises:
         InvalidConfig: Ray is not installed.
     """
-    import_extra("ray.tune.registry", "ray", "zenostat.agent_sdk.ray").register_env(name, create_env)
+    import_extra("ray.tune.registry", "ray", "zenostat.ray").register_env(name, create_env)
     return name
 
 
@@ -117,7 +117,7 @@ def connect(address: str, **arguments: Any) -> Any:
         InvalidConfig: Ray is not installed, or the address is malformed.
         NodeNotFound: No Ray cluster answers there.
     """
-    ray = import_extra("ray", "ray", "zenostat.agent_sdk.ray")
+    ray = import_extra("ray", "ray", "zenostat.ray")
     host, _, port = address.rpartition(":")
     if not host or not port.isdecimal():
         raise InvalidConfig(f"{address!r} is not the address of a Ray cluster; write HOST:PORT, such as 127.0.0.1:6379")
