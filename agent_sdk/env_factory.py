@@ -8,13 +8,13 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.vector import VectorEnv
 
-from zenostat.agent_sdk.bus.controller_link import ControllerLink
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.envs.fleet_env import FleetVectorEnv
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 from zenostat.agent_sdk.rewards import Reward
 from zenostat.agent_sdk.rewards.manifest_data import is_data, reward_data
 from zenostat.agent_sdk.wrappers import apply_wrappers, wrappers_of
+from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig
 

@@ -18,9 +18,9 @@ from rich.console import Console
 from rich.table import Table
 
 from bench.machine import OtherLoad
-from zenostat.bridge.gateways.boptest.prices import read_rates
-from zenostat.bridge.gateways.boptest.session import BuildingTest
 from zenostat.cli.boptest_cases import BundledTestCases
+from zenostat.gateways.boptest.prices import read_rates
+from zenostat.gateways.boptest.session import BuildingTest
 from zenostat.topics.messages import CommandOp
 
 CASE = "office-small"

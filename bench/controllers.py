@@ -14,14 +14,14 @@ import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers import Controller, PIDController
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, ActionBinding, Role, bind_actions
 from zenostat.agent_sdk.controllers.base import Values
 from zenostat.agent_sdk.controllers.comfort_band import Band, comfort_bands, inside
 from zenostat.agent_sdk.controllers.fixed import default_values
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
-from zenostat.agent_sdk.evaluation.evaluate import evaluate
+from zenostat.bridge.client.sample import SampleView
+from zenostat.lab.evaluate import evaluate
 from zenostat.topics.messages import Manifest
 from zenostat.topics.points import bounds
 from zenostat.topics.scenario_ids import WEATHERS, pack_ids

@@ -96,7 +96,7 @@ def in_node(pace: Pace, *, placement: str) -> None:
 
 def link(pace: Pace, *, placement: str) -> None:
     """Send commands to that plant and receive its samples, without an environment."""
-    from zenostat.agent_sdk.bus.bus import connect
+    from zenostat.bridge.client.bus import connect
 
     with ExitStack() as stack:
         endpoint, core = stack.enter_context(_empty_node(Affinity(placement)))

@@ -221,8 +221,8 @@ def engines(node_settings: dict[str, Any], pace: Pace, *, count: int) -> None:
 
 def slots(node_settings: dict[str, Any], pace: Pace, *, count: int, **arguments: Any) -> None:
     """Step the slots of one node without an environment: the cost of bus and node."""
-    from zenostat.agent_sdk.bus.bus import connect
-    from zenostat.agent_sdk.bus.local_node import LocalNode
+    from zenostat.bridge.client.bus import connect
+    from zenostat.bridge.client.local_node import LocalNode
     from zenostat.bridge.runtime.affinity import Affinity
 
     placement = Affinity(arguments.get("affinity", Affinity.SEPARATE_CORES))

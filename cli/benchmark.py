@@ -16,8 +16,8 @@ from zenostat.topics.extras import import_extra
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from zenostat.agent_sdk.benchmark import Results, Selection
-    from zenostat.agent_sdk.benchmark.run import Progress
+    from zenostat.lab.benchmark import Results, Selection
+    from zenostat.lab.benchmark.run import Progress
 
 _ALL = "baseline,fixed,rbc,pid,random,ppo,sac,oracle"
 
@@ -79,12 +79,12 @@ def benchmark(
         _check(checked, {"controller": None if controllers == _ALL else controllers, **conditions}, workers, trainings)
         return
     if shown is not None:
-        from zenostat.agent_sdk.benchmark import load_results
+        from zenostat.lab.benchmark import load_results
 
         results = load_results(shown)
     else:
         assert file is not None
-        from zenostat.agent_sdk.benchmark import run_benchmark
+        from zenostat.lab.benchmark import run_benchmark
 
         with ExitStack() as stack:
             results, errors = run_benchmark(
@@ -108,8 +108,8 @@ def _check_page(page: Path) -> None:
 
 def _hashes(set_name: str) -> dict[str, str]:
     """Return the sha256 of the models and weather files of a set; empty if there is no such set."""
-    from zenostat.agent_sdk.benchmark.definition import SETS, TRAINING_WEATHERS
     from zenostat.bridge.recording.file import file_digest
+    from zenostat.lab.benchmark.definition import SETS, TRAINING_WEATHERS
     from zenostat.models.catalog import find_building, find_weather
 
     if set_name not in SETS:
@@ -124,7 +124,7 @@ def _listed(text: str) -> list[str]:
 
 
 def _selection(conditions: Mapping[str, str | None]) -> Selection:
-    from zenostat.agent_sdk.benchmark import Selection
+    from zenostat.lab.benchmark import Selection
 
     values: dict[str, Any] = {name: _listed(text) for name, text in conditions.items() if text is not None}
     if "seed" in values:
@@ -136,8 +136,8 @@ def _selection(conditions: Mapping[str, str | None]) -> Selection:
 
 
 def _check(path: Path, conditions: Mapping[str, str | None], workers: int, trainings: Path | None) -> None:
-    from zenostat.agent_sdk.benchmark import check, load_results
-    from zenostat.agent_sdk.benchmark.run import selected_rows
+    from zenostat.lab.benchmark import check, load_results
+    from zenostat.lab.benchmark.run import selected_rows
 
     results, selection = load_results(path), _selection(conditions)
     count = len(selected_rows(results, selection, str(path)))
@@ -168,8 +168,8 @@ def _watcher(stack: ExitStack) -> Progress:
 
 
 def _show(results: Results, page: Path | None, *, as_json: bool) -> None:
-    from zenostat.agent_sdk.benchmark.page import write_page
-    from zenostat.agent_sdk.benchmark.tables import tables
+    from zenostat.lab.benchmark.page import write_page
+    from zenostat.lab.benchmark.tables import tables
 
     if page is not None:
         write_page(results, page)

@@ -13,7 +13,7 @@ from zenostat.cli.options import Emissions, Price, read_rates
 from zenostat.topics.extras import requires_extra
 
 if TYPE_CHECKING:
-    from zenostat.bridge.gateways.boptest.server import HttpServer
+    from zenostat.gateways.boptest.server import HttpServer
 
 
 def boptest(
@@ -39,11 +39,11 @@ def boptest(
     one price scenario: `--price highly_dynamic=prices.csv`.
     """
     with requires_extra("boptest", "the BOPTEST gateway", "FastAPI, uvicorn and httptools"):
-        from zenostat.bridge.gateways.boptest.app import Service
-        from zenostat.bridge.gateways.boptest.server import HttpServer
-    from zenostat.bridge.gateways.boptest.manager import TestManager
-    from zenostat.bridge.gateways.boptest.prices import read_rates as rates_of
+        from zenostat.gateways.boptest.app import Service
+        from zenostat.gateways.boptest.server import HttpServer
     from zenostat.cli.boptest_cases import BundledTestCases
+    from zenostat.gateways.boptest.manager import TestManager
+    from zenostat.gateways.boptest.prices import read_rates as rates_of
 
     rates = rates_of(read_rates("--price", prices), read_rates("--emissions", emissions))
 

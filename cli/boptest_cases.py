@@ -11,7 +11,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from zenostat.bridge.gateways.boptest.cases import TestCase
+from zenostat.gateways.boptest.cases import TestCase
 from zenostat.models import catalog
 from zenostat.models.building.summary import listed_summaries
 from zenostat.models.cache import cache_dir
@@ -115,7 +115,7 @@ def _pack_names() -> tuple[str, ...]:
 
 @cache
 def _bundled_days() -> dict[str, dict[str, int]]:
-    text = resources.files("zenostat.bridge.gateways.boptest").joinpath(_DAYS_FILE).read_text(encoding="utf-8")
+    text = resources.files("zenostat.gateways.boptest").joinpath(_DAYS_FILE).read_text(encoding="utf-8")
     return yaml12.parse(text, _DAYS_FILE)
 
 

@@ -57,8 +57,8 @@ def dataset(
     """
     import gymnasium as gym
 
-    from zenostat.agent_sdk.datasets import write_dataset
     from zenostat.agent_sdk.envs.arguments import of_scenario
+    from zenostat.lab.datasets import write_dataset
 
     options = (("begin", begin), ("end", end))
     arguments: dict[str, Any] = {name: value for name, value in options if value is not None}

@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     from rich.progress import Progress
 
     from zenostat import Bus
-    from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
-    from zenostat.agent_sdk.evaluation.trace import EpisodeTrace
-    from zenostat.agent_sdk.report import Comparison, Run
+    from zenostat.metrics.episode_metrics import EpisodeMetrics
+    from zenostat.metrics.trace import EpisodeTrace
+    from zenostat.views.report import Comparison, Run
 
 NODE = "office"
 PICTURE_TIME = "15:30"
@@ -46,11 +46,11 @@ def demo(
     Example: `zenostat demo --begin 01-08 --end 01-14`
     """
     from zenostat import connect
-    from zenostat.agent_sdk.bus.local_node import LocalNode
-    from zenostat.agent_sdk.evaluation.trace import episode_weather
-    from zenostat.agent_sdk.report import Comparison, Run
-    from zenostat.bridge.rerun.viewer import NO_VULKAN, has_vulkan
+    from zenostat.bridge.client.local_node import LocalNode
     from zenostat.bridge.runtime.affinity import Affinity
+    from zenostat.metrics.trace import episode_weather
+    from zenostat.views.live.viewer import NO_VULKAN, has_vulkan
+    from zenostat.views.report import Comparison, Run
 
     folder.mkdir(parents=True, exist_ok=True)
     recording, screenshot, report = folder / "run.rrd", folder / "run.png", folder / "report.html"
@@ -92,7 +92,7 @@ def demo(
 
 def _write_report(comparison: Comparison, path: Path) -> list[str]:
     """Write the report; return why it cannot be written, if so: the recording does not depend on it."""
-    from zenostat.agent_sdk.report import write_report
+    from zenostat.views.report import write_report
 
     path.unlink(missing_ok=True)  # of an earlier run
     try:
@@ -123,8 +123,8 @@ def _episode(
     bus: Bus, endpoint: str, controller: str, title: str, bars: Progress
 ) -> tuple[EpisodeMetrics, EpisodeTrace, float]:
     """Run one episode with a controller in its own process; return metrics, samples and timesteps per second."""
-    from zenostat.agent_sdk.evaluation.metrics import MetricsAccumulator
-    from zenostat.agent_sdk.evaluation.trace import TraceRecorder
+    from zenostat.metrics.episode_metrics import MetricsAccumulator
+    from zenostat.metrics.trace import TraceRecorder
 
     manifest = bus.manifest(NODE)
     metrics, bar = MetricsAccumulator(manifest), bars.add_task(title, total=manifest.steps, rate="")

@@ -21,8 +21,8 @@ from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
-    from zenostat.agent_sdk.evaluation.evaluate import Evaluation, Progress
-    from zenostat.agent_sdk.evaluation.statistics import MetricSummary
+    from zenostat.lab.evaluate import Evaluation, Progress
+    from zenostat.metrics.statistics import MetricSummary
 
 _UNITS = {"kwh": "kWh", "w": "W", "kw": "kW", "k": "K", "kh": "K h", "percent": "%"}
 _TEXT_COLUMNS = ("controller", "weather")
@@ -73,7 +73,7 @@ def evaluate(
     if file is not None:
         check_file(file)
     outputs = ReportOutputs(report, figures)
-    from zenostat.agent_sdk.evaluation.evaluate import evaluate as run_all
+    from zenostat.lab.evaluate import evaluate as run_all
 
     options = (("begin", begin), ("end", end))
     overrides: dict[str, Any] = {name: value for name, value in options if value is not None}
@@ -144,7 +144,7 @@ def _is_shown(name: str, summary: Mapping[str, Mapping[str, MetricSummary]]) -> 
 
 def _label(name: str) -> str:
     if name.startswith("kpi."):
-        from zenostat.agent_sdk.evaluation.kpis import KPIS
+        from zenostat.metrics.kpis import KPIS
 
         text, unit = KPIS[name.removeprefix("kpi.")]
         return f"{text} ({unit})"

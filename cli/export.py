@@ -65,9 +65,9 @@ def _write_rrd(file: Path, path: Path) -> int:
 
     with requires_extra("recording", "a recording", "mcap and zstandard"):
         from zenostat.bridge.recording.reader import RecordingReader
-    from zenostat.agent_sdk.evaluation.comfort import display_comfort
-    from zenostat.bridge.rerun.from_recording import write_rrd
     from zenostat.cli.monitor_stream import reward_terms
+    from zenostat.metrics.reward_comfort import display_comfort
+    from zenostat.views.live.from_recording import write_rrd
 
     with RecordingReader(file) as reader:
         count = write_rrd(reader, path, comfort=display_comfort, reward=reward_terms)

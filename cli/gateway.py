@@ -25,7 +25,7 @@ from zenostat.topics.keys import Role
 if TYPE_CHECKING:
     import zenoh
 
-    from zenostat.bridge.gateways.node_client import NodeClient
+    from zenostat.gateways.node_client import NodeClient
 
 _RETRY_S = 1.0
 _RELINQUISH_S = 2.0
@@ -67,8 +67,8 @@ def zeromq(
     """
     if importlib.util.find_spec("zmq") is None:
         raise InvalidConfig(f"pyzmq is not installed: {install_command('zeromq')}")
-    from zenostat.bridge.gateways.zeromq import Gateway
     from zenostat.bridge.transport.session import open_session
+    from zenostat.gateways.zeromq import Gateway
 
     endpoint = connect or default_endpoint(keys)
     served = "all nodes" if node == "*" else f"node {node}"
@@ -235,8 +235,8 @@ async def _start(
     names: Mapping[str, str],
 ) -> tuple[NodeClient, NodeGateway]:
     """Enter the contexts of a gateway."""
-    from zenostat.bridge.gateways.exclusive_names import reserved_names
-    from zenostat.bridge.gateways.node_client import NodeClient
+    from zenostat.gateways.exclusive_names import reserved_names
+    from zenostat.gateways.node_client import NodeClient
 
     client = await stack.enter_async_context(NodeClient(session, node, source=source))
     await stack.enter_async_context(reserved_names(session, node, names))
@@ -246,7 +246,7 @@ async def _start(
 
 async def _ends_before(task: asyncio.Task[Any], stopped: asyncio.Future[int]) -> bool:
     """Wait for a task, or for a signal, which cancels it; return whether the task has ended by itself."""
-    from zenostat.bridge.gateways.tasks import cancel
+    from zenostat.gateways.tasks import cancel
 
     await asyncio.wait((task, stopped), return_when=asyncio.FIRST_COMPLETED)
     if task.done():

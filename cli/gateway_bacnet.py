@@ -8,11 +8,11 @@ from typing import Annotated
 
 import typer
 
-from zenostat.bridge.gateways.addresses import parse_address
 from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import err, out
 from zenostat.cli.gateway import serve
 from zenostat.cli.options import CertificateName, Connect, Keys, Wait
+from zenostat.gateways.addresses import parse_address
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import Role
@@ -45,9 +45,9 @@ def bacnet(
     Example: `zenostat gateway bacnet office --address 127.0.0.1:47808`
     """
     with requires_extra("bacnet", "the BACnet gateway", "bacpypes3"):
-        from zenostat.bridge.gateways.bacnet import BacnetGateway
-        from zenostat.bridge.gateways.bacnet.network import DEFAULT_PORT, find_interface
-        from zenostat.bridge.gateways.bacnet.points import instance_number
+        from zenostat.gateways.bacnet import BacnetGateway
+        from zenostat.gateways.bacnet.network import DEFAULT_PORT, find_interface
+        from zenostat.gateways.bacnet.points import instance_number
 
     if len(source) > _MAX_SOURCE:
         raise InvalidConfig(f"--source has {len(source)} characters; the most are {_MAX_SOURCE}")
@@ -86,9 +86,9 @@ def _write_objects(
         InvalidConfig: the file cannot be written.
     """
     from zenostat import connect as connect_bus
-    from zenostat.bridge.gateways.bacnet.fixed_objects import fixed_objects
-    from zenostat.bridge.gateways.bacnet.points import point_specs
-    from zenostat.bridge.gateways.bacnet.units import bacnet_unit
+    from zenostat.gateways.bacnet.fixed_objects import fixed_objects
+    from zenostat.gateways.bacnet.points import point_specs
+    from zenostat.gateways.bacnet.units import bacnet_unit
 
     with connect_bus(connect, keys=keys, role=Role.CONTROLLER, certificate=certificate) as bus:
         manifest = bus.manifest(node)

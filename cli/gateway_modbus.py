@@ -43,8 +43,8 @@ def modbus(
 
     Example: `zenostat gateway modbus office --address 127.0.0.1:1502`
     """
-    from zenostat.bridge.gateways.addresses import parse_address
-    from zenostat.bridge.gateways.modbus.gateway import ModbusGateway
+    from zenostat.gateways.addresses import parse_address
+    from zenostat.gateways.modbus.gateway import ModbusGateway
 
     if word_order not in ("big", "little"):
         raise InvalidConfig(f"--word-order {word_order}: expected big or little")
@@ -77,7 +77,7 @@ def _write_map(node: str, file: Path, connect: str, keys: Path | None, certifica
         InvalidConfig: another suffix, or the file cannot be written.
     """
     from zenostat import connect as connect_bus
-    from zenostat.bridge.gateways.modbus.register_map import RegisterMap
+    from zenostat.gateways.modbus.register_map import RegisterMap
 
     if file.suffix not in (".csv", ".md"):
         raise InvalidConfig(f"--map {file}: expected a file with the suffix .csv or .md")

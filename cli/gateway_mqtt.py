@@ -56,9 +56,9 @@ def mqtt(
     """
     with requires_extra("mqtt", "the MQTT gateway", "aiomqtt"):
         import aiomqtt
-    from zenostat.bridge.gateways.mqtt.broker import Broker
-    from zenostat.bridge.gateways.mqtt.gateway import MqttGateway
-    from zenostat.bridge.gateways.mqtt.topic_names import PREFIX, check_root
+    from zenostat.gateways.mqtt.broker import Broker
+    from zenostat.gateways.mqtt.gateway import MqttGateway
+    from zenostat.gateways.mqtt.topic_names import PREFIX, check_root
 
     versions = {"5": 5, "3.1.1": 3}
     if mqtt_version not in versions:

@@ -43,8 +43,8 @@ def monitor(
 
     Example: `zenostat monitor --save run.rrd --screenshot run.png --at 07-02T17:30`
     """
-    from zenostat.bridge.rerun.screenshot import check_writable, draw
-    from zenostat.bridge.rerun.viewer import how_to_open
+    from zenostat.views.live.screenshot import check_writable, draw
+    from zenostat.views.live.viewer import how_to_open
 
     request = screenshot_request(screenshot, at, size, tab)
     if save is not None:
@@ -132,7 +132,7 @@ def _wait_for_bus(connect: str, stop: threading.Event, **credentials: Any) -> bo
 def _sinks(stack: ExitStack, recording: Path | None, web: bool) -> list[Any]:
     import rerun as rr
 
-    from zenostat.bridge.rerun.viewer import NO_DISPLAY, has_display, program, web_viewer
+    from zenostat.views.live.viewer import NO_DISPLAY, has_display, program, web_viewer
 
     sinks: list[Any] = []
     if recording is not None:

@@ -16,8 +16,8 @@ Floats = NDArray[np.float64]
 if TYPE_CHECKING:
     import zenoh
 
-    from zenostat.bridge.rerun.samples import RewardTerms
-    from zenostat.bridge.rerun.stream import RerunStream
+    from zenostat.views.live.samples import RewardTerms
+    from zenostat.views.live.stream import RerunStream
 
 
 def reward_terms(manifest: Manifest) -> RewardTerms | None:
@@ -41,9 +41,9 @@ def reward_terms(manifest: Manifest) -> RewardTerms | None:
 
 def open_stream(session: zenoh.Session, node: str, sinks: Iterable[Any], *, is_live: bool) -> RerunStream:
     """Return a stream to Rerun that prints its notices; see `RerunStream`."""
-    from zenostat.agent_sdk.evaluation.comfort import display_comfort
-    from zenostat.bridge.rerun.stream import RerunStream
     from zenostat.cli.console import err
+    from zenostat.metrics.reward_comfort import display_comfort
+    from zenostat.views.live.stream import RerunStream
 
     def notify(text: str) -> None:
         err.print(f"warning: {text}", style="yellow", markup=False, soft_wrap=True)

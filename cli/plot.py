@@ -19,7 +19,7 @@ from zenostat.topics.keys import Role
 from zenostat.topics.units import unit_label, with_unit
 
 if TYPE_CHECKING:
-    from zenostat.agent_sdk.bus.history import History
+    from zenostat.bridge.client.history import History
     from zenostat.cli.chart import Line
 
 _SAMPLES_PER_COLUMN = 8

@@ -17,8 +17,8 @@ from zenostat.topics.errors import ErrorCollector, InvalidConfig
 from zenostat.topics.units import with_unit
 
 if TYPE_CHECKING:
-    from zenostat.agent_sdk.evaluation.probe import ProbeReport, Progress
-    from zenostat.agent_sdk.evaluation.probe_effects import Effect
+    from zenostat.lab.probe import ProbeReport, Progress
+    from zenostat.lab.probe_effects import Effect
 
 _MAX_POINTS = 5
 """Points for each actuator in the table; `--json` has all."""
@@ -68,7 +68,7 @@ def probe(
     arguments = errors.collect(lambda: read_parameters(overrides or [])) or {}
     errors.raise_if_any()
     arguments |= {name: day for name, day in (("begin", begin), ("end", end)) if day is not None}
-    from zenostat.agent_sdk.evaluation.probe import probe as run
+    from zenostat.lab.probe import probe as run
 
     with ExitStack() as stack:
         watch = None if as_json else _watcher(stack, scenario)

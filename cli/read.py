@@ -18,7 +18,7 @@ from zenostat.topics.points import PointIndex
 from zenostat.topics.units import unit_label
 
 if TYPE_CHECKING:
-    from zenostat.agent_sdk.bus.sample import SampleView
+    from zenostat.bridge.client.sample import SampleView
 
 
 @dataclass(frozen=True, slots=True)

@@ -116,8 +116,8 @@ def _drive(
     certificate: str | None,
 ) -> None:
     from zenostat import connect as connect_bus
-    from zenostat.agent_sdk.recording import drive
     from zenostat.cli.console import err
+    from zenostat.lab.drive import drive
 
     with connect_bus(endpoint, keys=keys, certificate=certificate) as bus, progress() as bars:
         task = bars.add_task(f"{node}: commands of {file.name}", total=None, rate="")

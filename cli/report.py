@@ -16,8 +16,8 @@ from zenostat.topics.errors import InvalidConfig
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from zenostat.agent_sdk.evaluation.tariffs import Rate
-    from zenostat.agent_sdk.report import Comparison
+    from zenostat.metrics.tariffs import Rate
+    from zenostat.views.report import Comparison
 
 
 def report(
@@ -52,7 +52,7 @@ def report(
 
 
 def _compare_recordings(files: list[Path], prices: Mapping[str, Rate], emissions: Mapping[str, Rate]) -> Comparison:
-    from zenostat.agent_sdk.report import compare_recordings
+    from zenostat.views.report import compare_recordings
 
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
@@ -64,9 +64,10 @@ def _compare_recordings(files: list[Path], prices: Mapping[str, Rate], emissions
 
 def _evaluate_training(folder: Path, prices: Mapping[str, Rate], emissions: Mapping[str, Rate]) -> Comparison:
     """Simulate the evaluation episodes of a training with baseline control and with its best model."""
-    from zenostat.agent_sdk.evaluation.evaluate import evaluate
-    from zenostat.agent_sdk.training.config import Evaluation
-    from zenostat.agent_sdk.training.folder import model_file, read_folder
+    from zenostat.agent_sdk.controllers.training_folder import model_file
+    from zenostat.lab.evaluate import evaluate
+    from zenostat.lab.training.config import Evaluation
+    from zenostat.lab.training.folder import read_folder
 
     config = read_folder(folder)
     model_file(folder)

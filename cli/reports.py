@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from zenostat.cli.console import out
 
 if TYPE_CHECKING:
-    from zenostat.agent_sdk.report import Comparison
+    from zenostat.views.report import Comparison
 
 REPORT_HELP = "Write a report with figures to FILE.html, one file that loads nothing else."
 FIGURES_HELP = "Write the figures of the report to a folder as PNG, SVG and CSV."
@@ -30,7 +30,7 @@ class ReportOutputs:
 
     def __post_init__(self) -> None:
         if self.wanted:
-            from zenostat.agent_sdk.report import check_figures_folder, check_report_file
+            from zenostat.views.report import check_figures_folder, check_report_file
 
             if self.report is not None:
                 check_report_file(self.report, "--report")
@@ -44,7 +44,7 @@ class ReportOutputs:
 
     def write(self, comparison: Comparison) -> None:
         """Write what is asked for."""
-        from zenostat.agent_sdk.report import write_figures, write_report
+        from zenostat.views.report import write_figures, write_report
 
         if self.report is not None:
             write_report(comparison, self.report)

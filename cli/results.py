@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from zenostat.cli.tables import show
 
 if TYPE_CHECKING:
-    from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
+    from zenostat.metrics.episode_metrics import EpisodeMetrics
 
 _NOT_MEASURED = "not measured"
 
@@ -41,7 +41,7 @@ def show_results(results: Mapping[str, tuple[EpisodeMetrics, float]], title: str
 
 def _kpis() -> dict[str, tuple[str, str]]:
     """Return the KPIs of energy; comfort and air quality have rows of their own, or are rarely measured."""
-    from zenostat.agent_sdk.evaluation.kpis import KPIS
+    from zenostat.metrics.kpis import KPIS
 
     return {name: text for name, text in KPIS.items() if name not in ("tdis_tot", "idis_tot")}
 

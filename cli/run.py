@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
     from zenostat import Bus, ControllerLink
     from zenostat.agent_sdk.controllers import Agent
-    from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
     from zenostat.cli.run_trace import RunTrace
+    from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 
 _WORDS = {"true": True, "false": False}
 
@@ -69,8 +69,8 @@ def run(
     outputs = ReportOutputs(report, figures)
     from zenostat import connect as connect_bus
     from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
-    from zenostat.agent_sdk.evaluation.metrics import MetricsAccumulator
-    from zenostat.agent_sdk.evaluation.tariffs import read_emissions, read_prices
+    from zenostat.metrics.episode_metrics import MetricsAccumulator
+    from zenostat.metrics.tariffs import read_emissions, read_prices
 
     rates = read_prices(read_rates("--price", prices)), read_emissions(read_rates("--emissions", emissions))
     factory = load_controller(controller)

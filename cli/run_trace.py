@@ -6,11 +6,11 @@ import shlex
 from collections.abc import Mapping
 
 from zenostat import Bus, ControllerLink, SampleView
-from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-from zenostat.agent_sdk.evaluation.tariffs import Rate
-from zenostat.agent_sdk.evaluation.trace import TraceRecorder, WeatherTrace, episode_weather
-from zenostat.agent_sdk.report import Comparison, Run
+from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.metrics.tariffs import Rate
+from zenostat.metrics.trace import TraceRecorder, WeatherTrace, episode_weather
 from zenostat.topics.points import value_index
+from zenostat.views.report import Comparison, Run
 
 
 class RunTrace:

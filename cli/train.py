@@ -17,8 +17,8 @@ from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
-    from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics
-    from zenostat.agent_sdk.training import TrainingConfig, TrainingStatus
+    from zenostat.lab.training import TrainingConfig, TrainingStatus
+    from zenostat.metrics.episode_metrics import EpisodeMetrics
 
 SetFields = Annotated[
     list[str] | None,
@@ -56,8 +56,8 @@ def train(
     options = {"algorithm": algorithm, "scenario": scenario, "steps": steps, "slots": slots, "seed": seed}
     options["output"] = None if output is None else str(output)
     config = _read(file, {name: value for name, value in options.items() if value is not None}, fields or (), resume)
-    from zenostat.agent_sdk.training import folder as training_folder
-    from zenostat.agent_sdk.training import train as run
+    from zenostat.lab.training import folder as training_folder
+    from zenostat.lab.training import train as run
 
     if resume and (changes := training_folder.changed_versions(config.folder)):
         err.print(f"resumed with other versions, so not equal to the bit: {'; '.join(changes)}", markup=False)
@@ -74,9 +74,9 @@ def train(
 
 def _read(file: Path | None, options: dict[str, Any], texts: Sequence[str], resume: bool) -> TrainingConfig:
     """Read the training file or folder, and override its fields."""
-    from zenostat.agent_sdk.training.config import read_file, read_training
-    from zenostat.agent_sdk.training.folder import is_training
-    from zenostat.agent_sdk.training.run import resume_training
+    from zenostat.agent_sdk.controllers.training_folder import is_training
+    from zenostat.lab.training.config import read_file, read_training
+    from zenostat.lab.training.run import resume_training
 
     if resume and file is None and "output" not in options:
         raise InvalidConfig("--resume: name the folder of a training, or its file: zenostat train FOLDER --resume")
@@ -95,7 +95,7 @@ def override_fields(fields: dict[str, Any], options: dict[str, Any], texts: Sequ
     Raises:
         InvalidConfig: a text has another form.
     """
-    from zenostat.agent_sdk.training.config import with_field
+    from zenostat.lab.training.config import with_field
 
     fields = {**fields, **options}
     for text in texts:

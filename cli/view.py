@@ -11,7 +11,7 @@ from zenostat.cli.console import out, until_signal
 from zenostat.topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
-    from zenostat.bridge.rerun.screenshot import Screenshot
+    from zenostat.views.live.screenshot import Screenshot
 
 At = Annotated[
     str | None,
@@ -41,8 +41,8 @@ def view(
 
     Example: `zenostat view run.rrd --screenshot run.png --at 07-02T17:30`
     """
-    from zenostat.bridge.rerun.screenshot import draw
-    from zenostat.bridge.rerun.viewer import readable, web_viewer, window
+    from zenostat.views.live.screenshot import draw
+    from zenostat.views.live.viewer import readable, web_viewer, window
 
     if not recording.is_file():
         raise InvalidConfig(f"there is no recording {recording}; zenostat monitor --save FILE.rrd writes one")
@@ -64,9 +64,9 @@ def screenshot_request(path: Path | None, at: str | None, size: str | None, tab:
     """Check the options of a screenshot; None if there is to be none.
 
     Raises:
-        InvalidConfig, ViewerError: See `zenostat.bridge.rerun.screenshot.read_screenshot`; or an option lacks its path.
+        InvalidConfig, ViewerError: See `zenostat.views.live.screenshot.read_screenshot`; or an option lacks its path.
     """
-    from zenostat.bridge.rerun.screenshot import SIZE, read_screenshot
+    from zenostat.views.live.screenshot import SIZE, read_screenshot
 
     if path is not None:
         return read_screenshot(path, at, size or SIZE, tab)

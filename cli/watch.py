@@ -25,7 +25,7 @@ from zenostat.topics.units import unit_label
 
 if TYPE_CHECKING:
     from zenostat import Bus
-    from zenostat.agent_sdk.bus.sample import SampleView
+    from zenostat.bridge.client.sample import SampleView
 
 _REFRESHES_PER_SECOND = 10
 

@@ -12,6 +12,17 @@ from zenostat.agent_sdk.controllers.random_control import RandomController
 from zenostat.agent_sdk.controllers.rule_based import RuleBasedController
 from zenostat.agent_sdk.controllers.setback import ScheduledSetback
 
+CONTROLLERS |= {
+    "baseline": BaselineController,
+    "rbc": RuleBasedController,
+    "random": RandomController,
+    "fixed": FixedSetpoints,
+    "setback": ScheduledSetback,
+    "incremental": IncrementalRules,
+    "pid": PIDController,
+    "oracle": OracleController,
+}
+
 __all__ = [
     "CONTROLLERS",
     "Agent",

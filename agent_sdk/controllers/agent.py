@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, role_of
 from zenostat.agent_sdk.controllers.base import ControllerProtocol, Planner, PlanningController, Values
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidAction, InvalidConfig, did_you_mean
 from zenostat.topics.messages import Action, DiscreteAction, Manifest
 from zenostat.topics.points import bounds, contains, describe_violation

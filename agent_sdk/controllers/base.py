@@ -10,7 +10,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.messages import Manifest
 
 Values = dict[str, float | None]

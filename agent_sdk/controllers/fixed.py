@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from datetime import datetime
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers.action_roles import ActionBinding, Role, bind_actions
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.comfort_band import Band, comfort_bands, inside
 from zenostat.agent_sdk.controllers.parameters import actuator_values
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 

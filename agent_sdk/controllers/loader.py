@@ -13,28 +13,12 @@ from importlib.machinery import ModuleSpec, PathFinder
 from pathlib import Path
 from types import ModuleType
 
-from zenostat.agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol
-from zenostat.agent_sdk.controllers.fixed import FixedSetpoints
-from zenostat.agent_sdk.controllers.incremental import IncrementalRules
-from zenostat.agent_sdk.controllers.oracle import OracleController
-from zenostat.agent_sdk.controllers.pid import PIDController
-from zenostat.agent_sdk.controllers.random_control import RandomController
-from zenostat.agent_sdk.controllers.rule_based import RuleBasedController
-from zenostat.agent_sdk.controllers.setback import ScheduledSetback
+from zenostat.agent_sdk.controllers.base import Controller, ControllerProtocol
 from zenostat.bridge.runtime.source_loader import source_spec
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 
-CONTROLLERS: dict[str, type[Controller]] = {
-    "baseline": BaselineController,
-    "rbc": RuleBasedController,
-    "random": RandomController,
-    "fixed": FixedSetpoints,
-    "setback": ScheduledSetback,
-    "incremental": IncrementalRules,
-    "pid": PIDController,
-    "oracle": OracleController,
-}
-"""Controllers by short name, as for `zenostat run --controller`."""
+CONTROLLERS: dict[str, type[Controller]] = {}
+"""Controllers by short name, as for `zenostat run --controller`; the package fills it."""
 
 
 def load_controller(text: str) -> Callable[..., ControllerProtocol]:
@@ -53,7 +37,7 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
     if text in CONTROLLERS:
         return CONTROLLERS[text]
     if text.casefold().endswith(".zip") or (":" not in text and Path(text).expanduser().is_dir()):
-        from zenostat.agent_sdk.controllers.policy import load_policy  # torch takes seconds to import
+        from zenostat.agent_sdk.controllers.policy_loader import load_policy  # torch takes seconds to import
 
         return load_policy(text)
     source, colon, name = text.rpartition(":")

@@ -11,10 +11,10 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers.action_roles import Role, bind_actions
 from zenostat.agent_sdk.controllers.agent import Agent, values_of
 from zenostat.agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol, Planner, Values
+from zenostat.agent_sdk.controllers.loader import load_controller
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, make_controller, number
 from zenostat.agent_sdk.controllers.sequence_search import (
     Actions,
@@ -24,6 +24,7 @@ from zenostat.agent_sdk.controllers.sequence_search import (
     elite_weights,
     path_integral_weights,
 )
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidConfig, SimulatorError, did_you_mean
 from zenostat.topics.messages import Manifest
 
@@ -107,8 +108,6 @@ class OracleController(Controller):
         self._begin()
 
     def _seed_rule(self, rule: str | Callable[..., ControllerProtocol]) -> ControllerProtocol:
-        from zenostat.agent_sdk.controllers.loader import load_controller  # which imports this module
-
         factory = load_controller(rule) if isinstance(rule, str) else rule
         if factory in (OracleController, BaselineController):
             raise InvalidConfig(f"rule = {rule!r}; a controller that sets every action is needed, such as 'rbc'")

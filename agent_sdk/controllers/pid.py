@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, Role, role_of, temperature_sensors
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, actuator_values, number
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Action, Actuator, Manifest, Sensor
 from zenostat.topics.points import bounds

@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.envs import spaces
 from zenostat.agent_sdk.envs.actions import Actions
 from zenostat.agent_sdk.envs.time_features import time_features
-from zenostat.agent_sdk.vec_normalization import load_normalization, normalization_of
-from zenostat.topics import yaml12
-from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.agent_sdk.vec_normalization import normalization_of
+from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.messages import CommandOp, Manifest
 from zenostat.topics.points import observed_indices
@@ -144,84 +142,3 @@ def describe_difference(trained: gym.Space[Any], current: gym.Space[Any], names:
     before, now = (np.stack([box.low.ravel(), box.high.ravel()], 1) for box in (trained, current))
     rows = zip(names, before.tolist(), now.tolist(), strict=True)
     return "; ".join(f"{name} was {a[0]:g} to {a[1]:g}, now {b[0]:g} to {b[1]:g}" for name, a, b in rows if a != b)
-
-
-def load_policy(
-    path: str | Path, algorithm: str | type[BaseAlgorithm] | None = None
-) -> Callable[[Manifest], Controller]:
-    """Load a trained model as a controller factory, which is called with a node's manifest like a controller class.
-
-    The normalization of a model that was trained behind `VecNormalize` is loaded with it: `model.vecnormalize.pkl`
-    beside `model.zip`, where `EvaluationCallback` saves it and `VecNormalize.save` can. A model acts within the
-    wrappers of its training: those of the training's folder, or of `model.wrappers.yaml` beside `model.zip`, which
-    `EvaluationCallback` and `zenostat.wrappers.save_wrappers` write.
-
-    These files contain pickled Python objects, which may execute arbitrary code when they are loaded: load only files
-    that you trust.
-
-    Args:
-        path: Folder of a training (`zenostat train`), whose best model is loaded; or a file in it; or a file written by
-            `model.save`, which can have the algorithm as a prefix, `ppo:model.zip`.
-        algorithm: One of `ALGORITHMS`, or a class such as `sb3_contrib.TRPO`; a training's folder names its own.
-
-    Raises:
-        UnknownName: No such file or algorithm.
-        InvalidConfig: The file is not a model of that algorithm; its normalization is missing or does not fit; or the
-            folder was written by another version.
-    """
-    from zenostat.agent_sdk.training import folder as training_folder  # which imports this module
-
-    name, colon, rest = str(path).partition(":")
-    if algorithm is None and colon:
-        algorithm, path = name, rest
-    path, folder = Path(path).expanduser(), None
-    if training_folder.is_training(path):
-        folder, path = path, training_folder.model_file(path)
-    elif training_folder.is_training(path.parent):
-        folder = path.parent
-    if folder is not None:
-        algorithm = training_folder.read_folder(folder).algorithm
-    elif path.is_dir():
-        raise InvalidConfig(f"{path} is not the folder of a training: it has no {training_folder.TRAINING}")
-    if algorithm is None:
-        raise InvalidConfig(
-            f"the algorithm of {path} is missing: one of {', '.join(ALGORITHMS)} expected, as ppo:{path}"
-        )
-    model, normalization = _load_model(path, algorithm)
-    wrappers, states = _read_chain(path) if folder is None else training_folder.read_wrappers(folder, path)
-
-    def policy(manifest: Manifest) -> Controller:
-        if not wrappers:
-            return PolicyController(manifest, model, normalization)
-        from zenostat.agent_sdk.controllers.wrapped_policy import WrappedPolicy  # which imports this module
-
-        return WrappedPolicy(manifest, model, normalization, wrappers, states)
-
-    return policy
-
-
-def _read_chain(model: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
-    """Return the wrappers that `save_wrappers` wrote beside a model, innermost first, and their states."""
-    file = model.with_suffix(".wrappers.yaml")
-    if not file.is_file():
-        return [], []
-    content = yaml12.parse(yaml12.read_text(file), str(file))
-    return list(content.get("chain", [])), list(content.get("wrappers", []))
-
-
-def _load_model(path: Path, algorithm: str | type[BaseAlgorithm]) -> tuple[BaseAlgorithm, VecNormalize | None]:
-    """Load a model's file and the normalization beside it."""
-    if isinstance(algorithm, str):
-        if algorithm.casefold() not in ALGORITHMS:
-            raise UnknownName(f"no algorithm {algorithm!r}; {did_you_mean(algorithm, ALGORITHMS)}")
-        algorithm = ALGORITHMS[algorithm.casefold()]
-    if not path.is_file():
-        raise UnknownName(f"there is no model file {path.absolute()}")
-    try:
-        with preserve_random_state():  # loading a model that was created with a seed seeds the global generators
-            model = algorithm.load(path, device="cpu")
-    except Exception as error:
-        raise InvalidConfig(
-            f"{path} is not a model of {algorithm.__name__}, or of another version: {type(error).__name__}: {error}"
-        ) from error
-    return model, load_normalization(model, path)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 

@@ -7,12 +7,12 @@ from datetime import datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, ActionBinding, Role, bind_actions
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.comfort_band import comfort_bands, default_setback, inside
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, number
 from zenostat.agent_sdk.controllers.plant import PlantRules
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.messages import Manifest
 
 OPEN_HOURS = range(6, 22)

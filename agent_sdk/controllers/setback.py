@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, Role, bind_actions
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.comfort_band import Band, comfort_bands, default_setback, inside
 from zenostat.agent_sdk.controllers.fixed import DAYS, check_deadband, default_values
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, number
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.calendar import parse_weekdays
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest

@@ -13,12 +13,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.policy import Predictor, describe_difference
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics, set_wrapper_states
 from zenostat.agent_sdk.wrappers.serialization import apply_wrappers
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Manifest, WeatherSeries
 

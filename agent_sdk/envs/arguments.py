@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from zenostat.agent_sdk.bus.local_node import LocalNode
 from zenostat.agent_sdk.rewards import AnyReward, read_reward
+from zenostat.bridge.client.local_node import LocalNode
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics import yaml12
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownArgument, did_you_mean

@@ -13,9 +13,6 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 from zenoh import ZError
 
-from zenostat.agent_sdk.bus.bus import Bus
-from zenostat.agent_sdk.bus.controller_link import ControllerLink
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.envs.actions import as_array
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv, Observations, check_count
 from zenostat.agent_sdk.envs.vector_infos import Infos
@@ -23,6 +20,9 @@ from zenostat.agent_sdk.envs.vector_sample import VectorSample
 from zenostat.agent_sdk.rewards import BoundReward, Reward
 from zenostat.agent_sdk.rewards.base import Begin, Outcome
 from zenostat.agent_sdk.rewards.terms import TermSum
+from zenostat.bridge.client.connection import Connection
+from zenostat.bridge.client.controller_link import ControllerLink, open_link
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidAction, InvalidConfig, NodeLost, NodeNotFound
 from zenostat.topics.messages import CommandOp, CreateBranch, EpisodeStart, Sample, SimulatePlan
@@ -276,9 +276,9 @@ def open_branch(parent: ControllerLink, request: CreateBranch, priority: int, un
     """Create a branch and return a link to it; `undo` disconnects it and ends the branch."""
     name = parent.bus.branch(parent.manifest.node, request)
     undo.callback(_stop, parent.bus, name)
-    return undo.enter_context(parent.bus.controller(name, name="env", priority=priority))
+    return undo.enter_context(open_link(parent.bus, name, name="env", priority=priority))
 
 
-def _stop(bus: Bus, node: str) -> None:
+def _stop(bus: Connection, node: str) -> None:
     with suppress(BusError, ZError):  # it has ended with its parent, or the bus is closed
         bus.stop(node)

@@ -13,9 +13,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zenostat.agent_sdk.bus.controller_link import ControllerLink
-from zenostat.agent_sdk.bus.sample import SampleView
-from zenostat.agent_sdk.bus.snapshot import Snapshot, from_options, take
 from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.actions import Actions, as_array
 from zenostat.agent_sdk.envs.branch_env import BranchVectorEnv, branch_request, open_branch
@@ -23,11 +20,14 @@ from zenostat.agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv,
 from zenostat.agent_sdk.envs.episode_state import EpisodeState
 from zenostat.agent_sdk.envs.infos import SampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
+from zenostat.agent_sdk.envs.snapshot import Snapshot, from_options, take
 from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.agent_sdk.envs.vector_infos import Infos
 from zenostat.agent_sdk.envs.vector_sample import Link
 from zenostat.agent_sdk.rewards import AnyReward, Reward
+from zenostat.bridge.client.controller_link import ControllerLink
+from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from zenostat.topics.messages import WeatherSeries

@@ -10,16 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from zenostat.agent_sdk.bus.bus import Bus
-from zenostat.agent_sdk.bus.bus import connect as connect_bus
-from zenostat.agent_sdk.bus.controller_link import ControllerLink
-from zenostat.agent_sdk.bus.local_node import LocalNode, Monitor, ignore_interrupts
-from zenostat.agent_sdk.bus.sample import SampleView
-from zenostat.agent_sdk.bus.snapshot import require_node
 from zenostat.agent_sdk.envs import arguments
+from zenostat.agent_sdk.envs.snapshot import require_node
 from zenostat.agent_sdk.envs.space_names import SpaceNames
 from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
 from zenostat.agent_sdk.rewards.manifest_data import reward_data, task_paying
+from zenostat.bridge.client.bus import Bus
+from zenostat.bridge.client.bus import connect as connect_bus
+from zenostat.bridge.client.controller_link import ControllerLink
+from zenostat.bridge.client.local_node import LocalNode, Monitor, ignore_interrupts
+from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.recording.file import next_recording
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected

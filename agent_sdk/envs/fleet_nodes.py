@@ -10,10 +10,10 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
-from zenostat.agent_sdk.bus.bus import Bus
-from zenostat.agent_sdk.bus.bus import connect as connect_bus
 from zenostat.agent_sdk.envs import spaces
 from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.bridge.client.bus import Bus
+from zenostat.bridge.client.bus import connect as connect_bus
 from zenostat.bridge.transport.session import check_endpoint
 from zenostat.topics.errors import BusError, ErrorCollector, InvalidConfig, PeerError, SimulatorError, ZenostatError
 from zenostat.topics.keys import check_name

@@ -8,10 +8,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.envs.connection import AGENT
 from zenostat.agent_sdk.envs.vector_infos import Infos, Slots, merge, select
 from zenostat.agent_sdk.envs.vector_sample import VectorSample
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.messages import EpisodeStart
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
+from importlib import import_module
 from typing import Any
 
 import numpy as np
@@ -75,10 +76,10 @@ class EpisodeRenderer:
 
     def __init__(self, manifest: Manifest, reward: Reward | None, slots: int = 1) -> None:
         import_extra("matplotlib.figure", "plots", "render_mode='rgb_array'")
-        from zenostat.agent_sdk.rendering.frame import EpisodeFrame
-
+        # By name, as a plug-in: pictures belong to `views`, which is above the environments.
+        frame = import_module("zenostat.views.rendering.frame")
         self.histories = tuple(EpisodeHistory(manifest.timestep) for _ in range(slots))
-        self._frame = EpisodeFrame(manifest, reward)
+        self._frame = frame.EpisodeFrame(manifest, reward)
 
     def start(self, slots: Sequence[int], times: Sequence[datetime], values: Floats, infos: Mapping[str, Any]) -> None:
         """Start the histories of some slots; the other arguments have an entry for each slot of the vector."""
@@ -107,4 +108,5 @@ class EpisodeRenderer:
         history = self.histories[slot]
         if not history.rows:
             raise EpisodeChanged("call reset() before render()")
-        return self._frame.draw(history)
+        picture: NDArray[np.uint8] = self._frame.draw(history)
+        return picture

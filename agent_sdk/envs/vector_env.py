@@ -12,13 +12,13 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from zenostat.agent_sdk.bus.snapshot import Snapshot, from_options, take
 from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.actions import Actions
 from zenostat.agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
 from zenostat.agent_sdk.envs.episode_state import EpisodeState
 from zenostat.agent_sdk.envs.infos import VectorSampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
+from zenostat.agent_sdk.envs.snapshot import Snapshot, from_options, take
 from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.envs.vector_infos import Infos, masked, merge, select
 from zenostat.agent_sdk.envs.vector_sample import VectorLink, VectorSample, timestep

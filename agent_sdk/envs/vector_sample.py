@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.envs.time_features import time_features
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec
 from zenostat.topics.messages import Ack, Flag, Manifest, WeatherSeries
 

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any, Protocol
 
 import numpy as np
+from gymnasium import Space
 
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import WeatherSeries
 from zenostat.topics.seeds import check_seed
-
-if TYPE_CHECKING:
-    from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 
 Seeds = int | Sequence[int | None] | None
 """The seed of slot 0, where slot i has `seed + i`; or a seed for each slot."""
@@ -23,6 +21,22 @@ _SHARED = (
 )  # fmt: skip
 
 
+class SlotHost(Protocol):
+    """What a vector environment has for its slots."""
+
+    single_observation_space: Space[Any]
+    single_action_space: Space[Any]
+
+    def set_slot_context(self, slot: int, values: Mapping[str, float | None]) -> None:
+        """Set actuators of a slot that belong to no action."""
+
+    def slot_weather(self, slot: int, columns: Sequence[str]) -> WeatherSeries:
+        """Return columns of a slot's weather file."""
+
+    def render_slot(self, slot: int) -> Any:
+        """Return a picture of a slot."""
+
+
 class Slot:
     """One slot with the interface of `BuildingEnv`, except for `reset`, `step` and `close`, which belong to the vector.
 
@@ -31,7 +45,7 @@ class Slot:
         observation_space, action_space: Those of a single environment.
     """
 
-    def __init__(self, env: BuildingVectorEnv, number: int) -> None:
+    def __init__(self, env: SlotHost, number: int) -> None:
         self._env, self.number = env, number
         self.observation_space, self.action_space = env.single_observation_space, env.single_action_space
 

@@ -10,12 +10,12 @@ from typing import Any
 
 import numpy as np
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers.base import ControllerProtocol
 from zenostat.agent_sdk.testing import synthetic_samples
 from zenostat.agent_sdk.testing.fake_building import FakeBuilding
 from zenostat.agent_sdk.testing.fake_link import FakeLink
 from zenostat.agent_sdk.testing.report import Check, Report, name_of, raised, run
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.energyplus_names import THERMOSTAT
 from zenostat.topics.errors import ZenostatError
 from zenostat.topics.messages import Manifest

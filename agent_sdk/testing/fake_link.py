@@ -7,8 +7,8 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.testing.fake_building import FakeBuilding
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import EpisodeChanged, InvalidAction, PeerError, RequestRejected
 from zenostat.topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Flag, Sample, WeatherSeries
 from zenostat.topics.points import actuator_index, bound_arrays, describe_violation, value_index

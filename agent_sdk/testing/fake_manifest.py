@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
-from zenostat import topics
 from zenostat.agent_sdk.testing.rc_zones import Zone
+from zenostat.topics import VERSION
 from zenostat.topics.calendar import parse_day
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
@@ -107,7 +107,7 @@ def build_manifest(
         meters=tuple(meters),
         actuators=tuple(actuators),
         task=task,
-        versions=Versions(zenostat=topics.VERSION, energyplus="none"),
+        versions=Versions(zenostat=VERSION, energyplus="none"),
     )
     _check_termination(manifest)
     return manifest

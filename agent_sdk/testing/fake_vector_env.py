@@ -9,12 +9,12 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.agent_sdk.testing.fake_building import FakeBuilding
 from zenostat.agent_sdk.testing.fake_link import FakeLink
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, PeerError
 from zenostat.topics.messages import Ack, Sample, WeatherSeries
 from zenostat.topics.points import value_index

@@ -7,7 +7,7 @@ from datetime import datetime, timedelta
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.messages import Flag, Manifest, Meter, Sample, Sensor
 from zenostat.topics.points import bounds, value_index
 

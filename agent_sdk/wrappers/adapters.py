@@ -18,7 +18,7 @@ from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.utils import create_zero_array
 from numpy.typing import ArrayLike, NDArray
 
-from zenostat.agent_sdk.bus.snapshot import Snapshot
+from zenostat.agent_sdk.envs.snapshot import Snapshot
 from zenostat.agent_sdk.envs.space_names import SpaceNames, by_name
 from zenostat.agent_sdk.wrappers.base import EnvView, Infos, ResetBatch, StepBatch, Values, WrapperLogic
 from zenostat.agent_sdk.wrappers.names import action_names_of, inside, names_of

@@ -179,10 +179,9 @@ class EpisodeManager:
                 server.injection.restore(faults)
         if alarms is not None and server.alarms is not None:
             server.alarms.restore(alarms)
-        server.failure = server.failure_error = ""
         site = self._plant.site(0)
         if previous.weather != site.weather:
-            server.manifest = server.manifest.model_copy(update=site_fields(site))
+            server.describe(site_fields(site))
         if server.manifest != previous:
             server.publications.manifest(server.manifest)
         self._recordings.begin_episodes(steps, seeds, source, snapshot)

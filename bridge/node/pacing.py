@@ -5,15 +5,12 @@ from __future__ import annotations
 import sched
 from collections.abc import Callable
 from time import monotonic
-from typing import TYPE_CHECKING
 
 from zenostat.bridge.exchange.step_schedule import StepSchedule
+from zenostat.bridge.node.served_node import ServedNode
 from zenostat.topics import keys
 from zenostat.topics.errors import EpisodeAborted, RequestRejected
 from zenostat.topics.messages import Ack, EventKind, Message, Mode, Pause, Resume, SetPace, State, StepRequest
-
-if TYPE_CHECKING:
-    from zenostat.bridge.node.server import NodeServer
 
 _PACED = Mode.PACED
 
@@ -27,7 +24,7 @@ class Pacing:
         steps_left: timesteps that remain to be simulated while paused.
     """
 
-    def __init__(self, server: NodeServer) -> None:
+    def __init__(self, server: ServedNode) -> None:
         self._server = server
         self.pace = StepSchedule(server.plant.description.run_period.step_s, server.manifest.speed)
         self.paused = False
@@ -36,6 +33,11 @@ class Pacing:
         self._step_elapsed_s = 0.0  # elapsed in the timestep in which it was paused
         self._deadline_at_s = 0.0
         self._timer_event: sched.Event | None = None
+
+    @property
+    def speed(self) -> float:
+        """Simulated time per wall-clock time in mode `paced`."""
+        return self.pace.speed
 
     def declare(self) -> None:
         """Answer requests on pace, pauses and steps."""
@@ -129,10 +131,10 @@ class Pacing:
         mode, speed, now_s = request.mode, request.speed or server.manifest.speed, monotonic()
         self.cancel()
         self._step_elapsed_s = self._elapsed_in_step_s(now_s)
-        server.exchange.mode, self.pace.speed = mode, speed
+        self.pace.speed = speed
+        server.set_mode(mode, speed)
         self.pace.rebase(now_s, self._timesteps, self._step_elapsed_s)
         self.wait(now_s)
-        server.manifest = server.manifest.model_copy(update={"mode": mode, "speed": speed})
         server.publications.manifest(server.manifest)
         return self._publish(f"{speed:g} times the wall clock" if mode is Mode.PACED else str(mode), request.source)
 

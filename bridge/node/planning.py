@@ -8,45 +8,20 @@ all of them have finished the present one. Requests and writes that arrive durin
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from time import monotonic
-from typing import TYPE_CHECKING
 
-from zenostat.bridge.exchange.step_exchange import StepExchange
 from zenostat.bridge.node.plant import PlanningPlant, RunningPlant
+from zenostat.bridge.node.sample_head import SampleHead
+from zenostat.bridge.node.served_node import ServedNode
 from zenostat.topics import codec, errors
 from zenostat.topics.errors import BadMessage, PlantFailed, RequestRejected, SimulatorError
 from zenostat.topics.messages import Command, Event, Mode, PlanSimulated, SimulatePlan, State
-
-if TYPE_CHECKING:
-    from zenostat.bridge.node.server import NodeServer
-
-
-@dataclass(frozen=True, slots=True)
-class SampleHead:
-    """The part of a sample that the exchange determines, with the names that `StepExchange` has for it."""
-
-    episode: list[int]
-    step: list[int]
-    done: list[bool]
-    fallback_active: bool
-    commanded: bytes
-    source_index: bytes
-    source_names: list[str]
-
-    @classmethod
-    def of(cls, exchange: StepExchange) -> SampleHead:
-        """Return the present one."""
-        return cls(
-            exchange.episode, exchange.step, exchange.done, exchange.fallback_active, exchange.commanded,
-            exchange.source_index, [*exchange.source_names],
-        )  # fmt: skip
 
 
 class PlanSimulation:
     """Simulates the plans of one node server, in its thread."""
 
-    def __init__(self, server: NodeServer) -> None:
+    def __init__(self, server: ServedNode) -> None:
         self._server = server
 
     def simulate(self, plan: SimulatePlan) -> PlanSimulated:
@@ -168,9 +143,7 @@ class PlanSimulation:
         except SimulatorError as error:
             server.fail(error)
             raise
-        server.last_commands = orders[-1]
-        server.publish()
-        server.announce_end()
+        server.finish_steps(orders[-1])
         return [*samples, server.latest_sample]
 
 

@@ -13,6 +13,7 @@ import psutil
 from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, MAX_SOURCE_NAME
 from zenostat.bridge.node.manifest import located_geometry
 from zenostat.bridge.node.planning import PlanSimulation
+from zenostat.bridge.node.served_node import ServedNode
 from zenostat.bridge.node.subscriptions import Request
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage, BusError, RequestRejected, UnknownName
@@ -48,7 +49,6 @@ from zenostat.topics.messages import (
 )
 
 if TYPE_CHECKING:
-    from zenostat.bridge.node.server import NodeServer
     from zenostat.topics.messages.alarms import AlarmRequest
 
 
@@ -59,7 +59,7 @@ def _lost() -> Message:
 class RequestHandlers:
     """All other requests to one node server: claims, commands, geometry, etc.; for its thread, unless noted."""
 
-    def __init__(self, server: NodeServer) -> None:
+    def __init__(self, server: ServedNode) -> None:
         self._server = server
 
     def declare(self, status: Callable[[Query], bytes] | None = None) -> None:
@@ -247,7 +247,7 @@ class RequestHandlers:
             mode=exchange.mode,
             episode=exchange.episode,
             step=exchange.step,
-            speed=pacing.pace.speed,
+            speed=pacing.speed,
             paused=pacing.paused,
             policy=exchange.policy,
             steps=run_period.steps,

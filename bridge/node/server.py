@@ -8,7 +8,7 @@ that never leaves the process.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from datetime import timedelta
 from time import monotonic
@@ -24,6 +24,7 @@ from zenostat.bridge.node.pacing import Pacing
 from zenostat.bridge.node.plant import RunningPlant
 from zenostat.bridge.node.publications import Publications
 from zenostat.bridge.node.request_handlers import RequestHandlers
+from zenostat.bridge.node.sample_head import SampleHead
 from zenostat.bridge.node.subscriptions import COMMAND_QUEUE, Subscriptions
 from zenostat.bridge.recording.channels import SAMPLES
 from zenostat.bridge.runtime.timer import Timer
@@ -34,7 +35,6 @@ from zenostat.topics.messages import Event, EventKind, Flag, Manifest, Mode, Que
 
 if TYPE_CHECKING:
     from zenostat.bridge.alarms.monitor import AlarmMonitor
-    from zenostat.bridge.node.planning import SampleHead
     from zenostat.bridge.recording.recorder import Recorder
 
 _NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
@@ -86,7 +86,7 @@ class NodeServer:
         self._recorder: Recorder | None = None
         self.pacing = Pacing(self)
         self.requests = RequestHandlers(self)
-        self.last_commands = b""
+        self._last_commands = b""
         self._step_latency, self._cycle = LatencyWindow(), LatencyWindow()
         self._sampled_s = 0.0
         self.stopping = False
@@ -213,7 +213,7 @@ class NodeServer:
         commands = exchange.begin_step(began_s)
         if self.injection is not None:
             commands = self.injection.apply_to_commands(commands, exchange.step)
-        self.last_commands = commands
+        self._last_commands = commands
         if self._recorder is not None:
             self._recorder.order(commands, exchange.active_slots)
         try:
@@ -227,9 +227,15 @@ class NodeServer:
         self.publish()
         self._step_latency.add(self._sampled_s - began_s)
         self.pacing.record_sample(self._sampled_s)
-        self.announce_end()
+        self._announce_end()
 
-    def announce_end(self) -> None:
+    def finish_steps(self, commands: bytes) -> None:
+        """Publish the present sample after several timesteps, of which these were the last commands."""
+        self._last_commands = commands
+        self.publish()
+        self._announce_end()
+
+    def _announce_end(self) -> None:
         """Publish the event of the end, once the episodes of all slots are over."""
         if self.exchange.state is _ENDED:
             text = f"the run period is over after {self.exchange.step[0]} timesteps"
@@ -328,7 +334,8 @@ class NodeServer:
         if self.alarms is not None:
             self.alarms.reset(slots)
         self.exchange.fallback_active = False
-        self.last_commands, self._sampled_s = b"", 0.0
+        self._last_commands, self._sampled_s = b"", 0.0
+        self.failure = self.failure_error = ""
         self.pacing.begin()
 
     def on_disconnect(self, controller: str) -> None:
@@ -354,6 +361,15 @@ class NodeServer:
         self.event(self.exchange.event(EventKind.FAILED, self.failure, error=self.failure_error))
         self.plant.end(failed=True)
 
+    def set_mode(self, mode: Mode, speed: float) -> None:
+        """Change when timesteps begin."""
+        self.exchange.mode = mode
+        self.describe({"mode": mode, "speed": speed})
+
+    def describe(self, fields: Mapping[str, object]) -> None:
+        """Change fields of the manifest, which is not published yet."""
+        self.manifest = self.manifest.model_copy(update=fields)
+
     def check_slot(self, slot: int) -> None:
         """Raise `RequestRejected` if there is no such slot."""
         if slot >= self.manifest.slots:
@@ -366,10 +382,10 @@ class NodeServer:
             InvalidConfig: see `FaultInjection`.
         """
         self.injection = FaultInjection(faults, self.plant.description, self.manifest.slots) if faults.faults else None
-        if self.injection is not None and self.last_commands:
-            self.injection.remember_commands(self.last_commands)
+        if self.injection is not None and self._last_commands:
+            self.injection.remember_commands(self._last_commands)
         if self.manifest.faults_injected != (self.injection is not None):
-            self.manifest = self.manifest.model_copy(update={"faults_injected": self.injection is not None})
+            self.describe({"faults_injected": self.injection is not None})
 
     def cancel_step(self) -> None:
         """Interrupt the plant if it is computing; thread-safe."""

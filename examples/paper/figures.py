@@ -16,8 +16,8 @@ import matplotlib as mpl
 import matplotlib.pyplot as plt
 import numpy as np
 
-from zenostat.agent_sdk.report import theme
 from zenostat.recording import load
+from zenostat.views.report import theme
 
 PUBLISHED = {"best PPO": (-0.4310, 17_221.0, 0.0009), "baseline": (-0.4377, 17_423.0, 0.0043)}
 """Mean reward, mean power in W and mean deviation in K, as the paper reports them."""

@@ -15,14 +15,14 @@ from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from zenostat.agent_sdk.bus.bus import Bus, connect
-    from zenostat.agent_sdk.bus.controller_link import ControllerLink
-    from zenostat.agent_sdk.bus.sample import SampleView
-    from zenostat.agent_sdk.bus.snapshot import Snapshot
     from zenostat.agent_sdk.env_factory import load_env, make, make_vec, save_env
     from zenostat.agent_sdk.envs.building_env import BuildingEnv
     from zenostat.agent_sdk.envs.fleet_env import FleetVectorEnv
+    from zenostat.agent_sdk.envs.snapshot import Snapshot
     from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
+    from zenostat.bridge.client.bus import Bus, connect
+    from zenostat.bridge.client.controller_link import ControllerLink
+    from zenostat.bridge.client.sample import SampleView
     from zenostat.topics import errors
     from zenostat.topics.messages import Manifest
 
@@ -46,13 +46,13 @@ __all__ = [
 _MODULES = {
     "BuildingEnv": "agent_sdk.envs.building_env",
     "BuildingVectorEnv": "agent_sdk.envs.vector_env",
-    "Bus": "agent_sdk.bus.bus",
-    "ControllerLink": "agent_sdk.bus.controller_link",
+    "Bus": "bridge.client.bus",
+    "ControllerLink": "bridge.client.controller_link",
     "FleetVectorEnv": "agent_sdk.envs.fleet_env",
     "Manifest": "topics.messages",
-    "SampleView": "agent_sdk.bus.sample",
-    "Snapshot": "agent_sdk.bus.snapshot",
-    "connect": "agent_sdk.bus.bus",
+    "SampleView": "bridge.client.sample",
+    "Snapshot": "agent_sdk.envs.snapshot",
+    "connect": "bridge.client.bus",
     "load_env": "agent_sdk.env_factory",
     "make": "agent_sdk.env_factory",
     "make_vec": "agent_sdk.env_factory",

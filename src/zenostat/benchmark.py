@@ -1,4 +1,4 @@
-"""The public names of `zenostat.agent_sdk.benchmark`."""
+"""The public names of `zenostat.lab.benchmark`."""
 
-from zenostat.agent_sdk.benchmark import *  # noqa: F403
-from zenostat.agent_sdk.benchmark import __all__ as __all__
+from zenostat.lab.benchmark import *  # noqa: F403
+from zenostat.lab.benchmark import __all__ as __all__

@@ -1,4 +1,4 @@
-"""The public names of `zenostat.agent_sdk.datasets`."""
+"""The public names of `zenostat.lab.datasets`."""
 
-from zenostat.agent_sdk.datasets import *  # noqa: F403
-from zenostat.agent_sdk.datasets import __all__ as __all__
+from zenostat.lab.datasets import *  # noqa: F403
+from zenostat.lab.datasets import __all__ as __all__

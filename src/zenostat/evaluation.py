@@ -1,4 +1,17 @@
-"""The public names of `zenostat.agent_sdk.evaluation`."""
+"""Evaluation: controllers on the same episodes, metrics of an episode, and probes of actuators."""
 
-from zenostat.agent_sdk.evaluation import *  # noqa: F403
-from zenostat.agent_sdk.evaluation import __all__ as __all__
+from zenostat.lab.evaluate import Evaluation, evaluate, run_episode
+from zenostat.lab.probe import ProbeReport, probe
+from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.metrics.trace import TraceRecorder
+
+__all__ = [
+    "EpisodeMetrics",
+    "Evaluation",
+    "MetricsAccumulator",
+    "ProbeReport",
+    "TraceRecorder",
+    "evaluate",
+    "probe",
+    "run_episode",
+]

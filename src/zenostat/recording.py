@@ -1,4 +1,16 @@
-"""The public names of `zenostat.agent_sdk.recording`."""
+"""Recordings: as NumPy arrays by name, as tables, as a log of requests, and repeated on another node."""
 
-from zenostat.agent_sdk.recording import *  # noqa: F403
-from zenostat.agent_sdk.recording import __all__ as __all__
+from zenostat.lab.drive import DriveResult, drive
+from zenostat.metrics.recording import Episode, LogEntry, Recording, load, write_csv, write_mcap, write_parquet
+
+__all__ = [
+    "DriveResult",
+    "Episode",
+    "LogEntry",
+    "Recording",
+    "drive",
+    "load",
+    "write_csv",
+    "write_mcap",
+    "write_parquet",
+]

@@ -1,4 +1,4 @@
-"""The public names of `zenostat.agent_sdk.report`."""
+"""The public names of `zenostat.views.report`."""
 
-from zenostat.agent_sdk.report import *  # noqa: F403
-from zenostat.agent_sdk.report import __all__ as __all__
+from zenostat.views.report import *  # noqa: F403
+from zenostat.views.report import __all__ as __all__

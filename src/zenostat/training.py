@@ -1,4 +1,4 @@
-"""The public names of `zenostat.agent_sdk.training`."""
+"""The public names of `zenostat.lab.training`."""
 
-from zenostat.agent_sdk.training import *  # noqa: F403
-from zenostat.agent_sdk.training import __all__ as __all__
+from zenostat.lab.training import *  # noqa: F403
+from zenostat.lab.training import __all__ as __all__

@@ -17,7 +17,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.builders import actuator, manifest, sensor, view
 
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers import (
     CONTROLLERS,
     Agent,
@@ -35,6 +34,7 @@ from zenostat.agent_sdk.controllers import (
 )
 from zenostat.agent_sdk.controllers.action_roles import Role, bind_actions
 from zenostat.agent_sdk.envs.spaces import action_space
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UnknownName
 from zenostat.topics.messages import Action, Actuator, DiscreteAction, Manifest, Task
 

@@ -322,7 +322,7 @@ def test_import_is_light() -> None:
     text = "import sys, zenostat; zenostat.connect; print(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True)
     loaded = set(done.stdout.split())
-    assert "zenostat.agent_sdk.bus.bus" in loaded
+    assert "zenostat.bridge.client.bus" in loaded
     assert not loaded & {"rerun", "rerun_sdk", "rerun_bindings", "pyenergyplus"}
     assert not loaded & {"zenostat.eplus_node", "zenostat.models"}
 

@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 from support.nodes import SMALL, NodeProgram
 
-from zenostat.agent_sdk.benchmark import SETS
 from zenostat.agent_sdk.controllers import make_controller
 from zenostat.agent_sdk.controllers.comfort_band import comfort_bands, default_setback
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
-from zenostat.agent_sdk.evaluation.comfort import comfort
 from zenostat.agent_sdk.rewards import REWARDS, LinearReward, OccupiedReward, read_reward
 from zenostat.agent_sdk.rewards.manifest_data import reward_data
 from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.lab.benchmark import SETS
+from zenostat.metrics.reward_comfort import comfort
 from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest

@@ -13,8 +13,8 @@ from support.nodes import SMALL
 from zenostat.agent_sdk.controllers.pid import PIDController
 from zenostat.agent_sdk.controllers.rule_based import RuleBasedController
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.agent_sdk.evaluation.evaluate import _create_controllers
 from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.lab.evaluate import _create_controllers
 from zenostat.models.building.model import read_building
 from zenostat.models.catalog import find_building
 from zenostat.topics.errors import UsageError

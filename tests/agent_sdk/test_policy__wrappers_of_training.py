@@ -13,7 +13,7 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from zenostat.agent_sdk.controllers import Agent
-from zenostat.agent_sdk.controllers.policy import load_policy
+from zenostat.agent_sdk.controllers.policy_loader import load_policy
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
 from zenostat.agent_sdk.testing import FakeEnv
 from zenostat.agent_sdk.vec_normalization import normalization_path

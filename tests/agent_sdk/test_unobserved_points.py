@@ -14,10 +14,10 @@ from zenostat.agent_sdk.controllers import CONTROLLERS, Agent, make_controller
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
-from zenostat.agent_sdk.evaluation.metrics import MetricsAccumulator
 from zenostat.agent_sdk.rewards import REWARDS, LinearReward, from_function, read_reward
 from zenostat.agent_sdk.testing import FakeBuilding, FakeLink, check_environment
 from zenostat.agent_sdk.testing.fake_vector_env import FakeSlots
+from zenostat.metrics.episode_metrics import MetricsAccumulator
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 

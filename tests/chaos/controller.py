@@ -19,9 +19,9 @@ import numpy as np
 
 import zenostat
 from chaos.journal import Journal
-from zenostat.agent_sdk.bus.bus import Bus
-from zenostat.agent_sdk.bus.controller_link import ControllerLink
-from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.client.bus import Bus
+from zenostat.bridge.client.controller_link import ControllerLink
+from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.errors import EpisodeChanged, NodeLost, NodeNotFound, RequestRejected, SimulatorError
 from zenostat.topics.messages import Actuator, CommandOp

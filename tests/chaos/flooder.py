@@ -21,7 +21,7 @@ from zenoh import CongestionControl
 import zenostat
 from chaos.disturbances import Disturbance
 from chaos.journal import Journal
-from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics import codec, keys
 from zenostat.topics.messages import SCHEMA_VERSION, Claim, Command, ErrorReply, Manifest, Reset, Sample, Write

@@ -10,7 +10,7 @@ from support.nodes import NodeProgram
 import zenostat
 from chaos.account import Episode
 from chaos.run import BUILDING
-from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.errors import ZenostatError
 from zenostat.topics.messages import CommandOp, Flag, Sample

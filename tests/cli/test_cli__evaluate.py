@@ -13,8 +13,8 @@ import pytest
 from support.nodes import SMALL, interrupted
 from support.run_cli import ZENOSTAT, plain, run_in_process, run_program
 
-from zenostat.agent_sdk.evaluation.statistics import summarize
 from zenostat.cli.evaluate import INTERVAL_NOTE, check_file, metric_text, write
+from zenostat.metrics.statistics import summarize
 from zenostat.topics.errors import InvalidConfig
 
 SCENARIO = f"""

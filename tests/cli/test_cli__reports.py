@@ -11,7 +11,7 @@ import pytest
 from support.nodes import SMALL
 from support.run_cli import plain, run_in_process, run_program
 
-from zenostat.agent_sdk.report.totals import number
+from zenostat.views.report.totals import number
 
 SCENARIO = f"""
 building: {SMALL["building"]}

@@ -144,8 +144,8 @@ def test_options_override_the_file_and_resume_continues(trained: Path, tmp_path:
 
 def test_a_study_whose_trainings_are_invalid_ends_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("optuna")
-    from zenostat.agent_sdk.training.study import Tuning
-    from zenostat.agent_sdk.training.tuning_config import load_tuning
+    from zenostat.lab.training.study import Tuning
+    from zenostat.lab.training.tuning_config import load_tuning
     from zenostat.topics.errors import InvalidConfig
 
     tuning = Tuning(load_tuning(tmp_path / write(tmp_path, "s.yaml", STUDY, output=str(tmp_path / "study"))))

@@ -9,13 +9,13 @@ import pytest
 from support import data_packs
 from support.geometry_models import DENVER, EVERY_FORM, box, model, rules, surface, vertices
 
-from zenostat.bridge.display.surfaces import Surface, area, surfaces, triangulate
 from zenostat.models import catalog
 from zenostat.models.building.geometry import building_geometry
 from zenostat.models.building.model import Building, Objects, read_building
 from zenostat.models.building.summary import building_summary, zone_areas
 from zenostat.topics import codec
 from zenostat.topics.messages import Geometry, SurfaceKind
+from zenostat.views.display.surfaces import Surface, area, surfaces, triangulate
 
 NEED: dict[str, Objects] = {"Building": {"b": {}}, "Zone": {"A": {}}}
 

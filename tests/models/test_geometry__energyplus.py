@@ -11,12 +11,12 @@ import pytest
 from support import data_packs, eio
 from support.geometry_models import DENVER, EVERY_FORM, rules
 
-from zenostat.bridge.display.surfaces import Surface, sun_direction, surfaces
 from zenostat.models import catalog
 from zenostat.models.building.geometry import building_geometry
 from zenostat.models.building.model import Building, Objects, read_building
 from zenostat.models.building.polygons import PolygonReader
 from zenostat.topics.messages import SurfaceKind
+from zenostat.views.display.surfaces import Surface, sun_direction, surfaces
 
 _PRINTED_M = 0.0051
 """EnergyPlus prints coordinates and areas with two digits."""

@@ -6,8 +6,8 @@ from typing import Any
 
 import pytest
 
-from zenostat.agent_sdk.benchmark.definition import BUILDINGS
-from zenostat.agent_sdk.benchmark.frozen_bounds import frozen_actuators
+from zenostat.lab.benchmark.definition import BUILDINGS
+from zenostat.lab.benchmark.frozen_bounds import frozen_actuators
 from zenostat.models.building.model import Building, read_building
 from zenostat.models.catalog import bundled_buildings, find_building, find_weather
 from zenostat.models.points import discovery, selection

@@ -17,10 +17,10 @@ from bacpypes3.local.networkport import NetworkPortObject
 from bacpypes3.pdu import Address
 from bacpypes3.primitivedata import Enumerated, Null, ObjectIdentifier, Real
 
-from zenostat.bridge.gateways.bacnet import BacnetGateway
-from zenostat.bridge.gateways.bacnet.network import find_interface
-from zenostat.bridge.gateways.node_client import NodeClient
 from zenostat.bridge.transport.session import open_session
+from zenostat.gateways.bacnet import BacnetGateway
+from zenostat.gateways.bacnet.network import find_interface
+from zenostat.gateways.node_client import NodeClient
 
 INSTANCE = 4711
 DEVICE = ("device", INSTANCE)

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean
 
-from zenostat.agent_sdk.benchmark import Results, load_results, score_rows
-from zenostat.agent_sdk.benchmark.definition import BUILDINGS
-from zenostat.agent_sdk.benchmark.figures import write_figures
-from zenostat.agent_sdk.benchmark.tables import tables
+from zenostat.lab.benchmark import Results, load_results, score_rows
+from zenostat.lab.benchmark.definition import BUILDINGS
+from zenostat.lab.benchmark.figures import write_figures
+from zenostat.lab.benchmark.tables import tables
 
 _COMPARED = ("rbc", "oracle")
 _NO_ORACLE = (

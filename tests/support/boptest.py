@@ -9,11 +9,11 @@ from typing import Any
 
 import requests
 
-from zenostat.bridge.gateways.boptest.app import Service
-from zenostat.bridge.gateways.boptest.manager import TestManager
-from zenostat.bridge.gateways.boptest.prices import read_rates
-from zenostat.bridge.gateways.boptest.server import HttpServer
 from zenostat.cli.boptest_cases import BundledTestCases
+from zenostat.gateways.boptest.app import Service
+from zenostat.gateways.boptest.manager import TestManager
+from zenostat.gateways.boptest.prices import read_rates
+from zenostat.gateways.boptest.server import HttpServer
 
 DAY_S = 86400
 

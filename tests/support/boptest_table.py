@@ -12,12 +12,12 @@ import re
 import sys
 from pathlib import Path
 
-from zenostat.bridge.gateways.boptest import test_periods
-from zenostat.bridge.gateways.boptest.cases import TestCase
-from zenostat.bridge.gateways.boptest.extensions import ExtendedTest
-from zenostat.bridge.gateways.boptest.prices import read_rates
-from zenostat.bridge.gateways.boptest.test_periods import TIME_PERIODS, simulate_test_periods
 from zenostat.cli.boptest_cases import BundledTestCases, own_weather
+from zenostat.gateways.boptest import test_periods
+from zenostat.gateways.boptest.cases import TestCase
+from zenostat.gateways.boptest.extensions import ExtendedTest
+from zenostat.gateways.boptest.prices import read_rates
+from zenostat.gateways.boptest.test_periods import TIME_PERIODS, simulate_test_periods
 from zenostat.topics import yaml12
 from zenostat.topics.scenario_ids import BUILDINGS
 

@@ -7,7 +7,7 @@ from datetime import datetime
 
 import numpy as np
 
-from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.exchange.step_exchange import StepExchange
 from zenostat.topics import codec
 from zenostat.topics.messages import (

@@ -12,9 +12,9 @@ import gymnasium as gym
 import pytest
 
 from support.nodes import NodeProgram, Program
-from zenostat.agent_sdk.bus.local_node import LocalNode
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
+from zenostat.bridge.client.local_node import LocalNode
 
 STARTERS = (NodeProgram, Program, LocalNode, BuildingEnv, BuildingVectorEnv)
 """A function that refers to one of these starts a process."""

@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from support.builders import actuator, manifest, meter, own_action, sensor
-from zenostat.agent_sdk.bus.sample import SampleView
-from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
-from zenostat.agent_sdk.evaluation.trace import EpisodeTrace, TraceRecorder, WeatherTrace
-from zenostat.agent_sdk.report import Comparison, Run
+from zenostat.bridge.client.sample import SampleView
+from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.metrics.trace import EpisodeTrace, TraceRecorder, WeatherTrace
 from zenostat.topics.messages import Manifest, Sample, Task
 from zenostat.topics.points import value_index
+from zenostat.views.report import Comparison, Run
 
 J_PER_KWH = 3.6e6
 USES = ("Cooling", "Fans", "InteriorLights")

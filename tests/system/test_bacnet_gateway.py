@@ -18,11 +18,11 @@ from support.bacnet import ADVANCE, DEVICE, INSTANCE, PAUSED, STEP, TIME, Client
 from support.nodes import SMALL, NodeProgram, until
 
 import zenostat
-from zenostat.bridge.gateways.bacnet import BacnetGateway
-from zenostat.bridge.gateways.bacnet.cov import COV_INTERVAL_S
-from zenostat.bridge.gateways.bacnet.network import find_interface
-from zenostat.bridge.gateways.node_client import NodeClient
 from zenostat.bridge.transport.session import open_session
+from zenostat.gateways.bacnet import BacnetGateway
+from zenostat.gateways.bacnet.cov import COV_INTERVAL_S
+from zenostat.gateways.bacnet.network import find_interface
+from zenostat.gateways.node_client import NodeClient
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 from zenostat.topics.messages import Event, EventKind, Reset
 

@@ -15,7 +15,7 @@ from support.bacnet import PAUSED, STEP, Client, client, served
 from support.nodes import NodeProgram
 
 import zenostat
-from zenostat.bridge.gateways.bacnet import application, transactions
+from zenostat.gateways.bacnet import application, transactions
 
 COOLING = "core_zn_cooling_setpoint"
 OUTPUT = 1  # number of the object type analog-output

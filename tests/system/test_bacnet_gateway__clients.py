@@ -19,7 +19,7 @@ from support.nodes import NodeProgram, Program
 from support.run_cli import ZENOSTAT, run_in_process, run_program
 
 import zenostat
-from zenostat.bridge.gateways.bacnet.points import instance_numbers
+from zenostat.gateways.bacnet.points import instance_numbers
 from zenostat.topics.messages import Reset
 
 COOLING = "core_zn_cooling_setpoint"

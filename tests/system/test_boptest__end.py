@@ -11,8 +11,8 @@ pytest.importorskip("httptools", reason="httptools is not installed")
 
 from support.boptest import DAY_S, Client, serving
 
-from zenostat.bridge.gateways.boptest import manager
-from zenostat.bridge.gateways.boptest.simulation import Interruption, Simulation
+from zenostat.gateways.boptest import manager
+from zenostat.gateways.boptest.simulation import Interruption, Simulation
 
 
 @pytest.mark.variants

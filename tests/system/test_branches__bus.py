@@ -12,7 +12,7 @@ import pytest
 from support.nodes import SMALL, NodeProgram, Program, until
 
 import zenostat
-from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.bridge.client.bus import Bus
 from zenostat.topics.errors import InvalidConfig, NodeLost, NodeNotFound, RequestRejected
 from zenostat.topics.messages import CreateBranch, Reset
 

@@ -14,7 +14,7 @@ import zenoh
 from support.nodes import NodeProgram, until
 from zenoh.handlers import Callback
 
-from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP
 from zenostat.bridge.node.publications import EVENTS_A_STEP
 from zenostat.bridge.node.subscriptions import MAX_PENDING

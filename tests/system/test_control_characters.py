@@ -15,13 +15,13 @@ from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
 import zenostat
-from zenostat.agent_sdk.recording import load
 from zenostat.bridge.recording.reader import RecordedItem
-from zenostat.bridge.rerun.summary import NodeNumbers, NodeRow, markdown, overview
+from zenostat.metrics.recording import load
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import UnknownName
 from zenostat.topics.messages import ErrorReply, Event, Write
 from zenostat.topics.printable import replace_controls
+from zenostat.views.live.summary import NodeNumbers, NodeRow, markdown, overview
 
 PLANT = "zenostat.agent_sdk.testing.fake_plant:FakePlant"
 EVIL = "\x1b]0;owned\x07\x9b31m\u202e\r\nok"

@@ -18,7 +18,7 @@ from zenostat.agent_sdk.controllers import Agent, PIDController
 from zenostat.agent_sdk.controllers.comfort_band import inside
 from zenostat.agent_sdk.envs.arguments import of_scenario
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.agent_sdk.evaluation.evaluate import evaluate
+from zenostat.lab.evaluate import evaluate
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 

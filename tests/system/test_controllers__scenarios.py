@@ -16,7 +16,6 @@ from support.nodes import SMALL, NodeProgram
 from support.run_cli import run_in_process
 
 import zenostat
-from zenostat.agent_sdk.bus.sample import SampleView
 from zenostat.agent_sdk.controllers import (
     Agent,
     Controller,
@@ -26,6 +25,7 @@ from zenostat.agent_sdk.controllers import (
     action_of,
 )
 from zenostat.agent_sdk.envs.spaces import action_space
+from zenostat.bridge.client.sample import SampleView
 from zenostat.eplus_node.config import read_config
 from zenostat.eplus_node.plan import plan
 from zenostat.topics.messages import Manifest, Sample

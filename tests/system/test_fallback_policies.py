@@ -22,7 +22,7 @@ from support.run_cli import run_in_process
 from zenoh.handlers import FifoChannel
 
 import zenostat
-from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import EpisodeAborted, InvalidConfig, ZenostatError
 from zenostat.topics.messages import ControllerState, ControllerStatus, Event, EventKind, Policy, State

@@ -16,7 +16,7 @@ from support.nodes import SMALL, WEATHER, NodeProgram, until
 
 import zenostat
 from zenostat import Bus
-from zenostat.agent_sdk.bus.controller_link import ControllerLink
+from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.faults import LinkFaults
 from zenostat.bridge.node.fault_injection import FaultInjection
 from zenostat.eplus_node.config import read_config

@@ -15,8 +15,8 @@ from support.gateways import RunningGateway
 from support.mosquitto import Broker, needs_mosquitto
 from support.nodes import NodeProgram, until
 
-from zenostat.bridge.gateways.node_client import NodeClient
 from zenostat.bridge.transport.session import Mode, open_session
+from zenostat.gateways.node_client import NodeClient
 from zenostat.topics.messages import Manifest
 
 ROOM = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"

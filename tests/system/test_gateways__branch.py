@@ -15,7 +15,7 @@ from support.mosquitto import Broker, needs_mosquitto
 from support.nodes import until
 
 import zenostat
-from zenostat.bridge.gateways.modbus.register_map import RegisterMap, Table
+from zenostat.gateways.modbus.register_map import RegisterMap, Table
 from zenostat.topics.messages import CreateBranch
 
 POINT = "core_zn_cooling_setpoint"

@@ -12,9 +12,9 @@ import pytest
 from support.nodes import SMALL, NodeProgram
 
 import zenostat
-from zenostat.bridge.gateways import node_client
-from zenostat.bridge.gateways.node_client import NodeClient
 from zenostat.bridge.transport.session import open_session
+from zenostat.gateways import node_client
+from zenostat.gateways.node_client import NodeClient
 from zenostat.topics.errors import InvalidAction, NodeLost, NodeNotFound, RequestRejected, UnknownName
 from zenostat.topics.messages import Event, EventKind
 

@@ -10,7 +10,6 @@ import zenoh
 from support.nodes import SMALL, NodeProgram
 
 import zenostat
-from zenostat.bridge.display.surfaces import surfaces
 from zenostat.models import catalog
 from zenostat.models.building.geometry import building_geometry
 from zenostat.models.building.model import read_building
@@ -18,6 +17,7 @@ from zenostat.models.weather.header import read_header
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import NodeNotFound, RequestRejected
 from zenostat.topics.messages import CreateBranch, Geometry, Manifest
+from zenostat.views.display.surfaces import surfaces
 
 PLANT = """
 class Tank:

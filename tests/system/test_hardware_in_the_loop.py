@@ -19,8 +19,8 @@ from support.nodes import free_port, until
 from support.run_cli import ZENOSTAT
 
 import zenostat
-from zenostat.agent_sdk.recording import load
-from zenostat.agent_sdk.recording.data import Episode
+from zenostat.metrics.recording import load
+from zenostat.metrics.recording.data import Episode
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "hardware-in-the-loop.md").read_text()

@@ -19,10 +19,10 @@ from support.builders import view
 from support.nodes import WEATHER, NodeProgram
 
 import zenostat
-from zenostat.agent_sdk.evaluation.energy_sources import FUELS
-from zenostat.agent_sdk.evaluation.metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.agent_sdk.rewards import LinearReward
-from zenostat.bridge.display.roles import roles
+from zenostat.metrics.energy_sources import FUELS
+from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.metrics.roles import roles
 from zenostat.models import catalog
 from zenostat.models.building.model import read_building
 from zenostat.topics.messages import Manifest

@@ -12,10 +12,10 @@ import pytest
 from support.nodes import NodeProgram, Program, engines_of, until, values_of_day
 
 import zenostat
-from zenostat.agent_sdk.bus import controller_link, receive_watchdog
-from zenostat.agent_sdk.bus.controller_link import ControllerLink
-from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.client import controller_link, receive_watchdog
+from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.transport.session import open_session
+from zenostat.gateways.node_client import NodeClient
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import EngineDied, EpisodeChanged, RequestRejected
 from zenostat.topics.messages import Event, EventKind, Reset, Sample, State, Status

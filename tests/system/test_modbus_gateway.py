@@ -23,10 +23,10 @@ from support.run_cli import ZENOSTAT, run_in_process
 
 import zenostat
 from zenostat import Bus
-from zenostat.bridge.gateways.modbus import server
-from zenostat.bridge.gateways.modbus.gateway import ModbusGateway
-from zenostat.bridge.gateways.node_client import NodeClient
 from zenostat.bridge.transport.session import open_session
+from zenostat.gateways.modbus import server
+from zenostat.gateways.modbus.gateway import ModbusGateway
+from zenostat.gateways.node_client import NodeClient
 
 COOLING = "core_zn_cooling_setpoint"
 UNIT = 1

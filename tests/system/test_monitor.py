@@ -18,12 +18,12 @@ from support.nodes import SMALL, NodeProgram, free_port, until
 from zenoh.handlers import RingChannel
 
 import zenostat
-from zenostat.bridge.display.roles import roles
-from zenostat.bridge.rerun.stream import RerunStream
-from zenostat.bridge.rerun.viewer import web_viewer
 from zenostat.bridge.transport.session import open_session
+from zenostat.metrics.roles import roles
 from zenostat.topics import codec, keys
 from zenostat.topics.messages import Batch, Event, EventKind
+from zenostat.views.live.stream import RerunStream
+from zenostat.views.live.viewer import web_viewer
 
 
 def _recorded(path: Path) -> dict[str, dict[int, list[float]]]:

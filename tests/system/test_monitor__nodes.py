@@ -12,12 +12,12 @@ import zenoh
 from support.monitor import logged, static
 from support.nodes import NodeProgram, free_port, until
 
-from zenostat.agent_sdk.evaluation.comfort import display_comfort
-from zenostat.bridge.rerun.stream import RerunStream
 from zenostat.bridge.transport.session import open_session
 from zenostat.cli.monitor_stream import open_stream, reward_terms
+from zenostat.metrics.reward_comfort import display_comfort
 from zenostat.topics import codec, keys
 from zenostat.topics.messages import Sample
+from zenostat.views.live.stream import RerunStream
 
 TANK = """
 class Tank:

@@ -10,7 +10,7 @@ import pytest
 from support.nodes import SMALL
 
 import zenostat  # noqa: F401  # registers the ids
-from zenostat.bridge.display.roles import roles
+from zenostat.metrics.roles import roles
 
 SENSORS = {
     "core_temperature": ("Zone Mean Air Temperature", "Core_ZN"),

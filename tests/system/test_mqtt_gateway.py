@@ -24,11 +24,11 @@ from support.run_cli import ZENOSTAT, run_in_process
 
 import zenostat
 from zenostat import Bus
-from zenostat.bridge.gateways.mqtt.broker import Broker as GatewayBroker
-from zenostat.bridge.gateways.mqtt.gateway import MqttGateway
-from zenostat.bridge.gateways.node_client import NodeClient
-from zenostat.bridge.gateways.tasks import cancel
 from zenostat.bridge.transport.session import open_session
+from zenostat.gateways.mqtt.broker import Broker as GatewayBroker
+from zenostat.gateways.mqtt.gateway import MqttGateway
+from zenostat.gateways.node_client import NodeClient
+from zenostat.gateways.tasks import cancel
 
 pytestmark = needs_mosquitto
 COOLING, TEMPERATURE = "core_zn_cooling_setpoint", "core_zn_air_temperature"

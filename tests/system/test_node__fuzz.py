@@ -17,7 +17,7 @@ from support.nodes import SMALL, NodeProgram, Program, nothing_left, until, valu
 from zenoh.handlers import RingChannel
 
 import zenostat
-from zenostat.agent_sdk.bus.bus import Bus
+from zenostat.bridge.client.bus import Bus
 from zenostat.topics import codec, keys
 from zenostat.topics.messages import Event, EventKind, State
 

@@ -22,8 +22,8 @@ from support.run_cli import run_in_process
 
 import zenostat
 from zenostat import Bus
-from zenostat.agent_sdk.bus.controller_link import ControllerLink
-from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.client.controller_link import ControllerLink
+from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.exchange.step_schedule import StepSchedule
 from zenostat.cli.pace import read_pace
 from zenostat.topics.errors import InvalidConfig, RequestRejected

@@ -12,8 +12,8 @@ from support.in_process_plant import COPIES, FATAL
 from support.nodes import NodeProgram, until
 
 import zenostat
-from zenostat.agent_sdk.bus.bus import Bus
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.bridge.client.bus import Bus
 from zenostat.topics.errors import ForkFailed, InvalidConfig, PlantFailed, RequestRejected
 from zenostat.topics.messages import Mode, State
 

@@ -19,9 +19,9 @@ from support.run_cli import run_in_process as run
 
 import zenostat
 from zenostat import recording
-from zenostat.agent_sdk.recording.mcap_export import field_names
 from zenostat.bridge.transport.session import open_session
 from zenostat.cli.monitor_stream import open_stream
+from zenostat.metrics.recording.mcap_export import field_names
 
 FAULTS = "faults: [{kind: bias, points: [core_zn_air_temperature], offset: 2.5}]"
 CORE, SETPOINT = "core_zn_air_temperature", "core_zn_cooling_setpoint"

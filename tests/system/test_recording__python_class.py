@@ -14,9 +14,9 @@ from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
 from zenostat import recording
-from zenostat.agent_sdk.evaluation.evaluate import evaluate
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
 from zenostat.eplus_node.verification import verify
+from zenostat.lab.evaluate import evaluate
 from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.messages import Flag
 

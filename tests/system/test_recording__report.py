@@ -14,10 +14,10 @@ from support.run_cli import run_in_process as run
 
 import zenostat
 from zenostat import recording
-from zenostat.agent_sdk.evaluation import evaluate
-from zenostat.agent_sdk.report import compare_recordings
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
+from zenostat.lab.evaluate import evaluate
 from zenostat.topics.errors import InvalidConfig, InvalidRecording
+from zenostat.views.report import compare_recordings
 
 NOISE = {"weather_noise": {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 5.0}}}
 LIMIT = {"points": ["core_zn_air_temperature"], "high": 24.5, "duration_h": 0.5}

@@ -14,9 +14,9 @@ from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
 import zenostat
-from zenostat.agent_sdk.recording import load
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.eplus_node.verification import verify
+from zenostat.metrics.recording import load
 from zenostat.models.catalog import find_building
 from zenostat.topics import codec
 from zenostat.topics.errors import InvalidConfig, InvalidRecording, RequestRejected

@@ -12,12 +12,12 @@ import pytest
 from support.nodes import WEATHER, NodeProgram
 
 import zenostat
-from zenostat.agent_sdk.evaluation.trace import EpisodeTrace, TraceRecorder
-from zenostat.agent_sdk.report.figures import months
-from zenostat.agent_sdk.report.figures.base import Curve
-from zenostat.agent_sdk.report.quantities import Quantities
+from zenostat.metrics.trace import EpisodeTrace, TraceRecorder
 from zenostat.models import catalog
 from zenostat.models.building.model import read_building
+from zenostat.views.report.figures import months
+from zenostat.views.report.figures.base import Curve
+from zenostat.views.report.quantities import Quantities
 
 BUILDING = "ref-small-office"
 """It uses electricity and gas."""

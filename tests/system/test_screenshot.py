@@ -23,11 +23,11 @@ from support.nodes import until
 from support.run_cli import ZENOSTAT, plain, run_in_process
 
 import zenostat
-from zenostat.bridge.rerun.screenshot import Drawing, Screenshot, draw
-from zenostat.bridge.rerun.stream import RerunStream
-from zenostat.bridge.rerun.viewer import has_vulkan, serving, web_viewer
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics.errors import ViewerError
+from zenostat.views.live.screenshot import Drawing, Screenshot, draw
+from zenostat.views.live.stream import RerunStream
+from zenostat.views.live.viewer import has_vulkan, serving, web_viewer
 
 needs_vulkan = pytest.mark.skipif(not has_vulkan(), reason="no Vulkan driver is installed")
 

@@ -13,9 +13,9 @@ from support.nodes import NodeProgram, until
 
 import zenostat
 from zenostat import BuildingEnv
-from zenostat.agent_sdk.bus import receive_watchdog
-from zenostat.bridge.gateways.node_client import NodeClient
+from zenostat.bridge.client import receive_watchdog
 from zenostat.bridge.transport.wakeup import Wake
+from zenostat.gateways.node_client import NodeClient
 from zenostat.topics import keys
 from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected
 from zenostat.topics.messages import Mode

@@ -16,8 +16,8 @@ from support.nodes import Program
 from support.zeromq import KILLED, GatewayProgram, Peer, gateway, keeping, module_gateway
 
 import zenostat
-from zenostat.bridge.gateways.zeromq import connections
-from zenostat.bridge.gateways.zeromq.frames import split
+from zenostat.gateways.zeromq import connections
+from zenostat.gateways.zeromq.frames import split
 
 __all__ = ["gateway", "module_gateway"]
 

@@ -35,7 +35,7 @@ from support.zeromq import (  # noqa: E402
     module_gateway,
 )
 
-from zenostat.bridge.gateways.zeromq.frames import split  # noqa: E402
+from zenostat.gateways.zeromq.frames import split  # noqa: E402
 
 __all__ = ["gateway", "module_gateway"]
 

@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 from support.builders import NAN, actuator, manifest, meter, sensor
 
-from zenostat.agent_sdk.bus.sample import SampleView
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import messages
 from zenostat.topics.errors import BadMessage, UnknownName
 from zenostat.topics.messages import (

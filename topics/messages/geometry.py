@@ -39,7 +39,7 @@ class ZoneGeometry(Message):
 
 
 class Geometry(Message):
-    """The zones and surfaces of a building; `zenostat.bridge.display.surfaces` decodes the surfaces.
+    """The zones and surfaces of a building; `zenostat.views.display.surfaces` decodes the surfaces.
 
     `storeys`: heights of the storeys' floors in m, ascending. `time_zone_h`: hours ahead of UTC.
 

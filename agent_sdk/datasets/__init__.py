@@ -1,6 +1,0 @@
-"""Data sets for offline reinforcement learning: episodes of controllers, in the format of Minari."""
-
-from zenostat.agent_sdk.datasets.minari_writer import datasets_folder
-from zenostat.agent_sdk.datasets.write import write_dataset
-
-__all__ = ["datasets_folder", "write_dataset"]

@@ -1,0 +1,259 @@
+"""The requests that a program makes over one Zenoh session, and the links that end with it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, Protocol, Self, cast
+
+import zenoh
+from pydantic import ValidationError
+from zenoh import QueryTarget
+
+from zenostat.bridge.client import fork_guard
+from zenostat.bridge.client.alarm_requests import AlarmRequests
+from zenostat.bridge.client.branch_requests import BranchRequests
+from zenostat.bridge.client.pace_requests import PaceRequests
+from zenostat.bridge.client.priorities import PriorityRequests
+from zenostat.bridge.client.recording_requests import RecordingRequests
+from zenostat.bridge.client.requests import M, build
+from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.client.series_requests import SeriesRequests
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime.timer import Timer
+from zenostat.bridge.transport.access_control import Permission, may
+from zenostat.bridge.transport.request import ask
+from zenostat.bridge.transport.session import FORKED, OpenSession
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import (
+    BusError,
+    InvalidAction,
+    InvalidConfig,
+    NodeLost,
+    NodeNotFound,
+    RequestRejected,
+    UnknownName,
+    did_you_mean,
+)
+from zenostat.topics.fault_plan import FaultPlan
+from zenostat.topics.keys import Role
+from zenostat.topics.messages import (
+    ANONYMOUS,
+    Ack,
+    Claim,
+    Geometry,
+    Manifest,
+    Message,
+    Query,
+    Reset,
+    Sample,
+    ScenarioText,
+    Status,
+    Stop,
+    Write,
+)
+from zenostat.topics.points import actuator_index, value_index
+
+_REQUEST_TIMEOUT_S = 600.0  # starting the largest bundled building takes 14 s; the death of a node is noticed at once
+_CLOSED = "this bus is closed; connect to it again"
+
+
+class Link(Protocol):
+    """What ends with the connection, such as a `ControllerLink`."""
+
+    def close(self) -> None:
+        """Close it; idempotent."""
+
+    def forked(self, error: BusError, session: zenoh.Session) -> None:
+        """Disown it in a forked process."""
+
+
+class Connection(BranchRequests, PaceRequests, PriorityRequests, RecordingRequests, SeriesRequests, AlarmRequests):
+    """Requests to all nodes that are reachable through one endpoint.
+
+    Attributes:
+        endpoint, role: Its endpoint, and the role of its certificate (None without TLS).
+        session: The Zenoh session.
+        affinity: Placement of its threads.
+        timer: For the checks of controllers that have waited for long; its thread starts with the first controller.
+    """
+
+    def __init__(self, endpoint: str, session: OpenSession, affinity: Affinity, role: Role | None = None) -> None:
+        self.endpoint = endpoint
+        self.role = role
+        self._close, self._closed = ExitStack(), False
+        self.affinity = affinity
+        self._links: set[Link] = set()
+        self.timer = self._close.enter_context(Timer())
+        self.session = self._close.enter_context(session)
+        fork_guard.open_buses.add(self)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the connection and its controller links; idempotent. Pending requests raise `BusError`."""
+        self._closed = True
+        for link in [*self._links]:
+            link.close()
+        self._close.close()
+        fork_guard.open_buses.discard(self)
+
+    def forked(self) -> None:
+        """Disown the bus in a forked process: every request raises `BusError`, and closing does nothing."""
+        fork_guard.keep(self.session, self._close, *(link.__dict__.copy() for link in self._links))
+        self.session, self._close = cast("zenoh.Session", fork_guard.ForkedSession()), ExitStack()
+        for link in self._links:
+            link.forked(BusError(FORKED), self.session)
+        self._links = set()
+
+    def nodes(self) -> list[str]:
+        """Return the names of all nodes on the bus, sorted."""
+        # Not through liveliness tokens: one time in ten, Zenoh 1.10 omits those that this session is subscribed to.
+        replies = self.session.get(keys.MANIFEST.at("*"), target=QueryTarget.ALL)
+        return sorted({keys.node_of(str(r.ok.key_expr)) for r in replies if r.ok})
+
+    def controllers(self) -> list[tuple[str, str]]:
+        """Return pairs (node, controller) of all controllers on the bus, sorted."""
+        replies = self.session.liveliness().get(keys.CONTROLLER_TOKEN.at("*", name="*"))
+        tokens = [str(r.ok.key_expr) for r in replies if r.ok]
+        return sorted({(keys.node_of(token), keys.last_chunk(token)) for token in tokens})
+
+    def manifest(self, node: str) -> Manifest:
+        """Return a node's manifest; `NodeNotFound` if it is not on the bus."""
+        return self._ask(keys.MANIFEST, node, None, Manifest)
+
+    def status(self, node: str, *, memory: bool = False) -> Status:
+        """Return a node's status; `NodeNotFound` if it is not on the bus.
+
+        Args:
+            node: The node's name.
+            memory: Include each engine's private memory, which takes a few milliseconds per engine.
+        """
+        return self._ask(keys.STATUS, node, Query(memory=memory), Status)
+
+    def stop(self, node: str) -> None:
+        """Stop a node."""
+        self._ask(keys.STOP, node, Stop(), Ack)
+
+    def faults(self, node: str, plan: FaultPlan | Mapping[str, Any] | Path | None) -> None:
+        """Replace the faults that a node injects; None stops all injection.
+
+        Args:
+            node: The node's name.
+            plan: A plan, its fields, or a YAML file; see docs/faults.md.
+
+        Raises:
+            InvalidConfig: No such file, or faults that do not fit this node; the text lists all errors.
+        """
+        if isinstance(plan, Path):
+            from zenostat.bridge.faults import read_plan  # imported here because few programs need it
+
+            plan = read_plan(plan)
+        if not isinstance(plan, FaultPlan):
+            plan = build(FaultPlan, **(plan or {}))
+        self._ask(keys.FAULTS, node, plan, Ack)
+
+    def latest(self, node: str) -> Sample:
+        """Return a node's latest sample."""
+        return self._ask(keys.SAMPLE, node, None, Sample)
+
+    def claim(self, node: str, claim: Claim) -> Ack:
+        """Claim actuators of a node; `RequestRejected` names the controllers that hold them."""
+        return self._ask(keys.CLAIM, node, claim, Ack)
+
+    def reset(self, node: str, reset: Reset) -> Ack:
+        """Start a new episode of a node."""
+        return self._ask(keys.RESET, node, reset, Ack)
+
+    def geometry(self, node: str) -> Geometry:
+        """Return a node's zones and surfaces; `zenostat.views.display.surfaces` decodes them.
+
+        Raises:
+            RequestRejected: Its plant has no geometry, or its version of Zenostat does not send it.
+        """
+        try:
+            return self._ask(keys.GEOMETRY, node, Query(), Geometry)
+        except NodeNotFound:
+            version = self.manifest(node).versions.zenostat
+            raise RequestRejected(f"node {node!r} is of Zenostat {version}, which does not send a geometry") from None
+
+    def scenario(self, node: str) -> str:
+        """Return the scenario that a node simulates, as the text of a scenario file (YAML)."""
+        return self._ask(keys.SCENARIO, node, Query(), ScenarioText).text
+
+    def read(self, node: str, *, slot: int = 0) -> SampleView:
+        """Return a slot's current sample without controlling the node; `UnknownName` if there is no such slot."""
+        manifest = self.manifest(node)
+        if not 0 <= slot < manifest.slots:
+            raise UnknownName(f"node {node!r} has no slot {slot}; it has 0 to {manifest.slots - 1}")
+        return SampleView(self.latest(node), manifest, value_index(manifest), slot=slot)
+
+    def write(
+        self,
+        node: str,
+        point: str,
+        value: float | None,
+        *,
+        priority: int = 8,
+        duration_s: float | None = None,
+        source: str = ANONYMOUS,
+    ) -> Ack:
+        """Write one actuator as a person or a device, and return the node's reply; effective from the next timestep.
+
+        Args:
+            node: The node's name.
+            point: The actuator's name.
+            value: In the actuator's unit; None relinquishes it at this priority.
+            priority: 1 (highest) to 16; 8 is a manual operator's.
+            duration_s: Simulated seconds after which the value is relinquished; None keeps it until it is relinquished.
+            source: Name of the writer, which samples and events show; at most 128 characters.
+
+        Raises:
+            NodeNotFound: No such node.
+            NodeLost: It left the bus before it replied.
+            UnknownName: No such actuator; the text lists similar names.
+            InvalidAction: Value, priority, duration or source out of range.
+            RequestRejected: The node rejected the write, with its reason.
+        """
+        manifest = self.manifest(node)
+        actuator_index(manifest.actuators).require([point])
+        try:
+            write = Write(value=value, priority=priority, duration_s=duration_s, source=source)
+        except ValidationError as error:
+            raise InvalidAction(f"{point}: {codec.describe_validation_errors(error)}") from None
+        try:
+            return self._ask(keys.WRITE_REQUEST, node, write, Ack, name=point)
+        except NodeNotFound:
+            raise NodeLost(f"node {node!r} is gone") from None
+        except RequestRejected as error:
+            raise RequestRejected(f"node {node!r} rejected the write: {error}") from None
+
+    def _ask(self, topic: keys.Topic, node: str, request: Message | None, reply_type: type[M], *, name: str = "") -> M:
+        if self.role is not None and Permission.ASK not in may(self.role, topic):
+            raise InvalidConfig(
+                f"a {self.role} may not query {topic.key}; connect with the certificate of another role"
+            )
+        try:
+            reply = ask(self.session, topic, node, request, reply_type, name=name, timeout_s=_REQUEST_TIMEOUT_S)
+        except zenoh.ZError:
+            if not self._closed:
+                raise
+            raise BusError(_CLOSED) from None
+        if reply is not None:
+            return reply
+        if self._closed:
+            raise BusError(_CLOSED)
+        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, self.nodes())}")
+
+    def adopt(self, link: Link) -> None:
+        """Close a link with this connection."""
+        self._links.add(link)
+
+    def forget(self, link: Link) -> None:
+        """Remove a link that has been closed."""
+        self._links.discard(link)

@@ -1,5 +1,0 @@
-"""The BACnet/IP gateway: a node as a BACnet device. It requires bacpypes3 (the extra `bacnet`)."""
-
-from zenostat.bridge.gateways.bacnet.gateway import BacnetGateway
-
-__all__ = ["BacnetGateway"]

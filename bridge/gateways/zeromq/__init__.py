@@ -1,5 +1,0 @@
-"""The ZeroMQ gateway: access to a bus with ZeroMQ and msgpack only. It requires pyzmq (the extra `zeromq`)."""
-
-from zenostat.bridge.gateways.zeromq.gateway import Gateway
-
-__all__ = ["Gateway"]

@@ -1,0 +1,127 @@
+"""A node as a BACnet/IP device."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from typing import Any
+
+from zenostat.gateways.bacnet.application import NodeApplication
+from zenostat.gateways.bacnet.control_objects import Paused, control_objects
+from zenostat.gateways.bacnet.counts import BacnetCounts
+from zenostat.gateways.bacnet.cov import COV_INTERVAL_S
+from zenostat.gateways.bacnet.device import NodeDevice, NodePort
+from zenostat.gateways.bacnet.network import Interface
+from zenostat.gateways.bacnet.node_state import NodeState
+from zenostat.gateways.bacnet.objects import AnalogInput, AnalogOutput, NodeObject
+from zenostat.gateways.bacnet.points import ObjectKind, PointSpec, point_specs
+from zenostat.gateways.node_client import NodeClient
+from zenostat.gateways.notices import Notices
+from zenostat.topics.messages import Manifest
+
+
+class BacnetGateway:
+    """One node as a BACnet device: `async with BacnetGateway(node, interface, instance=7) as gateway:`.
+
+    Args:
+        node: the node, already connected.
+        interface: the network interface to listen on.
+        instance: instance number of the device, 0 to 4,194,302.
+        source: beginning of the writers' names on the bus; the client's address follows.
+        notify: called with the reasons of writes that the node rejected, for which BACnet has only a class and a code.
+
+    Raises:
+        AddressInUse: on entering the context, another program uses the address.
+
+    Attributes:
+        counts: counts of messages of BACnet clients.
+    """
+
+    def __init__(
+        self,
+        node: NodeClient,
+        interface: Interface,
+        *,
+        instance: int,
+        source: str = "bacnet",
+        notify: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.counts = BacnetCounts()
+        self._rejections = Notices(notify)
+        self._node, self._interface, self._instance, self._source = node, interface, instance, source
+        self._changed = asyncio.Event()
+        self._specs: list[PointSpec] = []
+        self._points: list[NodeObject] = []
+
+    async def __aenter__(self) -> BacnetGateway:
+        # bacpypes3 logs each malformed message with a traceback; they are counted here.
+        logging.getLogger("bacpypes3").addHandler(logging.NullHandler())
+        logging.getLogger("bacpypes3").propagate = False
+        self._state = NodeState(self._node, self._source, self._changed.set)
+        self._device = NodeDevice(self._state, self._instance)
+        port = NodePort(self._interface.bacnet_address, self._interface.name)
+        self._application = NodeApplication(
+            self._device,
+            port,
+            self._interface,
+            source=self._source,
+            counts=self.counts,
+            rejections=self._rejections,
+        )
+        await self._application.link.server.open()
+        for control in control_objects(self._state):
+            self._application.add_object(control)
+        self._set_manifest(self._node.manifest)
+        self._node.listeners.manifests.append(self._set_manifest)
+        await asyncio.gather(self._state.arrays.get(), self._state.status.get())
+        self._application.i_am()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        self._application.close()
+
+    @property
+    def description(self) -> str:
+        """Node, device and address."""
+        interface = self._interface
+        return (
+            f"node {self._node.name} is BACnet device {self._instance} on {interface.address.ip}:{interface.port}, "
+            f"{sum(spec.kind is ObjectKind.INPUT for spec in self._specs)} inputs, "
+            f"{sum(spec.kind is ObjectKind.OUTPUT for spec in self._specs)} outputs"
+        )
+
+    async def run(self) -> None:
+        """Notify subscribers of changes, until cancelled."""
+        while True:
+            await self._changed.wait()
+            self._changed.clear()
+            if self._application.is_subscribed(AnalogOutput):
+                await self._state.arrays.get()
+            if self._application.is_subscribed(Paused):
+                await self._state.status.get()
+            self._application.notify_subscribers()
+            await asyncio.sleep(COV_INTERVAL_S)
+
+    def summary(self) -> str:
+        """Return counts for the last line."""
+        counts = self.counts
+        return (
+            f"{counts.datagrams} datagrams, {counts.requests} requests, {counts.rejected} of them rejected, "
+            f"{counts.malformed} malformed, {counts.writes} writes, {counts.notifications} notifications"
+        )
+
+    def _set_manifest(self, manifest: Manifest) -> None:
+        """Replace the objects if the points have changed."""
+        specs = point_specs(manifest)
+        if specs == self._specs:
+            return
+        for old in self._points:
+            self._application.remove_object(old)
+        self._state.set_manifest(manifest)
+        self._specs = specs
+        kinds: dict[ObjectKind, Any] = {ObjectKind.INPUT: AnalogInput, ObjectKind.OUTPUT: AnalogOutput}
+        self._points = [kinds[spec.kind](self._state, spec) for spec in specs]
+        for point in self._points:
+            self._application.add_object(point)
+        self._device.describe(manifest, [(spec.kind, spec.instance, spec.object_name) for spec in specs])

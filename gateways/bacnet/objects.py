@@ -1,0 +1,223 @@
+"""BACnet objects of a node's points, which read the node's state when a client reads them."""
+
+from __future__ import annotations
+
+import math
+import struct
+from typing import Any
+
+from bacpypes3.basetypes import (
+    OptionalReal,
+    OptionalUnsigned,
+    PriorityArray,
+    PriorityValue,
+    PropertyIdentifier,
+    Reliability,
+)
+from bacpypes3.constructeddata import ArrayOf
+from bacpypes3.errors import PropertyError
+from bacpypes3.local.object import Object
+from bacpypes3.object import AnalogInputObject, AnalogOutputObject
+from bacpypes3.primitivedata import Null, ObjectIdentifier, Real
+
+from zenostat.gateways.bacnet.cov import CovCriteria
+from zenostat.gateways.bacnet.node_state import NodeState
+from zenostat.gateways.bacnet.points import PointSpec
+from zenostat.gateways.bacnet.units import bacnet_unit
+
+RESERVED_PRIORITY = 6
+"""Priority of minimum on and off times (ASHRAE 135, clause 19.2.3), which clients must not write."""
+
+_NOT_LISTED = ("objectIdentifier", "objectName", "objectType", "propertyList")  # clause 12.1.1.4.2
+
+_ArrayOfPropertyIdentifier = ArrayOf(PropertyIdentifier)
+
+
+def real(value: float) -> Real:
+    """Return a value in single precision, infinite where that has no such number."""
+    try:
+        struct.pack(">f", value)
+    except OverflowError:
+        value = math.copysign(math.inf, value)
+    return Real(value)
+
+
+def double(value: float) -> float:
+    """Return the number with the fewest digits that is the same in single precision: 21.1, not 21.100000381."""
+    for digits in range(6, 9):
+        text = f"{value:.{digits}g}"
+        if struct.pack(">f", float(text)) == struct.pack(">f", value):
+            return float(text)
+    return value
+
+
+class NodeObject(Object):
+    """Base class of the gateway's objects: a client can write `_writable` properties only.
+
+    Args:
+        state: the node's state.
+        properties: initial values of the object's BACnet properties.
+    """
+
+    _cov_criteria = CovCriteria
+    _writable: frozenset[str] = frozenset()
+    _needs_arrays: frozenset[str] = frozenset()
+
+    def __init__(self, state: NodeState, **properties: Any) -> None:
+        self._state = state
+        super().__init__(eventState="normal", outOfService=False, **properties)
+
+    @property
+    def propertyList(self) -> Any:
+        """Identifiers of the object's properties, without the four that each object has."""
+        return _ArrayOfPropertyIdentifier(
+            [listed for listed in Object.propertyList.fget(self) if listed.attr not in _NOT_LISTED]
+        )
+
+    @propertyList.setter
+    def propertyList(self, value: Any) -> None:
+        pass  # bacpypes3 sets it to None
+
+    @property
+    def reliability(self) -> Reliability:
+        """No fault, or why the present value is not to be trusted."""
+        if not self._state.is_reachable:
+            return Reliability("communication-failure")
+        if self._state.has_failed:
+            return Reliability("process-error")
+        return Reliability("unreliable-other" if self._is_unknown() else "no-fault-detected")
+
+    def _is_unknown(self) -> bool:
+        """Whether the present value is not a number."""
+        return False
+
+    async def read_property(self, attr: Any, index: int | None = None) -> Any:
+        """Return a property's value, as of after the request."""
+        if self._needs_arrays and (attr if isinstance(attr, str) else attr.attr) in self._needs_arrays:
+            await self._state.arrays.get()
+        return await super().read_property(attr, index)
+
+    def is_writable(self, attr: str) -> bool:
+        """Whether clients can write a property."""
+        return attr in self._writable
+
+    async def write_property(
+        self, attr: Any, value: Any, index: int | None = None, priority: int | None = None
+    ) -> None:
+        """Write a property; `PropertyError` or an error of the bus tells why not."""
+        name = attr if isinstance(attr, str) else attr.attr
+        if not self.is_writable(name):
+            raise PropertyError("writeAccessDenied")
+        if name != "presentValue":
+            if isinstance(value, Null):
+                raise PropertyError("invalidDataType")
+            if name == "covIncrement" and not 0 <= value < math.inf:
+                raise PropertyError("valueOutOfRange")
+            await super().write_property(attr, value, index)
+        else:
+            await self.command(value, priority)
+
+    async def command(self, value: Any, priority: int | None) -> None:  # noqa: ARG002
+        """Write the present value."""
+        raise PropertyError("writeAccessDenied")
+
+
+class _Analog(NodeObject):
+    """Properties that analog inputs and outputs have in common."""
+
+    _writable = frozenset({"covIncrement"})
+
+    def __init__(self, state: NodeState, spec: PointSpec) -> None:
+        self._spec = spec
+        unit = bacnet_unit(spec.unit)
+        properties = {
+            "objectIdentifier": ObjectIdentifier((spec.kind.value, spec.instance)),
+            "objectName": spec.object_name,
+            "description": spec.description or spec.name,
+            "units": unit.name,
+            "covIncrement": real(unit.increment),
+        }
+        for name, bound in (("minPresValue", spec.low), ("maxPresValue", spec.high)):
+            if bound is not None:
+                properties[name] = real(bound)
+        super().__init__(state, **properties)
+
+    @property
+    def presentValue(self) -> Real:
+        """The present value."""
+        return real(self._value())
+
+    def _value(self) -> float:
+        raise NotImplementedError
+
+    def _is_unknown(self) -> bool:
+        return math.isnan(self._value())
+
+
+class AnalogInput(_Analog, AnalogInputObject):
+    """A sensor or meter."""
+
+    def _value(self) -> float:
+        return self._state.value(self._spec.position) / self._spec.divisor
+
+
+class AnalogOutput(_Analog, AnalogOutputObject):
+    """An actuator, with its priority array on the bus."""
+
+    _writable = frozenset({"covIncrement", "presentValue"})
+    _needs_arrays = frozenset(
+        {"presentValue", "priorityArray", "currentCommandPriority", "relinquishDefault", "reliability", "statusFlags"}
+    )
+
+    def _command(self) -> tuple[int | None, float]:
+        """Return the priority in effect and its value; None and the relinquish default if nobody commands it."""
+        for priority, entry in enumerate(self._state.priority_array(self._spec.name), 1):
+            if entry.value is not None:
+                return priority, entry.value
+        return None, self._state.baseline(self._spec.position)
+
+    def _value(self) -> float:
+        return self._command()[1]
+
+    @property
+    def priorityArray(self) -> Any:
+        """The 16 values, Null where nobody commands."""
+        entries = self._state.priority_array(self._spec.name)
+        return PriorityArray(
+            [
+                PriorityValue(null=()) if entry.value is None else PriorityValue(real=real(entry.value))
+                for entry in entries
+            ]
+        )
+
+    @property
+    def relinquishDefault(self) -> Real:
+        """The value of the baseline control, as far as known."""
+        return real(self._state.baseline(self._spec.position))
+
+    @property
+    def currentCommandPriority(self) -> Any:
+        """The priority in effect, Null for the baseline control."""
+        priority = self._command()[0]
+        return OptionalUnsigned(null=()) if priority is None else OptionalUnsigned(unsigned=priority)
+
+    @property
+    def interfaceValue(self) -> Any:
+        """The value in effect in the latest timestep, Null where it is not reported."""
+        value = self._state.effective(self._spec.position)
+        return OptionalReal(null=()) if math.isnan(value) else OptionalReal(real=real(value))
+
+    async def command(self, value: Any, priority: int | None) -> None:
+        """Write at a priority (None: 16) or, with Null, relinquish it."""
+        priority = 16 if priority is None else priority
+        if priority == RESERVED_PRIORITY:
+            raise PropertyError("writeAccessDenied")
+        if isinstance(value, Null):
+            await self._state.write(self._spec.name, None, priority)
+            return
+        number, spec = double(value), self._spec
+        low = -math.inf if spec.low is None else spec.low
+        high = math.inf if spec.high is None else spec.high
+        if not math.isfinite(number) or not low <= number <= high:
+            raise PropertyError("valueOutOfRange")
+        await self._state.write(spec.name, number, priority)

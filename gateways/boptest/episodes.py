@@ -1,0 +1,148 @@
+"""Beginnings of tests: a building after its warm-up, kept as snapshots so that the next test begins in milliseconds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from zenostat.bridge.client.sample import SampleView
+from zenostat.gateways.boptest.baseline import Baseline, ZoneSchedules
+from zenostat.gateways.boptest.history import History
+from zenostat.gateways.boptest.parsing import BadRequest
+from zenostat.gateways.boptest.points import PointTable
+from zenostat.gateways.boptest.simulation import DAY_S, YEAR_S, Building, Interruption, Simulation
+from zenostat.gateways.boptest.weather import COLUMNS, Weather
+from zenostat.topics.errors import BusError, RequestRejected
+
+_MAX_KEPT = 4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beginning:
+    """A test's first sample.
+
+    Attributes:
+        time_s: its time.
+        snapshot: snapshot of it.
+        history: the warm-up and this sample.
+        sample: the sample.
+        baseline: the building under the baseline control from it on.
+    """
+
+    time_s: int
+    snapshot: str
+    history: History
+    sample: SampleView
+    baseline: Baseline
+
+
+class Episodes:
+    """The node of a test, and the beginnings that it can return to.
+
+    Args:
+        arguments: arguments of the scenario.
+        interruption: ends the node from another thread.
+
+    Attributes:
+        table: the points.
+        schedules: setpoints and occupants.
+        building: the node.
+        interruption: as above.
+        weather: weather of its run period.
+    """
+
+    def __init__(self, arguments: Mapping[str, Any], interruption: Interruption) -> None:
+        self._arguments, self.interruption = arguments, interruption
+        self._kept: dict[tuple[int, int], Beginning] = {}
+        self.building = Building(arguments, interruption=interruption)
+        try:
+            manifest = self.building.main.manifest
+            self.table = PointTable(manifest)
+            self.schedules = ZoneSchedules(manifest)
+            self.weather = _weather(self.building)
+        except BaseException:
+            self.building.close()
+            raise
+
+    def begin(self, start_s: float, warmup_s: float) -> Beginning:
+        """Return to the building at a time, after a warm-up under the baseline control.
+
+        Raises:
+            BadRequest: times that are not multiples of the timestep, or after the year.
+        """
+        step_s = self.building.step_s
+        for name, value in (("start_time", start_s), ("warmup_period", warmup_s)):
+            if value % step_s:
+                raise BadRequest(f"{name} {value:g} is not a multiple of the building's timestep of {step_s} s.")
+        if start_s >= YEAR_S:
+            raise BadRequest(f"start_time {start_s:g} is not within the year: it must be less than {YEAR_S}.")
+        start, begin = int(start_s), int(max(start_s - warmup_s, 0.0))
+        self._use_day(begin // DAY_S)
+        key = (start, begin)
+        if key in self._kept:
+            beginning = self._kept[key] = self._kept.pop(key)
+            self.building.main.reset(beginning.snapshot)
+            return beginning
+        while len(self._kept) >= _MAX_KEPT:
+            self._drop(next(iter(self._kept)))
+        beginning = self._kept[key] = self._simulate(start, begin)
+        return beginning
+
+    def _use_day(self, first_day: int) -> None:
+        """Start another node if the run period has to begin on another day, or the node has ended."""
+        if first_day == self.building.first_day and not self.building.end:
+            return
+        self._kept.clear()
+        self.building.close()
+        self.building = Building(self._arguments, first_day, interruption=self.interruption)
+        self.weather = _weather(self.building)
+
+    def _simulate(self, start: int, begin: int) -> Beginning:
+        building, main = self.building, self.building.main
+        main.reset()
+        history = History(begin, building.step_s, len(main.manifest.points), len(main.manifest.actuators))
+        skipped = (begin - building.begin_s) // building.step_s
+
+        def add(sample: SampleView) -> None:
+            if sample.step >= skipped:
+                history.append(sample.fault_free_values, sample.effective, activated=False)
+
+        add(main.sample)
+        main.run_free((start - building.begin_s) // building.step_s, add)
+        first, snapshot = main.sample, main.snapshot()
+        create = _branch_of(main, snapshot)
+        return Beginning(start, snapshot, history, first, Baseline(create, first, start, building.step_s))
+
+    def _drop(self, key: tuple[int, int]) -> None:
+        dropped = self._kept.pop(key)
+        with suppress(BusError, RequestRejected):
+            dropped.baseline.close()
+            self.building.main.bus.drop(self.building.main.node, dropped.snapshot)
+
+    def close(self) -> None:
+        """End the node."""
+        self._kept.clear()
+        self.building.close()
+
+
+def _branch_of(main: Simulation, snapshot: str) -> Callable[[], Simulation]:
+    return lambda: main.branch(snapshot=snapshot, relinquished=True)
+
+
+def _weather(building: Building) -> Weather:
+    main = building.main
+    series = main.bus.weather(main.node, COLUMNS)
+    rows = np.frombuffer(series.values, "<f8").reshape(-1, len(series.columns)).T
+    site = main.bus.geometry(main.node)
+    return Weather(
+        building.begin_s,
+        series.step_s,
+        dict(zip(COLUMNS, rows, strict=True)),
+        site.latitude_deg,
+        site.longitude_deg,
+        site.time_zone_h,
+    )

@@ -1,0 +1,123 @@
+"""What this service has beyond BOPTEST: snapshots, branches, and the building under the baseline control."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from zenostat.gateways.boptest import parsing
+from zenostat.gateways.boptest.cases import TestCase
+from zenostat.gateways.boptest.episodes import Beginning, Episodes
+from zenostat.gateways.boptest.history import History
+from zenostat.gateways.boptest.kpis import TestKpis, TimeRatio
+from zenostat.gateways.boptest.parsing import BadRequest
+from zenostat.gateways.boptest.prices import Rates
+from zenostat.gateways.boptest.session import Answer, BuildingTest
+from zenostat.gateways.boptest.simulation import Interruption, Simulation
+from zenostat.topics.errors import did_you_mean
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Saved:
+    """The state of a test at a snapshot."""
+
+    simulation: Simulation
+    name: str
+    beginning: Beginning
+    history: History
+    first_row: int
+    end_s: float
+    is_over: bool
+    step_s: float
+    scenario: dict[str, Any]
+
+
+class ExtendedTest(BuildingTest):
+    """A test with snapshots, branches and the baseline's values; see `BuildingTest`."""
+
+    def __init__(
+        self,
+        case: TestCase,
+        rates: Rates,
+        days: Callable[[], Mapping[str, int]],
+        episodes: Episodes | None = None,
+        simulation: Simulation | None = None,
+        interruption: Interruption | None = None,
+    ) -> None:
+        self._saved: dict[str, _Saved] = {}
+        super().__init__(case, rates, days, episodes, simulation, interruption)
+
+    def take_snapshot(self) -> Answer:
+        """Take a snapshot of the test."""
+        self._check_no_branch()
+        name = self.simulation.snapshot()
+        self._saved[name] = _Saved(
+            self.simulation, name, self.beginning, self.history.copy(), self.first_row, self.end_s, self.is_over,
+            self.step_s, dict(self.scenario),
+        )  # fmt: skip
+        return "Snapshot taken successfully.", {"snapshot": name, "time": self.time_s}
+
+    def restore(self, fields: Mapping[str, Any]) -> Answer:
+        """Return to a snapshot; it can be used again."""
+        saved = self._find(fields)
+        self.simulation.reset(saved.name)
+        self._adopt(saved)
+        return f"Test returned to the snapshot at {float(self.time_s)}s.", self.state()
+
+    def drop_snapshot(self, fields: Mapping[str, Any]) -> Answer:
+        """Drop a snapshot, which frees its memory."""
+        saved = self._find(fields)
+        del self._saved[saved.name]
+        saved.simulation.bus.drop(saved.simulation.node, saved.name)
+        return "Snapshot dropped successfully.", {"snapshot": saved.name}
+
+    def _find(self, fields: Mapping[str, Any]) -> _Saved:
+        # Snapshots end with the node, which another beginning of a test may have replaced.
+        self._saved = {name: saved for name, saved in self._saved.items() if saved.simulation is self.simulation}
+        name = parsing.require(fields, "snapshot")
+        if not isinstance(name, str) or name not in self._saved:
+            raise BadRequest(f"No snapshot {str(name)[:80]!r}; {did_you_mean(str(name)[:80], self._saved)}")
+        return self._saved[name]
+
+    def _adopt(self, saved: _Saved) -> None:
+        self.beginning, self.history = saved.beginning, saved.history.copy()
+        self.first_row, self.end_s, self.is_over = saved.first_row, saved.end_s, saved.is_over
+        self.step_s, self.scenario = saved.step_s, dict(saved.scenario)
+        self.time_ratio = TimeRatio()
+        self.forecaster.forget_errors()
+        self._restart_kpis()
+
+    def branch(self, fields: Mapping[str, Any]) -> ExtendedTest:
+        """Return another test that continues independently from here; it ends with this one at the latest."""
+        self._check_no_branch()
+        relinquished = fields.get("baseline")
+        is_relinquished = relinquished is not None and parsing.switch(relinquished, "baseline")
+        simulation = self.simulation.branch(relinquished=is_relinquished)
+        branch = ExtendedTest(self.case, self._rates, self._days, self.episodes, simulation)
+        saved = _Saved(
+            simulation, "", self.beginning, self.history, self.first_row, self.end_s, self.is_over, self.step_s,
+            self.scenario,
+        )  # fmt: skip
+        branch._adopt(saved)
+        return branch
+
+    def baseline(self) -> Answer:
+        """Return measurements and KPIs of the building under the baseline control, at the test's time."""
+        baseline, history = self.beginning.baseline, self.history
+        row = baseline.reach(len(history) - 1 - self.first_row)
+        values = self.table.si_values(baseline.history.values[row]).tolist()
+        inputs = self.table.si_inputs(baseline.history.inputs[row]).tolist()
+        return "Queried the baseline successfully.", {
+            "time": self.time_s,
+            "measurements": dict(zip(self.table.measured, values, strict=True)),
+            "inputs": dict(zip(self.table.commanded, inputs, strict=True)),
+            "kpi": self.baseline_kpis(row),
+        }
+
+    def baseline_kpis(self, row: int) -> dict[str, float | None]:
+        """Return the KPIs of the baseline from the test's beginning to a row that it has reached."""
+        baseline, price = self.beginning.baseline, self.scenario["electricity_price"]
+        comfort = self.episodes.schedules.comfort(baseline)
+        kpis = TestKpis(self.simulation.manifest, comfort, self._rates, price, 0)
+        return kpis.read(baseline.history, row + 1)

@@ -1,0 +1,121 @@
+"""Forecasts of a test: weather with its errors, prices, emission factors, setpoints and occupants."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import floor
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zenostat.gateways.boptest import forecast_errors
+from zenostat.gateways.boptest.baseline import Baseline, ZoneSchedules
+from zenostat.gateways.boptest.parsing import BadRequest, unknown_names
+from zenostat.gateways.boptest.prices import Rates, rate_at
+from zenostat.gateways.boptest.weather import Weather
+
+Floats = NDArray[np.float64]
+
+UNCERTAIN = {"TDryBul": "temperature_uncertainty", "HGloHor": "solar_uncertainty"}
+"""The points that have errors, with the field of the scenario that has their level."""
+
+MAX_UNCERTAIN_S = 48 * 3600
+MAX_VALUES = 2_000_000
+
+
+class Forecaster:
+    """The forecasts of a test case.
+
+    Args:
+        weather: weather of the site.
+        rates: prices and emission factors.
+        schedules: setpoints and occupants of its zones.
+
+    Attributes:
+        points: by name, unit and description.
+    """
+
+    def __init__(self, weather: Weather, rates: Rates, schedules: ZoneSchedules) -> None:
+        self._weather, self._rates, self._schedules = weather, rates, schedules
+        self.points: dict[str, tuple[str, str]] = {
+            **weather.points,
+            **{name: (unit, text) for name, (_, unit, text) in rates.points.items()},
+            **schedules.points,
+        }
+        self._stored: dict[str, tuple[Any, Floats]] = {}
+
+    def forget_errors(self) -> None:
+        """Draw new errors at the next forecast."""
+        self._stored.clear()
+
+    def forecast(
+        self,
+        names: list[str],
+        now_s: float,
+        horizon_s: float,
+        interval_s: float,
+        scenario: Mapping[str, Any],
+        baseline: Baseline,
+    ) -> dict[str, list[float]]:
+        """Return `time` and the values of points from now to the horizon, inclusive.
+
+        Args:
+            names: points.
+            now_s: the current time.
+            horizon_s: at least 0.
+            interval_s: above 0.
+            scenario: has the levels of uncertainty and the seed.
+            baseline: the test's.
+
+        Raises:
+            BadRequest: an unknown point, a horizon that is too long for uncertain ones, or too many values.
+        """
+        if unknown := [name for name in names if name not in self.points]:
+            raise unknown_names(unknown, "point_names")
+        count = floor(horizon_s / interval_s + 1e-9) + 1
+        if count * (len(names) + 1) > MAX_VALUES:
+            raise BadRequest(f"the forecast would have {count} times; at most {MAX_VALUES} values can be requested")
+        times_s: Floats = now_s + interval_s * np.arange(count, dtype=np.float64)
+        result = {"time": _times(times_s)}
+        for name in names:
+            level = scenario.get(UNCERTAIN.get(name, ""))
+            if level in forecast_errors.LEVELS:
+                values = self._uncertain(name, level, times_s, horizon_s, scenario.get("seed"))
+            else:
+                values = self._certain(name, times_s, baseline)
+            result[name] = values.tolist()
+        return result
+
+    def _certain(self, name: str, times_s: Floats, baseline: Baseline) -> Floats:
+        if name in self._weather.points:
+            return self._weather.at(name, times_s)
+        if name in self._rates.points:
+            return rate_at(self._rates.points[name][0], times_s)
+        return self._schedules.at(name, baseline, times_s)
+
+    def _uncertain(self, name: str, level: str, times_s: Floats, horizon_s: float, seed: int | None) -> Floats:
+        """Return a forecast with errors, which are drawn for full hours and kept during the hour."""
+        if horizon_s > MAX_UNCERTAIN_S:
+            raise BadRequest(
+                f"The horizon of {horizon_s:g} s is longer than {MAX_UNCERTAIN_S} s, the longest for which the "
+                f"uncertainty of {name} is defined."
+            )
+        hour_s = times_s[0] // 3600 * 3600
+        key = (level, hour_s, horizon_s, seed)
+        hours_s = hour_s + 3600.0 * np.arange(int((horizon_s + 3600) / 3600 + 1))
+        if self._stored.get(name, (None,))[0] != key:
+            truth = self._weather.at(name, hours_s)
+            start = None if not seed else int(seed + times_s[0]) % 2**32
+            if name == "TDryBul":
+                hourly = truth - forecast_errors.temperature_errors(level, len(hours_s), start)
+            else:
+                hourly = forecast_errors.solar_forecast(level, truth, start)
+            self._stored[name] = (key, hourly)
+        values: Floats = np.interp(times_s, hours_s, self._stored[name][1])
+        return values
+
+
+def _times(times_s: Floats) -> list[float]:
+    """Return times as JSON numbers, whole ones as integers."""
+    return [int(time) if time == int(time) else time for time in times_s.tolist()]

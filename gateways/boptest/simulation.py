@@ -1,0 +1,193 @@
+"""The building of a test: its node process, and simulations on it.
+
+A test has a node of its own, whose run period begins on the day on which its warm-up begins. Time is in seconds since
+1 January, 0:00, of a year without 29 February, as in BOPTEST.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from datetime import date, datetime, timedelta
+from threading import Lock
+from typing import Any
+from weakref import WeakSet
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zenostat.agent_sdk.envs.arguments import for_node
+from zenostat.bridge.client.bus import Bus, connect
+from zenostat.bridge.client.local_node import LocalNode
+from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Mode
+
+Floats = NDArray[np.float64]
+
+DAY_S = 86400
+YEAR = datetime(2017, 1, 1)
+"""Time 0. Its 1 January is a Sunday, and neither it nor the next year has a 29 February."""
+
+YEAR_S = 365 * DAY_S
+LAST_DAY = "2018-12-31"
+"""Last day of each run period: tests continue past the end of the year."""
+
+_NODE = "building"
+_RELINQUISH = int(CommandOp.RELINQUISH)
+
+
+def moment(time_s: float) -> datetime:
+    """Return local standard time for seconds since 1 January."""
+    return YEAR + timedelta(seconds=time_s)
+
+
+class Simulation:
+    """One engine that is stepped by its test: that of the node, or of a branch.
+
+    Attributes:
+        bus, node: the bus and the node's name.
+        manifest: its manifest.
+        sample: the sample that it has reached.
+    """
+
+    def __init__(self, bus: Bus, node: str) -> None:
+        self.bus, self.node = bus, node
+        self._link = bus.controller(node, name="boptest")
+        self.manifest: Manifest = self._link.manifest
+        self.sample: SampleView = self._link.current()
+        self._relinquished = bytes([_RELINQUISH]) * len(self.manifest.actuators)
+
+    @property
+    def owner(self) -> str:
+        """Name of its controller on the bus."""
+        return self._link.name
+
+    def reset(self, snapshot: str = "") -> None:
+        """Start an episode, or return to a snapshot."""
+        self.sample = self._link.reset(snapshot=snapshot)
+
+    def step(self, values: Floats | None = None, operations: bytes | None = None) -> SampleView:
+        """Simulate a timestep; without values, all commands are kept."""
+        self._link.send(values, operations)
+        self.sample = self._link.receive()
+        return self.sample
+
+    def run_free(self, steps: int, add: Callable[[SampleView], None]) -> None:
+        """Simulate timesteps under the baseline control, without a command for each of them.
+
+        Args:
+            steps: number of timesteps.
+            add: called with the sample of each.
+        """
+        if steps <= 0:
+            return
+        self.bus.pause(self.node)
+        self.bus.pace(self.node, mode=Mode.FREE)
+        self.bus.step(self.node, steps)
+        for _ in range(steps):
+            self.sample = self._link.receive()
+            add(self.sample)
+        self.bus.pace(self.node, mode=Mode.LOCKSTEP)
+        self.bus.resume(self.node)
+
+    def snapshot(self) -> str:
+        """Take a snapshot of the sample that it has reached, and return its name."""
+        return self.bus.snapshot(self.node, self.owner).snapshot
+
+    def branch(self, *, snapshot: str = "", relinquished: bool = False) -> Simulation:
+        """Return a simulation that continues independently, from this sample or from a snapshot."""
+        branch = CreateBranch(controller=self.owner, snapshot=snapshot, relinquished=relinquished)
+        return Simulation(self.bus, self.bus.branch(self.node, branch))
+
+    def close(self) -> None:
+        """Disconnect; a branch ends by that."""
+        self._link.close()
+
+
+class Interruption:
+    """Ends the nodes of a test from another thread, also one that is starting, and lets no other start.
+
+    Attributes:
+        is_set: whether it has taken place.
+    """
+
+    def __init__(self) -> None:
+        self.is_set = False
+        self._lock = Lock()
+        self._nodes: WeakSet[LocalNode] = WeakSet()
+
+    def watch(self, node: LocalNode) -> None:
+        """Add a node whose process has just been started."""
+        with self._lock:
+            self._nodes.add(node)
+            if self.is_set:
+                node.terminate()
+
+    def interrupt(self) -> None:
+        """End the nodes, without waiting for it; calls that use them raise `NodeLost`."""
+        with self._lock:
+            self.is_set = True
+            for node in self._nodes:
+                node.terminate()
+
+
+class Building:
+    """A node process of its own, on a private socket.
+
+    Args:
+        arguments: arguments of the scenario, as of an environment.
+        first_day: day of the year on which its run period begins, from 0.
+        last_day: last day of its run period.
+        interruption: can end it from another thread.
+
+    Raises:
+        ZenostatError: the node cannot start.
+    """
+
+    def __init__(
+        self,
+        arguments: Mapping[str, Any],
+        first_day: int = 0,
+        last_day: str = LAST_DAY,
+        *,
+        interruption: Interruption | None = None,
+    ) -> None:
+        self.first_day = first_day
+        begin: date = moment(first_day * DAY_S).date()
+        period = {"begin": begin.isoformat(), "end": last_day}
+        placement = Affinity.SEPARATE_CORES
+        self._close = ExitStack()
+        with ExitStack() as undo:
+            undo.callback(self.close)
+            settings, on_process = for_node({**arguments, **period}, _NODE), (interruption or Interruption()).watch
+            self._node = LocalNode(settings, placement, on_process)
+            self._close.callback(self._node.close)
+            bus = connect(self._node.endpoint, affinity=placement, core=self._node.core)
+            self._close.enter_context(bus)
+            self.main = Simulation(bus, _NODE)
+            undo.pop_all()
+        step_s = self.main.manifest.step_s
+        if step_s != int(step_s) or self.main.manifest.slots != 1:
+            raise InvalidConfig(f"a test case has one slot and a timestep of whole seconds, not {step_s:g} s")
+        self.step_s = int(step_s)
+
+    @property
+    def begin_s(self) -> int:
+        """Time at which its run period begins."""
+        return self.first_day * DAY_S
+
+    @property
+    def pid(self) -> int:
+        """The node's process id."""
+        return self._node.pid
+
+    @property
+    def end(self) -> str:
+        """How the node's process ended; empty while it runs."""
+        return self._node.end
+
+    def close(self) -> None:
+        """End the node; idempotent."""
+        self._close.close()

@@ -1,0 +1,239 @@
+"""The registers and coils of one node."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import struct
+from collections.abc import Callable, Sequence
+from contextlib import AsyncExitStack
+from datetime import datetime
+
+from zenostat.gateways.modbus.register_map import FIRST_VALUE, HEADER, MAP_VERSION, STATES, RegisterMap, Table
+from zenostat.gateways.modbus.server import ExceptionCode, ModbusException, ModbusServer
+from zenostat.gateways.node_client import NodeClient
+from zenostat.gateways.notices import Notices
+from zenostat.gateways.points import effective_value, is_effective, readings
+from zenostat.topics.errors import InvalidAction, RequestRejected, UnknownName, ZenostatError
+from zenostat.topics.messages import Actuator, Manifest
+from zenostat.topics.points import contains
+
+_EPOCH = datetime(1970, 1, 1)
+
+
+class ModbusGateway:
+    """Serves one node: `async with ModbusGateway(node, "127.0.0.1", 1502) as gateway: await gateway.run()`.
+
+    Args:
+        node: the node.
+        host, port: address to listen on.
+        priority: priority of all commands, 1 (highest) to 16.
+        is_little_endian: whether the low word of a value comes first.
+        notify: called with a text when the map changes, and with the reasons of rejected writes, for which Modbus has
+            only a number.
+    """
+
+    def __init__(
+        self,
+        node: NodeClient,
+        host: str,
+        port: int,
+        *,
+        priority: int = 8,
+        is_little_endian: bool = False,
+        notify: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._node, self._priority = node, priority
+        self._float = "<f" if is_little_endian else ">f"
+        self._is_little_endian = is_little_endian
+        identity = {0: "Zenostat", 1: "zenostat-gateway-modbus", 2: node.manifest.versions.zenostat, 4: node.name}
+        self.server = ModbusServer(self, host, port, identity)
+        self._writing = asyncio.Lock()  # one request's values and their check are not mixed with another one's
+        self._close = AsyncExitStack()
+        self._notify, self._rejections = notify, Notices(notify)
+        self._set_manifest(node.manifest)
+
+    def _set_manifest(self, manifest: Manifest) -> None:
+        self.map = RegisterMap(manifest)
+        self._readings = readings(manifest)
+        self._actuators: tuple[Actuator, ...] = manifest.actuators
+
+    def _on_manifest(self, manifest: Manifest) -> None:
+        """Use a new manifest; with another map, no client may go on as if its addresses were the same."""
+        former = self.map.checksum
+        self._set_manifest(manifest)
+        if self.map.checksum != former:
+            self.server.close_connections()
+            self._notify(
+                f"{manifest.node} has other points: the map and its checksum ({self.map.checksum}) have changed, and "
+                "all connections are closed; write the new map with --map"
+            )
+
+    async def __aenter__(self) -> ModbusGateway:
+        self._node.listeners.manifests.append(self._on_manifest)
+        await self._close.enter_async_context(self.server)
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._close.aclose()
+        self._node.listeners.manifests.remove(self._on_manifest)
+
+    @property
+    def description(self) -> str:
+        """Node and address, for the first line."""
+        address = f"{self.server.host}:{self.server.port}"
+        return f"node {self._node.name} as Modbus TCP on {address}, without encryption or password"
+
+    async def run(self) -> None:
+        """Serve until cancelled."""
+        await asyncio.get_running_loop().create_future()
+
+    def summary(self) -> str:
+        """Return counts for the last line."""
+        counts = self.server.counts
+        return (
+            f"{counts.requests} requests, {counts.exceptions} answered with an exception, "
+            f"{counts.malformed} connections closed for malformed frames, {counts.displaced} idle ones for new ones"
+        )
+
+    # Reading
+
+    async def read_bits(self, table: Table, address: int, count: int) -> Sequence[bool]:
+        """Return coils or discrete inputs; see `RegisterMap`."""
+        bits = self._discrete_inputs() if table is Table.DISCRETE_INPUT else None
+        size = len(self._actuators) if bits is None else len(bits)
+        _check_range(address, count, size)
+        if bits is None:
+            bits = [not math.isnan(value) for value in await self._commands()]
+        return bits[address : address + count]
+
+    def _discrete_inputs(self) -> list[bool]:
+        node, sample = self._node, self._node.sample
+        is_up = node.is_online and sample is not None
+        states = [is_up, is_up and not sample.truncated, is_up and sample.fallback] if sample is not None else []
+        states += [False] * (FIRST_VALUE - len(states))
+        effective = [
+            is_up and sample is not None and is_effective(sample, actuator, node.source) for actuator in self._actuators
+        ]
+        return states + effective
+
+    async def read_registers(self, table: Table, address: int, count: int) -> Sequence[int]:
+        """Return input or holding registers; see `RegisterMap`."""
+        width = 2 * len(self._actuators)
+        if table is Table.HOLDING_REGISTER:
+            _check_range(address, count, width)
+            values = await self._commands()
+            return self._float_registers(values)[address : address + count]
+        _check_range(address, count, FIRST_VALUE + 2 * len(self._readings) + width)
+        return self._input_registers()[address : address + count]
+
+    def _input_registers(self) -> list[int]:
+        node, sample = self._node, self._node.sample
+        if sample is None or not node.is_online:
+            raise ModbusException(ExceptionCode.GATEWAY_TARGET_DEVICE_FAILED_TO_RESPOND)
+        fields = {
+            "map_version": MAP_VERSION,
+            "readings": len(self._readings),
+            "actuators": len(self._actuators),
+            "map_checksum": self.map.checksum,
+            "episode": sample.episode,
+            "step": sample.step,
+            "time": int((sample.time - _EPOCH).total_seconds()) & 0xFFFFFFFF,
+            "timestep": node.manifest.step_s,
+        }
+        header: list[int] = []
+        for name, kind, _ in HEADER:
+            header += self._registers(kind, fields[name])
+        header += [0] * (FIRST_VALUE - len(header))
+        values = [reading.of(sample) for reading in self._readings]
+        values += [effective_value(sample, index) for index in range(len(self._actuators))]
+        return header + self._float_registers(values)
+
+    async def _commands(self) -> list[float]:
+        """Return the gateway's command for each actuator, as the node has it; NaN while relinquished."""
+        try:
+            arrays = await self._node.priorities()
+        except ZenostatError as error:
+            raise _exception(error) from None
+        entries = [arrays[actuator.name][self._priority - 1] for actuator in self._actuators]
+        return [
+            math.nan if entry.value is None or entry.source != self._node.source else entry.value for entry in entries
+        ]
+
+    def _float_registers(self, values: Sequence[float | None]) -> list[int]:
+        return [word for value in values for word in self._registers("float32", math.nan if value is None else value)]
+
+    def _registers(self, kind: str, value: float) -> list[int]:
+        """Return the registers of one value, in the order of words of this gateway."""
+        if kind == "uint16":
+            return [int(value)]
+        raw = _pack_float(value) if kind == "float32" else struct.pack(">I", int(value))
+        words = list(struct.unpack(">HH", raw))
+        return words[::-1] if self._is_little_endian else words
+
+    # Writing
+
+    async def write_registers(self, address: int, values: Sequence[int]) -> None:
+        """Command actuators; whole values only, all of them or, where one is invalid, none."""
+        _check_range(address, len(values), 2 * len(self._actuators))
+        if address % 2 or len(values) % 2:
+            raise ModbusException(ExceptionCode.ILLEGAL_DATA_VALUE)
+        numbers = [self._float_of(values[i : i + 2]) for i in range(0, len(values), 2)]
+        targets = self._actuators[address // 2 : address // 2 + len(numbers)]
+        numbers = [_snapped(actuator, number) for actuator, number in zip(targets, numbers, strict=True)]
+        if not all(contains(actuator, number) for actuator, number in zip(targets, numbers, strict=True)):
+            raise ModbusException(ExceptionCode.ILLEGAL_DATA_VALUE)
+        await self._write(dict(zip((a.name for a in targets), numbers, strict=True)))
+
+    async def write_coils(self, address: int, values: Sequence[bool]) -> None:
+        """Relinquish actuators with 0; 1 is valid only for those that are commanded already."""
+        _check_range(address, len(values), len(self._actuators))
+        targets = self._actuators[address : address + len(values)]
+        commands = (await self._commands())[address : address + len(values)]
+        if any(bit and math.isnan(command) for bit, command in zip(values, commands, strict=True)):
+            raise ModbusException(ExceptionCode.ILLEGAL_DATA_VALUE)  # there is no value to command
+        await self._write({a.name: None for a, bit in zip(targets, values, strict=True) if not bit})
+
+    async def _write(self, values: dict[str, float | None]) -> None:
+        async with self._writing:
+            try:
+                for name, value in values.items():
+                    await self._node.write(name, value, priority=self._priority)
+            except ZenostatError as error:
+                if isinstance(error, RequestRejected):
+                    self._rejections.add(f"a write was rejected: {error}")
+                raise _exception(error) from None
+
+    def _float_of(self, words: Sequence[int]) -> float:
+        ordered = words[::-1] if self._is_little_endian else words
+        return float(struct.unpack(">f", struct.pack(">HH", *ordered))[0])
+
+
+def _snapped(actuator: Actuator, number: float) -> float:
+    """Return the bound of which a float32 is the rounded value, which may be outside by the rounding; else itself."""
+    for bound in (actuator.low, actuator.high):
+        if bound is not None and struct.unpack(">f", _pack_float(bound))[0] == number:
+            return bound
+    return number
+
+
+def _pack_float(value: float) -> bytes:
+    try:
+        return struct.pack(">f", value)
+    except OverflowError:  # beyond the range of float32
+        return struct.pack(">f", math.copysign(math.inf, value))
+
+
+def _check_range(address: int, count: int, size: int) -> None:
+    """Raise the exception of an illegal address unless all addresses exist."""
+    if address + count > size:
+        raise ModbusException(ExceptionCode.ILLEGAL_DATA_ADDRESS)
+
+
+def _exception(error: ZenostatError) -> ModbusException:
+    if isinstance(error, RequestRejected | UnknownName | InvalidAction):
+        return ModbusException(ExceptionCode.SERVER_DEVICE_FAILURE)
+    return ModbusException(ExceptionCode.GATEWAY_TARGET_DEVICE_FAILED_TO_RESPOND)
+
+
+assert len(STATES) <= FIRST_VALUE

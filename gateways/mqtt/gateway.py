@@ -1,0 +1,386 @@
+"""One node on an MQTT broker."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from contextlib import AsyncExitStack
+from dataclasses import dataclass
+from typing import TypeVar
+
+import aiomqtt
+from paho.mqtt.packettypes import PacketTypes
+from paho.mqtt.properties import Properties
+from paho.mqtt.subscribeoptions import SubscribeOptions
+
+from zenostat.bridge.client.sample import SampleView
+from zenostat.gateways.mqtt.broker import Broker, connect, disconnect
+from zenostat.gateways.mqtt.home_assistant import discovery
+from zenostat.gateways.mqtt.messages import (
+    accepted,
+    event_json,
+    manifest_json,
+    number,
+    read_command,
+    rejected,
+    sample_json,
+)
+from zenostat.gateways.mqtt.retained import RetainedMessages, point_topics
+from zenostat.gateways.mqtt.topic_names import PREFIX, is_below, is_topic
+from zenostat.gateways.node_client import NodeClient
+from zenostat.gateways.points import effective_value, readings
+from zenostat.gateways.tasks import cancel
+from zenostat.topics.errors import BadMessage, BusError, NodeLost, RequestRejected, ZenostatError
+from zenostat.topics.messages import Event, Manifest
+
+MAX_WAITING = 1000
+"""Largest number of commands, samples or events that wait; further commands are rejected, older samples dropped."""
+
+MAX_RESULTS = 20_000
+"""Largest number of results that wait while the broker is away or slow; beyond, the oldest are dropped."""
+
+T = TypeVar("T")
+
+_RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
+_END_S = 2.0
+_SHOWN = 200
+_ATTEMPTS = 2  # a broker may end the connection because of a response topic, for example one with too many levels
+
+
+@dataclass(slots=True)
+class Counts:
+    """Numbers of published samples, of samples dropped since the broker was slow or away, and of commands."""
+
+    samples: int = 0
+    dropped: int = 0
+    accepted: int = 0
+    rejected: int = 0
+    reconnections: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class _Received:
+    """A command as received: the actuator's name, the payload, and where an MQTT 5 client wants the result.
+
+    Attributes:
+        reply_topic: the response topic, unless it is a gateway's own, or none to which can be published.
+        own_topic: the response topic if it is a gateway's own.
+    """
+
+    actuator: str
+    payload: bytes
+    is_retained: bool
+    reply_topic: str | None
+    own_topic: str | None
+    correlation: bytes | None
+
+
+@dataclass(slots=True)
+class _Result:
+    """A result to be published; `attempts_left` on its topic, None for any number."""
+
+    topic: str
+    text: str
+    correlation: bytes | None
+    attempts_left: int | None = None
+
+
+class MqttGateway:
+    """Publishes one node to a broker and carries out commands: `async with MqttGateway(node, broker) as gateway`.
+
+    On entering the context it connects for the first time. Later, it reconnects for as long as it runs. Commands that
+    arrived before a connection was lost are carried out, and their results are published on the next connection.
+
+    Args:
+        node: the node.
+        broker: the broker.
+        root: topic below which all topics of the node are; None for `zenostat/NODE`.
+        priority: priority of commands that name none.
+        home_assistant: discovery prefix of Home Assistant; None for no discovery messages.
+        notify: called with a text when the broker is lost and when it is back.
+
+    Raises:
+        BusError: on entering the context, the broker cannot be reached or rejects the connection.
+
+    Attributes:
+        counts: counts of messages.
+    """
+
+    def __init__(
+        self,
+        node: NodeClient,
+        broker: Broker,
+        *,
+        root: str | None = None,
+        priority: int = 8,
+        home_assistant: str | None = None,
+        notify: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self.counts = Counts()
+        self._node, self._broker, self._priority = node, broker, priority
+        self._root = f"{PREFIX}/{node.name}" if root is None else root
+        self._home_assistant, self._notify = home_assistant, notify
+        # Nobody may use the gateway's rights on the broker to publish where other clients believe what is there.
+        own = self._root if not is_below(self._root, PREFIX) else PREFIX
+        self._own_roots = [*dict.fromkeys(root for root in (PREFIX, own, home_assistant) if root is not None)]
+        self._samples: deque[str] = deque(maxlen=MAX_WAITING)
+        self._events: deque[str] = deque(maxlen=MAX_WAITING)
+        self._results: deque[_Result] = deque(maxlen=MAX_RESULTS)
+        self._commands: deque[_Received] = deque()
+        self._has_output, self._has_commands = asyncio.Event(), asyncio.Event()
+        self._retained = RetainedMessages()
+        self._cleared_for: Manifest | None = None
+        self._executing: asyncio.Task[None] | None = None
+        self._close = AsyncExitStack()
+
+    async def __aenter__(self) -> MqttGateway:
+        listeners = self._node.listeners
+        self._listen(listeners.samples, self._on_sample)
+        self._listen(listeners.events, self._on_event)
+        self._listen(listeners.presence, self._on_change)
+        self._listen(listeners.manifests, self._on_change)
+        self._client = await connect(self._broker, f"{self._root}/status")
+        self._close.push_async_callback(self._say_goodbye)
+        return self
+
+    def _listen(self, functions: list[Callable[[T], None]], function: Callable[[T], None]) -> None:
+        functions.append(function)
+        self._close.callback(functions.remove, function)
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._close.aclose()
+
+    @property
+    def waiting(self) -> int:
+        """Number of commands that wait for the one that is carried out."""
+        return len(self._commands)
+
+    @property
+    def description(self) -> str:
+        """Node and broker, for the first line."""
+        safety = "encrypted" if self._broker.tls else "without encryption"
+        password = "with a password" if self._broker.password else "without a password"
+        return f"node {self._node.name} on the MQTT broker {self._broker} under {self._root}/, {safety}, {password}"
+
+    def summary(self) -> str:
+        """Return counts for the last line."""
+        counts = self.counts
+        return (
+            f"{counts.samples} samples published, {counts.dropped} dropped; "
+            f"{counts.accepted} commands accepted, {counts.rejected} rejected; {counts.reconnections} reconnections"
+        )
+
+    async def run(self) -> None:
+        """Publish and carry out commands until cancelled; then answer those that wait."""
+        executing = asyncio.create_task(self._execute())
+        try:
+            attempt = 0
+            while True:
+                try:
+                    await self._serve(self._client)
+                except aiomqtt.MqttError as error:
+                    self._notify(f"the broker {self._broker} is lost ({error}); reconnecting")
+                    await disconnect(self._client)
+                while True:
+                    await asyncio.sleep(_RETRY_S[min(attempt, len(_RETRY_S) - 1)])
+                    attempt += 1
+                    try:
+                        self._client = await connect(self._broker, f"{self._root}/status")
+                    except BusError:
+                        continue
+                    break
+                attempt = 0
+                self.counts.reconnections += 1
+                self._notify(f"connected to the broker {self._broker} again")
+        finally:
+            executing.cancel()
+            await self._reject_waiting()
+
+    # Connection
+
+    async def _reject_waiting(self) -> None:
+        """Wait a moment for the command in progress, and reject those after it."""
+        if self._executing is not None:
+            await asyncio.wait((self._executing,), timeout=_END_S)
+            await cancel(self._executing, retry_s=_END_S)
+        while self._commands:
+            error = RequestRejected("the gateway has ended")
+            self._reply(self._commands.popleft(), rejected(error), is_accepted=False)
+
+    async def _say_goodbye(self) -> None:
+        """Publish the last results and that the node is not served any more, and disconnect.
+
+        A lost broker publishes the last will.
+        """
+        try:
+            async with asyncio.timeout(_END_S):
+                while self._results:
+                    await self._publish_next(self._client)
+                await self._client.publish(f"{self._root}/status", b"offline", qos=1, retain=True)
+        except (aiomqtt.MqttError, TimeoutError):
+            pass
+        await disconnect(self._client)
+
+    async def _serve(self, client: aiomqtt.Client) -> None:
+        """Serve one connection until it is lost."""
+        self._retained.reconnected()
+        self._has_output.set()
+        tasks = [asyncio.create_task(self._receive(client)), asyncio.create_task(self._publish(client))]
+        try:
+            done, _ = await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            for task in done:
+                task.result()
+        finally:
+            await cancel(*tasks, retry_s=0.2)
+            while len(client.messages):  # received, and confirmed to the broker
+                self._take(await anext(client.messages))
+
+    # From the node
+
+    def _on_sample(self, sample: SampleView) -> None:
+        if len(self._samples) == MAX_WAITING:
+            self.counts.dropped += 1
+        self._samples.append(sample_json(sample, readings(self._node.manifest)))
+        self._has_output.set()
+
+    def _on_event(self, event: Event) -> None:
+        self._events.append(event_json(event))
+        self._has_output.set()
+
+    def _on_change(self, _: bool | Manifest) -> None:  # noqa: FBT001
+        self._has_output.set()
+
+    # To the broker
+
+    async def _publish(self, client: aiomqtt.Client) -> None:
+        """Publish results, events and samples as they come, and each point's latest value where it has changed."""
+        while True:
+            await self._has_output.wait()
+            self._has_output.clear()
+            await self._publish_state(client)
+            while self._results or self._events or self._samples:
+                await self._publish_next(client)
+            await self._publish_points(client)
+
+    async def _publish_next(self, client: aiomqtt.Client) -> None:
+        if self._results:
+            await self._publish_result(client, self._results[0])
+            self._results.popleft()  # only now: it is published again if the connection was lost meanwhile
+        elif self._events:
+            await client.publish(f"{self._root}/event", self._events[0], qos=1)
+            self._events.popleft()
+        else:
+            await client.publish(f"{self._root}/sample", self._samples.popleft())
+            self.counts.samples += 1
+
+    async def _publish_result(self, client: aiomqtt.Client, result: _Result) -> None:
+        if result.attempts_left is not None:
+            if result.attempts_left == 0:
+                return
+            result.attempts_left -= 1
+        properties = None
+        if result.correlation is not None:
+            properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
+            properties.CorrelationData = result.correlation
+        await client.publish(result.topic, result.text, qos=1, properties=properties)
+
+    async def _publish_state(self, client: aiomqtt.Client) -> None:
+        manifest, root, publish = self._node.manifest, self._root, self._retained.publish
+        await publish(client, f"{root}/manifest", manifest_json(manifest, readings(manifest)), qos=1)
+        discovered = [] if self._home_assistant is None else [*discovery(manifest, root, self._home_assistant)]
+        for topic, text in discovered:
+            await publish(client, topic, text, qos=1)
+        await publish(client, f"{root}/status", "online" if self._node.is_online else "offline", qos=1)
+        if self._cleared_for is not manifest:  # another building may not have all points of the former one
+            own = [f"{root}/manifest", f"{root}/status", *(topic for topic, _ in discovered)]
+            await self._retained.clear_others(client, [*own, *point_topics(manifest, root)])
+            self._cleared_for = manifest
+
+    async def _publish_points(self, client: aiomqtt.Client) -> None:
+        sample = self._node.sample
+        if sample is None or not self._node.is_online:
+            return
+        values = [reading.of(sample) for reading in readings(sample.manifest)]
+        values += [effective_value(sample, index) for index in range(len(sample.manifest.actuators))]
+        for topic, value in zip(point_topics(sample.manifest, self._root), values, strict=True):
+            await self._retained.publish(client, topic, number(value))
+
+    # Commands
+
+    async def _receive(self, client: aiomqtt.Client) -> None:
+        # Else a broker shows only at the next connection that a command is retained; MQTT 3.1.1 has no such option.
+        flags = {"options": SubscribeOptions(1, retainAsPublished=True)} if self._broker.version == 5 else {"qos": 1}
+        await client.subscribe(f"{self._root}/actuator/+/set", **flags)
+        async for message in client.messages:
+            self._take(message)
+
+    def _take(self, message: aiomqtt.Message) -> None:
+        """Queue a command."""
+        properties, actuator = message.properties, str(message.topic).split("/")[-2]
+        reply_topic = getattr(properties, "ResponseTopic", None)
+        if not is_topic(reply_topic) or reply_topic == self._result_topic(actuator):
+            reply_topic = None
+        is_own = reply_topic is not None and any(is_below(reply_topic, root) for root in self._own_roots)
+        received = _Received(
+            actuator,
+            message.payload if isinstance(message.payload, bytes) else str(message.payload or "").encode(),
+            bool(message.retain),
+            None if is_own else reply_topic,
+            reply_topic if is_own else None,
+            getattr(properties, "CorrelationData", None),
+        )
+        if len(self._commands) >= MAX_WAITING:
+            error = RequestRejected(f"{MAX_WAITING} commands are waiting; try again later")
+            self._reply(received, rejected(error), is_accepted=False)
+        else:
+            self._commands.append(received)
+            self._has_commands.set()
+
+    async def _execute(self) -> None:
+        """Carry out commands one after another, in the order received, also while the broker is away."""
+        while True:
+            await self._has_commands.wait()
+            self._has_commands.clear()
+            while self._commands:
+                self._executing = asyncio.create_task(self._carry_out(self._commands.popleft()))
+                await asyncio.shield(self._executing)
+
+    async def _carry_out(self, received: _Received) -> None:
+        try:
+            if received.is_retained:
+                raise BadMessage("a retained command is ignored: it would be repeated at each connection")
+            if received.own_topic is not None:
+                own = " and ".join(f"{root}/" for root in self._own_roots)
+                raise BadMessage(
+                    f"response topic {received.own_topic[:_SHOWN]!r} is a gateway's own; choose one that is not below "
+                    f"{own}, or {self._result_topic(received.actuator)}"
+                )
+            command = read_command(received.payload, priority=self._priority, source=self._node.source)
+            ack = await self._node.write(
+                received.actuator, command.value, priority=command.priority, duration_s=command.duration_s,
+                source=command.source,
+            )  # fmt: skip
+        except asyncio.CancelledError:
+            error = NodeLost("the gateway has ended before the node answered; the command may take effect")
+            self._reply(received, rejected(error), is_accepted=False)
+            raise
+        except ZenostatError as error:
+            self._reply(received, rejected(error), is_accepted=False)
+        else:
+            at = (ack.episode[0] if ack.episode else 0, ack.step[0] if ack.step else 0)
+            self._reply(received, accepted(command, ack.text, *at), is_accepted=True)
+
+    def _result_topic(self, actuator: str) -> str:
+        return f"{self._root}/actuator/{actuator}/result"
+
+    def _reply(self, received: _Received, text: str, *, is_accepted: bool) -> None:
+        """Queue the result for `…/actuator/NAME/result`, and for the response topic of an MQTT 5 client."""
+        self.counts.accepted += is_accepted
+        self.counts.rejected += not is_accepted
+        own = self._result_topic(received.actuator)
+        if is_topic(own):  # it is longer than the topic of the command
+            self._results.append(_Result(own, text, received.correlation))
+        if received.reply_topic:
+            self._results.append(_Result(received.reply_topic, text, received.correlation, _ATTEMPTS))
+        self._has_output.set()

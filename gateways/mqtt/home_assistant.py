@@ -1,0 +1,127 @@
+"""Discovery messages of Home Assistant, so that a node's points appear there by themselves."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from typing import Any
+
+from zenostat.gateways.points import Reading, readings
+from zenostat.metrics.labels import label
+from zenostat.metrics.roles import roles
+from zenostat.topics.messages import Actuator, Manifest
+
+_UNITS = {"degC": "°C", "percent": "%", "W": "W", "Wh": "Wh", "kWh": "kWh", "Pa": "Pa", "ppm": "ppm", "m/s": "m/s",
+          "W/m2": "W/m²", "lux": "lx", "kg/s": "kg/s", "m3/s": "m³/s"}  # fmt: skip
+_CLASSES = {"degC": "temperature", "W": "power", "Pa": "pressure", "ppm": "carbon_dioxide", "m/s": "wind_speed",
+            "W/m2": "irradiance", "lux": "illuminance"}  # fmt: skip
+
+
+def discovery(manifest: Manifest, root: str, prefix: str = "homeassistant") -> Iterator[tuple[str, str]]:
+    """Yield topic and payload of each discovery message.
+
+    Sensors and meters are sensors. An actuator is a number, with a button that relinquishes it. A zone whose
+    temperature and both setpoints are points is a climate entity in addition.
+
+    Args:
+        manifest: the node's manifest.
+        root: the gateway's topic of the node, below which its topics are.
+        prefix: Home Assistant's discovery prefix.
+    """
+    for reading in readings(manifest):
+        kind = "sensor" if reading.index < len(manifest.sensors) else "meter"
+        content = _entity(manifest, root, reading.name) | _quantity(reading)
+        content |= {"state_topic": f"{root}/{kind}/{reading.name}", "state_class": "measurement"}
+        yield f"{prefix}/sensor/{_id(manifest, reading.name)}/config", json.dumps(content)
+    for actuator in manifest.actuators:
+        yield f"{prefix}/number/{_id(manifest, actuator.name)}/config", json.dumps(_number(manifest, root, actuator))
+        button = _button(manifest, root, actuator)
+        yield f"{prefix}/button/{button['unique_id']}/config", json.dumps(button)
+    for zone in roles(manifest).zones:
+        if zone.temperature is None or zone.heating_actuator is None or zone.cooling_actuator is None:
+            continue
+        content = _climate(manifest, root, zone.temperature, zone.heating_actuator, zone.cooling_actuator, zone.label)
+        yield f"{prefix}/climate/{content['unique_id']}/config", json.dumps(content)
+
+
+def _climate(manifest: Manifest, root: str, air: int, heating: int, cooling: int, title: str) -> dict[str, Any]:
+    temperature = manifest.points[air].name
+    content = _entity(manifest, root, f"climate_{temperature}", title)
+    content |= {
+        "current_temperature_topic": f"{root}/sensor/{temperature}",
+        "modes": ["heat_cool"],
+        "mode_state_topic": f"{root}/status",
+        "mode_state_template": "heat_cool",
+        "temperature_unit": "C",
+        "temp_step": 0.5,
+        "precision": 0.1,
+    }
+    actuators = {"low": manifest.actuators[heating], "high": manifest.actuators[cooling]}
+    for side, actuator in actuators.items():
+        content[f"temperature_{side}_state_topic"] = f"{root}/actuator/{actuator.name}"
+        content[f"temperature_{side}_command_topic"] = f"{root}/actuator/{actuator.name}/set"
+        content[f"temperature_{side}_command_template"] = _limited(actuator)
+    # Home Assistant has one range for both targets; the templates keep each within its own actuator's bounds.
+    lows = [actuator.low for actuator in actuators.values() if actuator.low is not None]
+    highs = [actuator.high for actuator in actuators.values() if actuator.high is not None]
+    content |= {"min_temp": min(lows)} if len(lows) == len(actuators) else {}
+    content |= {"max_temp": max(highs)} if len(highs) == len(actuators) else {}
+    return content
+
+
+def _limited(actuator: Actuator) -> str:
+    """Return the template of a command: the value, or the bound of the actuator that it exceeds."""
+    text = "value | float"
+    if actuator.low is not None:
+        text = f"[{text}, {actuator.low}] | max"
+    if actuator.high is not None:
+        text = f"[{text}, {actuator.high}] | min"
+    return f"{{{{ {text} }}}}"
+
+
+def _id(manifest: Manifest, name: str) -> str:
+    return f"zenostat_{manifest.node}_{name}".replace(".", "_")
+
+
+def _entity(manifest: Manifest, root: str, name: str, title: str = "") -> dict[str, Any]:
+    return {
+        "name": title or label(name),
+        "unique_id": _id(manifest, name),
+        "availability_topic": f"{root}/status",
+        "device": {
+            "identifiers": [f"zenostat_{manifest.node}"],
+            "name": manifest.node,
+            "model": manifest.building,
+            "manufacturer": "Zenostat",
+            "sw_version": manifest.versions.zenostat,
+        },
+    }
+
+
+def _quantity(reading: Reading) -> dict[str, Any]:
+    content: dict[str, Any] = {}
+    if reading.unit in _UNITS:
+        content["unit_of_measurement"] = _UNITS[reading.unit]
+    if reading.unit in _CLASSES:
+        content["device_class"] = _CLASSES[reading.unit]
+    elif reading.unit == "percent" and "humidity" in reading.name:
+        content["device_class"] = "humidity"
+    return content
+
+
+def _number(manifest: Manifest, root: str, actuator: Actuator) -> dict[str, Any]:
+    topic = f"{root}/actuator/{actuator.name}"
+    content = _entity(manifest, root, actuator.name)
+    content |= {"state_topic": topic, "command_topic": f"{topic}/set", "mode": "box"}
+    content["min"] = -1e9 if actuator.low is None else actuator.low
+    content["max"] = 1e9 if actuator.high is None else actuator.high
+    content["step"] = 0.1 if actuator.unit == "degC" else 0.001
+    if actuator.unit in _UNITS:
+        content["unit_of_measurement"] = _UNITS[actuator.unit]
+    return content
+
+
+def _button(manifest: Manifest, root: str, actuator: Actuator) -> dict[str, Any]:
+    """Return the button that relinquishes an actuator: it sends a value of null."""
+    content = _entity(manifest, root, f"{actuator.name}_relinquish", f"{label(actuator.name)} relinquish")
+    return content | {"command_topic": f"{root}/actuator/{actuator.name}/set", "payload_press": "null"}

@@ -1,0 +1,385 @@
+"""One node of a bus in the asyncio program of a gateway."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Callable
+from contextlib import AsyncExitStack, suppress
+from typing import Any, TypeVar
+
+import zenoh
+from pydantic import ValidationError
+from zenoh.handlers import Callback
+
+from zenostat.bridge.client.priorities import PriorityValue, decode_priorities
+from zenostat.bridge.client.sample import SampleView
+from zenostat.gateways.bus_side import BusMessage, BusSide
+from zenostat.gateways.exclusive_names import liveliness_tokens
+from zenostat.gateways.node_listeners import Counts, Listeners
+from zenostat.gateways.written_commands import WrittenCommands
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import (
+    BadMessage,
+    InvalidAction,
+    NodeLost,
+    NodeNotFound,
+    RequestRejected,
+    ZenostatError,
+    did_you_mean,
+    from_wire,
+)
+from zenostat.topics.messages import (
+    Ack,
+    ErrorReply,
+    Event,
+    Manifest,
+    Message,
+    Pause,
+    PriorityArrays,
+    Query,
+    Resume,
+    Sample,
+    StepRequest,
+    Write,
+)
+from zenostat.topics.points import PointIndex, actuator_index, value_index
+
+M = TypeVar("M", bound=Message)
+
+REQUEST_TIMEOUT_S = 30.0
+"""Time after which a node that is present but does not answer fails a request."""
+
+MAX_PENDING = 256
+"""Largest number of requests that wait for replies; further ones are rejected."""
+
+_QUERY_AFTER_S = 1.0
+"""Time after which the node is asked for its sample: one that was streamed over a congested link may be lost."""
+
+_MAX_WAITING_MESSAGES = 4096
+_MESSAGES_PER_TURN = 256  # then other tasks of the loop have their turn
+
+
+class NodeClient:
+    """One node for a gateway: `async with NodeClient(session, "office") as node:`.
+
+    All methods and attributes belong to the running loop's thread. While the node is not on the bus, requests raise
+    `NodeLost`; once a node of that name is back, the client has its manifest and its samples again.
+
+    Args:
+        session: an open Zenoh session, which the caller closes.
+        name: the node's name.
+        source: default name of the writer, which samples and events show.
+
+    Raises:
+        NodeNotFound: on entering the context, no node of that name is on the bus.
+
+    Attributes:
+        name, source: as given.
+        manifest: the node's latest manifest.
+        sample: slot 0 of its latest sample; None before the first one.
+        is_online: whether it is on the bus.
+        listeners: functions to call at samples, events, presence and manifests.
+        counts: counts of messages.
+    """
+
+    manifest: Manifest
+
+    def __init__(self, session: zenoh.Session, name: str, *, source: str = "gateway") -> None:
+        self.name, self.source = name, source
+        self.sample: SampleView | None = None
+        self.is_online = False
+        self.listeners, self.counts = Listeners(), Counts()
+        self._session = session
+        self._index = PointIndex((), "sensor or meter")
+        self._instance = ""
+        self._pending: set[asyncio.Future[Any]] = set()
+        self._written = WrittenCommands()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._changed = asyncio.Event()
+        self._messages: deque[BusMessage] = deque(maxlen=_MAX_WAITING_MESSAGES)
+        self._is_scheduled = False
+        self._close = AsyncExitStack()
+
+    async def __aenter__(self) -> NodeClient:
+        self._loop = asyncio.get_running_loop()
+        async with AsyncExitStack() as stack:
+            self._bus = BusSide(self._session, self._post)
+            stack.callback(self._bus.close)
+            self._set_manifest(await self.ask(keys.MANIFEST, None, Manifest))
+            self.is_online = True
+            subscriber = self._session.declare_subscriber(
+                keys.stream(self.name), Callback(self._receive, indirect=False)
+            )
+            stack.callback(subscriber.undeclare)
+            token = keys.NODE_TOKEN.at(self.name, name="*")
+            watch = self._session.liveliness().declare_subscriber(
+                token, Callback(self._receive_token, indirect=False), history=True
+            )
+            stack.callback(watch.undeclare)
+            stack.callback(self._cancel)
+            await self._fetch_sample()
+            self._close = stack.pop_all()
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        await self._close.aclose()
+
+    # Requests
+
+    async def write(
+        self,
+        actuator: str,
+        value: float | None,
+        *,
+        priority: int = 8,
+        duration_s: float | None = None,
+        source: str | None = None,
+    ) -> Ack:
+        """Write one actuator in all slots and return the node's reply; effective from the next timestep.
+
+        Args:
+            actuator: the actuator's name.
+            value: in the actuator's unit; None relinquishes it at this priority.
+            priority: 1 (highest) to 16; 8 is a manual operator's.
+            duration_s: simulated seconds after which the value is relinquished.
+            source: name of the writer; None for the gateway's own.
+
+        Raises:
+            UnknownName: no such actuator; the text lists similar names.
+            InvalidAction: value, priority, duration or source out of range.
+            RequestRejected: the node rejected the write, with its reason, or too many requests are waiting.
+            NodeLost, PeerError: as for `ask`.
+        """
+        try:
+            actuator_index(self.manifest.actuators).require([actuator])
+            source = self.source if source is None else source
+            try:
+                message = Write(value=value, priority=priority, duration_s=duration_s, source=source)
+            except ValidationError as error:
+                raise InvalidAction(f"{actuator}: {codec.describe_validation_errors(error)}") from None
+            if value is not None:
+                self._written.add(actuator, priority, source)
+            ack = await self.ask(keys.WRITE_REQUEST, message, Ack, name=actuator)
+        except ZenostatError:
+            self.counts.rejected += 1
+            raise
+        self.counts.writes += 1
+        if value is None:
+            self._written.remove(actuator, priority)
+        return ack
+
+    async def relinquish_written(self) -> int:
+        """Relinquish the commands that were written through this client and are still in force; return their number.
+
+        Raises:
+            RequestRejected: the node rejected it, for example since its episode is over.
+            NodeLost, PeerError: as for `ask`.
+        """
+        if not self._written:
+            return 0
+        arrays = await self.ask(keys.PRIORITIES, Query(), PriorityArrays)
+        slots = range(self.manifest.slots)
+        remaining = {
+            command
+            for slot in slots
+            for command in self._written.remaining(decode_priorities(arrays, self.manifest, slot))
+        }
+        for actuator, priority, source in sorted(remaining):
+            relinquishment = Write(value=None, priority=priority, source=source)
+            await self.ask(keys.WRITE_REQUEST, relinquishment, Ack, name=actuator)
+            self._written.remove(actuator, priority)
+        return len(remaining)
+
+    async def priorities(self) -> dict[str, list[PriorityValue]]:
+        """Return each actuator's priority array in slot 0 by its name: 16 entries, that of priority 1 first."""
+        return decode_priorities(await self.ask(keys.PRIORITIES, Query(), PriorityArrays), self.manifest)
+
+    async def pause(self) -> None:
+        """Pause the node, so that it steps on command; see `step`."""
+        await self.ask(keys.PAUSE, Pause(source=self.source), Ack)
+
+    async def resume(self) -> None:
+        """Resume a paused node."""
+        await self.ask(keys.RESUME, Resume(source=self.source), Ack)
+
+    async def step(self, steps: int = 1, *, timeout_s: float = REQUEST_TIMEOUT_S) -> SampleView:
+        """Let a paused node simulate some timesteps, and return the sample after the last one.
+
+        Raises:
+            RequestRejected: the node is not paused, its episode is over, or its mode is lockstep and a controller
+                that it requires has not answered within `timeout_s`.
+        """
+        before = self.sample
+        if before is not None and before.truncated:
+            raise RequestRejected("the episode is over; reset the node to start another one")
+        await self.ask(keys.STEP, StepRequest(steps=steps, source=self.source), Ack)
+        target = (before.episode, before.step + steps) if before is not None else (0, steps)
+
+        def is_there() -> bool:
+            sample = self.sample
+            return sample is not None and ((sample.episode, sample.step) >= target or sample.truncated)
+
+        await self.wait_for(is_there, timeout_s=timeout_s, what=f"sample {target[1]}")
+        assert self.sample is not None
+        return self.sample
+
+    async def wait_for(self, condition: Callable[[], bool], *, timeout_s: float, what: str) -> None:
+        """Wait until a condition on this client holds, which is tested after each sample and change of presence.
+
+        Raises:
+            NodeLost: the node left the bus.
+            RequestRejected: it did not hold in time.
+        """
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not condition():
+                    if not self.is_online:
+                        raise NodeLost(f"node {self.name!r} is gone")
+                    self._changed.clear()
+                    try:
+                        async with asyncio.timeout(_QUERY_AFTER_S):
+                            await self._changed.wait()
+                    except TimeoutError:
+                        await self._fetch_sample()
+        except TimeoutError:
+            raise RequestRejected(f"node {self.name!r} did not reach {what} within {timeout_s:g} s") from None
+
+    async def ask(
+        self,
+        topic: keys.Topic,
+        request: Message | None,
+        reply_type: type[M],
+        *,
+        name: str = "",
+        timeout_s: float = REQUEST_TIMEOUT_S,
+    ) -> M:
+        """Send a request to the node and return its reply.
+
+        Raises:
+            ZenostatError: the error that the node replied with.
+            NodeNotFound: it has never been on the bus.
+            NodeLost: it is not on the bus any more.
+            PeerError: it did not answer in time.
+            RequestRejected: more than 256 requests wait for replies.
+        """
+        if len(self._pending) >= MAX_PENDING:
+            raise RequestRejected(f"{MAX_PENDING} requests to node {self.name!r} wait for replies; try again later")
+        future: asyncio.Future[BusMessage | None] = self._loop.create_future()
+        self._pending.add(future)
+        future.add_done_callback(self._pending.discard)
+
+        def then(message: BusMessage | None) -> None:
+            if not future.done():
+                future.set_result(message)
+
+        payload = None if request is None else codec.encode(request)
+        self._bus.ask(topic, self.name, payload, then, name=name, timeout_s=timeout_s)
+        reply = await future
+        if reply is None:  # nobody answers to this key
+            if self._instance:
+                raise NodeLost(f"node {self.name!r} is gone")
+            tokens = await liveliness_tokens(self._session, keys.NODE_TOKEN.at("*", name="*"))
+            names = sorted(set(map(keys.node_of, tokens)))
+            raise NodeNotFound(f"no node {self.name!r} on the bus; {did_you_mean(self.name, names)}")
+        if reply.denied:
+            raise from_wire(codec.decode(ErrorReply, reply.payload, reply.encoding).__dict__)
+        return codec.decode(reply_type, reply.payload, reply.encoding)
+
+    # From Zenoh's threads
+
+    def _post(self, task: Callable[[], None]) -> None:
+        """Call a function in the loop's thread, unless the loop is closed."""
+        with suppress(RuntimeError):  # the loop is closed
+            self._loop.call_soon_threadsafe(task)
+
+    def _receive(self, message: zenoh.Sample) -> None:
+        if len(self._messages) == _MAX_WAITING_MESSAGES:
+            self.counts.missed += 1
+        self._messages.append(BusMessage(str(message.key_expr), str(message.encoding), message.payload.to_bytes()))
+        if not self._is_scheduled:
+            self._is_scheduled = True
+            self._post(self._deliver)
+
+    def _receive_token(self, token: zenoh.Sample) -> None:
+        instance, is_present = keys.last_chunk(str(token.key_expr)), token.kind == zenoh.SampleKind.PUT
+        self._post(lambda: self._on_presence(instance, is_present=is_present))
+
+    # In the loop's thread
+
+    def _deliver(self) -> None:
+        self._is_scheduled = False
+        for _ in range(min(len(self._messages), _MESSAGES_PER_TURN)):
+            message = self._messages.popleft()
+            try:
+                self._handle(message)
+            except BadMessage:
+                self.counts.rejected += 1
+        if self._messages and not self._is_scheduled:
+            self._is_scheduled = True
+            self._post(self._deliver)
+
+    def _handle(self, message: BusMessage) -> None:
+        key = keys.last_chunk(message.key)
+        if key == keys.SAMPLE.key:
+            self._set_sample(codec.decode(Sample, message.payload, message.encoding))
+        elif key == keys.EVENT.key:
+            event = codec.decode(Event, message.payload, message.encoding)
+            for notify in self.listeners.events:
+                notify(event)
+        elif key == keys.MANIFEST.key:
+            self._set_manifest(codec.decode(Manifest, message.payload, message.encoding))
+
+    def _set_sample(self, message: Sample) -> None:
+        sample = self.sample = SampleView(message, self.manifest, self._index)
+        self.counts.samples += 1
+        self._changed.set()
+        for notify in self.listeners.samples:
+            notify(sample)
+
+    async def _fetch_sample(self) -> None:
+        """Query the sample, and set it unless a newer one has been received meanwhile."""
+        try:
+            message = await self.ask(keys.SAMPLE, None, Sample)
+        except RequestRejected:  # there is none yet, for example at the beginning of a replay
+            return
+        latest = self.sample
+        if latest is None or (latest.episode, latest.step) < (message.episode[0], message.step[0]):
+            self._set_sample(message)
+
+    def _set_manifest(self, manifest: Manifest) -> None:
+        if manifest.instance != self._instance:
+            self.sample = None  # another building, perhaps with other points
+        self.manifest, self._instance, self._index = manifest, manifest.instance, value_index(manifest)
+        for notify in self.listeners.manifests:
+            notify(manifest)
+
+    def _on_presence(self, instance: str, *, is_present: bool) -> None:
+        if is_present and (not self.is_online or instance != self._instance):
+            task = self._loop.create_task(self._join())
+            self._tasks.add(task)
+            task.add_done_callback(self._tasks.discard)
+        elif not is_present and instance == self._instance and self.is_online:
+            self._set_online(value=False)
+
+    async def _join(self) -> None:
+        """Get the manifest and the sample of a node that is on the bus again."""
+        try:
+            manifest = await self.ask(keys.MANIFEST, None, Manifest)
+            if manifest.instance == self._instance and self.is_online:
+                return
+            self._set_manifest(manifest)
+            await self._fetch_sample()
+        except ZenostatError:  # it has left already; the next token reports its return
+            return
+        self._set_online(value=True)
+
+    def _set_online(self, *, value: bool) -> None:
+        self.is_online = value
+        self._changed.set()
+        for notify in self.listeners.presence:
+            notify(value)
+
+    def _cancel(self) -> None:
+        for task in [*self._tasks]:
+            task.cancel()

@@ -1,0 +1,83 @@
+"""Points of a manifest in the units of building automation, as gateways for devices offer them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import isnan
+
+from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
+
+_RATES = {"J": "W", "L": "L/s", "kg": "kg/s", "m3": "m3/s"}
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A sensor or a meter.
+
+    Attributes:
+        point: its entry in the manifest.
+        index: its index among the values of a sample.
+        unit: unit of its readings: the manifest's, but a rate for an amount, such as W for J.
+        divisor: a value of the sample divided by its reading: 1, or step_s for an amount.
+    """
+
+    point: Sensor | Meter
+    index: int
+    unit: str
+    divisor: float
+
+    @property
+    def name(self) -> str:
+        """Its name in the manifest."""
+        return self.point.name
+
+    @property
+    def note(self) -> str:
+        """Relation of an amount's reading to its timestep; empty for other points."""
+        if not _is_amount(self.point):
+            return ""
+        return f"{'total' if self.unit == self.point.unit else 'mean'} of the timestep"
+
+    def of(self, sample: SampleView) -> float | None:
+        """Return the reading of a sample; None where the node does not report it."""
+        value = float(sample.values[self.index]) / self.divisor
+        return None if isnan(value) else value
+
+
+def readings(manifest: Manifest) -> list[Reading]:
+    """Return the sensors, then the meters, in the manifest's order; amounts of a timestep are read as mean rates.
+
+    Amounts are values of meters and of sensors with the aggregation `sum`, in J, L, kg or m3. A device that reads now
+    and then needs their rates: amounts of the timesteps that it does not read would be lost.
+    """
+    return [_reading(point, index, manifest.step_s) for index, point in enumerate(manifest.points)]
+
+
+def _reading(point: Sensor | Meter, index: int, step_s: float) -> Reading:
+    if _is_amount(point) and (rate := _RATES.get(point.unit)):
+        return Reading(point, index, rate, step_s)
+    return Reading(point, index, point.unit, 1.0)
+
+
+def _is_amount(point: Sensor | Meter) -> bool:
+    return isinstance(point, Meter) or point.aggregation is Aggregation.SUM
+
+
+def effective_value(sample: SampleView, actuator: int) -> float | None:
+    """Return an actuator's effective value in the latest timestep, or else the command; None if neither is known.
+
+    Args:
+        sample: the node's latest sample.
+        actuator: index of the actuator in the manifest.
+    """
+    for values in (sample.effective, sample.commanded):
+        value = float(values[actuator])
+        if not isnan(value):
+            return value
+    return sample.manifest.actuators[actuator].default
+
+
+def is_effective(sample: SampleView, actuator: Actuator, source: str) -> bool:
+    """Return whether a source's value was in effect for an actuator in the latest timestep."""
+    return sample.value_source.get(actuator.name) == source

@@ -1,0 +1,1 @@
+"""Studies: evaluations, probes, trainings, tuning, benchmarks, data sets, replays on another node."""

@@ -1,0 +1,26 @@
+"""A benchmark of controllers: fixed buildings, weather, seeds, reward and score; see docs/benchmark.md."""
+
+from zenostat.lab.benchmark.definition import BASELINES, SETS, VERSION, BenchmarkSet, Task
+from zenostat.lab.benchmark.results import Results, Row, load_results
+from zenostat.lab.benchmark.run import check, run_benchmark
+from zenostat.lab.benchmark.scores import Interval, Scores, interquartile_mean, relative_score, score_rows
+from zenostat.lab.benchmark.selection import Selection
+
+__all__ = [
+    "BASELINES",
+    "SETS",
+    "VERSION",
+    "BenchmarkSet",
+    "Interval",
+    "Results",
+    "Row",
+    "Scores",
+    "Selection",
+    "Task",
+    "check",
+    "interquartile_mean",
+    "load_results",
+    "relative_score",
+    "run_benchmark",
+    "score_rows",
+]

@@ -1,0 +1,61 @@
+"""Selection of a benchmark's episodes by controller, building, season, weather and seed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass, fields
+from typing import Any
+
+from zenostat.lab.benchmark.definition import Task
+from zenostat.topics.errors import UnknownName, did_you_mean
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Conditions on episodes; None selects all.
+
+    Attributes:
+        controller: names of controllers.
+        building, season, weather: names in the tasks.
+        seed: seeds of the episodes.
+    """
+
+    controller: Collection[str] | None = None
+    building: Collection[str] | None = None
+    season: Collection[str] | None = None
+    weather: Collection[str] | None = None
+    seed: Collection[int] | None = None
+
+    def has(self, controller: str, task: Task, seed: int) -> bool:
+        """Return whether an episode is selected."""
+        values = (controller, *task.key, seed)
+        return all(
+            wanted is None or value in wanted for (_, wanted), value in zip(self._conditions(), values, strict=True)
+        )
+
+    def check(self, episodes: Iterable[tuple[str, Task, int]], what: str) -> None:
+        """Check that some of the episodes are selected, and that each condition has only values that occur.
+
+        Args:
+            episodes: controller, task and seed of each.
+            what: what the episodes are, for the error.
+
+        Raises:
+            UnknownName: lists all values that do not occur, or says that no episode meets all conditions together.
+        """
+        rows = [(controller, *task.key, seed) for controller, task, seed in episodes]
+        errors = []
+        for column, (name, wanted) in enumerate(self._conditions()):
+            known = sorted({str(row[column]) for row in rows})
+            errors += [
+                f"{what} has no rows of the {name} {value!r}; {did_you_mean(str(value), known, limit=len(known))}"
+                for value in wanted or ()
+                if str(value) not in known
+            ]
+        if not errors and not any(self.has(row[0], Task(*row[1:4]), row[4]) for row in rows):
+            errors = [f"{what} has no row that meets all conditions together"]
+        if errors:
+            raise UnknownName("\n".join(errors))
+
+    def _conditions(self) -> list[tuple[str, Collection[Any] | None]]:
+        return [(field.name, getattr(self, field.name)) for field in fields(self)]

@@ -1,0 +1,381 @@
+"""Episode metrics and controller comparison on the same weather."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import gymnasium as gym
+
+from zenostat.agent_sdk.controllers import (
+    Agent,
+    BaselineController,
+    ControllerProtocol,
+    load_controller,
+    make_controller,
+)
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
+from zenostat.agent_sdk.envs.arguments import of_scenario
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.bridge.client.bus import Bus
+from zenostat.bridge.client.sample import SampleView
+from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.metrics.statistics import MetricSummary, summarize
+from zenostat.metrics.tariffs import Rate, read_emissions, read_prices
+from zenostat.metrics.trace import ControllerTrace, TraceRecorder, WeatherTrace, episode_weather
+from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
+from zenostat.topics.keys import safe_name
+from zenostat.topics.messages import Manifest
+from zenostat.topics.recording import SUFFIX
+
+if TYPE_CHECKING:
+    from zenostat.views.report import Comparison
+
+ControllerFactory = Callable[..., ControllerProtocol]
+"""Function of a node's manifest and parameters by name: a controller class, or the result of `load_policy`."""
+
+Progress = Callable[[str, int, int, int], None]
+"""Callback for each timestep: controller name, episode number, step, steps per episode."""
+
+
+class SampleRecorder(Protocol):
+    """Anything that receives the samples of an episode."""
+
+    def add(self, sample: SampleView, terms: Mapping[str, float] | None = None) -> None:
+        """Add a sample with the terms of the reward of the timestep that it closes; sample 0 comes without terms."""
+
+
+def run_episode(
+    env: gym.Env[Any, Any],
+    act: Callable[[Any], Any],
+    *,
+    seed: int | None,
+    progress: Callable[[int], None] | None = None,
+    recorder: SampleRecorder | None = None,
+    prices: Mapping[str, Rate] | None = None,
+    emissions: Mapping[str, Rate] | None = None,
+) -> tuple[EpisodeMetrics, str]:
+    """Run one episode, and return its metrics and the name of its weather.
+
+    Args:
+        env: a `BuildingEnv`, wrapped or not. Metrics use the reward of the `BuildingEnv`, before any wrapper.
+        act: function from observation to action.
+        seed: seed for `reset`.
+        progress: callback for each timestep, with the step.
+        recorder: records the samples and the terms of the rewards.
+        prices: as for `evaluate`.
+        emissions: as for `evaluate`.
+    """
+    observation, info = env.reset(seed=seed)
+    building: Any = env.unwrapped
+    metrics = MetricsAccumulator(building.manifest, building.reward, prices, emissions)
+    weather, terminated, is_over = info.get("weather", ""), False, False
+    metrics.add(building.sample)
+    if recorder is not None:
+        recorder.add(building.sample)
+    while not is_over:
+        observation, _, terminated, truncated, info = env.step(act(observation))
+        metrics.add(building.sample, info.get("reward_terms"))
+        if recorder is not None:
+            recorder.add(building.sample, info.get("reward_terms"))
+        is_over = terminated or truncated
+        if progress is not None:
+            progress(building.sample.step)
+    return metrics.result(terminated=bool(terminated)), weather
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeRecord:
+    """Metrics of one episode of one controller."""
+
+    controller: str
+    episode: int
+    seed: int
+    weather: str
+    result: EpisodeMetrics
+
+
+@dataclass(frozen=True, slots=True)
+class Evaluation:
+    """Episodes of several controllers in the same scenario and weather.
+
+    Attributes:
+        rows: records by controller, then by episode.
+        sources: by metric, the point or reward that it is derived from.
+        unfit: by controller that was skipped since it does not fit the scenario, the reason.
+        traces: by controller, samples and weather for reports; empty unless `evaluate` was called with `trace=True`.
+        scenario: the scenario as the text of a scenario file (YAML); only with `trace=True`.
+    """
+
+    rows: tuple[EpisodeRecord, ...]
+    sources: dict[str, str]
+    unfit: dict[str, str] = field(default_factory=dict)
+    traces: dict[str, ControllerTrace] = field(default_factory=dict)
+    scenario: str = ""
+
+    def table(self) -> list[dict[str, Any]]:
+        """Return a dictionary for each row, all with the same keys; None where a metric is unknown."""
+        metrics = [row.result.metrics() for row in self.rows]
+        names = dict.fromkeys(name for episode in metrics for name in episode)
+        return [
+            {"controller": row.controller, "episode": row.episode, "seed": row.seed, "weather": row.weather}
+            | {name: episode.get(name) for name in names}
+            for row, episode in zip(self.rows, metrics, strict=True)
+        ]
+
+    def comparison(self, command: str = "") -> Comparison:
+        """Return the content of a report, compared with the baseline control or else the first controller.
+
+        Args:
+            command: the command line that repeats the evaluation, for the report.
+
+        Raises:
+            InvalidConfig: `evaluate` was called without `trace=True`.
+        """
+        from zenostat.views.report import Comparison, Run
+
+        if not self.traces:
+            raise InvalidConfig("a report needs the samples of episodes: call evaluate(..., trace=True)")
+        runs = []
+        for name, traced in self.traces.items():
+            rows = [row for row in self.rows if row.controller == name]
+            runs.append(
+                Run(
+                    name=name,
+                    results=tuple(row.result for row in rows),
+                    trace=traced.trace,
+                    seeds=tuple(row.seed for row in rows),
+                    weather_names=tuple(row.weather for row in rows),
+                    weathers=traced.weathers,
+                    reward=traced.reward,
+                )
+            )
+        return Comparison(tuple(runs), self.scenario, command, self.unfit, self.sources)
+
+    def report(self, path: str | Path, *, command: str = "") -> None:
+        """Write a report as one HTML file; see `comparison`, and `zenostat.report` for the figures as files.
+
+        Raises:
+            InvalidConfig: `evaluate` was called without `trace=True`; no .html file, no such folder, or no Matplotlib.
+        """
+        from zenostat.views.report import write_report
+
+        write_report(self.comparison(command), path)
+
+    def summary(self) -> dict[str, dict[str, MetricSummary]]:
+        """Return statistics by controller and metric, without metrics that are unknown in some episode."""
+        values: dict[str, dict[str, list[float | None]]] = {}
+        for row in self.rows:
+            for name, value in row.result.metrics().items():
+                values.setdefault(row.controller, {}).setdefault(name, []).append(value)
+        return {
+            controller: {name: summarize(series) for name, series in metrics.items() if None not in series}
+            for controller, metrics in values.items()
+        }
+
+
+def evaluate(
+    scenario: str | Path | Mapping[str, Any],
+    controllers: Sequence[str] | Mapping[str, str | ControllerFactory],
+    *,
+    episodes: int = 1,
+    seed: int = 0,
+    parameters: Mapping[str, Any] | None = None,
+    prices: Mapping[str, Rate] | None = None,
+    emissions: Mapping[str, Rate] | None = None,
+    progress: Progress | None = None,
+    trace: bool = False,
+    record: str | Path | None = None,
+    **overrides: Any,
+) -> Evaluation:
+    """Run controllers one after another through the same episodes.
+
+    Episode k is reset with `seed + k` for each controller, so that all have the same weather; a controller with a
+    parameter `seed` gets `seed`. Each controller runs in a new environment. Results are reproducible. A controller
+    that does not fit the scenario, or whose commands no action can express, is skipped with a reason in
+    `Evaluation.unfit`.
+
+    Args:
+        scenario: an id, a scenario file (.yaml), or arguments of `BuildingEnv` by name.
+        controllers: controllers as for `load_controller`; or a mapping from
+            names for the tables to such texts or to classes. `baseline` is evaluated without actuators.
+        episodes: episodes per controller.
+        seed: seed of the first episode, at least 0.
+        parameters: parameters of the controllers; each controller gets those that it has.
+        prices: price of each fuel (the keys of `zenostat.metrics.energy_sources.FUELS`, or `gas`) for the
+            KPI of cost: a number in currency per kWh, a number for each hour of a year, a CSV or YAML file, or a form
+            of `zenostat.time_series`.
+        emissions: emission factors for the KPI of emissions, in the same forms; numbers are in kg CO2 per kWh.
+        progress: callback for each timestep.
+        trace: keep the samples of the first episode of each controller; see `Evaluation.report`.
+        record: folder for a recording (`.mcap`) of each controller's node, which has the controller's name.
+        overrides: arguments of `BuildingEnv` that override those of the scenario. `monitoring` is on by default: nodes
+            also measure what metrics, KPIs and reports need, which no controller observes.
+
+    Raises:
+        UsageError: a controller, a parameter or the scenario is invalid, or no controller fits the scenario.
+    """
+    if episodes < 1 or seed < 0:
+        raise InvalidConfig(f"episodes={episodes}, seed={seed}: expected at least one episode and a seed of at least 0")
+    settings = {**of_scenario(scenario), **overrides}
+    if record is not None:
+        settings["record"] = record
+    if not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
+        settings.setdefault("monitoring", True)
+    prices, emissions = read_prices(prices), read_emissions(emissions)
+    factories = controller_factories(controllers)
+    arguments = assign_parameters(factories, parameters or {}, seed)
+    rows: dict[str, list[EpisodeRecord]] = {}
+    sources: dict[str, str] = {}
+    created: dict[str, ControllerProtocol] = {}
+    unfit: dict[str, UsageError] = {}
+    traces: dict[str, ControllerTrace] = {}
+    text = ""
+    for name in sorted(factories, key=lambda key: is_baseline_factory(factories[key])):
+        is_baseline = is_baseline_factory(factories[name])
+        arguments_of = _named_node(without_actuators(settings) if is_baseline else settings, name)
+        with closing(BuildingEnv(**arguments_of)) as env:
+            if name not in created and name not in unfit:
+                alike = {
+                    key: factory for key, factory in factories.items() if is_baseline_factory(factory) == is_baseline
+                }
+                created |= _create_controllers(alike, env.manifest, arguments, unfit)
+            if name not in unfit:
+                try:
+                    seeds, recorder = range(seed, seed + episodes), TraceRecorder(env.manifest) if trace else None
+                    run = partial(run_episode, env, prices=prices, emissions=emissions)
+                    rows[name], weathers = _run_episodes(name, created[name], run, env, seeds, progress, recorder)
+                    if recorder is not None:
+                        source_names = {getattr(env.link, "name", ""): name}
+                        traces[name] = ControllerTrace(recorder.trace(source_names), weathers, env.reward)
+                        text = _scenario_text(env) if not (text and is_baseline) else text
+                except InvalidAction as error:
+                    unfit[name] = error
+            sources = MetricsAccumulator(env.manifest, env.reward, prices, emissions).sources | sources
+    if not rows:
+        raise next(iter(unfit.values()))
+    reasons = {name: str(unfit[name]) for name in factories if name in unfit}
+    in_order = sorted(traces, key=lambda key: (not is_baseline_factory(factories[key]), list(factories).index(key)))
+    return Evaluation(
+        tuple(row for name in factories for row in rows.get(name, ())), sources, reasons,
+        {name: traces[name] for name in in_order}, text,
+    )  # fmt: skip
+
+
+def _scenario_text(env: BuildingEnv) -> str:
+    """Return the scenario as YAML; "" if the environment has no node."""
+    bus = _bus(env)
+    return "" if bus is None else bus.scenario(env.manifest.node)
+
+
+def _bus(env: BuildingEnv) -> Bus | None:
+    """Return the bus of an environment; None if its samples come from elsewhere, as in tests."""
+    bus = getattr(env.link, "bus", None)
+    return bus if isinstance(bus, Bus) else None
+
+
+def _create_controllers(
+    factories: Mapping[str, ControllerFactory],
+    manifest: Manifest,
+    arguments: Mapping[str, dict[str, Any]],
+    unfit: dict[str, UsageError],
+) -> dict[str, ControllerProtocol]:
+    """Create the controllers that fit the node; add an error to `unfit` for each other one."""
+    created = {}
+    for name, factory in factories.items():
+        try:
+            created[name] = make_controller(factory, manifest, arguments[name])
+        except ControllerMismatch as error:
+            unfit[name] = error
+    return created
+
+
+def _run_episodes(
+    name: str,
+    controller: ControllerProtocol,
+    run: Callable[..., tuple[EpisodeMetrics, str]],
+    env: BuildingEnv,
+    seeds: Sequence[int],
+    progress: Progress | None,
+    recorder: TraceRecorder | None,
+) -> tuple[list[EpisodeRecord], tuple[WeatherTrace | None, ...]]:
+    """Run the episodes of a controller; trace the samples of the first one, and the weather of all."""
+    agent, steps = Agent(controller, env), env.manifest.steps
+    rows, weathers = [], []
+    for number, seed in enumerate(seeds):
+        report = None if progress is None else partial(progress, name, number)
+        result, weather = run(
+            lambda _: agent.action(env.sample),
+            seed=seed,
+            progress=None if report is None else lambda step, report=report: report(step, steps),
+            recorder=recorder if number == 0 else None,
+        )
+        rows.append(EpisodeRecord(name, number, seed, weather, result))
+        if recorder is not None:
+            weathers.append(episode_weather(_bus(env), env.manifest))
+    return rows, tuple(weathers)
+
+
+def is_baseline_factory(factory: ControllerFactory) -> bool:
+    """Whether a factory makes the baseline control, which sends no commands."""
+    return isinstance(factory, type) and issubclass(factory, BaselineController)
+
+
+def _named_node(settings: Mapping[str, Any], controller: str) -> dict[str, Any]:
+    """Name the node of a recorded evaluation after its controller: its file and its replay have that name."""
+    if settings.get("record") is None or settings.get("node") is not None:
+        return dict(settings)
+    if Path(settings["record"]).suffix == SUFFIX:
+        raise InvalidConfig(f"{settings['record']}: an evaluation has a recording for each controller; name a folder")
+    return {**settings, "node": safe_name(controller)}
+
+
+def without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Remove all actuators, as baseline control needs: an action would always set a value."""
+    return {name: value for name, value in settings.items() if name not in ("actions", "control", "discrete")} | {
+        "actuators": {}
+    }
+
+
+def controller_factories(
+    controllers: Sequence[str] | Mapping[str, str | ControllerFactory],
+) -> dict[str, ControllerFactory]:
+    """Return factories by name; errors as of `evaluate`."""
+    if isinstance(controllers, str) or not controllers:
+        raise InvalidConfig(f"controllers: expected a list of names, such as ['baseline', 'rbc'], got {controllers!r}")
+    named = controllers if isinstance(controllers, Mapping) else dict(zip(controllers, controllers, strict=True))
+    if len(named) < len(controllers):
+        duplicate = next(name for name in controllers if list(controllers).count(name) > 1)
+        raise InvalidConfig(f"the controller {duplicate} is listed twice, but would give the same results")
+    return {name: load_controller(entry) if isinstance(entry, str) else entry for name, entry in named.items()}
+
+
+def assign_parameters(
+    factories: Mapping[str, ControllerFactory], parameters: Mapping[str, Any], seed: int
+) -> dict[str, dict[str, Any]]:
+    """Assign each parameter to the controllers that name it, or if none does, to those with arbitrary parameters."""
+    signatures = {name: list(inspect.signature(factory).parameters.values())[1:] for name, factory in factories.items()}
+    known = {
+        name: [p.name for p in signature if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
+        for name, signature in signatures.items()
+    }
+    with_any = [name for name, signature in signatures.items() if any(p.kind is p.VAR_KEYWORD for p in signature)]
+    arguments: dict[str, dict[str, Any]] = {name: {} for name in factories}
+    for parameter, value in parameters.items():
+        receivers = [name for name, names in known.items() if parameter in names] or with_any
+        if not receivers:
+            all_known = [name for names in known.values() for name in names]
+            raise InvalidConfig(
+                f"none of the controllers has the parameter {parameter!r}; {did_you_mean(parameter, all_known)}"
+            )
+        for name in receivers:
+            arguments[name][parameter] = value
+    for name, factory in factories.items():
+        if "seed" in known[name] and "seed" not in getattr(factory, "keywords", {}):
+            arguments[name].setdefault("seed", seed)
+    return arguments

@@ -1,0 +1,200 @@
+"""Training files: algorithm and its parameters, scenario, wrappers, normalization, evaluation, logs."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+
+from zenostat.agent_sdk.envs.arguments import of_scenario
+from zenostat.topics import yaml12
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.file_kinds import FileKind, check_file_kind
+from zenostat.topics.keys import safe_name
+from zenostat.topics.seeds import MAX_SEED
+
+Count = Annotated[int, Field(strict=True, ge=1)]
+Number = Annotated[float, Field(strict=True, gt=0)]
+Seed = Annotated[int, Field(strict=True, ge=0, le=MAX_SEED)]
+TrainingSeed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
+"""NumPy's global generator, which stable-baselines3 seeds, accepts 32 bits."""
+EVALUATIONS = 10
+"""Evaluations, and checkpoints, of a training whose file gives no interval."""
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+def _switch(value: Any) -> str:
+    return "@false" if value is False else "@fields"
+
+
+No = Annotated[Literal[False], Tag("@false")]
+FIELDS, FIELDS_OR_FALSE = Tag("@fields"), Discriminator(_switch)
+"""Marks of a field that is false or has fields of its own; errors are those of the form that was used."""
+
+
+class Normalization(_Part):
+    """What `VecNormalize` and `RescaleAction` scale.
+
+    Attributes:
+        observations: to mean 0 and variance 1, by running statistics.
+        rewards: to variance 1 of the discounted return.
+        actions: to -1 to 1, if they are continuous.
+        clip_observations, clip_rewards: bounds of the scaled values.
+    """
+
+    observations: bool = True
+    rewards: bool = True
+    actions: bool = True
+    clip_observations: Number = 10.0
+    clip_rewards: Number = 10.0
+
+
+class Evaluation(_Part):
+    """Evaluations during the training, in an environment of their own.
+
+    Attributes:
+        every_steps, every_episodes: the interval in training steps, or in finished training episodes, over all slots;
+            without both, a tenth of the training's steps.
+        episodes: number of episodes of an evaluation.
+        seed: seed of the first one; episode k has `seed + k`, the same in each evaluation.
+        scenario, arguments: override those of the training, for instance with another weather.
+    """
+
+    every_steps: Count | None = None
+    every_episodes: Count | None = None
+    episodes: Count = 1
+    seed: Seed = 10_000
+    scenario: str | None = None
+    arguments: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _one_interval(self) -> Evaluation:
+        if self.every_steps is not None and self.every_episodes is not None:
+            raise ValueError("every_steps and every_episodes exclude each other; remove one of them")
+        return self
+
+
+class TrainingConfig(_Part):
+    """A training: the fields of a training file.
+
+    Attributes:
+        algorithm: a key of `zenostat.training.ALGORITHMS`.
+        scenario: id, or path of a scenario file.
+        arguments: further arguments of `gym.make`, which override the scenario's settings.
+        wrappers: applied after the scenario's own; see `zenostat.wrappers.apply_wrappers`.
+        steps: training steps over all slots; a rollout that has begun is completed.
+        seed: seed of the algorithm and of the first episode; slot i has `seed + i`.
+        slots: number of buildings that are simulated side by side.
+        policy: name of the algorithm's policy; by default for vectors.
+        parameters: keyword arguments of the algorithm.
+        normalization: false: nothing is scaled.
+        evaluation: false: none.
+        checkpoint_steps: training steps between checkpoints; by default a tenth of all.
+        log: further logs, beside the CSV files.
+        wandb: arguments of `wandb.init`.
+        output: folder of the results.
+        device: device of torch.
+        threads: number of threads of torch; by default its own choice.
+    """
+
+    algorithm: str
+    scenario: str
+    arguments: dict[str, Any] = Field(default_factory=dict)
+    wrappers: tuple[dict[str, Any], ...] = ()
+    steps: Count
+    seed: TrainingSeed = 0
+    slots: Annotated[int, Field(strict=True, ge=1, le=256)] = 1
+    policy: str | None = None
+    parameters: dict[str, Any] = Field(default_factory=dict)
+    normalization: Annotated[Annotated[Normalization, FIELDS] | No, FIELDS_OR_FALSE] = Normalization()
+    evaluation: Annotated[Annotated[Evaluation, FIELDS] | No, FIELDS_OR_FALSE] = Evaluation()
+    checkpoint_steps: Count | None = None
+    log: tuple[Literal["tensorboard", "wandb"], ...] = ()
+    wandb: dict[str, Any] = Field(default_factory=dict)
+    output: str | None = None
+    device: str = "cpu"
+    threads: Count | None = None
+
+    @property
+    def folder(self) -> Path:
+        """Folder of the results; by default named after scenario, algorithm and seed."""
+        name = f"{safe_name(Path(self.scenario).stem)}-{safe_name(self.algorithm)}-{self.seed}"
+        return Path("training") / name if self.output is None else Path(self.output)
+
+    @property
+    def evaluation_steps(self) -> int | None:
+        """Training steps between evaluations; None if they are counted in episodes, or there are none."""
+        if not self.evaluation or self.evaluation.every_episodes is not None:
+            return None
+        return self.evaluation.every_steps or max(self.steps // EVALUATIONS, 1)
+
+    def environment(self, *, for_evaluation: bool = False) -> dict[str, Any]:
+        """Return the arguments of `gym.make` for the training, or for its evaluations."""
+        scenario, arguments = self.scenario, self.arguments
+        if for_evaluation and self.evaluation:
+            scenario = self.evaluation.scenario or scenario
+            arguments = {**arguments, **self.evaluation.arguments}
+        return {**of_scenario(scenario), **arguments}
+
+    def plain(self) -> dict[str, Any]:
+        """Return the fields as built-in types, those with default values included."""
+        return self.model_dump(mode="json")
+
+
+def read_training(fields: Mapping[str, Any], what: str = "the training") -> TrainingConfig:
+    """Validate the fields of a training file.
+
+    Raises:
+        InvalidConfig: lists all errors of form. Names and values of the algorithm's parameters are checked by
+            `zenostat.lab.training.parameters.check_algorithm`.
+    """
+    try:
+        return TrainingConfig.model_validate(dict(fields))
+    except ValidationError as error:
+        raise InvalidConfig(f"{what}: {describe_validation_errors(error, TrainingConfig.model_fields)}") from None
+
+
+def read_file(path: str | Path, kind: FileKind = FileKind.TRAINING) -> dict[str, Any]:
+    """Return the fields of a training or tuning file; paths in it are relative to the working directory.
+
+    Raises:
+        UnknownName: there is no such file, or it cannot be read.
+        InvalidConfig: it is not YAML, or a file of another kind.
+    """
+    path = Path(path)
+    try:
+        fields = yaml12.parse(yaml12.read_text(path), str(path))
+    except FileNotFoundError:
+        raise UnknownName(f"there is no file {path.absolute()}") from None
+    except IsADirectoryError:
+        raise UnknownName(f"{path.absolute()} is a folder; expected a YAML file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise UnknownName(f"cannot read {path.absolute()}: {error}") from None
+    check_file_kind(fields, kind, str(path))
+    return fields
+
+
+def load_training(path: str | Path) -> TrainingConfig:
+    """Read a training file; errors as of `read_file` and `read_training`."""
+    return read_training(read_file(path), str(path))
+
+
+def with_field(fields: Mapping[str, Any], path: str, value: Any) -> dict[str, Any]:
+    """Return a copy of nested fields with one set: `parameters.learning_rate`.
+
+    Raises:
+        InvalidConfig: a part of the path is a field that has no fields of its own.
+    """
+    first, dot, rest = path.partition(".")
+    if not dot:
+        return {**fields, first: value}
+    inner = fields.get(first) or {}
+    if not isinstance(inner, Mapping):
+        raise InvalidConfig(f"{path}: {first} is {inner!r} and has no fields")
+    return {**fields, first: with_field(inner, rest, value)}

@@ -1,0 +1,154 @@
+"""Environments of a training: wrappers, slots, normalization, and the scenario as a file."""
+
+from __future__ import annotations
+
+import inspect
+from contextlib import ExitStack
+from functools import partial
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, VecNormalize
+
+from zenostat.agent_sdk.envs.arguments import check_agent_fields, of_scenario
+from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
+from zenostat.agent_sdk.wrappers import action_names_of, apply_wrappers, wrappers_of
+from zenostat.agent_sdk.wrappers.serialization import check_wrappers
+from zenostat.bridge.client.controller_link import ControllerLink
+from zenostat.lab.training.config import TrainingConfig
+from zenostat.lab.training.episode_recorder import EpisodeRecorder
+from zenostat.lab.training.parameters import algorithm_class
+from zenostat.topics import yaml12
+from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
+
+RESCALED = {"wrapper": "RescaleAction", "min_action": -1.0, "max_action": 1.0}
+"""The wrapper of `normalization: {actions: true}`."""
+
+
+def check_environment(config: TrainingConfig) -> None:
+    """Check what can be checked of a training's environments before anything starts.
+
+    Raises:
+        UnknownName: there is no such scenario.
+        InvalidConfig: wrappers or a reward of the training or its scenario are invalid.
+    """
+    errors = ErrorCollector()
+    errors.collect(lambda: check_wrappers(config.wrappers))
+    scenarios = [config.scenario, (config.evaluation and config.evaluation.scenario) or config.scenario]
+    for scenario in dict.fromkeys(scenarios):
+        errors.collect(partial(_env_id, of_scenario(scenario)))
+        errors.collect(partial(check_agent_fields, scenario))
+    errors.raise_if_any()
+
+
+def _env_id(arguments: dict[str, Any]) -> str:
+    """Return the id for `gym.make`, and remove the scenario from the arguments.
+
+    Raises:
+        UnknownName: there is no such id.
+    """
+    if "file" in arguments:
+        return "zenostat/Scenario-v1"
+    name = str(arguments.pop("scenario"))
+    if f"zenostat/{name}" not in gym.registry:
+        known = [env_id.removeprefix("zenostat/") for env_id in gym.registry if env_id.startswith("zenostat/")]
+        raise UnknownName(f"there is no scenario {name!r}; {did_you_mean(name, known)}; see `zenostat scenarios`")
+    return f"zenostat/{name}"
+
+
+def make_env(config: TrainingConfig, *, for_evaluation: bool = False) -> gym.Env[Any, Any]:
+    """Make one environment of a training within its wrappers."""
+    arguments = config.environment(for_evaluation=for_evaluation)
+    env: gym.Env[Any, Any] = _wrapped(gym.make(_env_id(arguments), **arguments), config)
+    return env
+
+
+def make_slots(config: TrainingConfig) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """Make the vector environment of a training within its wrappers."""
+    arguments = config.environment()
+    mode: Any = gym.VectorizeMode.VECTOR_ENTRY_POINT
+    env_id = _env_id(arguments)
+    env: gym.vector.VectorEnv[Any, Any, Any] = _wrapped(
+        gym.make_vec(env_id, config.slots, mode, autoreset_mode="SameStep", **arguments), config
+    )
+    return env
+
+
+def _wrapped(env: Any, config: TrainingConfig) -> Any:
+    try:
+        env = apply_wrappers(env, config.wrappers)
+        space = getattr(env, "single_action_space", env.action_space)
+        if config.normalization and config.normalization.actions and isinstance(space, gym.spaces.Box):
+            env = apply_wrappers(env, [RESCALED])
+    except BaseException:
+        env.close()
+        raise
+    return env
+
+
+class TrainingEnv:
+    """The environment of a training, as the layers that stable-baselines3 sees.
+
+    Attributes:
+        env: single or vector environment of Gymnasium, within the training's wrappers.
+        recorder: records what a checkpoint needs to return to the running episodes.
+        monitor: records rewards and lengths of episodes.
+        normalization: scales observations and rewards; None if neither is scaled.
+        outermost: the layer for the algorithm.
+    """
+
+    def __init__(self, config: TrainingConfig) -> None:
+        with ExitStack() as undo:
+            env: Any = make_env(config) if config.slots == 1 else make_slots(config)
+            undo.callback(env.close)
+            base: VecEnv = DummyVecEnv([lambda: env]) if config.slots == 1 else as_sb3(env)
+            self.env = env
+            self.recorder = EpisodeRecorder(base)
+            self.monitor = VecMonitor(self.recorder)
+            self.normalization = _normalization(config, self.monitor)
+            self.outermost: VecEnv = self.normalization or self.monitor
+            undo.pop_all()
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """Names of the actions."""
+        return action_names_of(self.env)
+
+    def scenario(self) -> str:
+        """Return the scenario with all wrappers as the text of a scenario file; "" without a node."""
+        link = getattr(self.env.unwrapped, "link", None)
+        if not isinstance(link, ControllerLink):
+            return ""
+        fields = yaml12.parse(link.scenario(), "the node's scenario")
+        return yaml12.dump({**fields, "wrappers": self.wrappers()})
+
+    def wrappers(self) -> list[dict[str, Any]]:
+        """Return all wrappers as data, innermost first."""
+        return wrappers_of(self.env)
+
+    def close(self) -> None:
+        """Close the environment; idempotent."""
+        self.env.close()
+
+
+def _normalization(config: TrainingConfig, env: VecEnv) -> VecNormalize | None:
+    settings = config.normalization
+    if not settings or not (settings.observations or settings.rewards):
+        return None
+    if settings.observations and not isinstance(env.observation_space, gym.spaces.Box):
+        raise InvalidConfig(f"normalization.observations: a Box is needed, got {env.observation_space}")
+    parameters = inspect.signature(algorithm_class(config.algorithm).__init__).parameters
+    gamma = config.parameters.get("gamma", parameters["gamma"].default)
+    return VecNormalize(
+        env, norm_obs=settings.observations, norm_reward=settings.rewards, clip_obs=settings.clip_observations,
+        clip_reward=settings.clip_rewards, gamma=gamma,
+    )  # fmt: skip
+
+
+def simulated_state(env: Any) -> bytes:
+    """Return the values of the current samples of a single or vector environment, without any wrapper."""
+    base = env.unwrapped
+    sample = getattr(base, "_sample", None)
+    message = getattr(getattr(sample, "sample", sample), "message", None)
+    return b"" if message is None else message.values + np.array(message.step, np.int64).tobytes()

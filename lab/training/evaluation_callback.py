@@ -1,0 +1,214 @@
+"""Evaluate a model of stable-baselines3 during its training, without affecting the training."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from types import TracebackType
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from zenostat.agent_sdk.controllers.policy import Predictor, preserve_random_state
+from zenostat.agent_sdk.vec_normalization import mark_normalized, normalization_of, normalization_path
+from zenostat.agent_sdk.wrappers import restore_wrappers, save_wrappers
+from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics
+from zenostat.lab.evaluate import run_episode
+from zenostat.metrics.episode_metrics import EpisodeMetrics
+from zenostat.topics import yaml12
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
+
+with requires_extra("train", "training", "stable-baselines3"):
+    from stable_baselines3.common.base_class import BaseAlgorithm
+    from stable_baselines3.common.callbacks import BaseCallback
+
+MakeEnv = Callable[[], gym.Env[Any, Any]]
+"""Makes an environment for evaluation, within the same wrappers as those of the training."""
+
+
+class EvaluationCallback(BaseCallback):
+    """Evaluates the model at regular intervals of its training, in an environment of its own.
+
+        model.learn(100_000, callback=EvaluationCallback(make_env, every=10_000, best_model_path="best.zip"))
+
+    It changes neither the training's environments nor any random state: the same seed gives the same weights with and
+    without it. What the training's wrappers and its `VecNormalize` have learnt is copied for each evaluation. The means
+    over the episodes of all metrics of `EpisodeMetrics` are logged with the model's logger, as `eval/reward`.
+
+    Args:
+        make_env: Makes the environment when it is first needed. It is closed when the training ends; a `with` statement
+            also closes it after an exception.
+        every: Training steps, counted over all environments, between evaluations, at multiples of this number.
+        every_episodes: Finished episodes of the training between evaluations, instead of `every`.
+        episodes: Number of episodes of an evaluation.
+        seed: Seed of the first episode; episode k has `seed + k`, the same in each evaluation.
+        best_model_path: File (.zip) for the model with the highest mean reward. Its `VecNormalize` is saved beside it
+            as `.vecnormalize.pkl`, and what its wrappers have learnt as `.wrappers.yaml`, if there are any.
+        on_evaluation: Called after each evaluation with the training step and the metrics of its episodes.
+
+    Attributes:
+        results: Metrics of the episodes by training step of the evaluation.
+        best_reward: The highest mean reward of an evaluation; None before the first.
+        training_episodes: Number of the training's episodes that have ended.
+    """
+
+    def __init__(
+        self,
+        make_env: MakeEnv,
+        every: int | None = None,
+        episodes: int = 1,
+        seed: int = 0,
+        best_model_path: str | Path | None = None,
+        *,
+        every_episodes: int | None = None,
+        on_evaluation: Callable[[int, tuple[EpisodeMetrics, ...]], None] | None = None,
+    ) -> None:
+        super().__init__()
+        if (every is None) == (every_episodes is None):
+            raise InvalidConfig("the interval of evaluations: either every (steps) or every_episodes expected")
+        interval = every if every is not None else every_episodes
+        if interval is None or interval < 1 or episodes < 1:
+            raise InvalidConfig(f"every={interval}, episodes={episodes}: numbers of at least 1 expected")
+        path = None if best_model_path is None else Path(best_model_path)
+        if path is not None and (path.suffix != ".zip" or not path.absolute().parent.is_dir()):
+            raise InvalidConfig(f"best_model_path={str(path)!r}: a .zip file in an existing folder expected")
+        self._make_env, self._interval, self._episodes, self._seed = make_env, interval, episodes, seed
+        self._counts_episodes, self._on_evaluation = every is None, on_evaluation
+        self._path = path
+        self._env: gym.Env[Any, Any] | None = None
+        self._due = 0
+        self.training_episodes = 0
+        self.results: dict[int, tuple[EpisodeMetrics, ...]] = {}
+        self.best_reward: float | None = None
+
+    def __enter__(self) -> EvaluationCallback:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the environment; idempotent. The next evaluation makes a new one."""
+        env, self._env = self._env, None
+        if env is not None:
+            env.close()
+
+    def _on_training_start(self) -> None:
+        mark_normalized(self.model)
+        self._set_due()
+
+    def _on_step(self) -> bool:
+        self.training_episodes += int(np.count_nonzero(self.locals["dones"]))
+        if self._count() >= self._due:
+            self._set_due()
+            with preserve_random_state():
+                self._evaluate()
+        return True
+
+    def _count(self) -> int:
+        return self.training_episodes if self._counts_episodes else self.num_timesteps
+
+    def _set_due(self) -> None:
+        """Evaluate next at a multiple of the interval, so that a resumed training evaluates at the same steps."""
+        self._due = (self._count() // self._interval + 1) * self._interval
+
+    def _on_training_end(self) -> None:
+        self.close()
+
+    def _evaluate(self) -> None:
+        env = self._evaluation_env()
+        wrapper_text = _copy_wrapper_state(self.training_env, env)
+        results = evaluate_model(self.model, env, episodes=self._episodes, seed=self._seed)
+        self.results[self.num_timesteps] = results
+        rewards = [result.reward for result in results]
+        if None in rewards:
+            raise InvalidConfig("the evaluation environment has no reward; remove reward=None from make_env")
+        self._log(results)
+        if self._on_evaluation is not None:
+            self._on_evaluation(self.num_timesteps, results)
+        mean = float(np.mean(np.array(rewards, np.float64)))
+        if self.best_reward is None or mean > self.best_reward:
+            self.best_reward = mean
+            self._save(wrapper_text)
+
+    def _evaluation_env(self) -> gym.Env[Any, Any]:
+        if self._env is None:
+            env = self._make_env()
+            if any(env.unwrapped is other.unwrapped for other in getattr(self.training_env.unwrapped, "envs", [])):
+                raise InvalidConfig("make_env returned an environment of the training; it must make a new one")
+            self._env = env
+        return self._env
+
+    def _log(self, results: tuple[EpisodeMetrics, ...]) -> None:
+        metrics = [result.metrics() for result in results]
+        for name in metrics[0]:
+            values = [episode.get(name) for episode in metrics]
+            if None not in values:
+                self.logger.record(f"eval/{name}", float(np.mean(np.array(values, np.float64))))
+        self.logger.record("time/total_timesteps", self.num_timesteps, exclude="tensorboard")
+        self.logger.dump(self.num_timesteps)
+
+    def _save(self, wrapper_text: str) -> None:
+        if self._path is None:
+            return
+        with atomic_file(self._path) as temporary:
+            self.model.save(temporary)
+        normalization = self.model.get_vec_normalize_env()
+        normalization_file, wrappers_file = normalization_path(self._path), self._path.with_suffix(".wrappers.yaml")
+        if normalization is not None:
+            normalization.save(str(normalization_file))
+        else:
+            normalization_file.unlink(missing_ok=True)  # of an earlier training
+        if wrapper_text:
+            wrappers_file.write_text(wrapper_text, encoding="utf-8")
+        else:
+            wrappers_file.unlink(missing_ok=True)
+
+
+def evaluate_model(
+    model: BaseAlgorithm, env: gym.Env[Any, Any], *, episodes: int = 1, seed: int = 0
+) -> tuple[EpisodeMetrics, ...]:
+    """Run episodes of a model without exploration, in an environment within the same wrappers as in its training.
+
+    Observations pass through the model's `VecNormalize` if it has one. Neither that nor Gymnasium's running statistics
+    around `env` learn from them. Episode k is reset with `seed + k`.
+
+    Raises:
+        InvalidConfig: The model was trained behind a `VecNormalize` but loaded without it.
+    """
+    normalization = normalization_of(model)
+    results = []
+    for number in range(episodes):
+        predictor = Predictor(model)
+
+        def act(observation: Any, predictor: Predictor = predictor) -> Any:
+            return predictor.action(observation if normalization is None else normalization.normalize_obs(observation))
+
+        with frozen_statistics(env):
+            results.append(run_episode(env, act, seed=seed + number)[0])
+    return tuple(results)
+
+
+def _copy_wrapper_state(training: Any, env: gym.Env[Any, Any]) -> str:
+    """Copy what the wrappers of the training's first environment have learnt to those of `env`; return it as text.
+
+    Environments in other processes cannot be read: use `VecNormalize` there.
+    """
+    base = training.unwrapped  # the wrappers of slots are around the vector environment
+    envs = getattr(base, "envs", None) or [env for env in [getattr(base, "env", None)] if env is not None]
+    if not envs:
+        return ""
+    with TemporaryDirectory(prefix="zenostat-") as folder:
+        path = Path(folder) / "learnt.yaml"
+        save_wrappers(envs[0], path)
+        text = path.read_text(encoding="utf-8")
+        content = yaml12.parse(text, str(path))
+        if content["wrappers"]:
+            restore_wrappers(env, path)
+    return text if content["wrappers"] or "chain" in content else ""

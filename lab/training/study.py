@@ -1,0 +1,280 @@
+"""Studies of Optuna on trainings: each trial is a process of its own, so that its end affects no other."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+import threading
+import time
+import warnings
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from zenostat.lab.training.parameters import check_algorithm
+from zenostat.lab.training.study_storage import (
+    HEARTBEAT_S,
+    database_errors,
+    make_pruner,
+    open_storage,
+    without_password,
+)
+from zenostat.lab.training.trial import REQUEST, RESULT
+from zenostat.lab.training.tuning_config import Range, TuningConfig
+from zenostat.topics import yaml12
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
+
+with requires_extra("tune", "tuning", "Optuna"):
+    import optuna
+    from optuna.trial import FrozenTrial, TrialState
+
+    from zenostat.lab.training.study_sampler import RETRY_OF, make_sampler
+
+_IDENTITY = "zenostat"
+_POLL_S = 0.2
+_INVALID_TRIALS = 3
+"""Number of first trials that fail because the training is invalid, after which the study ends."""
+_END_S = 20.0
+"""Time for a trial's process to write its checkpoint, after which it is killed."""
+
+OnTrial = Callable[[FrozenTrial], None]
+
+
+def distribution(searched: Range) -> optuna.distributions.BaseDistribution:
+    """Return the distribution of a searched parameter; choices that are lists or mappings are searched as JSON."""
+    if searched.choices is not None:
+        return optuna.distributions.CategoricalDistribution([encode(choice) for choice in searched.choices])
+    assert searched.low is not None
+    assert searched.high is not None
+    if searched.is_integer:
+        step = int(searched.step or 1)
+        return optuna.distributions.IntDistribution(int(searched.low), int(searched.high), log=searched.log, step=step)
+    return optuna.distributions.FloatDistribution(searched.low, searched.high, log=searched.log, step=searched.step)
+
+
+def encode(choice: Any) -> Any:
+    """Return a choice as Optuna stores it: a scalar, or JSON text of a list or mapping."""
+    return json.dumps(choice) if isinstance(choice, list | tuple | Mapping) else choice
+
+
+def _decode(config: TuningConfig, values: Mapping[str, Any]) -> dict[str, Any]:
+    by_text = {
+        name: {
+            encode(choice): choice for choice in searched.choices or () if isinstance(choice, list | tuple | Mapping)
+        }
+        for name, searched in config.parameters.items()
+    }
+    return {
+        name: by_text[name].get(value, value) if isinstance(value, str) else value for name, value in values.items()
+    }
+
+
+def open_study(config: TuningConfig) -> optuna.Study:
+    """Create the study of a configuration, or open it if it exists.
+
+    Raises:
+        InvalidConfig: the database cannot be used, or has a study of that name with other settings.
+    """
+    config.folder.mkdir(parents=True, exist_ok=True)
+    identity = json.loads(json.dumps(config.identity()))
+    with database_errors(config.url):
+        storage = open_storage(config.url)
+        arguments: dict[str, Any] = {"sampler": make_sampler(config), "pruner": make_pruner(config.pruner)}
+        try:
+            study = optuna.create_study(
+                study_name=config.study, storage=storage, direction=config.direction, **arguments
+            )
+            study.set_user_attr(_IDENTITY, identity)
+            if config.sampler == "grid":
+                for point in config.grid():
+                    study.enqueue_trial({name: encode(value) for name, value in point.items()})
+        except optuna.exceptions.DuplicatedStudyError:
+            study = optuna.load_study(study_name=config.study, storage=storage, **arguments)
+            saved = study.user_attrs.get(_IDENTITY, {})
+            if differing := [name for name in identity if saved.get(name) != identity[name]]:
+                raise InvalidConfig(
+                    f"the study {config.study!r} exists in {without_password(config.url)} with other settings "
+                    f"({', '.join(differing)}): choose another name, or restore them"
+                ) from None
+    return study
+
+
+@dataclass
+class _Worker:
+    """The process of a trial."""
+
+    trial: optuna.Trial
+    process: subprocess.Popen[bytes]
+    folder: Path
+
+
+class Tuning:
+    """The trials of a study that run on this machine.
+
+    Several machines can work on one study: each has its own `Tuning` with the same configuration and database.
+
+    Args:
+        config: the study.
+        on_trial: called with each trial that has ended here.
+
+    Raises:
+        InvalidConfig: see `open_study`; or the algorithm's parameters are invalid.
+    """
+
+    def __init__(self, config: TuningConfig, on_trial: OnTrial | None = None) -> None:
+        self._config, self._on_trial = config, on_trial
+        first = {name: r.choices[0] if r.choices is not None else r.low for name, r in config.parameters.items()}
+        check_algorithm(config.training_of(first, config.folder))
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        self.study = open_study(config)
+        self._workers: list[_Worker] = []
+        self._beat = 0.0
+        self._invalid: int | None = 0
+
+    @property
+    def processes(self) -> list[int]:
+        """Ids of the processes of the running trials."""
+        return [worker.process.pid for worker in self._workers]
+
+    def run(self, stop: threading.Event | None = None) -> bool:
+        """Run trials until the study has its number of trials; return whether it has.
+
+        Args:
+            stop: when it is set, the running trials are ended and queued again, and this returns.
+
+        Raises:
+            InvalidConfig: the database was lost; or the trainings of the first trials are all invalid.
+        """
+        stop = stop or threading.Event()
+        with ExitStack() as stack:
+            stack.callback(self._end_processes)
+            with database_errors(self._config.url), warnings.catch_warnings():
+                warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+                warnings.filterwarnings("ignore", "Heartbeat of storage")  # `_heartbeat` records it
+                while not stop.is_set():
+                    self._heartbeat()
+                    for worker in [worker for worker in self._workers if worker.process.poll() is not None]:
+                        self._finish(worker)
+                    while len(self._workers) < self._config.workers and self._is_open():
+                        self._start()
+                    if not self._workers and not self._is_open():
+                        return True
+                    stop.wait(_POLL_S)
+                self._end_processes()
+                for worker in list(self._workers):
+                    self._finish(worker, interrupted=True)
+        return False
+
+    def _is_open(self) -> bool:
+        """Whether the study needs another trial."""
+        trials = self.study.get_trials(deepcopy=False)
+        if any(trial.state is TrialState.WAITING for trial in trials):
+            return True
+        repeated: int = sum(RETRY_OF in trial.user_attrs for trial in trials)
+        return self._config.sampler != "grid" and len(trials) - repeated < (self._config.trials or 0)
+
+    def _start(self) -> None:
+        config = self._config
+        distributions = {name: distribution(searched) for name, searched in config.parameters.items()}
+        trial = self.study.ask(distributions)
+        folder = config.folder / "trials" / f"{trial.number:04d}"
+        shutil.rmtree(folder, ignore_errors=True)  # of a deleted study of that name
+        folder.mkdir(parents=True)
+        training = config.training_of(_decode(config, trial.params), folder / "training")
+        request = {
+            "url": config.url, "study": config.study, "trial_id": trial._trial_id, "metric": config.metric,  # noqa: SLF001
+            "pruner": config.pruner and config.pruner.model_dump(), "training": training.plain(),
+        }  # fmt: skip
+        (folder / REQUEST).write_text(json.dumps(request, indent=1), encoding="utf-8")
+        (folder / REQUEST).chmod(0o600)  # the URL may contain a password
+        with (folder / "log.txt").open("wb") as log:
+            process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "zenostat.lab.training.trial", str(folder), str(os.getpid())],
+                stdin=subprocess.DEVNULL, stdout=log, stderr=log, process_group=0,
+            )  # fmt: skip
+        self._workers.append(_Worker(trial, process, folder))
+
+    def _finish(self, worker: _Worker, *, interrupted: bool = False) -> None:
+        """Record the result of a trial whose process has ended."""
+        self._workers.remove(worker)
+        try:
+            result = json.loads((worker.folder / RESULT).read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            code = worker.process.returncode
+            result = {"state": "fail", "reason": f"its process ended with {code}; see {worker.folder / 'log.txt'}"}
+            result["again"] = interrupted or self._may_retry(worker.trial)
+        states = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "fail": TrialState.FAIL}
+        if result["state"] == "fail":
+            worker.trial.set_user_attr("reason", "interrupted" if interrupted else result["reason"])
+        reason = result["reason"] if result.get("invalid") else None
+        # A pruned trial's value is that of its last report.
+        value = result["value"] if result["state"] == "complete" else None
+        with suppress(optuna.exceptions.UpdateFinishedTrialError):  # another machine took it for lost
+            self.study.tell(worker.trial, value, state=states[result["state"]])
+        if result.get("again"):
+            of = worker.trial.user_attrs.get(RETRY_OF, worker.trial.number)
+            self.study.enqueue_trial(worker.trial.params, user_attrs={RETRY_OF: of})
+        if self._on_trial is not None:
+            self._on_trial(self.study.trials[worker.trial.number])
+        self._check_first_trials(reason)
+
+    def _check_first_trials(self, reason: str | None) -> None:
+        """Count the first trials whose training is invalid; None: it is valid."""
+        if reason is None:
+            self._invalid = None
+        elif self._invalid is not None:
+            self._invalid += 1
+            if self._invalid >= min(_INVALID_TRIALS, self._config.trials or 1):
+                raise InvalidConfig(f"no trial of the study can be trained: {reason}")
+
+    def _may_retry(self, trial: optuna.Trial) -> bool:
+        of = trial.user_attrs.get(RETRY_OF, trial.number)
+        retries: int = sum(other.user_attrs.get(RETRY_OF) == of for other in self.study.get_trials(deepcopy=False))
+        return retries < self._config.retries
+
+    def _heartbeat(self) -> None:
+        """Show other machines that the trials here are running, and fail those of machines that are lost."""
+        if time.monotonic() - self._beat < HEARTBEAT_S:
+            return
+        self._beat = time.monotonic()
+        storage: Any = self.study._storage  # noqa: SLF001  # Optuna's own `optimize` does the same
+        for worker in self._workers:
+            getattr(storage, "_backend", storage).record_heartbeat(worker.trial._trial_id)  # noqa: SLF001
+        optuna.storages.fail_stale_trials(self.study)
+
+    def _end_processes(self) -> None:
+        """End the processes of the trials; their nodes end with them."""
+        for worker in self._workers:
+            worker.process.terminate()
+        deadline = time.monotonic() + _END_S
+        for worker in self._workers:
+            try:
+                worker.process.wait(max(deadline - time.monotonic(), 0.1))
+            except subprocess.TimeoutExpired:
+                worker.process.kill()
+                worker.process.wait()
+
+    def best(self) -> optuna.trial.FrozenTrial | None:
+        """Return the best finished trial; None before the first has finished."""
+        try:
+            return self.study.best_trial
+        except ValueError:
+            return None
+
+    def write_best(self) -> Path | None:
+        """Write the training of the best trial as a file for `zenostat train`; None before the first has finished."""
+        best = self.best()
+        if best is None:
+            return None
+        path = self._config.folder / "best.yaml"
+        training = self._config.training_of(_decode(self._config, best.params), self._config.folder / "best")
+        with atomic_file(path) as temporary:
+            temporary.write_text(yaml12.dump(training.plain()), encoding="utf-8")
+        return path

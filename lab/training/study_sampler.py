@@ -1,0 +1,71 @@
+"""Samplers of studies, whose draws depend on the trial and not on the process that asks for it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+import optuna
+from optuna.distributions import BaseDistribution
+from optuna.samplers import BaseSampler
+from optuna.trial import FrozenTrial, TrialState
+
+from zenostat.lab.training.tuning_config import TuningConfig
+
+RETRY_OF = "retry_of"
+"""Attribute of a trial that repeats another one: the number of the first."""
+
+
+class TrialSeededSampler(BaseSampler):
+    """A sampler with a seed of its own for each trial, from the study's seed and the number of trials before.
+
+    A sampler of Optuna with a fixed seed draws the same first trials in each process: on each machine of a study, and
+    again when a study continues. Trials that repeat others are not counted, so a study that was interrupted draws what
+    it would have drawn otherwise.
+
+    Args:
+        make: makes the sampler from a seed.
+        seed: seed of the study.
+    """
+
+    def __init__(self, make: Callable[[int], BaseSampler], seed: int) -> None:
+        self._make, self._seed = make, seed
+        self._sampler = make(seed)
+
+    def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
+        """Make the sampler of this trial."""
+        earlier = (other for other in study.get_trials(deepcopy=False) if other.number < trial.number)
+        index = sum(RETRY_OF not in other.user_attrs for other in earlier)
+        self._sampler = self._make(int(np.random.SeedSequence([self._seed, index]).generate_state(1)[0]))
+        self._sampler.before_trial(study, trial)
+
+    def infer_relative_search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
+        """Return what is sampled jointly."""
+        return self._sampler.infer_relative_search_space(study, trial)
+
+    def sample_relative(
+        self, study: optuna.Study, trial: FrozenTrial, search_space: dict[str, BaseDistribution]
+    ) -> dict[str, Any]:
+        """Sample jointly."""
+        return self._sampler.sample_relative(study, trial, search_space)
+
+    def sample_independent(
+        self, study: optuna.Study, trial: FrozenTrial, param_name: str, param_distribution: BaseDistribution
+    ) -> Any:
+        """Sample one parameter."""
+        return self._sampler.sample_independent(study, trial, param_name, param_distribution)
+
+    def after_trial(
+        self, study: optuna.Study, trial: FrozenTrial, state: TrialState, values: Sequence[float] | None
+    ) -> None:
+        """Pass the end of a trial on."""
+        self._sampler.after_trial(study, trial, state, values)
+
+
+def make_sampler(config: TuningConfig) -> BaseSampler:
+    """Return the sampler of a study; the points of a grid are queued when the study is created."""
+    kind: Callable[..., BaseSampler] = (
+        optuna.samplers.TPESampler if config.sampler == "tpe" else optuna.samplers.RandomSampler
+    )
+    return TrialSeededSampler(lambda seed: kind(seed=seed), config.seed)

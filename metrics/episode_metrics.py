@@ -1,0 +1,210 @@
+"""Metrics of an episode: energy, power, comfort, reward."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import timedelta
+
+import numpy as np
+
+from zenostat.agent_sdk.rewards import Reward
+from zenostat.bridge.client.sample import SampleView
+from zenostat.metrics.energy_sources import facility_sources, hvac_sources
+from zenostat.metrics.kpis import KPIS, KpiAccumulator
+from zenostat.metrics.reward_comfort import comfort
+from zenostat.metrics.tariffs import Rate, read_emissions, read_prices
+from zenostat.metrics.unmet_hours import UnmetHours
+from zenostat.topics.messages import Manifest
+
+
+@dataclass(frozen=True, slots=True)
+class EpisodeMetrics:
+    """Totals of an episode; None where the scenario lacks the points.
+
+    Attributes:
+        steps: number of timesteps.
+        reward: sum of the rewards.
+        terms: sum of each reward term.
+        energy_kwh: energy by fuel (the keys of `FUELS`), for the fuels that the scenario measures.
+        hvac_kwh: energy of heating, cooling and ventilation by fuel, for the fuels of which it is measured.
+        mean_power_w: mean electric power of the facility, else of the HVAC; see `MetricsAccumulator.sources`.
+        peak_kw: maximum of the mean power in a timestep, from the same source.
+        mean_deviation_k: deviation from the comfort band, mean over its zones and all timesteps.
+        outside_percent: share of timesteps at whose end at least one zone is outside the band.
+        outside_kh: kelvin hours outside the band, sum over the zones.
+        occupied_outside_kh: kelvin hours outside in occupied zones; all hours for zones without an occupant count.
+        late, rejected: commands that the node did not accept during the episode.
+        terminated: whether a termination limit ended the episode.
+        kpis: key performance indicators by BOPTEST's names; see `zenostat.metrics.kpis`.
+        site_kwh_m2: energy of all fuels of the building per m² of floor area.
+        unmet_heating_h, unmet_cooling_h: hours in which an occupied zone misses its setpoint; see `unmet_hours`.
+    """
+
+    steps: int
+    reward: float | None
+    terms: dict[str, float]
+    energy_kwh: dict[str, float]
+    hvac_kwh: dict[str, float]
+    mean_power_w: float | None
+    peak_kw: float | None
+    mean_deviation_k: float | None
+    outside_percent: float | None
+    outside_kh: float | None
+    occupied_outside_kh: float | None
+    late: int
+    rejected: int
+    terminated: bool
+    kpis: dict[str, float | None] = field(default_factory=dict)
+    site_kwh_m2: float | None = None
+    unmet_heating_h: float | None = None
+    unmet_cooling_h: float | None = None
+
+    @property
+    def hvac_electricity_kwh(self) -> float | None:
+        """Electricity of heating, cooling and ventilation."""
+        return self.hvac_kwh.get("electricity")
+
+    def metrics(self) -> dict[str, float | None]:
+        """Return all metrics by name, terms as `reward.energy` and `mean_reward.energy`, fuels as `electricity_kwh`."""
+        steps = max(self.steps, 1)
+        rewards = {"reward": self.reward} | {f"reward.{name}": value for name, value in self.terms.items()}
+        means = {f"mean_{name}": None if value is None else value / steps for name, value in rewards.items()}
+        energy = {"electricity_kwh": None} | {f"{fuel}_kwh": value for fuel, value in self.energy_kwh.items()}
+        return {
+            **rewards,
+            **means,
+            **energy,
+            "hvac_electricity_kwh": None,
+            **{f"hvac_{fuel}_kwh": value for fuel, value in self.hvac_kwh.items()},
+            "site_kwh_m2": self.site_kwh_m2,
+            "mean_power_w": self.mean_power_w,
+            "peak_kw": self.peak_kw,
+            "mean_deviation_k": self.mean_deviation_k,
+            "outside_percent": self.outside_percent,
+            "outside_kh": self.outside_kh,
+            "occupied_outside_kh": self.occupied_outside_kh,
+            "unmet_heating_h": self.unmet_heating_h,
+            "unmet_cooling_h": self.unmet_cooling_h,
+            "steps": self.steps,
+            "late": self.late,
+            "rejected": self.rejected,
+            "terminated": float(self.terminated),
+            **{f"kpi.{name}": self.kpis.get(name) for name in KPIS},
+        }
+
+
+_HVAC = "hvac_"
+
+
+class MetricsAccumulator:
+    """Accumulate metrics over the samples of an episode, from sample 0.
+
+    Energy is taken from the meters `<fuel>:Facility` and `HVAC:<fuel>`; of a plant that is no EnergyPlus model, from
+    meters named as the metrics, such as `electricity`. Without a meter, electricity is the demand rate of the facility
+    or the HVAC times the timestep. Comfort is measured against the band of the reward; for
+    `MultiZoneReward`, against each zone's setpoints.
+
+    Args:
+        manifest: manifest of the node.
+        reward: reward with the comfort band; None, or a reward without a band: that of the scenario.
+        prices, emissions: prices and emission factors by fuel for these KPIs; see
+        `zenostat.metrics.tariffs`.
+
+    Attributes:
+        sources: by metric, the point or reward that it is derived from.
+    """
+
+    def __init__(
+        self,
+        manifest: Manifest,
+        reward: Reward | None = None,
+        prices: Mapping[str, Rate] | None = None,
+        emissions: Mapping[str, Rate] | None = None,
+    ) -> None:
+        self._step_h = manifest.step_s / 3600.0
+        self._step = timedelta(hours=self._step_h)
+        meters = facility_sources(manifest)
+        meters |= {f"{_HVAC}{fuel}": source for fuel, source in hvac_sources(manifest).items()}
+        self._names = tuple(meters)
+        self._indices = np.array([meter.index for meter in meters.values()], np.intp)
+        self._to_kwh = np.array([meter.to_kwh for meter in meters.values()])
+        electric = [name for name in ("electricity", f"{_HVAC}electricity") if name in meters]
+        self._electric = self._names.index(electric[0]) if electric else None
+        self._comfort = comfort(manifest, reward)
+        self.sources = {f"{name}_kwh": meter.source for name, meter in meters.items()}
+        if electric:
+            self.sources |= dict.fromkeys(("mean_power_w", "peak_kw"), meters[electric[0]].source)
+        if self._comfort is not None:
+            self.sources["mean_deviation_k"] = self._comfort.source
+        self._unmet, self._area_m2 = UnmetHours(manifest), manifest.floor_area_m2
+        rates = read_prices(prices), read_emissions(emissions)
+        self._kpis = KpiAccumulator(manifest, self._comfort, *rates)
+        self.sources |= {f"kpi.{name}": source for name, source in self._kpis.sources.items()}
+        self._reset()
+
+    def _reset(self) -> None:
+        self._kwh = np.zeros(len(self._names))
+        self._terms: dict[str, float] | None = None
+        self._peak_kwh = self._outside_k = self._occupied_k = 0.0
+        self._steps = self._steps_outside = 0
+        self._unmet.reset()
+        self._not_accepted = self._initially_not_accepted = (0, 0)
+
+    def begin(self, sample: SampleView) -> None:
+        """Start from `sample`, at any step: the timestep that it closes does not count."""
+        self._reset()
+        self._kpis.begin(sample.fault_free_values)
+        self._initially_not_accepted = self._not_accepted = (sample.message.late, sample.message.rejected)
+
+    def add(self, sample: SampleView, terms: Mapping[str, float] | None = None) -> None:
+        """Add the timestep that `sample` closes, with the terms of its reward; sample 0 starts a new episode."""
+        if sample.step == 0:
+            self.begin(sample)
+            return
+        not_accepted = (sample.message.late, sample.message.rejected)
+        values, begin = sample.fault_free_values, sample.time - self._step
+        kwh = values[self._indices] * self._to_kwh
+        self._kwh += kwh
+        if self._electric is not None:
+            self._peak_kwh = max(self._peak_kwh, float(kwh[self._electric]))
+        if self._comfort is not None:
+            outside = self._comfort.outside(values, begin)
+            self._outside_k += float(outside.sum())
+            self._occupied_k += float(outside[self._comfort.is_occupied(values)].sum())
+            self._steps_outside += bool((outside > 0.0).any())
+        self._kpis.add(values, begin)
+        self._unmet.add(values)
+        for name, term in (terms or {}).items():
+            self._terms = self._terms or {}
+            self._terms[name] = self._terms.get(name, 0.0) + float(term)
+        self._steps += 1
+        self._not_accepted = not_accepted
+
+    def result(self, *, terminated: bool = False) -> EpisodeMetrics:
+        """Return the totals so far; without any timestep, energy, power and comfort are None."""
+        kwh = dict(zip(self._names, self._kwh.tolist(), strict=True)) if self._steps else {}
+        building = {name: value for name, value in kwh.items() if not name.startswith(_HVAC)}
+        electric = self._electric if self._steps else None
+        comfort = self._comfort if self._steps else None
+        mean_kwh = None if electric is None else float(self._kwh[electric]) / self._steps
+        return EpisodeMetrics(
+            steps=self._steps,
+            reward=None if self._terms is None else sum(self._terms.values()),
+            terms=dict(self._terms or {}),
+            energy_kwh=building,
+            hvac_kwh={name.removeprefix(_HVAC): value for name, value in kwh.items() if name.startswith(_HVAC)},
+            mean_power_w=None if mean_kwh is None else mean_kwh / self._step_h * 1e3,
+            peak_kw=None if electric is None else self._peak_kwh / self._step_h,
+            mean_deviation_k=None if comfort is None else self._outside_k / (self._steps * len(comfort.zones)),
+            outside_percent=None if comfort is None else 100.0 * self._steps_outside / self._steps,
+            outside_kh=None if comfort is None else self._outside_k * self._step_h,
+            occupied_outside_kh=None if comfort is None else self._occupied_k * self._step_h,
+            late=self._not_accepted[0] - self._initially_not_accepted[0],
+            rejected=self._not_accepted[1] - self._initially_not_accepted[1],
+            terminated=terminated,
+            kpis=self._kpis.result() if self._steps else {},
+            site_kwh_m2=sum(building.values()) / self._area_m2 if building and self._area_m2 else None,
+            unmet_heating_h=self._unmet.heating_h if self._steps else None,
+            unmet_cooling_h=self._unmet.cooling_h if self._steps else None,
+        )

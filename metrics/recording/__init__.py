@@ -1,0 +1,23 @@
+"""Recordings as NumPy arrays by name, as tables, and as a log of what was requested.
+
+recording = zenostat.recording.load("run.mcap")
+recording.episodes[0]["core_zn_air_temperature"]
+"""
+
+from __future__ import annotations
+
+from zenostat.metrics.recording.data import Episode, Recording
+from zenostat.metrics.recording.export import write_csv, write_parquet
+from zenostat.metrics.recording.load import load
+from zenostat.metrics.recording.log import LogEntry
+from zenostat.metrics.recording.mcap_export import write_mcap
+
+__all__ = [
+    "Episode",
+    "LogEntry",
+    "Recording",
+    "load",
+    "write_csv",
+    "write_mcap",
+    "write_parquet",
+]

@@ -1,0 +1,84 @@
+"""Comfort bands of a building's zones by its reward, for metrics, KPIs and pictures."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zenostat.agent_sdk.rewards import MultiZoneReward, Reward
+from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
+from zenostat.agent_sdk.rewards.manifest_data import known_rewards
+from zenostat.agent_sdk.rewards.occupied import PEOPLE, OccupiedComfort
+from zenostat.agent_sdk.rewards.selectors import same_zone, temperatures
+from zenostat.metrics.comfort import DEFAULT_BAND_DEGC, Comfort, default_comfort
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Manifest
+
+Floats = NDArray[np.float64]
+
+
+def comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort | None:
+    """Return the comfort bands of the zones that a reward rates; None where no reward has a band.
+
+    Args:
+        manifest: manifest of the node.
+        reward: a reward with a comfort band; None, or a reward without a band: that of the task.
+    """
+    for candidate in (reward, *known_rewards(manifest)):
+        try:
+            if isinstance(candidate, ComfortBand):
+                return _from_band(candidate, manifest)
+            if isinstance(candidate, MultiZoneReward):
+                return _from_setpoints(candidate, manifest)
+        except InvalidConfig:  # the node lacks the temperatures
+            continue
+    return None
+
+
+def display_comfort(manifest: Manifest, reward: Reward | None = None) -> Comfort | None:
+    """Return comfort bands of all zones of a manifest, for pictures; None where it has no zone temperature.
+
+    The zones are those of `zenostat.metrics.roles`, in its order. Those that the reward rates have its band; all
+    others have the band of the reward too, or `DEFAULT_BAND_DEGC` where each zone has its own or no reward has one.
+    """
+    shown, rated = default_comfort(manifest), comfort(manifest, reward)
+    if shown is None or rated is None:
+        return shown
+    column = {int(index): place for place, index in enumerate(rated.zones)}
+    places = np.array([column.get(int(index), -1) for index in shown.zones], np.intp)
+
+    def band(values: Floats, begin: datetime) -> tuple[Floats, Floats]:
+        low, high = rated.limits(values, begin)
+        rest = (float(low[0]), float(high[0])) if not rated.follows_setpoints else DEFAULT_BAND_DEGC
+        return np.append(low, rest[0])[places], np.append(high, rest[1])[places]
+
+    source = rated.source.partition(", ")[2]
+    return Comfort(source, shown.zones.tolist(), shown.people, band, follows_setpoints=rated.follows_setpoints)
+
+
+def _from_band(reward: ComfortBand, manifest: Manifest) -> Comfort:
+    band, zones = reward.season(manifest).band, temperatures(reward.kind, reward.temperatures, manifest).tolist()
+    if isinstance(reward, OccupiedComfort):
+        zones, people = map(list, zip(*reward.pairs(zones, manifest), strict=True))
+    else:
+        people = same_zone(zones, PEOPLE, manifest, observed=False)
+    return Comfort(_of(reward), zones, people, lambda _, begin: band(begin))
+
+
+def _from_setpoints(reward: MultiZoneReward, manifest: Manifest) -> Comfort:
+    air, heat, cool = map(list, zip(*reward._points(manifest), strict=True))  # noqa: SLF001
+    threshold = reward.threshold
+    people = same_zone(air, PEOPLE, manifest, observed=False)
+    return Comfort(
+        _of(reward),
+        air,
+        people,
+        lambda values, _: (values[heat] - threshold, values[cool] + threshold),
+        follows_setpoints=True,
+    )
+
+
+def _of(reward: ComfortBand | MultiZoneReward) -> str:
+    return f"the band of the {reward.kind} reward"

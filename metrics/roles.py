@@ -1,0 +1,400 @@
+"""Roles of a node's points in pictures and reports: which sensor is the temperature of which zone, and so on.
+
+Points of EnergyPlus are recognized by output variable and key, meter, and actuator type. Points of other plants, and
+setpoint schedules, are recognized by the words of their names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+from zenostat.metrics.labels import label, words, zone_labels
+from zenostat.topics.energyplus_names import (
+    COOLING_SETPOINT,
+    COOLING_SETPOINT_VARIABLE,
+    END_USES,
+    FACILITY_POWER,
+    FUELS,
+    HEATING_SETPOINT,
+    HEATING_SETPOINT_VARIABLE,
+    HVAC_END_USES,
+    HVAC_POWER,
+    OCCUPANTS,
+    OUTDOOR_TEMPERATURE,
+    THERMOSTAT,
+    UNMET_COOLING,
+    UNMET_HEATING,
+    ZONE_HUMIDITY,
+    ZONE_TEMPERATURES,
+)
+from zenostat.topics.messages import Actuator, Manifest, Meter
+
+_KWH = {"J": 1 / 3.6e6, "kJ": 1 / 3.6e3, "MJ": 1 / 3.6, "GJ": 1e3 / 3.6, "Wh": 1e-3, "kWh": 1.0, "MWh": 1e3}
+_IN_TOTALS = {name.casefold() for name in (HVAC_POWER, FACILITY_POWER, UNMET_HEATING, UNMET_COOLING)}
+"""Output variables that pictures show in no plot of their own."""
+_KW = {"W": 1e-3, "kW": 1.0, "MW": 1e3}
+
+_ROOM_WORDS = {
+    "apartment", "bedroom", "building", "classroom", "core", "flat", "hall", "house", "indoor", "inside", "kitchen",
+    "living", "office", "perimeter", "room", "space", "zone",
+}  # fmt: skip
+_OUTDOOR_WORDS = {"ambient", "external", "outdoor", "outside"}
+_SETPOINT_WORDS = {"setpoint", "setpoints", "setpt", "sp"}
+_NO_PLACE = {
+    "air", "all", "building", "heating", "cooling", "return", "rl", "sch", "schedule", "temperature", "thermostat",
+    "zone", "zones",
+} | _SETPOINT_WORDS  # fmt: skip
+"""Words of a setpoint's name that do not tell its zone."""
+
+_UNCONDITIONED = {"attic", "crawlspace", "plenum"}
+"""Words of zones that a setpoint without a place does not serve."""
+
+_END_USE_LABELS = {"humidifier": "humidification"}
+
+
+@dataclass(frozen=True, slots=True)
+class ZoneRoles:
+    """Points of one zone, as indices into `Manifest.points` and, for actuators, `Manifest.actuators`.
+
+    Attributes:
+        key: EnergyPlus's name of the zone; of another plant, the part of the names that its points share.
+        label: the name for readers, such as `Core bottom`.
+        place: its place among the zones of the building, from 0.
+        temperature, humidity, occupants: sensors; None where there is none.
+        heating_setpoint, cooling_setpoint: sensors of the setpoints that the thermostat uses.
+        heating_actuator, cooling_actuator: actuators of the setpoints; zones may share one, such as a schedule.
+    """
+
+    key: str
+    label: str
+    place: int
+    temperature: int | None = None
+    humidity: int | None = None
+    occupants: int | None = None
+    heating_setpoint: int | None = None
+    cooling_setpoint: int | None = None
+    heating_actuator: int | None = None
+    cooling_actuator: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PowerSource:
+    """A point that gives a power: `values[index] * to_kw`, the mean of the timestep in kW.
+
+    Attributes:
+        label: what it is the power of.
+    """
+
+    index: int
+    to_kw: float
+    label: str
+
+
+@dataclass(frozen=True, slots=True)
+class EndUse:
+    """A meter of an end use or, with the label `facility` or `HVAC`, of all uses or those of the HVAC of a fuel.
+
+    Attributes:
+        label: `cooling`, `interior lights`.
+        fuel: `electricity`, `natural gas`.
+        index: index into `Manifest.points`.
+        to_kw: factor from the meter's value to the mean power of the timestep in kW.
+        is_hvac: whether it belongs to heating, cooling or ventilation.
+    """
+
+    label: str
+    fuel: str
+    index: int
+    to_kw: float
+    is_hvac: bool
+
+
+@dataclass(frozen=True, slots=True)
+class PointRoles:
+    """Roles of all points of a node.
+
+    Attributes:
+        zones: in the building's order.
+        outdoor_temperature: index into `Manifest.points`; None where the node lacks it.
+        facility_power, hvac_power: electric power of the whole building and of its HVAC; if the HVAC is not measured,
+            of the groups of meters nearest to it, as the label tells.
+        end_uses: meters of end uses, those of HVAC first.
+        fuels: meters of the whole building, by fuel.
+        hvac_fuels: meters of the HVAC by fuel, without electricity.
+        others: the points without a role, as indices by unit, in manifest order.
+        labels: names of `Manifest.points` for readers.
+        actuator_labels: names of `Manifest.actuators` for readers.
+    """
+
+    zones: tuple[ZoneRoles, ...] = ()
+    outdoor_temperature: int | None = None
+    facility_power: PowerSource | None = None
+    hvac_power: PowerSource | None = None
+    end_uses: tuple[EndUse, ...] = ()
+    fuels: tuple[EndUse, ...] = ()
+    hvac_fuels: tuple[EndUse, ...] = ()
+    others: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    labels: tuple[str, ...] = ()
+    actuator_labels: tuple[str, ...] = ()
+
+
+def roles(manifest: Manifest) -> PointRoles:
+    """Return the roles of a node's points; points that are not recognized are in `others`."""
+    zones = _zones(manifest)
+    outdoor = _outdoor(manifest)
+    facility = _power(manifest, _FACILITY)
+    hvac = _power(manifest, _HVAC)
+    if facility is None and not any(point.unit in _KWH for point in manifest.meters):
+        facility = _plant_power(manifest, hvac)
+    end_uses, fuels, hvac_fuels = _meters(manifest)
+    assigned = {index for zone in zones for index in _sensors(zone)}
+    assigned |= {source.index for source in (facility, hvac) if source is not None}
+    assigned |= set() if outdoor is None else {outdoor}
+    assigned |= {meter.index for meter in (*end_uses, *fuels, *hvac_fuels)}
+    assigned |= {i for i, sensor in enumerate(manifest.sensors) if sensor.variable.casefold() in _IN_TOTALS}
+    others: dict[str, list[int]] = {}
+    for index, point in enumerate(manifest.points):
+        if index not in assigned:
+            others.setdefault(point.unit, []).append(index)
+    return PointRoles(
+        zones=tuple(zones),
+        outdoor_temperature=outdoor,
+        facility_power=facility,
+        hvac_power=hvac,
+        end_uses=tuple(end_uses),
+        fuels=tuple(fuels),
+        hvac_fuels=tuple(hvac_fuels),
+        others={unit: tuple(indices) for unit, indices in others.items()},
+        labels=tuple(label(name) for name in manifest.names),
+        actuator_labels=tuple(label(actuator.name) for actuator in manifest.actuators),
+    )
+
+
+def _sensors(zone: ZoneRoles) -> Iterator[int]:
+    points = (zone.temperature, zone.humidity, zone.occupants, zone.heating_setpoint, zone.cooling_setpoint)
+    return (index for index in points if index is not None)
+
+
+# Zones
+
+
+def _zones(manifest: Manifest) -> list[ZoneRoles]:
+    """Return the zones with a temperature, in the building's order."""
+    by_key = _energyplus_zones(manifest) or _named_zones(manifest)
+    places = {name.casefold(): place for place, name in enumerate(manifest.zones or by_key)}
+    names = {name.casefold(): name for name in manifest.zones}
+    by_key = {names.get(key.casefold(), key): points for key, points in by_key.items()}
+    by_key = dict(sorted(by_key.items(), key=lambda entry: places.get(entry[0].casefold(), len(places))))
+    labels = dict(zip(by_key, zone_labels(by_key), strict=True))
+    zones = []
+    for key, points in by_key.items():
+        heating = _setpoint_actuator(manifest, key, "heating")
+        cooling = _setpoint_actuator(manifest, key, "cooling")
+        zones.append(
+            ZoneRoles(
+                key=key,
+                label=labels[key],
+                place=places.get(key.casefold(), len(places)),
+                **points,
+                heating_actuator=heating,
+                cooling_actuator=cooling,
+            )
+        )
+    return zones
+
+
+_VARIABLES = {
+    "humidity": ZONE_HUMIDITY,
+    "occupants": OCCUPANTS,
+    "heating_setpoint": HEATING_SETPOINT_VARIABLE,
+    "cooling_setpoint": COOLING_SETPOINT_VARIABLE,
+}
+
+
+def _energyplus_zones(manifest: Manifest) -> dict[str, dict[str, int]]:
+    """Return the points of each zone by its name in EnergyPlus."""
+    by_variable: dict[tuple[str, str], int] = {}
+    names: dict[str, str] = {}
+    for index, sensor in enumerate(manifest.sensors):
+        variable, key = sensor.variable.casefold(), sensor.key.casefold()
+        by_variable.setdefault((variable, key), index)
+        if variable in ZONE_TEMPERATURES:
+            names.setdefault(key, sensor.key)
+    zones = {}
+    for key, name in names.items():
+        air = next(by_variable[v, key] for v in ZONE_TEMPERATURES if (v, key) in by_variable)
+        others = {role: by_variable.get((variable.casefold(), key)) for role, variable in _VARIABLES.items()}
+        zones[name] = {"temperature": air} | {role: index for role, index in others.items() if index is not None}
+    return zones
+
+
+_ENDINGS = {
+    "temperature": (("air", "temperature"), ("temperature",)),
+    "humidity": (("air", "humidity"), ("relative", "humidity"), ("humidity",)),
+    "occupants": (("occupants",), ("people",), ("occupancy",)),
+    "heating_setpoint": (("heating", "setpoint"),),
+    "cooling_setpoint": (("cooling", "setpoint"),),
+}
+"""Last words of the names of a zone's points, of plants without EnergyPlus's variables."""
+
+
+def _named_zones(manifest: Manifest) -> dict[str, dict[str, int]]:
+    """Return the points of each zone by the first words of their names, which they share."""
+    stems: dict[tuple[str, ...], dict[str, int]] = {}
+    for index, sensor in enumerate(manifest.sensors):
+        if sensor.variable:
+            continue
+        name = tuple(words(sensor.name))
+        for role, ending in ((role, ending) for role, endings in _ENDINGS.items() for ending in endings):
+            if name[-len(ending) :] == ending and (role != "temperature" or sensor.unit == "degC"):
+                stems.setdefault(name[: -len(ending)], {}).setdefault(role, index)
+                break
+    by_actuator = {tuple(words(actuator.name))[:-2] for actuator in manifest.actuators if _is_setpoint(actuator)}
+    return {
+        "_".join(stem) or "zone": points
+        for stem, points in stems.items()
+        if "temperature" in points
+        and not _OUTDOOR_WORDS.intersection(stem)
+        and (not stem or len(points) > 1 or _ROOM_WORDS.intersection(stem) or stem in by_actuator)
+    }
+
+
+def _is_setpoint(actuator: Actuator) -> bool:
+    name = words(actuator.name)
+    return len(name) > 1 and name[-1] in _SETPOINT_WORDS
+
+
+def _setpoint_actuator(manifest: Manifest, zone: str, kind: str) -> int | None:
+    """Return the actuator of a zone's setpoint: its thermostat's, else one that the words of a name assign to it."""
+    control = (HEATING_SETPOINT if kind == "heating" else COOLING_SETPOINT).casefold()
+    for index, actuator in enumerate(manifest.actuators):
+        if (
+            actuator.component_type.casefold() == THERMOSTAT.casefold()
+            and actuator.control_type.casefold() == control
+            and actuator.key.casefold() == zone.casefold()
+        ):
+            return index
+    zone_words, best, most_words = set(words(zone)), None, -1
+    for index, actuator in enumerate(manifest.actuators):
+        place = _place_of_setpoint(actuator, kind)
+        is_served = place is not None and place <= zone_words and (place or not zone_words & _UNCONDITIONED)
+        if place is not None and is_served and len(place) > most_words:
+            best, most_words = index, len(place)
+    return best
+
+
+def _place_of_setpoint(actuator: Actuator, kind: str) -> set[str] | None:
+    """Return the words that name the place of a schedule's or plant's setpoint (none: everywhere); else None."""
+    if actuator.component_type and not actuator.component_type.casefold().startswith("schedule"):
+        return None
+    if actuator.unit not in ("degC", "1", ""):
+        return None
+    name = set(words(actuator.name))
+    if kind not in name or not _SETPOINT_WORDS & name:
+        return None
+    return name - _NO_PLACE
+
+
+# Weather and power
+
+
+def _outdoor(manifest: Manifest) -> int | None:
+    for index, sensor in enumerate(manifest.sensors):
+        if sensor.variable.casefold() == OUTDOOR_TEMPERATURE.casefold():
+            return index
+    for index, sensor in enumerate(manifest.sensors):
+        name = set(words(sensor.name))
+        if not sensor.variable and sensor.unit == "degC" and "temperature" in name and name & _OUTDOOR_WORDS:
+            return index
+    return None
+
+
+_FACILITY = dict.fromkeys(
+    ("electricity:facility", "electricity", "electricity_facility", FACILITY_POWER.casefold()), "Whole building"
+)
+_HVAC = {
+    "hvac:electricity": "HVAC",
+    "hvac_electricity": "HVAC",
+    "electricity_hvac": "HVAC",
+    "electricity:hvac": "HVAC without plant",
+    HVAC_POWER.casefold(): "HVAC and plant",
+}
+"""Meters, the names of a plant's own points, and an output variable, the best one first, with what each measures."""
+
+
+def _power(manifest: Manifest, labels: Mapping[str, str]) -> PowerSource | None:
+    """Return the first of these meters, else of these output variables or of a plant's sensors of these names."""
+    first = len(manifest.sensors)
+    meters = {(meter.meter or meter.name).casefold(): i for i, meter in reversed(list(enumerate(manifest.meters)))}
+    sensors = {
+        (sensor.variable or sensor.name.removesuffix("_power")).casefold(): i
+        for i, sensor in reversed(list(enumerate(manifest.sensors)))
+        if sensor.unit in _KW
+    }
+    for name, text in labels.items():
+        index = meters.get(name)
+        if index is not None and manifest.meters[index].unit in _KWH:
+            return PowerSource(first + index, _meter_to_kw(manifest.meters[index], manifest), text)
+    for name, text in labels.items():
+        if name in sensors:
+            return PowerSource(sensors[name], _KW[manifest.sensors[sensors[name]].unit], text)
+    return None
+
+
+def _plant_power(manifest: Manifest, hvac: PowerSource | None) -> PowerSource | None:
+    """Return the only power sensor of a plant without EnergyPlus's variables."""
+    sensors = [
+        index
+        for index, sensor in enumerate(manifest.sensors)
+        if sensor.unit in _KW and not sensor.variable and (hvac is None or index != hvac.index)
+    ]
+    if len(sensors) != 1:
+        return None
+    return PowerSource(sensors[0], _KW[manifest.sensors[sensors[0]].unit], "Whole building")
+
+
+def _meter_to_kw(meter: Meter, manifest: Manifest) -> float:
+    return _KWH[meter.unit] * 3600.0 / manifest.step_s
+
+
+def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse], list[EndUse]]:
+    """Return the meters of end uses, HVAC first, those of whole fuels, and those of the HVAC's fuels."""
+    first = len(manifest.sensors)
+    end_uses: list[tuple[tuple[int, int], EndUse]] = []
+    fuels: list[EndUse] = []
+    hvac_fuels: list[EndUse] = []
+    seen: set[str] = set()
+    for index, meter in enumerate(manifest.meters):
+        name = (meter.meter or meter.name).casefold()
+        if meter.unit not in _KWH or name in seen:
+            continue
+        seen.add(name)
+        left, _, right = name.replace("_facility", ":facility").partition(":")
+        to_kw = _meter_to_kw(meter, manifest)
+        if left in _USE_RANK and right in _FUEL_RANK:
+            text, fuel = _USE_LABELS[left], _FUEL_LABELS[right]
+            is_hvac = _USE_RANK[left] < len(HVAC_END_USES)
+            use = EndUse(text, fuel, first + index, to_kw, is_hvac)
+            end_uses.append(((_USE_RANK[left], _FUEL_RANK[right]), use))
+        elif left in _FUEL_RANK and right in ("facility", ""):
+            fuel = _FUEL_LABELS[left]
+            fuels.append(EndUse("facility", fuel, first + index, to_kw, is_hvac=False))
+        elif left == "hvac" and right in _FUEL_RANK and right != "electricity":
+            fuel = _FUEL_LABELS[right]
+            hvac_fuels.append(EndUse("HVAC", fuel, first + index, to_kw, is_hvac=True))
+    return [use for _, use in sorted(end_uses, key=lambda entry: entry[0])], fuels, hvac_fuels
+
+
+_USE_RANK = {use.casefold(): rank for rank, use in enumerate(END_USES)}
+_FUEL_RANK = {fuel.casefold(): rank for rank, fuel in enumerate(FUELS)}
+
+
+def _plain(name: str) -> str:
+    """Return `interior lights` for `InteriorLights`."""
+    text = "".join(f" {letter.lower()}" if letter.isupper() else letter for letter in name).strip()
+    return _END_USE_LABELS.get(text, text)
+
+
+_USE_LABELS = {use.casefold(): _plain(use) for use in END_USES}
+_FUEL_LABELS = {fuel.casefold(): _plain(fuel) for fuel in FUELS}

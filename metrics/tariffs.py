@@ -1,0 +1,137 @@
+"""Prices and emission factors of fuels, as time series by fuel."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from numbers import Real
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from zenostat.agent_sdk.time_series import LEAP_HOURS, Constant, HourlyFile, Signal, TimeSeries, grams_per_kwh, per_kwh
+from zenostat.metrics.energy_sources import FUELS
+from zenostat.topics import yaml12
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+
+
+@dataclass(frozen=True, slots=True)
+class FuelRate:
+    """A price or an emission factor of a fuel.
+
+    Attributes:
+        series: the time series, in its own unit.
+        factor: factor from its unit to that of the KPIs: currency or kg CO2 per kWh.
+    """
+
+    series: TimeSeries
+    factor: float
+
+    def at(self, begin: datetime) -> float:
+        """Return the rate of the hour in which a timestep begins, in currency or kg CO2 per kWh."""
+        return float(self.series.at(begin)) * self.factor
+
+
+Rate = float | str | Path | Mapping[str, Any] | Sequence[float] | TimeSeries | FuelRate
+"""A price or an emission factor: a number, a number for each hour of a year, a CSV or YAML file, or a series."""
+
+_ALIASES = {"gas": "natural_gas", "district_heating": "district_heating_water"}
+_SIGNAL: TypeAdapter[TimeSeries] = TypeAdapter(Signal)
+_YEAR = [datetime(2012, 1, 1) + timedelta(hours=hour) for hour in range(LEAP_HOURS)]
+"""The hours of a leap year, with all weekdays of each month."""
+
+
+def read_prices(prices: Mapping[str, Rate] | None) -> dict[str, FuelRate]:
+    """Read prices by fuel; a number, a list and a CSV file are in currency per kWh.
+
+    A price may be negative, as on power exchanges.
+
+    Raises:
+        InvalidConfig: unknown fuel, not a price per energy, not finite, or not a year of hours.
+    """
+    return _read(prices or {}, "prices", "1/kWh", per_kwh)
+
+
+def read_emissions(emissions: Mapping[str, Rate] | None) -> dict[str, FuelRate]:
+    """Read emission factors by fuel; a number, a list and a CSV file are in kg CO2 per kWh.
+
+    Raises:
+        InvalidConfig: unknown fuel, not a mass per energy, negative or not finite, or not a year of hours.
+    """
+    rates = _read(emissions or {}, "emissions", "kg/kWh", lambda unit: grams_per_kwh(unit) * 1e-3)
+    for fuel, rate in rates.items():
+        if (lowest := float(rate.series.at(_YEAR).min())) < 0.0:
+            raise InvalidConfig(f"emissions: {fuel} has the factor {lowest:g}; numbers of at least 0 expected")
+    return rates
+
+
+def _read(rates: Mapping[str, Rate], argument: str, unit: str, factor_of: Any) -> dict[str, FuelRate]:
+    if not isinstance(rates, Mapping):
+        raise InvalidConfig(f"{argument}: a mapping from fuels to numbers or time series expected, got {rates!r}")
+    result: dict[str, FuelRate] = {}
+    for name, rate in rates.items():
+        fuel = _ALIASES.get(str(name), str(name))
+        if fuel not in FUELS:
+            raise InvalidConfig(f"{argument}: no fuel {name!r}; {did_you_mean(str(name), [*FUELS, *_ALIASES])}")
+        if fuel in result:
+            raise InvalidConfig(f"{argument}: {fuel} is given twice")
+        if isinstance(rate, FuelRate):
+            result[fuel] = rate
+            continue
+        try:
+            series = _series(rate, unit)
+            series.load()
+            result[fuel] = FuelRate(series, factor_of(series.unit))
+        except ValidationError as error:
+            raise InvalidConfig(f"{argument}: {name}: {describe_validation_errors(error)}") from None
+        except (InvalidConfig, ValueError) as error:
+            raise InvalidConfig(f"{argument}: {name}: {error}") from None
+    return result
+
+
+def _series(rate: Any, unit: str) -> TimeSeries:
+    """Return the time series of a rate."""
+    if isinstance(rate, TimeSeries):
+        return rate
+    if isinstance(rate, Mapping):
+        return _SIGNAL.validate_python({"unit": unit, **rate})
+    if isinstance(rate, str | Path):
+        return _file(Path(rate).expanduser(), unit)
+    if isinstance(rate, Sequence):
+        return _SIGNAL.validate_python({"hourly": tuple(rate), "unit": unit})
+    if isinstance(rate, bool) or not isinstance(rate, Real) or not math.isfinite(rate):
+        raise InvalidConfig(f"a finite number expected, got {rate!r}")
+    return Constant(value=float(rate), unit=unit)
+
+
+def _file(path: Path, unit: str) -> TimeSeries:
+    """Return the time series in a YAML file, or the last column of a CSV file, with or without a header line."""
+    if path.suffix in (".yaml", ".yml"):
+        return _yaml_file(path, unit)
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as file:
+            first = next(csv.reader(file), [])
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InvalidConfig(f"cannot read the time series {path}: {error}") from None
+    try:
+        float(first[-1]) if first else 0.0
+        header_row = 0
+    except ValueError:
+        header_row = 1
+    return HourlyFile(csv=path, column=max(len(first), 1), header_row=header_row, unit=unit)
+
+
+def _yaml_file(path: Path, unit: str) -> TimeSeries:
+    """Return the time series that a YAML file describes; a CSV file in it is relative to its folder."""
+    try:
+        spec = yaml12.parse(yaml12.read_text(path), str(path))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidConfig(f"cannot read the time series {path}: {error}") from None
+    if "csv" in spec:
+        spec["csv"] = path.parent / str(spec["csv"])
+    return _SIGNAL.validate_python({"unit": unit, **spec})

@@ -1,0 +1,132 @@
+"""BOPTEST's forecasts: the error model, weather and the sun, prices, and test periods."""
+
+from __future__ import annotations
+
+from datetime import datetime
+
+import numpy as np
+import pytest
+
+from zenostat.gateways.boptest import forecast_errors
+from zenostat.gateways.boptest.prices import rate_at, read_rates
+from zenostat.gateways.boptest.test_periods import find_test_periods
+from zenostat.gateways.boptest.weather import COLUMNS, Weather, wet_bulb
+from zenostat.topics.errors import InvalidConfig
+
+DAY_S = 86400
+
+
+@pytest.mark.parametrize(
+    ("level", "mean", "deviation"),
+    # Stationary mean mu / (1 - F) and deviation K / sqrt(1 - F^2) of a first-order autoregression.
+    [("low", 0.0, 0.4 / np.sqrt(1 - 0.92**2)), ("high", -0.015 / 0.05, 0.7 / np.sqrt(1 - 0.95**2))],
+)
+def test_temperature_errors_have_the_moments_of_their_autoregression(level, mean, deviation):
+    last = np.array([forecast_errors.temperature_errors(level, 80, seed)[-1] for seed in range(3000)])
+    assert last.mean() == pytest.approx(mean, abs=4 * deviation / np.sqrt(3000))
+    assert last.std() == pytest.approx(deviation, rel=0.06)
+    assert forecast_errors.temperature_errors(level, 9, 3)[:4].tolist() == (
+        forecast_errors.temperature_errors(level, 4, 3).tolist()
+    )
+
+
+def test_the_first_temperature_error_is_numpys_legacy_draw():
+    assert forecast_errors.temperature_errors("medium", 1, 12)[0] == np.random.RandomState(12).normal(0.15, 1.2)
+
+
+@pytest.mark.parametrize("level", forecast_errors.LEVELS)
+def test_solar_forecasts_stay_within_their_share_of_the_truth_and_nights_stay_dark(level):
+    truth = np.maximum(0.0, 700.0 * np.sin(np.arange(49) / 24 * 2 * np.pi - np.pi / 2))
+    forecast = forecast_errors.solar_forecast(level, truth, 5)
+    assert (forecast[truth == 0.0] == 0.0).all()
+    assert (forecast >= 0.2 * truth).all()
+    assert (forecast <= 2.0 * truth).all()
+    assert np.abs(forecast - truth).max() > 1.0
+    assert (forecast_errors.solar_forecast(level, truth, 5) == forecast).all()
+
+
+def test_test_periods_follow_their_definitions():
+    days, bins = 365, 96
+    heating, cooling = np.zeros((days, bins)), np.zeros((days, bins))
+    heating[:120, 30] = np.linspace(9000, 3100, 120)  # falls day by day
+    heating[5, 30] = 50_000  # before the first day that can be chosen
+    cooling[100:300, 50] = np.linspace(100, 8000, 200)
+    cooling[250, 60:62] = (20_000, 20_000)
+    found = find_test_periods(heating.ravel(), cooling.ravel(), 900)
+    assert found["peak_heat_day"] == 14
+    daily = heating.max(axis=1)
+    median = np.median(daily[daily > 1])
+    assert daily[found["typical_heat_day"]] == daily[14:358][daily[14:358] <= median].max()
+    assert found["peak_cool_day"] == 250
+    overlap = np.minimum(daily, cooling.max(axis=1))
+    assert overlap[found["mix_day"]] == overlap[14:358].max()
+
+
+def test_periods_of_a_load_that_the_building_lacks_are_left_out():
+    cooling = np.random.default_rng(0).uniform(100, 1000, 365 * 96)
+    assert {*find_test_periods(np.zeros(365 * 96), cooling, 900)} == {"peak_cool_day", "typical_cool_day"}
+
+
+def test_peaks_are_means_of_15_minutes():
+    load = np.zeros(365 * 288)
+    load[100 * 288] = 3000.0  # five minutes: a mean of 1000 W
+    load[200 * 288 : 200 * 288 + 3] = 1500.0
+    assert find_test_periods(load, np.zeros_like(load), 300)["peak_heat_day"] == 200
+
+
+def weather(**columns):
+    hours = 24 * 30
+    all_columns = {name: np.full(hours, np.nan) for name in COLUMNS} | {
+        name: np.resize(np.asarray(values, float), hours) for name, values in columns.items()
+    }
+    return Weather(0.0, 3600.0, all_columns, 40.0, -105.0, -7.0)
+
+
+def test_weather_is_linear_between_hours_and_gaps_are_filled():
+    series = weather(dry_bulb_temperature=[0.0, 10.0, np.nan, 30.0])
+    assert "relHum" not in series.points
+    assert series.at("TDryBul", np.array([3600.0, 5400.0, 3 * 3600.0])) == pytest.approx([273.15, 278.15, 293.15])
+    assert series.now(5400.0)["TDryBul"] == pytest.approx(278.15)
+    assert [*series.now(5400.0)] == [*series.points]
+
+
+def test_the_sun_is_in_the_south_at_solar_noon_and_as_high_as_geometry_says():
+    series = weather(dry_bulb_temperature=[0.0])
+    times = 171 * DAY_S + np.arange(0.0, DAY_S, 60.0)  # the solstice: declination 23.45 degrees
+    altitude, hour_angle = series.at("solAlt", times), series.at("solHouAng", times)
+    assert np.degrees(altitude.max()) == pytest.approx(90 - 40 + 23.45, abs=0.1)
+    assert abs(hour_angle[altitude.argmax()]) < np.radians(0.3)
+    # The site is on the meridian of its time zone, and the equation of time is below 2 minutes that day.
+    assert times[altitude.argmax()] % DAY_S == pytest.approx(DAY_S / 2, abs=150)
+    assert series.at("solZen", times) == pytest.approx(np.pi / 2 - altitude)
+    equinox = 79 * DAY_S + np.arange(0.0, DAY_S, 60.0)
+    assert (series.at("solAlt", equinox) > 0).mean() == pytest.approx(0.5, abs=0.01)
+
+
+def test_wet_bulb_temperatures():
+    air = np.array([293.15, 293.15, 303.15])
+    humidity, pressure = np.array([1.0, 0.5, 0.2]), 101_325.0
+    wet, dry = wet_bulb(air, humidity, np.full(3, pressure)) - 273.15, air - 273.15
+    assert wet[0] == pytest.approx(20.0)
+    # Adiabatic saturation, ASHRAE Handbook Fundamentals 2017, chapter 1, equation 33.
+    saturated, vapor = (611.2 * np.exp(17.62 * t / (243.12 + t)) for t in (wet, dry))
+    ratio_at_wet_bulb = 0.621945 * saturated / (pressure - saturated)
+    ratio = ((2501 - 2.326 * wet) * ratio_at_wet_bulb - 1.006 * (dry - wet)) / (2501 + 1.86 * dry - 4.186 * wet)
+    vapor = vapor * humidity
+    assert ratio == pytest.approx(0.621945 * vapor / (pressure - vapor), rel=0.05)
+
+
+def test_prices_can_be_set_by_scenario_or_all_at_once():
+    rates = read_rates({"dynamic": 0.5, "gas": 0.01})
+    assert rates.prices_of("dynamic")["electricity"].series.at(datetime(2017, 1, 2)) == 0.5
+    assert rate_at(rates.points["PriceGasPower"][0], np.array([0.0, 7200.0])).tolist() == [0.01, 0.01]
+    flat = read_rates({"electricity": 0.3})
+    times = np.arange(0.0, DAY_S, 1800.0)
+    for scenario in ("Constant", "Dynamic", "HighlyDynamic"):
+        assert (rate_at(flat.points[f"PriceElectricPower{scenario}"][0], times) == 0.3).all()
+    monday = DAY_S + np.array([6.99, 7.0, 21.99, 22.0]) * 3600
+    assert rate_at(read_rates().points["PriceElectricPowerDynamic"][0], monday).tolist() == [0.105, 0.2, 0.2, 0.105]
+    with pytest.raises(InvalidConfig, match="highly_dynamic"):
+        read_rates({"hihgly_dynamic": 0.5})
+    with pytest.raises(InvalidConfig, match="no fuel"):
+        read_rates({"gaz": 0.5})

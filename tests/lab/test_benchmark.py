@@ -1,0 +1,369 @@
+"""The benchmark: scores by hand, results that are read back, episodes that are run again."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import multiprocessing
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support import benchmark_page
+from typer.testing import CliRunner
+
+from zenostat.cli.commands import app
+from zenostat.lab.benchmark import (
+    SETS,
+    Results,
+    Row,
+    Selection,
+    check,
+    definition,
+    interquartile_mean,
+    load_results,
+    relative_score,
+    run_benchmark,
+    score_rows,
+)
+from zenostat.lab.benchmark import run as benchmark_run
+from zenostat.lab.benchmark.episodes import Job
+from zenostat.lab.benchmark.figures import write_figures
+from zenostat.lab.benchmark.page import write_page
+from zenostat.lab.benchmark.scores import bootstrap_interval
+from zenostat.lab.benchmark.tables import tables
+from zenostat.models.catalog import find_building, find_weather
+from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError
+from zenostat.topics.file_lock import locked
+
+OFFICE, WAREHOUSE = SETS["smoke"].buildings
+
+
+def row(controller: str, building: str = OFFICE, seed: int = 1, reward: float = -10.0, linear: float = -5.0) -> Row:
+    metrics = {"occupied_outside_kh": 1.5}
+    terms = {"cost": reward + 3.0, "gas": 0.0, "peak": -2.0, "comfort": -1.0}
+    return Row(controller, building, "summer", "USA_IL_Chicago", seed, reward, terms, linear, metrics)
+
+
+# Scores
+
+
+def test_a_score_is_the_share_of_the_baseline_that_is_saved() -> None:
+    assert relative_score(-10.0, -10.0) == 0.0
+    assert relative_score(-7.5, -10.0) == 0.25
+    assert relative_score(-15.0, -10.0) == -0.5
+    assert relative_score(0.0, -10.0) == 1.0
+    assert relative_score(2.0, 1.0) == 1.0  # a negative price: the larger reward is still the better one
+    assert relative_score(-1.0, 0.0) is None
+
+
+def test_the_interquartile_mean_ignores_the_outer_quarters() -> None:
+    assert interquartile_mean([8.0, 1e6, 3.0, 4.0, 5.0, 6.0, 2.0, -1e6]) == pytest.approx((3 + 4 + 5 + 6) / 4)
+    assert interquartile_mean([1.0, 2.0, 6.0]) == 3.0  # a quarter of three, rounded down, is none
+
+
+def test_the_bootstrap_resamples_within_strata() -> None:
+    """With no variance within the buildings there is none in the result, however much the buildings differ."""
+    assert dataclasses.astuple(bootstrap_interval([[0.0] * 6, [1.0] * 6])) == (0.5, 0.5, 0.5, 12)
+    mixed = bootstrap_interval([[0.0, 1.0] * 3, [0.0, 1.0] * 3])
+    assert mixed.low < mixed.value == 0.5 < mixed.high
+    assert mixed == bootstrap_interval([[0.0, 1.0] * 3, [0.0, 1.0] * 3])
+
+
+def test_a_bootstrap_interval_is_about_that_of_normal_samples() -> None:
+    """The mean of the middle half of n normal values has a variance of about 1.2/n (Stigler 1973)."""
+    sample = np.random.default_rng(5).normal(size=400)
+    interval = bootstrap_interval([sample[:200], sample[200:]])
+    assert interval.high - interval.low == pytest.approx(2 * 1.96 * np.sqrt(1.2 / 400), rel=0.2)
+
+
+def test_one_episode_has_no_interval() -> None:
+    assert np.isnan(bootstrap_interval([[0.5]]).low)
+
+
+def test_only_episodes_of_all_controllers_are_compared() -> None:
+    rows = [row("baseline"), row("baseline", seed=2), row("rbc", reward=-8.0), row("fixed", reward=-12.0)]
+    rows += [row("fixed", seed=2, reward=-1.0)]
+    scores = score_rows(rows)
+    assert [(of.controller, of.overall.value, of.overall.rows) for of in scores] == [
+        ("rbc", pytest.approx(0.2), 1), ("baseline", 0.0, 1), ("fixed", pytest.approx(-0.2), 1),
+    ]  # fmt: skip
+    assert score_rows(rows, "linear")[0].overall.value == 0.0
+
+
+def test_scores_need_the_baseline_control_and_common_episodes() -> None:
+    with pytest.raises(InvalidConfig, match="run the controller 'baseline' too"):
+        score_rows([row("rbc")])
+    with pytest.raises(InvalidConfig, match="no episode has rows of all controllers"):
+        score_rows([row("baseline"), row("rbc", seed=2)])
+    with pytest.raises(InvalidConfig, match="reward of 0 in every episode"):
+        score_rows([row("baseline", reward=0.0)])
+
+
+# The definition
+
+
+def test_what_is_scored_was_not_trained_on() -> None:
+    assert not set(definition.TRAINING_WEATHERS) & set(definition.HELD_OUT_WEATHERS)
+    for benchmark_set in SETS.values():
+        assert set(benchmark_set.weathers) <= set(definition.HELD_OUT_WEATHERS)
+        assert definition.TRAINING_SEED not in benchmark_set.seeds
+        for algorithm in benchmark_set.training_steps:
+            training = benchmark_set.training(algorithm, OFFICE, "summer")
+            assert training["arguments"]["weather"] == list(definition.TRAINING_WEATHERS)
+
+
+def test_all_names_exist() -> None:
+    assert len(definition.BUILDINGS) == 5
+    assert {find_building(name).name for name in definition.BUILDINGS} == set(definition.BUILDINGS)
+    weathers = {*definition.TRAINING_WEATHERS, *definition.HELD_OUT_WEATHERS}
+    assert {find_weather(name).name for name in weathers} == weathers
+
+
+@pytest.mark.slow
+def test_trainings_of_all_sets_are_valid() -> None:
+    from zenostat.lab.training import read_training
+    from zenostat.lab.training.run import check_training
+
+    for benchmark_set in SETS.values():
+        for algorithm in benchmark_set.training_steps:
+            for building in benchmark_set.buildings:
+                fields = benchmark_set.training(algorithm, building, benchmark_set.seasons[0])
+                check_training(read_training({**fields, "output": "nowhere/at-all"}))
+
+
+# Files
+
+
+@pytest.fixture
+def saved(tmp_path: Path) -> Path:
+    results = Results("smoke", hashes={OFFICE: "ab"})
+    for building in (OFFICE, WAREHOUSE):
+        for seed in (1, 2):
+            results.add([row("baseline", building, seed), row("rbc", building, seed, -9.0 + seed / 7)])
+    results.save(tmp_path / "results.json")
+    return tmp_path / "results.json"
+
+
+def test_results_are_read_back(saved: Path) -> None:
+    text, results = saved.read_text(), load_results(saved)
+    results.save(saved)
+    assert saved.read_text() == text
+    assert results.rows[("rbc", OFFICE, "summer", "USA_IL_Chicago", 2)].reward == -9.0 + 2 / 7
+
+
+def test_the_order_of_runs_does_not_matter(saved: Path, tmp_path: Path) -> None:
+    results = load_results(saved)
+    again = Results("smoke", hashes={OFFICE: "ab"})
+    again.add(reversed(list(results.rows.values())))
+    again.save(tmp_path / "again.json")
+    assert (tmp_path / "again.json").read_text() == saved.read_text()
+
+
+def test_edited_or_foreign_results_are_refused(saved: Path, tmp_path: Path) -> None:
+    content = json.loads(saved.read_text())
+    for change, text in (
+        ({"rows": [*content["rows"][:-1]]}, "their hash differs"),
+        ({"version": 99}, "results of version 99 of the benchmark; this is version 1"),
+        ({"definition": "00"}, "another definition of the set 'smoke'"),
+        ({"format": "else"}, "a file that `zenostat benchmark` wrote expected"),
+    ):
+        saved.write_text(json.dumps(content | change))
+        with pytest.raises(InvalidConfig, match=text):
+            load_results(saved)
+    saved.write_text("{")
+    with pytest.raises(InvalidConfig, match="has no results of a benchmark"):
+        load_results(saved)
+    with pytest.raises(UnknownName, match="there is no file"):
+        load_results(tmp_path / "none.json")
+
+
+def test_rows_of_other_versions_or_files_are_not_mixed(saved: Path) -> None:
+    with pytest.raises(InvalidConfig, match=f"rows of another file {OFFICE}"):
+        run_benchmark("smoke", saved, ["rbc"], hashes={OFFICE: "cd"})
+    with pytest.raises(InvalidConfig, match="results of the set 'smoke'"):
+        run_benchmark("quick", saved, ["rbc"])
+    results = load_results(saved)
+    results.versions["numpy"] = "1.0"
+    results.save(saved)
+    with pytest.raises(InvalidConfig, match=r"other versions \(numpy 1.0, now"):
+        run_benchmark("smoke", saved, ["rbc"])
+
+
+def test_unknown_names_are_refused_before_anything_starts(tmp_path: Path) -> None:
+    with pytest.raises(UnknownName, match="no set 'quik'; did you mean"):
+        run_benchmark("quik", tmp_path / "r.json")
+    with pytest.raises(UnknownName, match="no controller 'rcb'"):
+        run_benchmark("smoke", tmp_path / "r.json", ["rcb"])
+    with pytest.raises(InvalidConfig, match="there is no folder"):
+        run_benchmark("smoke", tmp_path / "no" / "r.json", ["rbc"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_results_are_written_by_one_process_at_a_time(saved: Path) -> None:
+    former = saved.read_bytes()
+    refusal = r"results\.json: another process is writing results there"
+    with locked(saved.with_name(f".{saved.name}.lock"), "not raised"), pytest.raises(InvalidConfig, match=refusal):
+        run_benchmark("smoke", saved, ["rbc"])
+    assert saved.read_bytes() == former
+    with pytest.raises(InvalidConfig, match="another --out for 'quick'"):
+        run_benchmark("quick", saved, ["rbc"])
+    assert sorted(path.name for path in saved.parent.iterdir()) == [saved.name]
+
+
+def test_a_page_has_tables_and_figures(saved: Path, tmp_path: Path) -> None:
+    results = load_results(saved)
+    results.add([row("awful", building, seed, -90.0) for building in (OFFICE, WAREHOUSE) for seed in (1, 2)])
+    figures = write_page(results, tmp_path / "page.md")
+    text = (tmp_path / "page.md").read_text()
+    for figure in figures:
+        assert figure.is_file()
+        assert f"({figure.parent.name}/{figure.stem}.svg)" in text
+    assert tables(results)[0].markdown() in text
+    assert "-8.0" in (tmp_path / "page" / "scores.svg").read_text()  # far below the axis, so as a number
+
+
+def test_the_command_shows_results_and_names_what_is_missing(saved: Path) -> None:
+    shown = CliRunner().invoke(app, ["benchmark", "--show", str(saved)])
+    assert shown.exit_code == 0
+    assert "rbc" in shown.output
+    missing = CliRunner().invoke(app, ["benchmark"])
+    assert isinstance(missing.exception, InvalidConfig)
+    assert "--out, --check and --show" in str(missing.exception)
+    page = CliRunner().invoke(app, ["benchmark", "--show", str(saved), "--page", "x.html"])
+    assert "expected a .md file" in str(page.exception)
+
+
+def test_check_runs_the_selected_rows_and_prints_its_progress_without_a_terminal(
+    saved: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    episodes: list[tuple[str, str, int]] = []
+
+    def run_again(job: Job) -> tuple[list[Row], list[str]]:
+        episodes.extend((name, job.task.building, seed) for name, seed in job.episodes)
+        rows = load_results(saved).rows
+        return [rows[name, *job.task.key, seed] for name, seed in job.episodes], []
+
+    monkeypatch.setattr(benchmark_run, "run_job", run_again)
+    monkeypatch.setattr("zenostat.cli.benchmark._hashes", lambda _: {})
+    options = ["--controllers", "rbc", "--building", f"{OFFICE},{WAREHOUSE}", "--season", "summer", "--seed", "1"]
+    done = CliRunner().invoke(app, ["benchmark", "--check", str(saved), *options])
+    assert done.exit_code == 0, done.output
+    expected = [one.key for one in load_results(saved).sorted_rows() if (one.controller, one.seed) == ("rbc", 1)]
+    assert sorted(episodes) == sorted((key[0], key[1], key[4]) for key in expected)
+    assert "episodes: 0 of 2" in done.output
+    assert "episodes: 2 of 2" in done.output
+    assert f"{len(expected)} rows are equal to the bit" in done.output
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--building", "ref-warehous"], "has no rows of the building 'ref-warehous'; did you mean 'ref-warehouse'"),
+        (["--season", "winter"], "has no rows of the season 'winter'; there are: 'summer'"),
+        (["--seed", "one"], "--seed one: numbers separated by commas expected"),
+        (["--seed", "7", "--weather", "Paris"], "no rows of the seed 7"),
+    ],
+)
+def test_a_selection_without_rows_is_refused(saved: Path, options: list[str], text: str) -> None:
+    done = CliRunner().invoke(app, ["benchmark", "--check", str(saved), *options])
+    assert isinstance(done.exception, UsageError)
+    assert text in str(done.exception)
+
+
+def test_a_selection_needs_rows_to_check(saved: Path) -> None:
+    done = CliRunner().invoke(app, ["benchmark", "--show", str(saved), "--season", "summer"])
+    assert isinstance(done.exception, InvalidConfig)
+    assert "--season: only with --check" in str(done.exception)
+
+
+# What is published
+
+
+def test_the_published_tables_and_figures_are_those_of_the_published_rows(tmp_path: Path) -> None:
+    results, text = load_results(benchmark_page.PUBLISHED), benchmark_page.PAGE.read_text(encoding="utf-8")
+    assert benchmark_page.page(text) == text
+    planning = benchmark_page.PLANNING.read_text(encoding="utf-8")
+    assert benchmark_page.planning_page(planning) == planning
+    for figure in write_figures(results, tmp_path):
+        assert (benchmark_page.FOLDER / f"{figure.stem}.svg").is_file()
+    assert set(results.hashes) == {*SETS["quick"].buildings, *SETS["quick"].weathers, *definition.TRAINING_WEATHERS}
+
+
+# Episodes
+
+
+def wait_for_ever_after_the_first(item: int) -> int:
+    if item:
+        threading.Event().wait()
+    return item
+
+
+def interrupt_after_the_first() -> None:
+    with benchmark_run._pool(2) as run_all:
+        for _ in run_all(wait_for_ever_after_the_first, [0, 1], "episodes", None, []):
+            raise KeyboardInterrupt
+
+
+@pytest.mark.process
+def test_workers_end_with_an_error_or_signal() -> None:
+    """Without waiting for their present episodes."""
+    before = multiprocessing.active_children()
+    with pytest.raises(KeyboardInterrupt):
+        interrupt_after_the_first()
+    assert multiprocessing.active_children() == before
+
+
+@pytest.fixture
+def small_set(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(SETS, "smoke", dataclasses.replace(SETS["smoke"], buildings=(OFFICE,)))
+
+
+CONTROLLERS = """
+class Warm:
+    def __init__(self, manifest): self.names = [a.name for a in manifest.actuators]
+    def act(self, sample): return {name: 21.0 if "heating" in name else 27.0 for name in self.names}
+class Failing(Warm):
+    def act(self, sample): return super().act(sample) if sample.step < 9 else 1 / 0
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.usefixtures("small_set")
+def test_episodes_are_resumed_and_run_again_to_the_bit(tmp_path: Path) -> None:
+    path, stages = tmp_path / "results.json", list[str]()
+    (tmp_path / "mine.py").write_text(CONTROLLERS)
+    mine, failing = f"{tmp_path}/mine.py:Warm", f"{tmp_path}/mine.py:Failing"
+    results, errors = run_benchmark("smoke", path, ["fixed", mine, failing, "random"])
+    assert results.names() == ["baseline", "fixed", mine, "random"]
+    assert len(errors) == 1
+    assert errors[0].endswith(f"Failing/{OFFICE}/summer/USA_IL_Chicago/20001: ZeroDivisionError: division by zero")
+    for one in results.rows.values():
+        assert one.reward == pytest.approx(sum(one.terms.values()))
+        assert set(one.terms) == {"cost", "gas", "peak", "comfort"}
+        assert one.terms["peak"] == pytest.approx(-3.0 * one.metrics["peak_kw"])  # EUR/kW of the facility's peak
+        assert one.linear < 0.0
+    former = path.read_text()
+    run_benchmark("smoke", path, ["fixed", mine, "random"], progress=lambda stage, *_: stages.append(stage))
+    assert stages == []
+    assert path.read_text() == former
+    assert check(path) == []
+    alone, _ = run_benchmark("smoke", tmp_path / "alone.json", ["random"])
+    assert all(results.rows[key] == one for key, one in alone.rows.items())
+    wrong = next(one for one in results.rows.values() if one.controller == "fixed")
+    results.add([dataclasses.replace(wrong, reward=float(np.nextafter(wrong.reward, 0.0)))])
+    results.save(path)
+    differences = check(path, Selection(controller=["fixed", "baseline"]))
+    assert [text.split(":")[0] for text in differences] == [f"fixed/{OFFICE}/summer/USA_IL_Chicago/20001"]
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_trained_controllers_and_workers_give_the_same_rows(tmp_path: Path) -> None:
+    one, errors = run_benchmark("smoke", tmp_path / "one.json", ["ppo", "pid", "rbc"])
+    two, _ = run_benchmark("smoke", tmp_path / "two.json", ["rbc", "pid", "ppo"], workers=2)
+    assert errors == []
+    assert one.plain() == two.plain()
+    assert len(one.trainings) == 2

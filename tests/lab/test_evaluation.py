@@ -1,0 +1,348 @@
+"""What an episode came to, against numbers worked out by hand; and controllers compared on a made-up building."""
+
+from __future__ import annotations
+
+import math
+import sys
+from datetime import datetime, timedelta
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from support.builders import actuator, manifest, meter, own_action, sensor
+
+from zenostat.agent_sdk.controllers import Agent, Controller, FixedSetpoints, RandomController, RuleBasedController
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, read_reward
+from zenostat.agent_sdk.testing import Climate, FakeBuilding, FakeLink
+from zenostat.bridge.client.sample import SampleView
+from zenostat.lab.evaluate import EpisodeRecord, Evaluation, evaluate
+from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.messages import Aggregation, Manifest, Meter, Sample, Task
+from zenostat.topics.points import value_index
+
+BEGIN = datetime(2017, 7, 1)
+KWH = 3.6e6
+NAN = float("nan")
+
+
+def view(of: Manifest, step: int, values: list[float], *, late: int = 0, rejected: int = 0) -> SampleView:
+    """A sample at the end of quarter of an hour number `step`."""
+    wire = Sample(
+        episode=[0],
+        step=[step],
+        time=[(BEGIN + step * timedelta(minutes=15)).isoformat()],
+        elapsed_s=[900.0 * step],
+        flags=[0],
+        values=np.array(values, "<f8").tobytes(),
+        effective=bytes(8 * len(of.actuators)),
+        source_index=bytes(2 * len(of.actuators)),
+        sources=[""],
+        late=late,
+        rejected=rejected,
+    )
+    return SampleView(wire, of, value_index(of))
+
+
+def tallied(of: Manifest, *rows: list[float], reward: Any = None, terms: Any = None) -> EpisodeMetrics:
+    tally = MetricsAccumulator(of, reward)
+    tally.add(view(of, 0, [1e9] * len(of.names)))  # no energy or comfort of a timestep
+    for step, row in enumerate(rows, 1):
+        tally.add(view(of, step, row), terms)
+    return tally.result()
+
+
+def rewarded(kind: str = "linear", **parameters: Any) -> Task:
+    return Task(actions=(own_action(actuator("cool", 22.5, 30.0)),), reward={"kind": kind, **parameters})
+
+
+OFFICE = manifest(
+    sensors=[
+        sensor("core"),
+        sensor("south"),
+        sensor("core_people", "Zone People Occupant Count", "core", "count"),
+    ],
+    meters=[
+        meter("electricity"),
+        meter("hvac", "HVAC:Electricity"),
+        meter("gas", "NaturalGas:Facility"),
+        meter("heat", "DistrictHeatingWater:Facility"),
+        meter("produced", "ElectricityProduced:Facility"),
+    ],
+    actuators=[actuator("cool", 22.5, 30.0)],
+    task=rewarded(),
+)
+
+
+def test_an_episode_by_hand() -> None:
+    # The band of July is 23 to 26 degC. Each timestep has a quarter of an hour.
+    found = tallied(
+        OFFICE,
+        [27.0, 22.5, 3.0, 1.0 * KWH, 0.5 * KWH, 2.0 * KWH, 0.1 * KWH, 9.0 * KWH],  # 1 K and 0.5 K outside
+        [26.0, 23.0, 0.0, 3.0 * KWH, 1.5 * KWH, 0.0 * KWH, 0.1 * KWH, 9.0 * KWH],  # both on the ends: inside
+        [28.0, 24.0, 0.0, 2.0 * KWH, 1.0 * KWH, 1.0 * KWH, 0.1 * KWH, 9.0 * KWH],  # 2 K outside, nobody there
+        [24.0, 24.0, 0.0, 0.0 * KWH, 0.0 * KWH, 0.0 * KWH, 0.1 * KWH, 9.0 * KWH],
+        terms={"energy": -0.5, "comfort": -0.25},
+    )
+    assert found.steps == 4
+    assert found.reward == -3.0
+    assert found.terms == {"energy": -2.0, "comfort": -1.0}
+    assert found.energy_kwh == pytest.approx({"electricity": 6.0, "natural_gas": 3.0, "district_heating_water": 0.4})
+    assert found.hvac_electricity_kwh == pytest.approx(3.0)
+    assert found.mean_power_w == pytest.approx(6000.0)  # 6 kWh in an hour
+    assert found.peak_kw == pytest.approx(12.0)  # 3 kWh in a quarter of an hour
+    assert found.mean_deviation_k == pytest.approx((1.0 + 0.5 + 2.0) / (2 * 4))
+    assert found.outside_percent == pytest.approx(50.0)
+    assert found.outside_kh == pytest.approx(3.5 * 0.25)
+    assert found.occupied_outside_kh == pytest.approx((1.0 + 0.5) * 0.25)  # the south's people are not measured
+    metrics = found.metrics()
+    assert metrics["mean_reward"] == pytest.approx(-0.75)
+    assert metrics["mean_reward.comfort"] == pytest.approx(-0.25)
+    assert metrics["natural_gas_kwh"] == pytest.approx(3.0)
+    sources = MetricsAccumulator(OFFICE).sources
+    assert {name: source for name, source in sources.items() if not name.startswith("kpi.")} == {
+        "electricity_kwh": "meter Electricity:Facility",
+        "natural_gas_kwh": "meter NaturalGas:Facility",
+        "district_heating_water_kwh": "meter DistrictHeatingWater:Facility",
+        "hvac_electricity_kwh": "meter HVAC:Electricity",
+        "mean_power_w": "meter Electricity:Facility",
+        "peak_kw": "meter Electricity:Facility",
+        "mean_deviation_k": "2 zones, the band of the linear reward",
+    }
+
+
+@pytest.mark.parametrize("aggregation", [Aggregation.INSTANT, Aggregation.MEAN])
+def test_without_meters_power_times_the_timestep_counts_and_is_called_so(aggregation: Aggregation) -> None:
+    power = sensor("demand", "Facility Total HVAC Electricity Demand Rate", "Whole Building", "W")
+    of = manifest(sensors=[sensor("core"), power.model_copy(update={"aggregation": aggregation})])
+    found = tallied(of, [24.0, 1000.0], [24.0, 3000.0])
+    assert found.hvac_electricity_kwh == pytest.approx(1.0)  # 4000 W for a quarter of an hour
+    assert found.energy_kwh == {}
+    assert found.metrics()["electricity_kwh"] is None
+    assert (found.mean_power_w, found.peak_kw) == (pytest.approx(2000.0), pytest.approx(3.0))
+    said = MetricsAccumulator(of).sources["mean_power_w"]
+    assert said.startswith("sensor demand, W times the timestep")
+    assert ("approximation" in said) == (aggregation is Aggregation.INSTANT)
+
+
+def test_what_a_scenario_does_not_tell_is_absent() -> None:
+    of = manifest(sensors=[sensor("outdoors", "Site Outdoor Air Drybulb Temperature")])
+    found = tallied(of, [30.0])
+    known = {name: value for name, value in found.metrics().items() if value is not None}
+    assert known == {"steps": 1, "late": 0, "rejected": 0, "terminated": 0.0, "kpi.idis_tot": 0.0}
+    assert MetricsAccumulator(of).sources == {}
+
+
+def test_without_a_timestep_nothing_is_known() -> None:
+    found = tallied(OFFICE)
+    assert (found.steps, found.reward, found.energy_kwh) == (0, None, {})
+    assert (found.mean_power_w, found.peak_kw, found.mean_deviation_k, found.outside_percent) == (None,) * 4
+
+
+@pytest.mark.parametrize(
+    ("task", "reward", "degrees"),
+    [
+        (rewarded(summer=[20.0, 25.0]), None, [2.0, 0.0]),
+        (rewarded(summer=[20.0, 25.0], temperatures=["south"]), None, [0.0]),
+        (rewarded(), LinearReward(summer=(24.0, 30.0)), [0.0, 1.5]),  # one's own goes before the scenario's
+        (rewarded(), read_reward(lambda values, begin: 0.0), [1.0, 0.5]),  # it has no band: the scenario's
+        (rewarded("occupied"), None, [1.0]),  # zones whose people nobody counts are not in that reward
+        (rewarded(), OccupiedReward(), [1.0]),
+        (Task(), None, None),
+        (rewarded("somebody's"), None, None),
+        (rewarded(temperatures=["north"]), None, None),
+    ],
+)
+def test_the_band_is_that_of_the_reward(task: Task, reward: Any, degrees: list[float] | None) -> None:
+    of = OFFICE.model_copy(update={"task": task})
+    found = tallied(of, [27.0, 22.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0], reward=reward)
+    if degrees is None:
+        assert (found.mean_deviation_k, found.outside_percent, found.outside_kh) == (None,) * 3
+    else:
+        assert found.mean_deviation_k == pytest.approx(math.fsum(degrees) / len(degrees))
+        assert found.outside_percent == (100.0 if any(degrees) else 0.0)
+
+
+def test_zones_with_setpoints_of_their_own() -> None:
+    setpoints = [
+        sensor("h", "Zone Thermostat Heating Setpoint Temperature", "core"),
+        sensor("c", "Zone Thermostat Cooling Setpoint Temperature", "core"),
+    ]
+    of = manifest(sensors=[sensor("core"), *setpoints])
+    found = tallied(of, [26.0, 21.0, 24.0], [22.0, 21.0, 24.0], reward=MultiZoneReward(threshold=0.5))
+    assert found.mean_deviation_k == pytest.approx(1.5 / 2)
+
+
+def test_messages_that_were_refused_in_this_episode_and_a_second_one() -> None:
+    tally = MetricsAccumulator(OFFICE)
+    row = [24.0, 24.0, 0.0, KWH, 0.0, 0.0, 0.0, 0.0]
+    tally.add(view(OFFICE, 0, row, late=7, rejected=2))
+    tally.add(view(OFFICE, 1, row, late=9, rejected=2))
+    assert (tally.result().late, tally.result().rejected) == (2, 0)
+    tally.add(view(OFFICE, 0, row, late=9, rejected=3))
+    tally.add(view(OFFICE, 1, row, late=9, rejected=4))
+    found = tally.result(terminated=True)
+    assert (found.late, found.rejected, found.steps, found.terminated) == (0, 1, 1, True)
+    assert found.energy_kwh["electricity"] == pytest.approx(1.0)
+
+
+# The spread
+
+
+def result(reward: float | None) -> EpisodeMetrics:
+    return EpisodeMetrics(1, reward, {}, {}, {}, None, None, None, None, None, None, 0, 0, terminated=False)
+
+
+def test_mean_standard_deviation_and_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = Evaluation(
+        tuple(EpisodeRecord("rbc", k, k, "", result(value)) for k, value in enumerate((1.0, 2.0, 6.0))), {}
+    )
+    spread = found.summary()["rbc"]["reward"]
+    assert (spread.count, spread.mean, spread.deviation) == (3, 3.0, pytest.approx(math.sqrt(7.0)))
+    assert "mean_power_w" not in found.summary()["rbc"]
+    pytest.importorskip("scipy")
+    # Student's t for two degrees of freedom: 4.302653 (any table of it).
+    half = 4.302653 * math.sqrt(7.0 / 3.0)
+    assert spread.interval == pytest.approx((3.0 - half, 3.0 + half))
+    monkeypatch.setitem(sys.modules, "scipy.stats", None)
+    assert found.summary()["rbc"]["reward"].interval is None
+    alone = Evaluation(found.rows[:1], {}).summary()["rbc"]["reward"]
+    assert (alone.deviation, alone.interval) == (None, None)
+
+
+# Controllers compared
+
+
+def building(**given: Any) -> dict[str, Any]:
+    """A made-up building with noise on its weather, as arguments of an environment."""
+    fake = FakeBuilding(zones=2, begin="07-03", end="07-03", climate=Climate(noise_k=2.0), **given)
+    return {"link": FakeLink(fake)}
+
+
+def test_the_same_call_gives_the_same_tables_and_the_same_seeds_to_all() -> None:
+    controllers = {"rbc": "rbc", "warm": partial(FixedSetpoints, zone_1_cooling_setpoint=29.0), "random": "random"}
+    found = evaluate(building(), controllers, episodes=2, seed=5)
+    assert [(row.controller, row.episode, row.seed) for row in found.rows] == [
+        (name, k, 5 + k) for name in controllers for k in range(2)
+    ]
+    table = found.table()
+    assert all(list(row) == list(table[0]) for row in table)
+    assert table[0]["reward"] != table[1]["reward"]  # other weather
+    assert evaluate(building(), controllers, episodes=2, seed=5).table() == table
+    # What a controller comes to does not depend on the others, nor on their order.
+    alone = evaluate(building(), ["random"], episodes=2, seed=5).table()
+    assert [{name: row[name] for name in alone[0]} for row in table[4:]] == alone
+    assert evaluate(building(), ["random"], episodes=2, seed=6).table()[0] != table[4]
+
+
+def test_the_sum_of_an_episode_is_that_of_the_environment() -> None:
+    (row,) = evaluate(building(), ["rbc"], seed=3).rows
+    with BuildingEnv(**building()) as env:
+        agent, rewards, ended = Agent(RuleBasedController(env.manifest)), [], False
+        env.reset(seed=3)
+        while not ended:
+            _, reward, _, ended, _ = env.step(agent.action(env.sample))
+            rewards.append(reward)
+    assert row.result.reward == pytest.approx(math.fsum(rewards), rel=1e-12)
+    assert row.result.steps == len(rewards)
+
+
+def test_a_limit_that_is_broken_ends_the_episode() -> None:
+    limit = {"points": ["zone_1_air_temperature"], "high": 26.5}
+    (row,) = evaluate(building(terminate=[limit]), {"hot": partial(FixedSetpoints, zone_1_cooling_setpoint=30.0)}).rows
+    assert row.result.terminated
+    assert 0 < row.result.steps < 96
+
+
+def test_progress_tells_each_timestep() -> None:
+    told: list[tuple[str, int, int, int]] = []
+    evaluate(building(steps_per_hour=1), ["rbc"], episodes=2, progress=lambda *now: told.append(now))
+    assert told == [("rbc", k, step, 24) for k in range(2) for step in range(1, 25)]
+
+
+def test_parameters_go_to_those_that_take_them() -> None:
+    made: dict[str, dict[str, Any]] = {}
+
+    def maker(name: str) -> Any:
+        class Recording(FixedSetpoints):
+            def __init__(self, manifest: Manifest, *, margin: float = 0.0, seed: int = -1, **values: float) -> None:
+                made[name] = {"margin": margin, "seed": seed, **values}
+                super().__init__(manifest, **values)
+
+        return Recording
+
+    evaluate(
+        building(),
+        {"mine": maker("mine"), "bound": partial(maker("bound"), seed=9), "noise_parameters": RandomController},
+        seed=4,
+        parameters={"margin": 0.5, "zone_2_cooling_setpoint": 27.0},
+    )
+    same = {"margin": 0.5, "zone_2_cooling_setpoint": 27.0}
+    assert made == {"mine": {**same, "seed": 4}, "bound": {**same, "seed": 9}}
+
+
+@pytest.mark.parametrize(
+    ("controllers", "given", "error", "says"),
+    [
+        ([], {}, InvalidConfig, "expected a list of names"),
+        ("rbc", {}, InvalidConfig, "expected a list of names, such as"),
+        (["rbc", "rbc"], {}, InvalidConfig, "rbc is listed twice"),
+        (["rbc", "rcb"], {}, UnknownName, "no controller 'rcb'"),
+        (["rbc"], {"parameters": {"mergin": 1}}, InvalidConfig, "did you mean 'margin'"),
+        (["rbc", "setback"], {"parameters": {"margin": -1}}, InvalidConfig, "margin = -1"),
+        (["rbc"], {"episodes": 0}, InvalidConfig, "at least one episode"),
+        (["rbc"], {"seed": -1}, InvalidConfig, "a seed of at least 0"),
+        (["nothing.zip"], {}, InvalidConfig, "the algorithm of nothing.zip is missing"),
+    ],
+)
+def test_mistakes_are_said_before_anything_runs(
+    controllers: Any, given: dict[str, Any], error: type[Exception], says: str
+) -> None:
+    if "nothing.zip" in controllers:
+        pytest.importorskip("stable_baselines3")
+    told: list[Any] = []
+    with pytest.raises(error, match=says):
+        evaluate(building(), controllers, progress=lambda *now: told.append(now), **given)
+    assert told == []
+
+
+def test_the_last_controllers_mistake_is_said_before_the_first_one_runs() -> None:
+    class Picky(Controller):
+        def __init__(self, manifest: Manifest) -> None:
+            raise InvalidConfig("not here")
+
+        def act(self, sample: SampleView) -> dict[str, float | None]:
+            return {}
+
+    told: list[Any] = []
+    with pytest.raises(InvalidConfig, match="not here"):
+        evaluate(building(), {"rbc": "rbc", "picky": Picky}, progress=lambda *now: told.append(now))
+    assert told == []
+
+
+def test_what_faults_do_to_points_does_not_count() -> None:
+    """Metrics are of the building, as rewards are: a point that was dropped has the value that EnergyPlus gave."""
+    values = [22.0, 30.0, 1.0, KWH, KWH, 0.0, 0.0, 0.0]
+    told = view(OFFICE, 1, [NAN] * len(values))
+    told.message = told.message.model_copy(update={"fault_free_values": np.array(values, "<f8").tobytes()})
+    tally, plain = MetricsAccumulator(OFFICE, None), MetricsAccumulator(OFFICE, None)
+    for accumulator, last in ((tally, told), (plain, view(OFFICE, 1, values))):
+        accumulator.add(view(OFFICE, 0, values))
+        accumulator.add(last)
+    assert tally.result() == plain.result()
+
+
+def test_the_meters_of_a_plant_are_named_as_the_metrics() -> None:
+    of = manifest(
+        sensors=[sensor("core")],
+        meters=[
+            Meter(name="electricity", unit="J"),
+            Meter(name="natural_gas", unit="kWh"),
+            Meter(name="heat", unit="J"),
+        ],
+    )
+    found = tallied(of, [24.0, 0.0, 0.0, 0.0], [24.0, KWH, 5.0, KWH])
+    assert found.energy_kwh == pytest.approx({"electricity": 1.0})
+    assert MetricsAccumulator(of).sources["electricity_kwh"] == "meter electricity"

@@ -1,0 +1,230 @@
+"""A training from a file equals stable-baselines3 driven by hand and resumes to the bit; its folder is a controller."""
+
+from __future__ import annotations
+
+import csv
+import json
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.agent_sdk.testing import Climate, FakeEnv
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.file_lock import locked
+
+pytest.importorskip("stable_baselines3")
+torch = pytest.importorskip("torch")
+
+from stable_baselines3.common.save_util import load_from_zip_file  # noqa: E402
+from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
+
+from zenostat.agent_sdk.controllers import Agent, load_controller  # noqa: E402
+from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3  # noqa: E402
+from zenostat.lab.evaluate import run_episode  # noqa: E402
+from zenostat.lab.training import ALGORITHMS, load_policy, read_training, resume_training, train  # noqa: E402
+from zenostat.lab.training.run import check_training  # noqa: E402
+
+NET = {"net_arch": [8]}
+OFF_POLICY = {"learning_starts": 40, "batch_size": 16, "buffer_size": 150, "train_freq": 4, "policy_kwargs": NET}
+NOISE = {"kind": "ornstein-uhlenbeck", "sigma": 0.2}
+PARAMETERS: dict[str, dict[str, Any]] = {
+    "sac": OFF_POLICY,
+    "ppo": {"n_steps": 32, "batch_size": 32, "n_epochs": 2, "use_sde": True, "policy_kwargs": NET},
+    "a2c": {"n_steps": 5, "policy_kwargs": NET},
+    "td3": {**OFF_POLICY, "action_noise": NOISE},
+    "ddpg": OFF_POLICY,
+    "dqn": OFF_POLICY,
+    "recurrent-ppo": {"n_steps": 32, "batch_size": 32, "n_epochs": 1, "policy_kwargs": {**NET, "lstm_hidden_size": 8}},
+}
+DAY: dict[str, Any] = {"zones": 2, "begin": "07-03", "end": "07-03", "steps_per_hour": 1}
+LIMIT = {"points": ["zone_1_air_temperature"], "low": 19.0, "high": 26.5}
+
+
+def fields(name: str, output: Path, **changes: Any) -> dict[str, Any]:
+    """A training of some days with noise on the weather, whose episodes end at different times."""
+    arguments = {**DAY, "climate": Climate(noise_k=2.0), "terminate": [LIMIT]}
+    if name == "dqn":
+        arguments |= {"discrete": 5, "control": "building"}
+    return {
+        "algorithm": name, "scenario": "Fake-v1", "arguments": arguments, "steps": 160, "seed": 3, "threads": 1,
+        "parameters": PARAMETERS[name], "evaluation": False, "output": str(output), **changes,
+    }  # fmt: skip
+
+
+def content(path: Path) -> tuple[Any, Any]:
+    """Weights and optimizers of a model's file."""
+    _, parameters, variables = load_from_zip_file(path)
+    return parameters, variables
+
+
+def same(one: Any, other: Any) -> bool:
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(same(one[key], other[key]) for key in one)
+    if torch.is_tensor(one):
+        return torch.equal(one, other)
+    if isinstance(one, list | tuple):
+        return len(one) == len(other) and all(map(same, one, other))
+    return bool(one == other)
+
+
+@pytest.fixture(autouse=True)
+def one_thread() -> Iterator[None]:
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
+@pytest.mark.variants
+@pytest.mark.parametrize("name", PARAMETERS)
+def test_the_weights_are_those_of_stable_baselines3_driven_by_hand(name: str, tmp_path: Path) -> None:
+    given = fields(name, tmp_path / "file", normalization=False, evaluation={"every_episodes": 2}, checkpoint_steps=30)
+    train(read_training(given))
+    parameters = json.loads(json.dumps(PARAMETERS[name]))  # the algorithms write into `policy_kwargs`
+    if "action_noise" in parameters:
+        from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
+
+        actions = FakeEnv(**given["arguments"]).action_space.shape
+        parameters["action_noise"] = OrnsteinUhlenbeckActionNoise(np.zeros(actions), np.full(actions, 0.2))
+    policy = "MlpLstmPolicy" if name == "recurrent-ppo" else "MlpPolicy"
+    env = gym.make("zenostat/Fake-v1", **given["arguments"])
+    model = ALGORITHMS[name](policy, env, seed=3, device="cpu", **parameters)
+    model.learn(160)
+    model.save(tmp_path / "hand.zip")
+    assert same(content(tmp_path / "file" / "model.zip"), content(tmp_path / "hand.zip"))
+
+
+def test_slots_and_normalization_are_those_of_the_documented_program(tmp_path: Path) -> None:
+    given = fields("ppo", tmp_path / "file", slots=3, steps=96)
+    train(read_training(given))
+    mode = gym.VectorizeMode.VECTOR_ENTRY_POINT
+    envs = gym.make_vec("zenostat/Fake-v1", 3, mode, autoreset_mode="SameStep", **given["arguments"])
+    scaled = gym.wrappers.vector.RescaleAction(envs, np.float32(-1), np.float32(1))
+    env = VecNormalize(VecMonitor(as_sb3(scaled)), gamma=0.99)
+    parameters = json.loads(json.dumps(PARAMETERS["ppo"]))
+    model = ALGORITHMS["ppo"]("MlpPolicy", env, seed=3, device="cpu", **parameters)
+    model.learn(96)
+    model.save(tmp_path / "hand.zip")
+    assert same(content(tmp_path / "file" / "model.zip"), content(tmp_path / "hand.zip"))
+
+
+@pytest.mark.variants
+@pytest.mark.parametrize(("name", "slots"), [(name, slots) for name in PARAMETERS for slots in (1, 3)])
+def test_a_resumed_training_equals_an_uninterrupted_one(name: str, slots: int, tmp_path: Path) -> None:
+    changes: dict[str, Any] = {"slots": slots, "evaluation": {"every_steps": 50}, "checkpoint_steps": 70}
+    if slots == 1:
+        changes["wrappers"] = [{"wrapper": "NormalizeObservation"}]
+    whole = train(read_training(fields(name, tmp_path / "whole", **changes)))
+    stop = threading.Event()
+    cut = train(
+        read_training(fields(name, tmp_path / "cut", **changes)),
+        progress=lambda status: stop.set() if status.step >= 101 else None,
+        stop=stop,
+    )
+    assert not cut.finished
+    assert 0 < cut.step < whole.step
+    torch.rand(7), np.random.random(5)  # a new process has other random states
+    again = train(read_training(fields(name, tmp_path / "cut", **changes)), resume=True)
+    assert again.finished
+    assert same(content(whole.folder / "model.zip"), content(again.folder / "model.zip"))
+    for file in ("curve.csv", "evaluations.csv"):
+        assert (whole.folder / file).read_text() == (again.folder / file).read_text()
+
+
+def test_evaluations_are_counted_in_episodes(tmp_path: Path) -> None:
+    train(read_training(fields("a2c", tmp_path, evaluation={"every_episodes": 2}, arguments=DAY, steps=130)))
+    with (tmp_path / "evaluations.csv").open() as file:
+        assert [int(row["step"]) for row in csv.DictReader(file)] == [48, 96]  # an episode has 24 steps
+    with (tmp_path / "curve.csv").open() as file:
+        assert [int(row["step"]) for row in csv.DictReader(file)] == [24, 48, 72, 96, 120]
+
+
+def test_the_folder_of_a_training_behind_wrappers_is_a_controller(tmp_path: Path) -> None:
+    wrappers = [
+        {"wrapper": "PreviousObservation", "names": ["zone_1_air_temperature"]},
+        {"wrapper": "NormalizeObservation"},
+    ]
+    evaluation = {"every_steps": 96, "seed": 5}
+    given = fields("ppo", tmp_path, wrappers=wrappers, evaluation=evaluation, arguments=DAY, steps=96)
+    result = train(read_training(given))
+    for factory in (load_controller(str(tmp_path)), load_policy(tmp_path / "best.zip")):
+        with FakeEnv(**DAY) as env:
+            agent = Agent(factory(env.manifest))
+            for _ in range(2):  # a second episode begins anew
+                metrics, _ = run_episode(env, lambda _, agent=agent, env=env: agent.action(env.sample), seed=5)
+                assert metrics.reward == result.best_reward
+
+
+def test_a_folder_of_an_older_version_is_one_sentence(tmp_path: Path) -> None:
+    given = fields("a2c", tmp_path, arguments=DAY, steps=5)
+    train(read_training(given))
+    versions = json.loads((tmp_path / "versions.json").read_text())
+    (tmp_path / "versions.json").write_text(json.dumps({**versions, "format": 0, "zenostat": "0.0.9"}))
+    for use in (lambda: load_policy(tmp_path), lambda: resume_training(tmp_path)):
+        with pytest.raises(InvalidConfig, match=r"written by Zenostat 0\.0\.9 in format 0"):
+            use()
+
+
+def test_a_folder_is_neither_overwritten_nor_resumed_with_another_training(tmp_path: Path) -> None:
+    given = fields("a2c", tmp_path, arguments=DAY, steps=5)
+    train(read_training(given))
+    with pytest.raises(InvalidConfig, match="already has a training"):
+        train(read_training(given))
+    other = {**given, "parameters": {**PARAMETERS["a2c"], "gamma": 0.5}}
+    with pytest.raises(InvalidConfig, match=r"parameters\.gamma was not set, now 0\.5"):
+        train(read_training(other), resume=True)
+    longer = train(resume_training(tmp_path, 10), resume=True)
+    assert (longer.step, longer.finished) == (10, True)
+
+
+@pytest.mark.parametrize(
+    ("name", "changes", "text"),
+    [
+        ("ppo", {"algorithm": "pro"}, "there is no 'pro'; did you mean 'ppo'"),
+        ("ppo", {"parameters": {"n_stepz": 3}}, "ppo has no 'n_stepz'; did you mean 'n_steps'"),
+        ("ppo", {"parameters": {"learning_rate": "fast"}}, r"parameters\.learning_rate: float | schedule expected"),
+        ("ppo", {"parameters": {"gamma": 1.5}}, r"parameters\.gamma: a number from 0 to 1"),
+        ("ppo", {"parameters": {"seed": 1}}, "use the field `seed`"),
+        ("ppo", {"parameters": {"n_steps": 1, "batch_size": 1}}, "batch_size"),
+        ("ppo", {"wrappers": [{"wrapper": "CyclicTim"}]}, "CyclicTime"),
+        ("ppo", {"scenario": "5zone"}, "there is no scenario '5zone'"),
+        ("sac", {"parameters": {"train_freq": [1, "episode"]}, "slots": 2}, "count steps"),
+        ("ppo", {"policy": "MlpLstmPolicy"}, "ppo has no 'MlpLstmPolicy'"),
+    ],
+)
+def test_bad_input_is_reported_before_anything_starts(
+    name: str, changes: dict[str, Any], text: str, tmp_path: Path
+) -> None:
+    with pytest.raises((InvalidConfig, UnknownName), match=text):
+        check_training(read_training({**fields(name, tmp_path / "output"), **changes}))
+    assert not (tmp_path / "output").exists()
+
+
+def test_an_algorithm_that_cannot_have_the_actions_says_what_can(tmp_path: Path) -> None:
+    dqn = {**fields("dqn", tmp_path / "dqn"), "arguments": DAY}
+    with pytest.raises(InvalidConfig, match="dqn needs one discrete action, and Fake-v1 has continuous actions"):
+        train(read_training(dqn))
+    sac = {**fields("sac", tmp_path / "sac"), "arguments": {**DAY, "discrete": 5, "control": "building"}}
+    with pytest.raises(InvalidConfig, match="sac needs continuous actions, and Fake-v1 has discrete actions"):
+        train(read_training(sac))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_has_one_training_at_a_time(tmp_path: Path) -> None:
+    ppo = {**fields("ppo", tmp_path / "ppo"), "arguments": DAY}
+    (tmp_path / "ppo").mkdir()
+    with locked(tmp_path / "ppo" / ".lock", "not raised"), pytest.raises(InvalidConfig, match="is training there"):
+        train(read_training(ppo))
+
+
+def test_two_intervals_exclude_each_other() -> None:
+    with pytest.raises(InvalidConfig, match="every_steps and every_episodes exclude each other"):
+        read_training(
+            {"algorithm": "ppo", "scenario": "x", "steps": 1, "evaluation": {"every_steps": 1, "every_episodes": 1}}
+        )

@@ -1,0 +1,186 @@
+"""Studies: search spaces, studies that exist, lost databases, and the processes of trials."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from zenostat.topics.errors import InvalidConfig
+
+optuna = pytest.importorskip("optuna")
+pytest.importorskip("stable_baselines3")
+
+from zenostat.lab.training.study import Tuning, distribution, open_study  # noqa: E402
+from zenostat.lab.training.study_figures import write_results  # noqa: E402
+from zenostat.lab.training.tuning_config import Range, TuningConfig, read_tuning  # noqa: E402
+
+TRAINING: dict[str, Any] = {
+    "algorithm": "a2c", "scenario": "Fake-v1", "steps": 60, "threads": 1,
+    "arguments": {"zones": 2, "begin": "07-03", "end": "07-03", "steps_per_hour": 1},
+    "parameters": {"policy_kwargs": {"net_arch": [8]}}, "evaluation": {"every_steps": 30},
+}  # fmt: skip
+SEARCHED: dict[str, Any] = {
+    "parameters.learning_rate": {"low": 1e-4, "high": 1e-2, "log": True},
+    "parameters.n_steps": [5, 10],
+}
+
+
+def study(output: Path, **changes: Any) -> TuningConfig:
+    fields = {"study": "s", "training": TRAINING, "parameters": SEARCHED, "trials": 3, "pruner": False}
+    return read_tuning({**fields, "output": str(output), **changes})
+
+
+def test_a_grid_has_all_combinations_in_order(tmp_path: Path) -> None:
+    searched = {"parameters.n_steps": {"low": 5, "high": 15, "step": 5}, "slots": [1, 2]}
+    config = study(tmp_path, parameters=searched, sampler="grid", trials=None)
+    points = [(5, 1), (5, 2), (10, 1), (10, 2), (15, 1), (15, 2)]
+    assert [tuple(point.values()) for point in config.grid()] == points
+    assert config.trials == 6
+    queued = [trial.system_attrs["fixed_params"] for trial in open_study(config).trials]
+    assert [tuple(point.values()) for point in queued] == points
+    with pytest.raises(InvalidConfig, match=r"parameters\.learning_rate: a grid needs choices"):
+        study(tmp_path, sampler="grid")
+
+
+@pytest.mark.parametrize(
+    ("searched", "expected"),
+    [
+        ({"low": 1, "high": 8}, optuna.distributions.IntDistribution(1, 8)),
+        ({"low": 1, "high": 9, "step": 4}, optuna.distributions.IntDistribution(1, 9, step=4)),
+        ({"low": 0.5, "high": 1}, optuna.distributions.FloatDistribution(0.5, 1.0)),
+        ({"low": 1e-5, "high": 1e-2, "log": True}, optuna.distributions.FloatDistribution(1e-5, 1e-2, log=True)),
+        ({"choices": [[8], [8, 8]]}, optuna.distributions.CategoricalDistribution(("[8]", "[8, 8]"))),
+    ],
+)
+def test_ranges_are_the_distributions_of_optuna(searched: dict[str, Any], expected: Any) -> None:
+    assert distribution(Range.model_validate(searched)) == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"parameters": {"parameters.gamma": {"low": 1.0}}}, "either low and high, or choices expected"),
+        ({"parameters": {"parameters.gamma": {"low": 1.0, "high": 0.5}}}, "low is above high"),
+        ({"parameters": {"parameters.gamma": {"low": 0.0, "high": 0.5, "log": True}}}, "log needs a low above 0"),
+        ({"trials": None}, "trials: it is missing"),
+        ({"tirals": 3}, "did you mean 'trials'"),
+        ({"training": {**TRAINING, "evaluation": False}}, "a study compares evaluations"),
+        ({"training": {**TRAINING, "step": 3}}, "step: there is no such field; did you mean 'steps'"),
+    ],
+)
+def test_bad_input_is_one_sentence(changes: dict[str, Any], text: str, tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        study(tmp_path, **changes)
+
+
+def test_a_parameter_that_the_algorithm_does_not_have_is_found_before_the_study_is_created(tmp_path: Path) -> None:
+    config = study(tmp_path, parameters={"parameters.gama": [0.9]})
+    with pytest.raises(InvalidConfig, match="a2c has no 'gama'; did you mean 'gamma'"):
+        Tuning(config)
+    assert not (tmp_path / "study.db").exists()
+
+
+def test_a_study_that_exists_with_other_settings_is_one_sentence(tmp_path: Path) -> None:
+    open_study(study(tmp_path))
+    assert len(open_study(study(tmp_path, trials=7, workers=2)).trials) == 0  # these may differ
+    with pytest.raises(InvalidConfig, match=r"the study 's' exists .*with other settings \(seed\)"):
+        open_study(study(tmp_path, seed=1))
+
+
+def test_a_database_that_is_not_there_is_one_sentence_without_its_password(tmp_path: Path) -> None:
+    pytest.importorskip("psycopg")
+    url = "postgresql://me:secret@127.0.0.1:1/none?connect_timeout=2"
+    with pytest.raises(
+        InvalidConfig, match=r"the database postgresql://me@127\.0\.0\.1:1/none.* cannot be used"
+    ) as error:
+        open_study(study(tmp_path, storage=url))
+    assert "secret" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    ("url", "text"),
+    [
+        ("postgresql://me:a@b/secret@127.0.0.1:1/none", "the database postgresql://me@127.0.0.1:1/none cannot be used"),
+        ("postgresql://me@127.0.0.1:1/none?password=secret", "none?password=... cannot be used"),
+        ("postgres://me:secret@127.0.0.1:1/none", "the database postgres://me@127.0.0.1:1/none cannot be used"),
+        ("study.db", "storage: study.db: Could not parse SQLAlchemy URL"),
+        ("oracel://me:secret@host/none", "storage: oracel://me@host/none: Can't load plugin"),
+    ],
+)
+def test_errors_name_the_database_as_the_user_did(url: str, text: str, tmp_path: Path) -> None:
+    pytest.importorskip("psycopg")
+    with pytest.raises(InvalidConfig, match=re.escape(text)) as error:
+        open_study(study(tmp_path, storage=url))
+    assert "secret" not in str(error.value)
+
+
+@pytest.mark.filterwarnings("ignore:Heartbeat of storage")
+@pytest.mark.parametrize("sampler", ["tpe", "random"])
+def test_processes_with_one_seed_draw_what_one_process_draws(sampler: str, tmp_path: Path) -> None:
+    config, other = study(tmp_path / "a", sampler=sampler), study(tmp_path / "b", sampler=sampler)
+    searched = {name: distribution(parameter) for name, parameter in config.parameters.items()}
+    alone = open_study(other)
+    expected = [alone.ask(searched).params for _ in range(4)]
+    assert len({params["parameters.learning_rate"] for params in expected}) == 4
+    first, second = open_study(config), open_study(config)
+    interrupted = first.ask(searched)
+    first.tell(interrupted, state=optuna.trial.TrialState.FAIL)
+    first.enqueue_trial(interrupted.params, user_attrs={"retry_of": interrupted.number})
+    drawn = [process.ask(searched).params for process in (second, first, second, open_study(config))]
+    assert drawn == expected
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_a_killed_process_fails_its_trial_and_no_other(tmp_path: Path) -> None:
+    ended: list[Any] = []
+    tuning = Tuning(study(tmp_path, workers=2, retries=1), ended.append)
+    start, killed = tuning._start, []
+
+    def kill_the_first() -> None:
+        start()
+        if not killed:
+            killed.append(tuning.processes[0])
+            os.kill(killed[0], signal.SIGKILL)
+
+    tuning._start = kill_the_first  # type: ignore[method-assign]
+    assert tuning.run()
+    states = [trial.state.name for trial in tuning.study.trials]
+    assert states == ["FAIL", "COMPLETE", "COMPLETE", "COMPLETE"]
+    assert tuning.study.trials[0].user_attrs["reason"].startswith("its process ended with -9")
+    repeated = next(trial for trial in tuning.study.trials if "retry_of" in trial.user_attrs)
+    assert repeated.params == tuning.study.trials[0].params
+    assert len(ended) == 4
+    names = {path.name for path in write_results(tuning.study, study(tmp_path))}
+    assert {"trials.csv", "history.png", "slices.png", "parallel.png"} <= names
+    best = tuning.write_best()
+    assert best is not None
+    assert best.name == "best.yaml"
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_a_stopped_study_repeats_its_trials_and_gives_the_same_as_another(tmp_path: Path) -> None:
+    stop = threading.Event()
+    tuning = Tuning(study(tmp_path / "a", trials=2))
+    start = tuning._start
+
+    def stop_at_once() -> None:
+        start()
+        stop.set()
+
+    tuning._start = stop_at_once  # type: ignore[method-assign]
+    assert not tuning.run(stop)
+    assert [trial.state.name for trial in tuning.study.trials] == ["FAIL", "WAITING"]
+    assert tuning.processes == []
+    again, other = Tuning(study(tmp_path / "a", trials=1)), Tuning(study(tmp_path / "b", trials=1))
+    assert again.run()
+    assert other.run()
+    (first,) = other.study.trials
+    assert (again.study.trials[1].params, again.study.trials[1].value) == (first.params, first.value)

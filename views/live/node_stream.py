@@ -1,0 +1,235 @@
+"""The messages of one node: its episodes, events, alarms and faults."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable
+from datetime import datetime, timedelta
+
+import numpy as np
+import rerun as rr
+
+from zenostat.metrics.roles import roles
+from zenostat.topics.errors import BadMessage, InvalidConfig
+from zenostat.topics.messages import AlarmChange, AlarmState, Event, EventKind, Geometry, Manifest, Sample
+from zenostat.views.live.episode import EpisodeView, NodeModel
+from zenostat.views.live.layout import EVENTS
+from zenostat.views.live.meshes import building_model
+from zenostat.views.live.recording import EpisodeLog, episode_path
+from zenostat.views.live.samples import ComfortFactory, Floats, RewardFactory
+from zenostat.views.live.summary import NodeNumbers, NodeStatus
+
+_WARNINGS = (
+    EventKind.FAILED, EventKind.REJECTED, EventKind.LATE, EventKind.ACCEPTED_LATE, EventKind.WARNING, EventKind.FAULT,
+    EventKind.FALLBACK,
+)  # fmt: skip
+_BEGINS, _ENDS = " begins", " ends"
+_FAULTS_SET = "faults are set: "
+PRESENT = (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED)
+"""States of an alarm whose condition is present."""
+
+HistoryReader = Callable[[Manifest, int, int], tuple[int, Floats] | None]
+"""Return the samples of an episode up to a step: the first step, and a table of shape (n, points + actuators)."""
+
+
+class NodeStream:
+    """Logs the messages of one node.
+
+    Args:
+        recording: where to log.
+        manifest: of the node.
+        geometry: of its building, if it has one.
+        comfort, reward: as of `RerunStream`.
+        history: reads the samples that precede the first one of an episode; by default they count as missed.
+
+    Attributes:
+        model: what all episodes share.
+        view: the running episode; None before the first sample.
+        samples: those that are not logged yet.
+        logged_s: monotonic time of the last logging.
+        missed: number of samples that were lost.
+        is_connected: whether the node is on the bus.
+    """
+
+    def __init__(
+        self,
+        recording: rr.RecordingStream,
+        manifest: Manifest,
+        geometry: Geometry | None,
+        comfort: ComfortFactory,
+        reward: RewardFactory | None,
+        history: HistoryReader | None = None,
+    ) -> None:
+        self._recording, self._geometry = recording, geometry
+        self._comfort, self._reward, self._history = comfort, reward, history
+        self.model = self._model(manifest)
+        self.view: EpisodeView | None = None
+        self.samples: list[Sample] = []
+        self.logged_s = time.monotonic()
+        self.missed = 0
+        self.is_connected = True
+        self._alarms: dict[str, None] = {}
+        self._faults: dict[str, None] = {}
+        self._status, self._statuses = NodeStatus(), list[NodeStatus]()  # now, and at each of `samples`
+        self._episode = self._step = -1
+        self._first_steps: dict[int, int] = {}  # of the latest episode whose start was announced
+        self._queried: tuple[int, int] | None = None  # position of a queried sample; later batches may have older ones
+        self._is_layout_changed = True
+        self._is_drawn = True
+
+    def _model(self, manifest: Manifest) -> NodeModel:
+        its_roles = roles(manifest)
+        building = None
+        if self._geometry is not None:
+            try:
+                building = building_model(self._geometry, [zone.key for zone in its_roles.zones])
+            except BadMessage:
+                self._geometry = None
+        return NodeModel(manifest, its_roles, self._comfort(manifest), self._geometry, building)
+
+    def set_manifest(self, manifest: Manifest) -> None:
+        """Take a new manifest, as after faults were set; plots begin anew if points differ."""
+        self.flush()
+        before, self._queried = self.model.manifest, None
+        self.model = self._model(manifest)
+        if self.view is not None and (before.points != manifest.points or before.actuators != manifest.actuators):
+            self._begin_view()
+
+    def set_faults(self, names: Iterable[str]) -> None:
+        """Set the injected faults that are active."""
+        self._faults = dict.fromkeys(names)
+        self._update_status(self._step)
+
+    def set_alarms(self, names: Iterable[str]) -> None:
+        """Set the alarms whose condition is present."""
+        self._alarms = dict.fromkeys(names)
+        self._update_status(self._step)
+
+    def add_sample(self, sample: Sample, *, queried: bool = False) -> int:
+        """Gather a sample; return the number of new samples, with those of the history that precede it."""
+        position = (sample.episode[0], sample.step[0])
+        if queried:
+            self._queried = position
+        elif self._queried is not None:
+            if position <= self._queried:
+                return 0  # not newer than the queried sample
+            self._queried = None
+        count = 1
+        if sample.episode[0] != self._episode:
+            count += self._begin_episode(*position)
+        elif sample.step[0] <= self._step:
+            return 0  # both received and queried
+        else:
+            self.missed += sample.step[0] - self._step - 1
+        self._step = sample.step[0]
+        self.samples.append(sample)
+        self._statuses.append(self._status)
+        return count
+
+    def _begin_episode(self, episode: int, step: int) -> int:
+        """Begin the views of an episode whose first sample is at `step`; return the number of earlier samples."""
+        self.flush()
+        self.draw()
+        if self._episode != -1:
+            self._alarms = {}  # the node clears them
+            self._status = NodeStatus((), tuple(self._faults))
+        self._episode = episode
+        view = self._begin_view()
+        manifest = self.model.manifest
+        # An episode that goes on from a snapshot, or in a branch, does not begin at step 0.
+        first = self._first_steps.get(episode, step if manifest.branch_of else 0)
+        known = self._history(manifest, episode, step - 1) if self._history and step > first else None
+        if known is None:
+            self.missed += max(0, step - first)
+            return 0
+        oldest, table = known
+        if episode not in self._first_steps and len(table) + 1 < manifest.history_samples:
+            first = oldest  # nothing has been replaced yet
+        view.add_history(oldest, table)
+        self.missed += max(0, oldest - first)
+        return len(table)
+
+    def _begin_view(self) -> EpisodeView:
+        reward = None
+        if self._reward is not None:
+            try:
+                reward = self._reward(self.model.manifest)
+            except InvalidConfig:  # the node lacks the points
+                self._reward = None
+        self.view = EpisodeView(self._recording, self.model, self._episode, reward)
+        self._is_layout_changed = True
+        return self.view
+
+    def _update_status(self, step: int) -> None:
+        """Take a new status from a step on; the event of a step may come after its sample."""
+        self._status = NodeStatus(tuple(self._alarms), tuple(self._faults))
+        for index, sample in enumerate(self.samples):
+            if sample.step[0] >= step:
+                self._statuses[index] = self._status
+        if self.view is not None and not self.samples and step <= self._step:
+            self.view.set_status(self._status)
+
+    def numbers(self) -> NodeNumbers:
+        """Return the latest numbers."""
+        numbers = self.view.numbers if self.view is not None else NodeNumbers()
+        numbers.alarms, numbers.faults = self._status
+        return numbers
+
+    def flush(self) -> None:
+        """Log the gathered samples."""
+        self.logged_s = time.monotonic()
+        samples, self.samples = self.samples, []
+        statuses, self._statuses = self._statuses, []
+        if samples and self.view is not None:
+            had_reward = self.view.reward is not None
+            self.view.add(samples, statuses)
+            self._is_layout_changed |= (self.view.reward is not None) != had_reward
+            self._is_drawn = False
+
+    def draw(self) -> None:
+        """Log what is drawn as a whole, if there are new samples."""
+        if self.view is not None and not self._is_drawn:
+            self.view.draw()
+            self._is_drawn = True
+
+    def take_layout_change(self) -> bool:
+        """Return whether the layout must be sent again, once."""
+        is_changed, self._is_layout_changed = self._is_layout_changed, False
+        return is_changed
+
+    def add_event(self, event: Event) -> None:
+        """Log an event in its episode, at its step and simulated time."""
+        if event.kind == EventKind.STARTED:
+            self._first_steps = {event.episode: event.step}
+        elif event.kind == EventKind.FAULT:
+            self._on_fault(event)
+        elif event.alarm is not None:
+            if event.alarm.slot != 0:
+                return  # only the first slot is shown
+            self._on_alarm(event.alarm, event.step)
+        is_alarm = event.alarm is not None and event.alarm.state is AlarmState.ACTIVE
+        level = "WARN" if is_alarm or event.kind in _WARNINGS else "INFO"
+        text = f"{event.kind.replace('_', ' ')}: {event.text}" + (f" ({event.source})" if event.source else "")
+        manifest = self.model.manifest
+        moment = datetime.fromisoformat(manifest.begin) + event.step * timedelta(seconds=manifest.step_s)
+        text = f"{moment.day} {moment:%b %H:%M}  {text}"
+        log = EpisodeLog(self._recording, episode_path(manifest.node, event.episode), manifest.begin)
+        times = np.array([moment], "M8[ns]")
+        log.columns_at(EVENTS, times, np.array([event.step]), rr.TextLog.columns(text=[text], level=[level]))
+
+    def _on_alarm(self, change: AlarmChange, step: int) -> None:
+        if change.state in PRESENT:
+            self._alarms[change.alarm] = None
+        else:
+            self._alarms.pop(change.alarm, None)
+        self._update_status(step)
+
+    def _on_fault(self, event: Event) -> None:
+        text = event.text
+        if text.startswith(_FAULTS_SET):
+            self._faults.clear()
+        elif text.endswith(_BEGINS):
+            self._faults[text.removesuffix(_BEGINS)] = None
+        elif text.endswith(_ENDS):
+            self._faults.pop(text.removesuffix(_ENDS), None)
+        self._update_status(event.step)

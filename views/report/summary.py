@@ -1,0 +1,172 @@
+"""The result of a comparison in plain words; each number is computed from the episodes."""
+
+from __future__ import annotations
+
+from zenostat.views.report.figures.comfort import rank_zones
+from zenostat.views.report.runs import Comparison, Run
+from zenostat.views.report.totals import (
+    Difference,
+    Metric,
+    difference,
+    has_equal_lengths,
+    kelvin_hours,
+    names,
+    number,
+    total,
+)
+
+_ELECTRICITY = (
+    Metric("electricity_kwh", "electricity", "kWh"),
+    Metric("hvac_electricity_kwh", "electricity for heating, cooling and ventilation", "kWh"),
+)
+_PEAK = Metric("peak_kw", "peak power", "kW")
+_OUTSIDE = Metric("occupied_outside_kh", "", "K h")
+_WORST_KH = 0.5
+"""Zones with fewer kelvin hours outside are not mentioned."""
+
+
+def summary(comparison: Comparison) -> list[str]:
+    """Return the result as sentences, by controller."""
+    reference, others = comparison.reference, comparison.runs[1:]
+    texts = [_compared(run, reference) for run in others] or [_alone(reference)]
+    texts += [text for run in comparison.runs for text in _irregular(run)]
+    if comparison.episodes > 1:
+        texts.append(f"Numbers are means over {comparison.episodes} episodes.")
+    return texts
+
+
+def _compared(run: Run, reference: Run) -> str:
+    if not has_equal_lengths(run, reference):
+        return f"The totals of {run.label} and {reference.label} do not compare: their episodes differ in length."
+    parts, verdicts = [], []
+    energy = next((metric for metric in _ELECTRICITY if total(run, metric.key) and total(reference, metric.key)), None)
+    if energy is not None:
+        energy_change = difference(run, reference, energy)
+        assert energy_change is not None
+        verdicts.append(energy_change.verdict)
+        parts.append(_amount(run, reference, energy, energy_change))
+    peak = difference(run, reference, _PEAK)
+    if peak is not None:
+        parts.append(_peak(run, reference, peak, is_first=not parts))
+    unknown = f"{run.label} and {reference.label}: no energy is measured."
+    sentences = ["".join(parts) + "." if parts else unknown]
+    outside = difference(run, reference, _OUTSIDE)
+    if outside is not None:
+        is_contrast = {*verdicts, outside.verdict} == {"better", "worse"}
+        sentences.append(_outside(run, reference, outside, is_contrast=is_contrast))
+    return " ".join(sentences)
+
+
+def _percent(value: float) -> str:
+    """Return the size of a difference in percent; differences below `EQUAL_PERCENT` are called equal, not 0 %."""
+    return f"{abs(value):.1f}\N{NO-BREAK SPACE}%"
+
+
+def _amount(run: Run, reference: Run, metric: Metric, change: Difference) -> str:
+    own, base = total(run, metric.key), total(reference, metric.key)
+    assert own is not None
+    assert base is not None
+    amounts = f"{number(own.mean)} instead of {number(base.mean)} {metric.unit}"
+    if change.verdict == "equal":
+        return f"{run.label} used as much {metric.label} as {reference.label} ({number(own.mean)} {metric.unit})"
+    if change.verdict == "unclear":
+        return (
+            f"{run.label} and {reference.label} do not differ clearly in {metric.label} ({amounts}; the 95 % interval "
+            "of the difference contains zero)"
+        )
+    less = "less" if change.mean < 0 else "more"
+    if change.percent is None:
+        return f"{run.label} used {less} {metric.label} than {reference.label} ({amounts})"
+    return f"{run.label} used {_percent(change.percent)} {less} {metric.label} than {reference.label} ({amounts})"
+
+
+def _peak(run: Run, reference: Run, change: Difference, *, is_first: bool) -> str:
+    own, base = total(run, "peak_kw"), total(reference, "peak_kw")
+    assert own is not None
+    assert base is not None
+    subject = f"{run.label} has" if is_first else ", with"
+    if change.verdict in ("equal", "unclear") or change.percent is None:
+        if change.percent is None and change.verdict not in ("equal", "unclear"):
+            return f"{subject} a peak of {number(own.mean)} instead of {number(base.mean)} kW"
+        return f"{subject} about the same peak power ({number(own.mean)} kW)"
+    lower = "lower" if change.mean < 0 else "higher"
+    return f"{subject} a peak {_percent(change.percent)} {lower} ({number(own.mean)} instead of {number(base.mean)} kW)"
+
+
+def _outside(run: Run, reference: Run, change: Difference, *, is_contrast: bool) -> str:
+    own, base = total(run, _OUTSIDE.key), total(reference, _OUTSIDE.key)
+    assert own is not None
+    assert base is not None
+    opening = "However, occupied" if is_contrast else "Occupied"
+    if own.mean == 0.0:
+        always = f"{opening} zones were within the comfort band at all times"
+        return (
+            f"{always}, as under {reference.label}."
+            if base.mean == 0.0
+            else f"{always} (under {reference.label} outside by {kelvin_hours(base.mean)})."
+        )
+    text = f"{opening} zones were outside the comfort band by {kelvin_hours(own.mean)}"
+    if change.verdict == "equal":
+        text += f", as much as under {reference.label}"
+    elif change.verdict == "unclear":
+        text += f" (under {reference.label} {kelvin_hours(base.mean)}; the difference is not clear)"
+    elif change.percent is not None:
+        less = "less" if change.mean < 0 else "more"
+        text += f", {_percent(change.percent)} {less} than under {reference.label} ({kelvin_hours(base.mean)})"
+    else:
+        text += f"; under {reference.label} they were within it"
+    return f"{text}{_worst(run)}."
+
+
+def _worst(run: Run) -> str:
+    """Return a clause on the zone that was outside longest; only known of the first episode."""
+    quantities = run.quantities
+    comfort, hours = quantities.comfort, quantities.degree_hours
+    if comfort is None or hours is None or len(comfort.labels) < 2:
+        return ""
+    totals = hours[0] + hours[1]
+    place = int(totals.argmax())
+    if totals[place] < _WORST_KH:
+        return ""
+    kind = "too warm" if hours[0][place] >= hours[1][place] else "too cold"
+    amount = kelvin_hours(float(max(hours[0][place], hours[1][place])))
+    where = " in the first episode" if len(run.results) > 1 else ""
+    return f"; the worst zone{where} is {comfort.labels[place]} ({amount} {kind})"
+
+
+def _alone(run: Run) -> str:
+    amounts = [(metric, amount) for metric in _ELECTRICITY if (amount := total(run, metric.key)) is not None]
+    sentences = [f"{run.label}: no energy is measured."]
+    if amounts:
+        metric, amount = amounts[0]
+        peak = total(run, _PEAK.key)
+        with_peak = f", with a peak of {number(peak.mean)} {_PEAK.unit}" if peak is not None else ""
+        sentences = [f"{run.label} used {number(amount.mean)} {metric.unit} of {metric.label}{with_peak}."]
+    outside = total(run, _OUTSIDE.key)
+    if outside is not None:
+        sentences.append(f"Occupied zones were outside the comfort band by {kelvin_hours(outside.mean)}{_worst(run)}.")
+    return " ".join(sentences)
+
+
+def _irregular(run: Run) -> list[str]:
+    """Return sentences on episodes that ended early and on commands that were not accepted."""
+    planned = run.trace.manifest.steps
+    early = [result for result in run.results if result.terminated]
+    texts = []
+    if early:
+        texts.append(
+            f"{run.label}: a termination limit ended {len(early)} of {len(run.results)} episodes early, after "
+            f"{names([str(result.steps) for result in early])} of {planned} timesteps."
+        )
+    partial = [result for result in run.results if not result.terminated and result.steps < planned]
+    if partial:
+        texts.append(f"{run.label} controlled {partial[0].steps} of {planned} timesteps.")
+    not_accepted = sum(result.late + result.rejected for result in run.results)
+    if not_accepted:
+        texts.append(f"The node did not accept {not_accepted} messages of {run.label} (late or rejected).")
+    return texts
+
+
+def worst_zones(comparison: Comparison, count: int) -> list[str]:
+    """Return the zones with most kelvin hours outside while occupied, worst first; none that was always within."""
+    return [label for label, hours in rank_zones(comparison.curves)[:count] if hours > 0.0]
