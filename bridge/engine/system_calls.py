@@ -60,8 +60,10 @@ def lead_session() -> None:
     """Make this process the leader of a session whose other processes end with it, in whatever way it ends.
 
     The kernel sends SIGHUP to the foreground processes of a terminal when the leader of its session exits, so the
-    session gets a terminal that nobody uses. The children of a forked process are in a session of their own.
+    session gets a terminal that nobody uses. The children of a forked process are in a session of their own. They
+    would inherit that the signal is ignored, as `nohup` makes it.
     """
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
     if os.getsid(0) != os.getpid():
         os.setsid()
     with suppress(OSError):  # without terminals (/dev/ptmx), only the node ends the session

@@ -196,6 +196,20 @@ def test_what_a_class_has_started_ends_with_the_node(folder: Path, name: str, en
         assert instances(folder, "closed") == closed
 
 
+def test_python_plant__children_end_with_a_killed_node_that_nohup_started(folder: Path) -> None:
+    previous = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    try:
+        with controlled(folder, "Plant") as (node, _, link):
+            link.reset()
+            assert len(children(folder)) == 1
+            node.process.kill()
+            node.process.wait(60)
+            until(lambda: not children(folder), "the children have ended")
+            shutil.rmtree(node.folder)  # which a node that is killed leaves
+    finally:
+        signal.signal(signal.SIGHUP, previous)
+
+
 @pytest.mark.slow
 def test_a_child_that_ignores_signals_ends_with_the_node(folder: Path) -> None:
     with controlled(folder, "Stubborn") as (node, bus, link):
