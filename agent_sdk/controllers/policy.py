@@ -12,7 +12,7 @@ import numpy as np
 
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.envs import spaces
-from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.agent_sdk.vec_normalization import normalization_of
 from zenostat.bridge.client.sample import SampleView

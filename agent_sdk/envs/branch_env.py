@@ -13,7 +13,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 from zenoh import ZError
 
-from zenostat.agent_sdk.envs.actions import as_array
+from zenostat.agent_sdk.envs.action_values import as_array
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv, Observations, check_count
 from zenostat.agent_sdk.envs.vector_infos import Infos
 from zenostat.agent_sdk.envs.vector_sample import VectorSample

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from zenostat.agent_sdk.envs import arguments, spaces
-from zenostat.agent_sdk.envs.actions import Actions, as_array
+from zenostat.agent_sdk.envs.action_values import Actions, as_array
 from zenostat.agent_sdk.envs.branch_env import BranchVectorEnv, branch_request, open_branch
 from zenostat.agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
 from zenostat.agent_sdk.envs.episode_state import EpisodeState
@@ -33,7 +33,7 @@ from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, Usag
 from zenostat.topics.messages import WeatherSeries
 from zenostat.topics.points import observed_indices
 from zenostat.topics.scenario_fields import OtherArguments, expand_arguments
-from zenostat.topics.seeds import check_seed
+from zenostat.topics.seed_validation import check_seed
 
 Observation = NDArray[np.float32]
 

@@ -15,7 +15,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from zenostat.agent_sdk.envs import arguments
-from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.agent_sdk.envs.building_env import BuildingEnv, Observation
 from zenostat.agent_sdk.envs.connection import BUSY
 from zenostat.agent_sdk.envs.fleet_nodes import (

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import NamedTuple, TypeVar
 
 from zenostat.agent_sdk.envs import spaces
-from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.bus import connect as connect_bus
 from zenostat.bridge.transport.session import check_endpoint

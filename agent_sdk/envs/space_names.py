@@ -9,7 +9,7 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import ArrayLike
 
-from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 

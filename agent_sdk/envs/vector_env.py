@@ -13,7 +13,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
 from zenostat.agent_sdk.envs import arguments, spaces
-from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
 from zenostat.agent_sdk.envs.episode_state import EpisodeState
 from zenostat.agent_sdk.envs.infos import VectorSampleInfos

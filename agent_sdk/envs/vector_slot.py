@@ -10,7 +10,7 @@ from gymnasium import Space
 
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import WeatherSeries
-from zenostat.topics.seeds import check_seed
+from zenostat.topics.seed_validation import check_seed
 
 Seeds = int | Sequence[int | None] | None
 """The seed of slot 0, where slot i has `seed + i`; or a seed for each slot."""

@@ -11,7 +11,7 @@ from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
 from numpy.typing import ArrayLike, NDArray
 
 from zenostat.agent_sdk.envs import arguments
-from zenostat.agent_sdk.envs.actions import as_array
+from zenostat.agent_sdk.envs.action_values import as_array
 from zenostat.agent_sdk.envs.building_env import BuildingEnv, Observation
 from zenostat.agent_sdk.envs.connection import AGENT, BUSY
 from zenostat.agent_sdk.envs.space_names import by_name

@@ -48,7 +48,7 @@ from zenostat.topics.messages import (
     WeatherSeries,
 )
 from zenostat.topics.points import value_index
-from zenostat.topics.seeds import check_seed
+from zenostat.topics.seed_validation import check_seed
 
 _numbers = itertools.count()
 _TRUNCATED = int(Flag.TRUNCATED)

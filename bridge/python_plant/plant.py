@@ -48,7 +48,7 @@ from zenostat.topics.messages import (
     TimeField,
     Versions,
 )
-from zenostat.topics.seeds import MAX_SEED
+from zenostat.topics.seed_validation import MAX_SEED
 
 HOST = (sys.executable, "-P", "-m", "zenostat.bridge.python_plant.host")
 

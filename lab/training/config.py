@@ -14,7 +14,7 @@ from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.file_kinds import FileKind, check_file_kind
 from zenostat.topics.keys import safe_name
-from zenostat.topics.seeds import MAX_SEED
+from zenostat.topics.seed_validation import MAX_SEED
 
 Count = Annotated[int, Field(strict=True, ge=1)]
 Number = Annotated[float, Field(strict=True, gt=0)]

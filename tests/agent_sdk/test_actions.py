@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.builders import actuator, manifest, own_action
 
-from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.topics.errors import InvalidAction
 from zenostat.topics.messages import Action, Actuator, CommandOp, DiscreteAction, Task
 

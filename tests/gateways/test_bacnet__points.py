@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zenostat.gateways.bacnet import units
-from zenostat.gateways.bacnet.objects import double, real
+from zenostat.gateways.bacnet.point_objects import double, real
 from zenostat.gateways.bacnet.points import (
     MAX_INSTANCE,
     ObjectKind,

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from support import builders
 from zenostat.agent_sdk.envs import spaces
-from zenostat.agent_sdk.envs.actions import Actions
+from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.topics.errors import UnknownName
 from zenostat.topics.messages import Action, Task, TimeField, WeatherSeries

@@ -11,7 +11,7 @@ from bacpypes3.primitivedata import Date, Null, Real, Time
 
 from zenostat.gateways.bacnet.fixed_objects import ADVANCE, EPISODE, MAX_STEPS, PAUSED, STEP, TIME, FixedObject
 from zenostat.gateways.bacnet.node_state import NodeState
-from zenostat.gateways.bacnet.objects import NodeObject, real
+from zenostat.gateways.bacnet.point_objects import NodeObject, real
 
 
 class _AnalogValue(NodeObject, AnalogValueObject):
