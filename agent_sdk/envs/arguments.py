@@ -48,6 +48,9 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
         InvalidConfig: No simulation or several are named; or a point is not a tuple of names.
     """
     settings = {key: _to_json(value) for key, value in arguments.items()}
+    for key in ("scenario", "file"):
+        if not isinstance(settings.get(key, ""), str):
+            raise InvalidConfig(f"{key} = {arguments[key]!r}; the name of a scenario or the path of its file expected")
     sources = [key for key in ("scenario", "file", "config", "plant") if key in settings]
     if len(sources) > 1:
         raise InvalidConfig(f"{' and '.join(sources)} both define the simulation; use only one of them")
@@ -112,14 +115,16 @@ def _to_json(value: Any) -> Any:
 def _absolute(value: Any, *, always: bool) -> Any:
     if isinstance(value, list):
         return [_absolute(part, always=always) for part in value]
-    path = Path(str(value))
+    if not isinstance(value, str):
+        return value
+    path = Path(value)
     if not always and not path.suffix:
         return value
     try:
         path = path.expanduser()
-    except RuntimeError:  # ~name of an unknown user: the node reports it
+        return str(path.absolute()) if always or path.exists() else value
+    except (OSError, RuntimeError):  # no path at all, or ~name of an unknown user: the node reports it
         return value
-    return str(path.absolute()) if always or path.exists() else value
 
 
 def check_agent_settings(reward: AnyReward | None, settings: Mapping[str, Any], placement: Affinity) -> None:

@@ -7,6 +7,7 @@ from zenostat.agent_sdk.wrappers.episode_log import EpisodeLog
 from zenostat.agent_sdk.wrappers.incremental import DiscreteIncrementalAction, IncrementalAction
 from zenostat.agent_sdk.wrappers.metric_loggers import MeansLog, TensorBoardLog, WeightsAndBiasesLog
 from zenostat.agent_sdk.wrappers.names import action_names_of, names_of, observation_dict
+from zenostat.agent_sdk.wrappers.numeric_infos import NumericInfos
 from zenostat.agent_sdk.wrappers.observation import (
     CyclicTime,
     PreviousObservation,
@@ -27,6 +28,7 @@ __all__ = [
     "EpisodeLog",
     "IncrementalAction",
     "MeansLog",
+    "NumericInfos",
     "PreviousObservation",
     "ReducedObservation",
     "RewardVector",

@@ -160,7 +160,7 @@ class _SingleAdapter(gym.Wrapper[Any, Any, Any, Any], BuildingWrapper):
         seeds = None if seed is None else [seed]
         self._last = self._logic.start(ResetBatch([0], row, Infos(info), seeds))
         self._restore_snapshot(options)
-        return self._last[0].copy(), self._with_added(info)
+        return self._last[0].copy(), self._logic.convert_infos(self._with_added(info))
 
     @override
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -173,7 +173,8 @@ class _SingleAdapter(gym.Wrapper[Any, Any, Any, Any], BuildingWrapper):
         self._last = observations
         # The environment's own reward keeps its type.
         outer_reward = reward if self._logic.reward_space is None else rewards[0]
-        return observations[0].copy(), outer_reward, terminated, truncated, self._with_added(info)
+        infos = self._logic.convert_infos(self._with_added(info))
+        return observations[0].copy(), outer_reward, terminated, truncated, infos
 
     def _with_added(self, info: dict[str, Any]) -> dict[str, Any]:
         if not self._logic.added:
@@ -200,7 +201,7 @@ class _VectorAdapter(_VectorWrapper, BuildingWrapper):
         if logic.action_space is not None:
             self.single_action_space = logic.action_space
             self.action_space = batch_space(logic.action_space, self.num_envs)
-        self._mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
+        self.autoreset_mode = AutoresetMode(env.metadata.get("autoreset_mode", AutoresetMode.NEXT_STEP))
         self._done = np.zeros(self.num_envs, np.bool_)
         self._last = np.zeros((self.num_envs, *_shape(self.single_observation_space)), np.float32)
 
@@ -217,7 +218,7 @@ class _VectorAdapter(_VectorWrapper, BuildingWrapper):
         self._done = self._done & ~mask
         _, infos = self._start(slots, observations, infos, None if seeds is None else [seeds[i] for i in slots])
         self._restore_snapshot(options)
-        return self._last.copy(), infos
+        return self._last.copy(), self._logic.convert_infos(infos)
 
     def _start(
         self, slots: list[int], observations: Values, infos: dict[str, Any], seeds: Sequence[int | None] | None
@@ -236,16 +237,16 @@ class _VectorAdapter(_VectorWrapper, BuildingWrapper):
     @override
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         outer = np.asarray(actions)
-        resetting = self._done if self._mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._done)
+        resetting = self._done if self.autoreset_mode is AutoresetMode.NEXT_STEP else np.zeros_like(self._done)
         live = np.flatnonzero(~resetting).tolist()
         inner = self._inner_actions(live, outer)
         observations, rewards, terminated, truncated, infos = self.env.step(inner)
         ends = np.asarray(terminated) | np.asarray(truncated)
         rewards = self._step_logic(live, np.array(observations), np.asarray(rewards), ends, infos, outer)
         self._done = ends
-        started = np.flatnonzero(ends if self._mode is AutoresetMode.SAME_STEP else resetting).tolist()
+        started = np.flatnonzero(ends if self.autoreset_mode is AutoresetMode.SAME_STEP else resetting).tolist()
         last, infos = self._start(started, observations, infos, None)
-        return last, rewards, terminated, truncated, infos
+        return last, rewards, terminated, truncated, self._logic.convert_infos(infos)
 
     def _inner_actions(self, live: list[int], actions: Values) -> Values:
         """Return the actions for the wrapped environment; slots that reset get zeros, which nobody reads."""
@@ -265,7 +266,7 @@ class _VectorAdapter(_VectorWrapper, BuildingWrapper):
         actions: Values,
     ) -> Values:
         """Pass the timestep to the logic: running slots first, then those whose last sample is in the infos."""
-        final = np.flatnonzero(ends).tolist() if self._mode is AutoresetMode.SAME_STEP else []
+        final = np.flatnonzero(ends).tolist() if self.autoreset_mode is AutoresetMode.SAME_STEP else []
         width = () if self._logic.reward_space is None else self._logic.reward_space.shape
         outer_rewards = np.zeros((self.num_envs, *width), np.float64)
         for slots in ([i for i in live if i not in final], final):

@@ -194,6 +194,10 @@ class WrapperLogic:
         """Return the observations and rewards of a timestep."""
         return step.observations, step.rewards
 
+    def convert_infos(self, infos: dict[str, Any]) -> dict[str, Any]:
+        """Return the infos as this wrapper shows them: those of a single environment, or of a vector."""
+        return infos
+
     def get_state(self) -> list[dict[str, Any]]:
         """Return the state of each slot as plain values."""
         return [{} for _ in range(self.view.slots)]

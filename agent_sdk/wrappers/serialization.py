@@ -20,6 +20,7 @@ from zenostat.agent_sdk.wrappers.episode_log import EpisodeLog
 from zenostat.agent_sdk.wrappers.incremental import DiscreteIncrementalAction, IncrementalAction
 from zenostat.agent_sdk.wrappers.metric_loggers import TensorBoardLog, WeightsAndBiasesLog
 from zenostat.agent_sdk.wrappers.names import reject_wrappers
+from zenostat.agent_sdk.wrappers.numeric_infos import NumericInfos
 from zenostat.agent_sdk.wrappers.observation import (
     CyclicTime,
     PreviousObservation,
@@ -45,6 +46,7 @@ OURS: dict[str, type[BuildingWrapper]] = {
         RewardVector,
         ChangingContext,
         EpisodeLog,
+        NumericInfos,
         TensorBoardLog,
         WeightsAndBiasesLog,
     )

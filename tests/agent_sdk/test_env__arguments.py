@@ -132,6 +132,12 @@ def test_something_says_what_to_simulate(given: dict[str, Any]) -> None:
         for_node(given, "b")
 
 
+@pytest.mark.parametrize("scenario", [{"building": "office-small"}, 3])
+def test_for_node__rejects_a_scenario_that_is_no_name(scenario: Any) -> None:
+    with pytest.raises(InvalidConfig, match="the name of a scenario or the path of its file expected"):
+        for_node({"scenario": scenario}, "office")
+
+
 def test_a_building_may_stand_beside_a_scenario() -> None:
     found = for_node({"scenario": "office-small-USA_CO_Denver-continuous-v1", "building": "warehouse"}, "b")
     assert found["building"] == "warehouse"

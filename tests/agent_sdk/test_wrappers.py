@@ -67,6 +67,7 @@ CHAINS: dict[str, list[dict[str, Any]]] = {
         {"wrapper": "ChangingContext", "schedule": {"07:00": {"occupants": 1.0}, "18:00": {"occupants": 0.25}}}
     ],
     "RewardVector": [{"wrapper": "RewardVector", "terms": ["comfort", "energy"]}],
+    "NumericInfos": [{"wrapper": "NumericInfos"}],
     "many": [
         {"wrapper": "CyclicTime", "fields": ["hour"], "replace": False},
         {"wrapper": "SetpointDifference", "pairs": {"excess": ["core", "core_setpoint"]}},
@@ -974,9 +975,8 @@ def test_one_class_wraps_single_and_vector_environments() -> None:
     assert type(one).__name__ == type(many).__name__ == "CyclicTime"
     assert type(one) is type(w.CyclicTime(fake())), "one class for each kind of environment, not one for each wrapper"
     assert isinstance(w.CyclicTime(env=fakes(1)), gym.vector.VectorWrapper)
-    ours = [
-        kind for name in w.__all__ if isinstance(kind := getattr(w, name), type) and issubclass(kind, w.BuildingWrapper)
-    ]
+    bases = (w.BuildingWrapper, w.MeansLog)
+    ours = [kind for name in w.__all__ if isinstance(kind := getattr(w, name), type) and kind not in bases]
     assert len(ours) == 14
     assert all(issubclass(kind, w.BuildingWrapper) for kind in ours)
 
@@ -1009,3 +1009,24 @@ def test_an_environment_that_is_no_building() -> None:
         w.PreviousObservation(cart, ["x"])
     seen: Mapping[str, Any] = vars(w)
     assert "eval" not in seen
+
+
+def test_numeric_infos__leave_numbers_in_gymnasiums_form() -> None:
+    day = {"zones": 1, "steps_per_hour": 1, "begin": "07-03", "end": "07-03"}
+    plain, inner = (FakeVectorEnv(2, autoreset_mode=AutoresetMode.SAME_STEP, **day) for _ in range(2))
+    vector = w.NumericInfos(inner)
+    _, infos = vector.reset(seed=0)
+    plain.reset(seed=0)
+    assert all(np.asarray(value).dtype.kind in "biuf" for value in infos.values())
+    assert {"effective", "_effective", "step", "reward_terms.energy"} <= infos.keys()
+    assert not infos.keys() & {"action", "time", "reward_terms", "value_source", "weather"}
+    ended = False
+    while not ended:
+        action = plain.action_space.sample()
+        *_, before = plain.step(action)
+        _, _, terminated, truncated, infos = vector.step(action)
+        ended = bool((terminated | truncated).all())
+        assert np.array_equal(infos["reward_terms.energy"], before["reward_terms"]["energy"], equal_nan=True)
+    assert np.array_equal(infos["final_obs"][1], before["final_obs"][1])
+    assert np.array_equal(infos["final_info"]["effective"], before["final_info"]["effective"])
+    assert "time" not in infos["final_info"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import zenostat  # noqa: F401  # registers the environments
 from zenostat.agent_sdk.testing import FakeEnv
 from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
 from zenostat.topics.errors import InvalidConfig
+from zenostat.wrappers import NumericInfos
 
 DAY: dict[str, Any] = {"zones": 1, "steps_per_hour": 1, "begin": "07-03", "end": "07-03"}
 WARM = [{"points": ["zone_1_air_temperature"], "low": 0.0, "high": 60.0}]
@@ -154,6 +156,31 @@ def test_torchrl_steps_a_vector_that_it_resets_itself() -> None:
     envs.check_env_specs(env)
     steps = env.rollout(30, break_when_any_done=False)
     assert tuple(steps.batch_size) == (2, 30)
+    assert steps["next", "done"].sum(1).flatten().tolist() == [1, 1]
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_torchrl_steps_a_vector_that_resets_itself() -> None:
+    envs = pytest.importorskip("torchrl.envs")
+    vector = gym.make_vec("zenostat/Fake-v1", num_envs=2, autoreset_mode="SameStep", **DAY)
+    env = envs.GymWrapper(NumericInfos(vector))
+    envs.check_env_specs(env)
+    steps = env.rollout(30, break_when_any_done=False)
+    assert steps["next", "done"].sum(1).flatten().tolist() == [1, 1]
+    assert tuple(steps["next", "reward_terms.energy"].shape) == (2, 30)
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_torchrl_makes_a_vector_of_its_own(tmp_path: Path) -> None:
+    envs = pytest.importorskip("torchrl.envs")
+    scenario = {**SMALL, "end": SMALL["begin"], "steps_per_hour": 1, "wrappers": [{"wrapper": "NumericInfos"}]}
+    (tmp_path / "office.yaml").write_text(json.dumps(scenario))
+    env = envs.GymEnv("zenostat:zenostat/Building-v1", num_envs=2, file=str(tmp_path / "office.yaml"))
+    try:
+        envs.check_env_specs(env)
+        steps = env.rollout(30, break_when_any_done=False)
+    finally:
+        env.close()
     assert steps["next", "done"].sum(1).flatten().tolist() == [1, 1]
 
 
