@@ -1,4 +1,4 @@
-"""What a fleet costs its controller and a router: `python -m bench.fleet --nodes 4 --steps 2000`.
+"""Cost of a fleet for its controller and a router: `python -m bench.fleet --nodes 4 --steps 2000`.
 
 Processor time rather than wall time, so that the result depends little on what else runs on the machine.
 """

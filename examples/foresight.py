@@ -1,4 +1,4 @@
-"""Where foresight pays: the `oracle` controller with a perfect and with an erroneous weather forecast, beside rules.
+"""Value of foresight: the `oracle` controller with a perfect and with an erroneous weather forecast, beside rules.
 
 Each task has a reward that asks for something different: a time-of-use tariff, a demand charge, comfort of occupied
 zones. The oracle simulates its plans in branches of the building itself, so the only difference between its two runs is

@@ -1,4 +1,4 @@
-"""What the tests of the joints share: short private folders, and a count of what is left behind."""
+"""Fixtures of all tests: short private folders, and a count of what is left behind."""
 
 from __future__ import annotations
 
@@ -87,15 +87,15 @@ def _short_folder() -> Iterator[Path]:
 @pytest.fixture
 def folder() -> Iterator[Path]:
     """A folder of the test's own whose path is short enough for sockets."""
-    with _short_folder() as made:
-        yield made
+    with _short_folder() as short:
+        yield short
 
 
 @pytest.fixture(scope="module")
 def module_folder() -> Iterator[Path]:
-    """The same for a module."""
-    with _short_folder() as made:
-        yield made
+    """Short private folder for the tests of a module."""
+    with _short_folder() as short:
+        yield short
 
 
 @pytest.fixture
@@ -146,7 +146,7 @@ def shared_bus(module_folder: Path) -> Iterator[zenostat.Bus]:
 
 @pytest.fixture(scope="module")
 def module_scratch(module_folder: Path) -> Iterator[Path]:
-    """The same as `scratch` for what the tests of a module share."""
+    """Folder like `scratch`, for the tests of a module."""
     with pytest.MonkeyPatch.context() as monkeypatch:
         monkeypatch.setenv("TMPDIR", str(module_folder))
         monkeypatch.setattr(tempfile, "tempdir", None)

@@ -29,11 +29,11 @@ TRAINED = ("ppo", "sac", "td3")
 
 def episodes(folder: Path) -> dict[str, Any]:
     """Return the recorded episode of each controller by its label."""
-    found = {}
+    runs = {}
     for path in sorted(folder.glob("*.mcap")):
         label = next((text for start, text in LABELS.items() if path.name.startswith(start)), path.name.split("-")[0])
-        found[label] = max(load(path).episodes, key=len)
-    return found
+        runs[label] = max(load(path).episodes, key=len)
+    return runs
 
 
 def daily(values: Any) -> Any:
@@ -41,13 +41,13 @@ def daily(values: Any) -> Any:
     return values[1 : len(values) // 96 * 96 + 1].reshape(-1, 96).mean(axis=1)
 
 
-def draw_zones(found: dict[str, Any], titles: dict[str, str], path: Path) -> None:
+def draw_zones(runs: dict[str, Any], titles: dict[str, str], path: Path) -> None:
     """Draw daily means of outdoor air, both zones and the cooling setpoint, a panel per controller."""
     figure, panels = plt.subplots(
         len(titles), figsize=(theme.FULL_IN, 2.4 * len(titles) + 0.6), sharex=True, squeeze=False, layout="constrained"
     )
     for axes, (name, title) in zip(panels[:, 0], titles.items(), strict=True):
-        episode = found[name]
+        episode = runs[name]
         axes.axhspan(18, 27, color=theme.LIGHT["occupied"], zorder=0, label="recommended band")
         outdoor = daily(episode["outdoor_temperature"])
         axes.plot(outdoor, color=theme.LIGHT["line"], label="outdoor air")
@@ -112,10 +112,10 @@ def draw_search(rows: list[dict[str, float]], path: Path) -> None:
     save(figure, path)
 
 
-def draw_months(found: dict[str, Any], path: Path) -> None:
+def draw_months(runs: dict[str, Any], path: Path) -> None:
     """Draw the mean power of each month, and its change against the baseline."""
     power = {}
-    for name, episode in found.items():
+    for name, episode in runs.items():
         month = episode.time[:-1].astype("datetime64[M]").astype(int) % 12  # of the begin of each timestep
         values = episode["HVAC_electricity_demand_rate"][1:]
         present = np.unique(month)  # all months of a year, or those of a shorter period
@@ -175,18 +175,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    found = episodes(options.runs / "year")
+    runs = episodes(options.runs / "year")
     with mpl.rc_context(theme.style("paper")):
-        draw_zones(found, {"baseline": "Default control: 20 and 23 °C"}, options.out / "paper-default.png")
+        draw_zones(runs, {"baseline": "Default control: 20 and 23 °C"}, options.out / "paper-default.png")
         rules = {"rule": "The rule of the paper", "incremental": "The controller incremental"}
-        draw_zones(found, rules, options.out / "paper-rule.png")
+        draw_zones(runs, rules, options.out / "paper-rule.png")
         period = options.runs / "training.csv"
         means = {row["controller"]: row["mean_reward"] for row in read_rows(period)} if period.exists() else {}
         if any((options.runs / name / "curve.csv").exists() for name in TRAINED):
             draw_training(options.runs, means, options.out / "paper-training.png")
         if (results := options.runs / "sweep" / "results.csv").exists():
             draw_search(read_rows(results), options.out / "paper-search.png")
-        draw_months(found, options.out / "paper-months.png")
+        draw_months(runs, options.out / "paper-months.png")
     print_table(read_rows(options.runs / "year.csv"))
 
 

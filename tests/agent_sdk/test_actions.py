@@ -71,18 +71,18 @@ def test_whatever_is_joined_each_actuator_gets_its_actions_value(data: st.DataOb
     points = tuple(actuator(f"p{i}", 0.0, 1.0) for i in range(count))
     groups = {g: tuple(p.name for p, o in zip(points, owner, strict=True) if o == g) for g in set(owner) - {-1}}
     order = data.draw(st.permutations(sorted(groups)))
-    made = actions(points, *(Action(name=f"g{g}", unit="1", low=0.0, high=1.0, actuators=groups[g]) for g in order))
+    joined = actions(points, *(Action(name=f"g{g}", unit="1", low=0.0, high=1.0, actuators=groups[g]) for g in order))
     chosen = [data.draw(st.floats(0.0, 1.0)) for _ in order]
     by_group = dict(zip(order, chosen, strict=True))
-    values = made.values(chosen)
+    values = joined.values(chosen)
     assert values.dtype == np.float64
     assert values.shape == (count,)
     set_here = [i for i in range(count) if owner[i] != -1]
     assert [values[i] for i in set_here] == [by_group[owner[i]] for i in set_here]
     if len(set_here) == count:
-        assert made.operations is None
+        assert joined.operations is None
     else:
-        assert list(made.operations or b"") == [CommandOp.KEEP if o == -1 else CommandOp.SET for o in owner]
+        assert list(joined.operations or b"") == [CommandOp.KEEP if o == -1 else CommandOp.SET for o in owner]
 
 
 # Actuators that no action sets
@@ -191,10 +191,10 @@ bounds = st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)).map(sorted).filte
 def test_the_ends_of_the_space_are_allowed_and_never_leave_the_actuators_bounds(ends: list[float]) -> None:
     """A bound such as 0.1 is no float32: the space's lies a rounding error beside it."""
     low, high = ends
-    made = one(low, high)
-    assert isinstance(made.space, Box)
-    for end, bound in ((made.space.low, low), (made.space.high, high)):
-        (value,) = made.values(end)
+    action = one(low, high)
+    assert isinstance(action.space, Box)
+    for end, bound in ((action.space.low, low), (action.space.high, high)):
+        (value,) = action.values(end)
         assert low <= value <= high
         assert value == pytest.approx(bound, rel=1e-6)
 
@@ -223,9 +223,9 @@ def test_a_value_outside_is_refused(ends: list[float], beyond: float, above: boo
 
 @given(st.integers(0, 2**32))
 def test_every_sample_of_the_space_is_an_action(seed: int) -> None:
-    for made in (actions(FOUR, HEAT, COOL), one(0.1, 0.7), one(None, None), PICKED, BOTH):
-        made.space.seed(seed)
-        assert np.isfinite(made.values(made.space.sample())).all()
+    for definition in (actions(FOUR, HEAT, COOL), one(0.1, 0.7), one(None, None), PICKED, BOTH):
+        definition.space.seed(seed)
+        assert np.isfinite(definition.values(definition.space.sample())).all()
 
 
 def test_the_callers_array_is_left_alone() -> None:
@@ -307,7 +307,7 @@ def test_choices_leave_alone_what_no_action_sets() -> None:
 
 
 def test_an_action_rescaled_in_float32_means_the_bound() -> None:
-    """As Gymnasium's RescaleAction computes it: -1 becomes 14.999999 where the bound is 15."""
+    """Gymnasium's RescaleAction computes it so: -1 becomes 14.999999 where the bound is 15."""
     own = Actions(manifest(actuators=[actuator("a", 15.0, 22.5), actuator("b", 22.5, 30.0)]))
     beside = np.nextafter(own.space.low, np.float32(-np.inf)), np.nextafter(own.space.high, np.float32(np.inf))
     assert own.values(beside[0]).tolist() == [15.0, 22.5]

@@ -153,7 +153,7 @@ def changed(base: type = Good, **values: Any) -> type:
 
 
 class Shares(Good):
-    """Has one temperature for all instances; a reset sets it."""
+    """Plant with one temperature for all instances, which a reset sets."""
 
     state: Any = None
 

@@ -130,8 +130,8 @@ def test_rules_set_back_far_where_the_reward_counts_occupied_hours_only() -> Non
 def test_rules_bring_a_zone_back_an_hour_before_people_came_the_day_before() -> None:
     of = node(sensors=(ROOM, PEOPLE))
     rules = RuleBasedController(of)
-    came = datetime(2017, 1, 16, 8)  # the first sample that counts them closes the quarter that began at 7:45
-    rules.act(view(of, came, people=1.0))
+    arrival = datetime(2017, 1, 16, 8)  # the first sample that counts them closes the quarter that began at 7:45
+    rules.act(view(of, arrival, people=1.0))
     back = {}
     for minutes in range(0, 24 * 60, 15):
         at = datetime(2017, 1, 17) + timedelta(minutes=minutes)
@@ -181,9 +181,9 @@ def test_one_action_that_sets_several_thermostats_is_ruled_by_any_of_their_zones
     pair = tuple(thermostat(f"heat_{z}", z, "Heating Setpoint", 15.0, 22.5) for z in "AB")
     together = Action(name="heating", unit="degC", low=15.0, high=22.5, actuators=("heat_A", "heat_B"))
     of = node(*pair, sensors=tuple(sensors), task=Task(actions=(together,)))
-    said = RuleBasedController(of).act(view(of, people_A=0.0, people_B=1.0))
-    assert said == pytest.approx({"heat_A": 21.0, "heat_B": 21.0})
-    assert action_of(of, said).tolist() == pytest.approx([21.0], rel=1e-6)
+    setpoints = RuleBasedController(of).act(view(of, people_A=0.0, people_B=1.0))
+    assert setpoints == pytest.approx({"heat_A": 21.0, "heat_B": 21.0})
+    assert action_of(of, setpoints).tolist() == pytest.approx([21.0], rel=1e-6)
     each = node(*pair, sensors=tuple(sensors))
     apart = RuleBasedController(each).act(view(each, WINTER.replace(hour=3), people_A=0.0, people_B=1.0))
     assert apart == pytest.approx({"heat_A": 19.0, "heat_B": 21.0})
@@ -246,7 +246,7 @@ def test_what_is_set_lies_within_the_bounds(name: str, samples: list[tuple[float
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("arguments", "message"),
     [
         ({"margin": -1}, "margin = -1; expected a number of at least 0"),
         ({"preconditioning": 24}, "preconditioning = 24; expected a number from 0 to 23"),
@@ -255,9 +255,9 @@ def test_what_is_set_lies_within_the_bounds(name: str, samples: list[tuple[float
         ({"marign": 1}, "RuleBasedController has no parameter 'marign'; did you mean 'margin'"),
     ],
 )
-def test_parameters_that_cannot_be(given: dict[str, Any], says: str) -> None:
-    with pytest.raises(InvalidConfig, match=says):
-        make_controller(RuleBasedController, node(), given)
+def test_parameters_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfig, match=message):
+        make_controller(RuleBasedController, node(), arguments)
 
 
 def test_rules_need_something_to_rule() -> None:
@@ -309,20 +309,20 @@ def test_fixed_values_by_name_and_the_bands_ends_for_the_rest() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("arguments", "message"),
     [
         ({"heating_setpoint": 25}, "heating_setpoint = 25; its bounds are 15 to 22.5 degC"),
         ({"heatng_setpoint": 20}, "node 'office' has no action or actuator 'heatng_setpoint'; did you mean 'heating"),
         ({"heating_setpoint": "warm"}, "heating_setpoint = 'warm'; expected a number"),
     ],
 )
-def test_fixed_values_that_cannot_be(given: dict[str, Any], says: str) -> None:
-    with pytest.raises(InvalidConfig, match=says):
-        make_controller(FixedSetpoints, node(), given)
+def test_fixed_values_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfig, match=message):
+        make_controller(FixedSetpoints, node(), arguments)
 
 
 @pytest.mark.parametrize(
-    ("of", "given"),
+    ("of", "arguments"),
     [
         (FixedSetpoints, {"heating_setpoint": 27}),
         (FixedSetpoints, {"cooling_setpoint": 19}),
@@ -331,11 +331,11 @@ def test_fixed_values_that_cannot_be(given: dict[str, Any], says: str) -> None:
         (ScheduledSetback, {"heating_setback": 34}),
     ],
 )
-def test_a_setpoint_that_crosses_the_bands_end_is_refused(of: Any, given: dict[str, float]) -> None:
-    """Where one of a pair is named, the other is the comfort band's: 20 to 23.5 degC in winter, 23 to 26 in summer."""
-    there = node(actuator("heating_setpoint", 10.0, 35.0), actuator("cooling_setpoint", 10.0, 35.0))
+def test_a_setpoint_that_crosses_the_bands_end_is_refused(of: Any, arguments: dict[str, float]) -> None:
+    """The other setpoint of a pair is the comfort band's: 20 to 23.5 degC in winter, 23 to 26 in summer."""
+    office = node(actuator("heating_setpoint", 10.0, 35.0), actuator("cooling_setpoint", 10.0, 35.0))
     with pytest.raises(InvalidConfig, match="is above cooling_setpoint"):
-        of(there, **given)
+        of(office, **arguments)
 
 
 def test_fixed_heating_above_cooling_is_refused() -> None:
@@ -393,7 +393,7 @@ def test_setback_by_default_is_inside_the_band_and_at_night_outside_where_people
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("arguments", "message"),
     [
         ({"days": "monday"}, "days = 'monday'; expected weekdays, such as 'mon-fri'"),
         ({"opens": 7, "closes": 7}, "opens = closes = 7"),
@@ -402,9 +402,9 @@ def test_setback_by_default_is_inside_the_band_and_at_night_outside_where_people
         ({"cooling_setback": 20}, "cooling_setback = 20; its bounds are 22.5 to 30"),
     ],
 )
-def test_setbacks_that_cannot_be(given: dict[str, Any], says: str) -> None:
-    with pytest.raises(InvalidConfig, match=says):
-        make_controller(ScheduledSetback, node(), given)
+def test_setbacks_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfig, match=message):
+        make_controller(ScheduledSetback, node(), arguments)
 
 
 def test_setback_needs_setpoints_and_heating_below_cooling() -> None:
@@ -525,7 +525,7 @@ def test_pid_drives_a_named_actuator_and_holds_others() -> None:
 
 
 @pytest.mark.parametrize(
-    ("of", "given", "says"),
+    ("of", "arguments", "message"),
     [
         (node(sensors=(PEOPLE,)), {}, r"pid needs a sensor in degC, but node 'office' has none: add one"),
         (node(), {}, r"pid takes one actuator: name it by actuator=...; there are: 'heating_setpoint', 'cooling"),
@@ -553,9 +553,9 @@ def test_pid_drives_a_named_actuator_and_holds_others() -> None:
         (manifest(sensors=[ROOM]), {}, "pid needs an actuator, but node 'office' has none"),
     ],
 )
-def test_pids_that_cannot_be(of: Manifest, given: dict[str, Any], says: str) -> None:
-    with pytest.raises(InvalidConfig, match=says):
-        make_controller(PIDController, of, {"setpoint": 21.0, **given})
+def test_pids_that_cannot_be(of: Manifest, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfig, match=message):
+        make_controller(PIDController, of, {"setpoint": 21.0, **arguments})
 
 
 def test_pid_needs_a_setpoint() -> None:
@@ -579,7 +579,7 @@ def test_values_as_an_action() -> None:
 
 
 @pytest.mark.parametrize(
-    ("values", "says"),
+    ("values", "message"),
     [
         ({}, "leaves 'heating_setpoint' to baseline control, but an action always sets a value"),
         ({HEAT.name: None, COOL.name: 25.0}, "leaves 'heating_setpoint' to baseline control"),
@@ -588,8 +588,8 @@ def test_values_as_an_action() -> None:
         ({HEAT.name: 20.0, COOL.name: 25.0, "fan": 1.0}, "no action of the task sets 'fan'"),
     ],
 )
-def test_values_that_no_action_can_say(values: dict[str, float | None], says: str) -> None:
-    with pytest.raises(InvalidAction, match=says):
+def test_values_that_no_action_can_say(values: dict[str, float | None], message: str) -> None:
+    with pytest.raises(InvalidAction, match=message):
         action_of(node(), values)
 
 
@@ -713,15 +713,15 @@ def test_a_file_that_is_written_again_within_a_second_is_the_new_one(
 def test_short_names() -> None:
     assert set(CONTROLLERS) == {"baseline", "rbc", "random", "fixed", "setback", "incremental", "oracle", "pid"}
     assert load_controller("rbc") is RuleBasedController
-    assert all(issubclass(found, Controller) for found in CONTROLLERS.values())
+    assert all(issubclass(controller, Controller) for controller in CONTROLLERS.values())
 
 
 def test_a_class_of_anybodys_in_a_file(tmp_path: Path, modules: dict[str, Any]) -> None:
     (tmp_path / "mine.py").write_text(MINE)
-    made = make_controller(load_controller(f"{tmp_path}/mine.py:Mine"), node(), {"setpoint": 26.5})
-    assert made.act(view(node())) == {"cooling_setpoint": 26.5}
+    controller = make_controller(load_controller(f"{tmp_path}/mine.py:Mine"), node(), {"setpoint": 26.5})
+    assert controller.act(view(node())) == {"cooling_setpoint": 26.5}
     with pytest.raises(InvalidConfig, match="Mine has no parameter 'setpint'; did you mean 'setpoint'"):
-        make_controller(type(made), node(), {"setpint": 1})
+        make_controller(type(controller), node(), {"setpint": 1})
 
 
 def test_a_module_in_the_present_folder(
@@ -752,7 +752,7 @@ def test_load_controller__file_beside_modules_with_the_names_of_our_packages(
 
 
 @pytest.mark.parametrize(
-    ("text", "error", "says"),
+    ("text", "error", "message"),
     [
         ("rcb", UnknownName, r"no controller 'rcb'; .*'rbc'.*path/to/file\.py:MyController"),
         ("nowhere/mine.py:Mine", UnknownName, r"there is no file .*/nowhere/mine\.py"),
@@ -782,7 +782,7 @@ def test_load_controller__file_beside_modules_with_the_names_of_our_packages(
 def test_what_is_no_controller(
     text: str,
     error: type[Exception],
-    says: str,
+    message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     modules: dict[str, Any],
@@ -792,6 +792,6 @@ def test_what_is_no_controller(
     (tmp_path / "broken.py").write_text("\n\n1 / 0\n")
     (tmp_path / "wrong.py").write_text("class\n")
     (tmp_path / "quits.py").write_text("import sys\nsys.exit(3)\n")
-    with pytest.raises(error, match=says) as caught:
+    with pytest.raises(error, match=message) as caught:
         load_controller(text)
     assert "\n" not in str(caught.value)

@@ -33,35 +33,35 @@ POWER = {"power": ("Facility Total HVAC Electricity Demand Rate", "Whole Buildin
 TEMPERATURES = {f"{zone}_temperature": ("Zone Air Temperature", zone.upper()) for zone in ZONES}
 
 
-def make(**given: Any) -> gym.Env[Any, Any]:
-    return gym.make("zenostat/Building-v1", **{**SMALL, "affinity": "off", **given})
+def make(**arguments: Any) -> gym.Env[Any, Any]:
+    return gym.make("zenostat/Building-v1", **{**SMALL, "affinity": "off", **arguments})
 
 
 @pytest.fixture(scope="module")
 def env() -> Iterator[gym.Env[Any, Any]]:
     """The building with all defaults."""
-    made = make()
-    yield made
-    made.close()
+    building = make()
+    yield building
+    building.close()
 
 
-def connected(bus: zenostat.Bus, **given: Any) -> gym.Env[Any, Any]:
+def connected(bus: zenostat.Bus, **arguments: Any) -> gym.Env[Any, Any]:
     """An environment of the node that the tests of this module share."""
     new_episode(bus)
-    return gym.make("zenostat/Building-v1", connect=bus.endpoint, node="office", affinity="off", **given)
+    return gym.make("zenostat/Building-v1", connect=bus.endpoint, node="office", affinity="off", **arguments)
 
 
 def rollout(env: gym.Env[Any, Any], *, seed: int, steps: int = N) -> list[tuple[Any, ...]]:
     """All that comes out of `steps` random steps, in a form that is equal only to the bit."""
     env.action_space.seed(seed)
     observation, info = env.reset(seed=seed)
-    said: list[tuple[Any, ...]] = [(observation.tobytes(), info["time"], info["step"])]
+    rows: list[tuple[Any, ...]] = [(observation.tobytes(), info["time"], info["step"])]
     for _ in range(steps):
         observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
         terms = sorted(info["reward_terms"].items())
-        came = (reward, terminated, truncated, info["time"], info["step"], info["effective"].tobytes())
-        said.append((observation.tobytes(), *came, terms))
-    return said
+        step = (reward, terminated, truncated, info["time"], info["step"], info["effective"].tobytes())
+        rows.append((observation.tobytes(), *step, terms))
+    return rows
 
 
 # Spaces and episodes
@@ -300,11 +300,11 @@ def test_a_node_that_runs_elsewhere(folder: Path, env: gym.Env[Any, Any]) -> Non
         with gym.make("zenostat/Building-v1", connect=endpoint, node="office", affinity="off") as remote:
             assert remote.unwrapped.local_node is None
             assert remote.observation_space == env.observation_space
-            there = rollout(remote, seed=6)
+            expected = rollout(remote, seed=6)
         assert node.process.poll() is None, "the node belongs to somebody else and goes on"
         with gym.make("zenostat/Building-v1", connect=endpoint, node="office", affinity="off") as again:
-            assert rollout(again, seed=6) == there
-    assert there == rollout(env, seed=6)
+            assert rollout(again, seed=6) == expected
+    assert expected == rollout(env, seed=6)
 
 
 def test_what_the_node_decides_is_not_asked_of_it(folder: Path) -> None:

@@ -1,4 +1,4 @@
-"""What a user gives an environment, as the settings of a node: no node is started here."""
+"""Arguments of an environment, as the settings of a node: no node is started here."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ TEMPERATURE = ("Zone Air Temperature", "Core_ZN")
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where the user stands, with files of theirs."""
+def user_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Working folder of the user, with their files."""
     for name in ("mine.idf", "mine.epw", "other.epw", "mine.yaml"):
         (tmp_path / name).write_text("")
     monkeypatch.chdir(tmp_path)
@@ -36,17 +36,17 @@ def test_short_names_stay_and_the_node_gets_its_own() -> None:
     assert for_node(BASE, "office") == {**BASE, "name": "office"}
 
 
-def test_names_with_a_dot_are_no_paths(here: Path) -> None:
-    given = {"building": "office-small", "weather": ["USA_CA_San.Francisco", "USA_OK_Oklahoma.City"]}
-    assert for_node(given, "b") == {**given, "name": "b"}
+def test_names_with_a_dot_are_no_paths(user_folder: Path) -> None:
+    arguments = {"building": "office-small", "weather": ["USA_CA_San.Francisco", "USA_OK_Oklahoma.City"]}
+    assert for_node(arguments, "b") == {**arguments, "name": "b"}
 
 
 # Paths
 
 
 @pytest.mark.parametrize("form", [str, Path])
-def test_the_file_of_a_plant_is_made_absolute_and_a_module_stays(here: Path, form: Any) -> None:
-    assert for_node({"plant": form("tank.py:Tank")}, "b")["plant"] == f"{here}/tank.py:Tank"
+def test_the_file_of_a_plant_is_made_absolute_and_a_module_stays(user_folder: Path, form: Any) -> None:
+    assert for_node({"plant": form("tank.py:Tank")}, "b")["plant"] == f"{user_folder}/tank.py:Tank"
     assert for_node({"plant": "my.tanks:Tank"}, "b")["plant"] == "my.tanks:Tank"
 
 
@@ -65,24 +65,28 @@ def test_arguments_of_a_plant_are_what_json_can_represent(value: Any) -> None:
 
 
 @pytest.mark.parametrize("form", [str, Path])
-def test_paths_of_files_are_made_absolute(here: Path, form: Any) -> None:
-    given = {"building": form("mine.idf"), "weather": form("mine.epw"), "output_dir": form("kept")}
-    found = for_node(given, "b")
-    assert found["building"] == str(here / "mine.idf")
-    assert found["weather"] == str(here / "mine.epw")
-    assert found["output_dir"] == str(here / "kept"), "a folder that is still to be made"
+def test_paths_of_files_are_made_absolute(user_folder: Path, form: Any) -> None:
+    arguments = {"building": form("mine.idf"), "weather": form("mine.epw"), "output_dir": form("kept")}
+    settings = for_node(arguments, "b")
+    assert settings["building"] == str(user_folder / "mine.idf")
+    assert settings["weather"] == str(user_folder / "mine.epw")
+    assert settings["output_dir"] == str(user_folder / "kept"), "a folder that is still to be made"
 
 
 @pytest.mark.parametrize("form", [tuple, list])
-def test_each_of_several_weathers_is_made_absolute(here: Path, form: Any) -> None:
-    given = {**BASE, "weather": form(["mine.epw", Path("other.epw"), "USA_CO_Denver"])}
-    assert for_node(given, "b")["weather"] == [str(here / "mine.epw"), str(here / "other.epw"), "USA_CO_Denver"]
+def test_each_of_several_weathers_is_made_absolute(user_folder: Path, form: Any) -> None:
+    arguments = {**BASE, "weather": form(["mine.epw", Path("other.epw"), "USA_CO_Denver"])}
+    assert for_node(arguments, "b")["weather"] == [
+        str(user_folder / "mine.epw"),
+        str(user_folder / "other.epw"),
+        "USA_CO_Denver",
+    ]
 
 
-def test_a_path_in_the_users_home_is_found(here: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("HOME", str(here))
-    found = for_node({"building": "~/mine.idf", "weather": "~/mine.epw"}, "b")
-    assert (found["building"], found["weather"]) == (str(here / "mine.idf"), str(here / "mine.epw"))
+def test_a_path_in_the_users_home_is_found(user_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("HOME", str(user_folder))
+    settings = for_node({"building": "~/mine.idf", "weather": "~/mine.epw"}, "b")
+    assert (settings["building"], settings["weather"]) == (str(user_folder / "mine.idf"), str(user_folder / "mine.epw"))
 
 
 def test_the_home_of_nobody_is_a_mistake_of_the_users() -> None:
@@ -90,27 +94,27 @@ def test_the_home_of_nobody_is_a_mistake_of_the_users() -> None:
         read_and_find({"building": "~nobody_of_that_name/x.idf", "weather": "USA_CO_Denver"})
 
 
-def read_and_find(given: dict[str, Any]) -> None:
-    """What a node does with the settings before it starts anything."""
+def read_and_find(arguments: dict[str, Any]) -> None:
+    """Check the settings as a node does before it starts anything."""
     from zenostat.eplus_node.plan import plan
 
-    plan(read_config(for_node(given, "b")))
+    plan(read_config(for_node(arguments, "b")))
 
 
-def test_a_scenario_file_is_the_scenario(here: Path) -> None:
-    found = for_node({"file": Path("mine.yaml"), "begin": "07-01"}, "b")
-    assert found == {"scenario": str(here / "mine.yaml"), "begin": "07-01", "name": "b"}
+def test_a_scenario_file_is_the_scenario(user_folder: Path) -> None:
+    settings = for_node({"file": Path("mine.yaml"), "begin": "07-01"}, "b")
+    assert settings == {"scenario": str(user_folder / "mine.yaml"), "begin": "07-01", "name": "b"}
 
 
-def test_a_configuration_file_is_made_absolute(here: Path) -> None:
-    found = for_node({"config": "theirs.yaml", "variant": "hot-continuous"}, "b")
-    assert found == {"config": str(here / "theirs.yaml"), "variant": "hot-continuous", "name": "b"}
+def test_a_configuration_file_is_made_absolute(user_folder: Path) -> None:
+    settings = for_node({"config": "theirs.yaml", "variant": "hot-continuous"}, "b")
+    assert settings == {"config": str(user_folder / "theirs.yaml"), "variant": "hot-continuous", "name": "b"}
 
 
 @pytest.mark.parametrize(
     "scenario", ["office-small-USA_CO_Denver-continuous-v1", "office-small-USA_CA_San.Francisco-discrete-v1"]
 )
-def test_a_scenarios_id_stays(here: Path, scenario: str) -> None:
+def test_a_scenarios_id_stays(user_folder: Path, scenario: str) -> None:
     assert for_node({"scenario": scenario}, "b")["scenario"] == scenario
 
 
@@ -126,10 +130,12 @@ def test_one_thing_says_what_to_simulate(named: tuple[str, ...]) -> None:
         for_node(dict.fromkeys(named, "x.yaml"), "b")
 
 
-@pytest.mark.parametrize("given", [{}, {"building": "office-small"}, {"weather": "USA_CO_Denver"}, {"begin": "07-01"}])
-def test_something_says_what_to_simulate(given: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    "arguments", [{}, {"building": "office-small"}, {"weather": "USA_CO_Denver"}, {"begin": "07-01"}]
+)
+def test_something_says_what_to_simulate(arguments: dict[str, Any]) -> None:
     with pytest.raises(InvalidConfig, match="name a building and a weather, a scenario, a file"):
-        for_node(given, "b")
+        for_node(arguments, "b")
 
 
 @pytest.mark.parametrize("scenario", [{"building": "office-small"}, 3])
@@ -139,8 +145,8 @@ def test_for_node__rejects_a_scenario_that_is_no_name(scenario: Any) -> None:
 
 
 def test_a_building_may_stand_beside_a_scenario() -> None:
-    found = for_node({"scenario": "office-small-USA_CO_Denver-continuous-v1", "building": "warehouse"}, "b")
-    assert found["building"] == "warehouse"
+    settings = for_node({"scenario": "office-small-USA_CO_Denver-continuous-v1", "building": "warehouse"}, "b")
+    assert settings["building"] == "warehouse"
 
 
 # Points
@@ -163,9 +169,9 @@ def test_points_stand_under_names(kind: str, points: Any) -> None:
 def test_points_may_be_tuples_lists_or_by_field() -> None:
     by_field = {"variable": "Zone Air Temperature", "key": "Core_ZN", "aggregation": "mean"}
     sensors = {"a": TEMPERATURE, "b": list(TEMPERATURE), "c": (*TEMPERATURE, Aggregation.MEAN), "d": by_field}
-    found = for_node({**BASE, "sensors": sensors}, "b")["sensors"]
+    settings = for_node({**BASE, "sensors": sensors}, "b")["sensors"]
     plain = ["Zone Air Temperature", "Core_ZN"]
-    assert found == {"a": plain, "b": plain, "c": [*plain, "mean"], "d": by_field}
+    assert settings == {"a": plain, "b": plain, "c": [*plain, "mean"], "d": by_field}
 
 
 def test_no_points_is_not_the_same_as_points_left_out() -> None:
@@ -177,7 +183,7 @@ def test_no_points_is_not_the_same_as_points_left_out() -> None:
 
 
 def test_what_travels_is_plain() -> None:
-    given = {
+    arguments = {
         **BASE,
         "output_dir": Path("/kept"),
         "time": ("hour", "month"),
@@ -187,24 +193,24 @@ def test_what_travels_is_plain() -> None:
         "discrete": ({"actions": ("heat",), "values": ((15.0,), (20.0,))},),
         "edits": {"Material": {"Insulation": {"conductivity": 0.03}, "Other": None}},
     }
-    found = for_node(given, "b")
-    assert json.loads(json.dumps(found)) == found
-    assert found["weather_noise"] == {"dry_bulb_temperature": {"sigma": [1.0, 2.0]}}
-    assert found["discrete"] == [{"actions": ["heat"], "values": [[15.0], [20.0]]}]
-    assert found["edits"] == given["edits"]
+    settings = for_node(arguments, "b")
+    assert json.loads(json.dumps(settings)) == settings
+    assert settings["weather_noise"] == {"dry_bulb_temperature": {"sigma": [1.0, 2.0]}}
+    assert settings["discrete"] == [{"actions": ["heat"], "values": [[15.0], [20.0]]}]
+    assert settings["edits"] == arguments["edits"]
 
 
 def test_numpys_numbers_are_numbers() -> None:
-    given = {
+    arguments = {
         **BASE,
         "steps_per_hour": np.int64(4),
         "actuators": {"core": ("Fan", "Fan Air Mass Flow Rate", "FAN 1", np.float32(0.5), np.float64(2.0))},
         "discrete": [{"actions": ["core"], "values": np.linspace(0.5, 2.0, 4).reshape(-1, 1)}],
     }
-    found = json.loads(json.dumps(for_node(given, "b")))
-    assert found["steps_per_hour"] == 4
-    assert found["actuators"]["core"][3:] == [0.5, 2.0]
-    assert found["discrete"][0]["values"] == [[0.5], [1.0], [1.5], [2.0]]
+    settings = json.loads(json.dumps(for_node(arguments, "b")))
+    assert settings["steps_per_hour"] == 4
+    assert settings["actuators"]["core"][3:] == [0.5, 2.0]
+    assert settings["discrete"][0]["values"] == [[0.5], [1.0], [1.5], [2.0]]
 
 
 def test_a_node_knows_every_setting_that_is_handed_on() -> None:
@@ -239,7 +245,7 @@ def test_a_file_that_is_no_text_has_none(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("scenario", ["", "office-small-USA_CO_Denver-continuous-v1", "gone.yaml"])
-def test_what_is_no_file_has_no_reward_to_read(here: Path, scenario: str) -> None:
+def test_what_is_no_file_has_no_reward_to_read(user_folder: Path, scenario: str) -> None:
     assert _fields_of_file(scenario).get("reward") is None
 
 

@@ -1,4 +1,4 @@
-"""What the building's own control would have done, told beside an episode: that control's own episode, to the bit."""
+"""Baseline of an episode, reported beside it: the building's own control, in that control's own episode, to the bit."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def own_control(env: BuildingEnv, **reset: Any) -> Rows:
 
 
 def run(env: BuildingEnv, actions: list[Any]) -> tuple[Rows, Rows]:
-    """What the episode is, and what stands beside it, of each step."""
+    """Run an episode; return its own rows and those of its baseline, one for each step."""
     mine, its = [], []
     for action in actions:
         _, reward, *_, info = env.step(action)

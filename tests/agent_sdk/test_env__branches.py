@@ -87,8 +87,8 @@ def test_a_branch_goes_on_as_its_parent_and_nobody_feels_it(kind: str, scratch: 
         plans = [mine, one, other, mine]
         got: list[Any] = [[] for _ in branches]
         for k in range(at, last):
-            for who, its, so_far in zip(branches, plans, got, strict=True):
-                so_far.extend(go(who, its[k : k + 1]))
+            for slot, its, so_far in zip(branches, plans, got, strict=True):
+                so_far.extend(go(slot, its[k : k + 1]))
         for rows, its in zip(got, [*expected, straight], strict=True):
             same(rows, its[at + 1 :])
         for branch in branches[1:]:
@@ -409,11 +409,11 @@ def _rows(path: Path) -> list[str]:
 
 def _kept(folder: Path) -> dict[str, Any]:
     """All files below, by name: what they say, apart from times and the folder's own name."""
-    found = {}
+    contents = {}
     for path in sorted(p for p in folder.rglob("*") if p.is_file()):
-        said = _rows(path) if path.suffix == ".sql" else _text(path).replace(str(folder), "")
-        found[str(path.relative_to(folder))] = said
-    return found
+        content = _rows(path) if path.suffix == ".sql" else _text(path).replace(str(folder), "")
+        contents[str(path.relative_to(folder))] = content
+    return contents
 
 
 @pytest.mark.slow
@@ -440,18 +440,18 @@ def test_the_files_that_are_kept_are_those_of_a_run_that_never_forked(kind: str,
     for branch in branches:
         go(branch, its[branch.sample.step :])
     env.close()
-    expected, found = _kept(scratch / "plain"), _kept(scratch / "forked")
-    assert sorted(found) == sorted(expected)
-    assert {"eplusout.err", "eplusout.eso", "eplusout.sql", "eplusout.end"} <= {Path(name).name for name in found}
-    for name, said in found.items():
-        assert said == expected[name], name
+    expected, contents = _kept(scratch / "plain"), _kept(scratch / "forked")
+    assert sorted(contents) == sorted(expected)
+    assert {"eplusout.err", "eplusout.eso", "eplusout.sql", "eplusout.end"} <= {Path(name).name for name in contents}
+    for name, content in contents.items():
+        assert content == expected[name], name
 
 
 # Nothing is left
 
 
 def _threads(env: Any) -> int:
-    """Of its node and of this process; Zenoh starts and ends some of its own as it likes."""
+    """Number of threads of its node and of this process; Zenoh starts and ends some of its own as it likes."""
     return psutil.Process(env.local_node.pid).num_threads() + psutil.Process().num_threads()
 
 
@@ -553,23 +553,23 @@ def test_a_branch_tells_the_weather_that_it_reads(scratch: Path) -> None:
     """Also once its parent has another, and where it was made of a snapshot of an earlier episode."""
     env = make(SMALL.replace("continuous", "continuous-stochastic"), **FOUR)
 
-    def told(one: Any) -> bytes:
+    def dry_bulb(one: Any) -> bytes:
         return bytes(one.weather(["dry_bulb_temperature", "relative_humidity"]).values)
 
     env.reset(seed=4)
     go(env, plan(env, 1, 5))
-    expected, snapshot = told(env), env.snapshot()
+    expected, snapshot = dry_bulb(env), env.snapshot()
     with env.branch() as early:
-        assert told(early) == expected
+        assert dry_bulb(early) == expected
         for seed in (5, None):
             env.reset(seed=seed)
             go(env, plan(env, 1, 2))
-            assert told(early) == expected != told(env)
+            assert dry_bulb(early) == expected != dry_bulb(env)
     with env.branch(snapshot=snapshot) as late:
         snapshot.close()
-        assert told(late) == expected
+        assert dry_bulb(late) == expected
         env.reset()
-        assert told(late) == expected
+        assert dry_bulb(late) == expected
     env.close()
 
 
@@ -581,8 +581,8 @@ def test_a_branchs_manifest_names_its_own_weather(scratch: Path) -> None:
     snapshot = env.snapshot()
     env.reset()
     with env.branch(snapshot=snapshot) as then, env.branch() as now:
-        told = [(one.manifest.weather, round(one.manifest.latitude_deg)) for one in (then, now)]
-    assert told == [("USA_CO_Denver", 40), ("USA_FL_Miami", 26)]
+        weathers = [(one.manifest.weather, round(one.manifest.latitude_deg)) for one in (then, now)]
+    assert weathers == [("USA_CO_Denver", 40), ("USA_FL_Miami", 26)]
     env.close()
 
 
@@ -619,10 +619,10 @@ def test_seeds_go_to_the_slots_that_are_named_with_them(scratch: Path) -> None:
     """In whatever order a request names them."""
     name = SMALL.replace("continuous", "continuous-stochastic")
     env: Any = gym.make_vec(name, num_envs=2, vectorization_mode="vector_entry_point", **(DAY | FOUR))
-    told = []
+    weathers = []
     for slots, seed in (([0, 1], [6, 5]), ([1, 0], [5, 6]), ([0, 1], [5, 6])):
         env.link.reset(slots=slots, seed=seed)
-        told.append([bytes(env.slot_weather(slot, ["dry_bulb_temperature"]).values) for slot in range(2)])
-    assert told[0] == told[1] == told[2][::-1]
-    assert told[0] != told[2]
+        weathers.append([bytes(env.slot_weather(slot, ["dry_bulb_temperature"]).values) for slot in range(2)])
+    assert weathers[0] == weathers[1] == weathers[2][::-1]
+    assert weathers[0] != weathers[2]
     env.close()

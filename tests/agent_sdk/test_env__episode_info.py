@@ -1,4 +1,4 @@
-"""What an episode tells besides its observations: how it ended, what ruled, where the files are, a picture."""
+"""Infos of an episode: how it ended, the sources of its values, its files, a picture."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ NAME = "zenostat/ref-small-office-USA_CO_Denver-continuous-v1"
 DAY = {"begin": "07-03", "end": "07-03", "steps_per_hour": 4, "affinity": "off"}
 
 
-def make(**given: Any) -> BuildingEnv:
-    env = gym.make(NAME, **(DAY | given)).unwrapped
+def make(**arguments: Any) -> BuildingEnv:
+    env = gym.make(NAME, **(DAY | arguments)).unwrapped
     assert isinstance(env, BuildingEnv)
     return env
 
 
 def limits(*of: TerminationLimit) -> TerminationLimits:
-    """Of a node with the sensors north and south, four timesteps an hour."""
+    """Limits of a node with the sensors north and south, four timesteps an hour."""
     return TerminationLimits(manifest(sensors=[sensor("north"), sensor("south")], task=Task(terminate=of)))
 
 
@@ -112,9 +112,9 @@ def test_what_a_person_sets_is_told(scratch: Path) -> None:
     with zenostat.connect(env.local_node.endpoint) as bus:
         bus.write("building", "core_zn_cooling_setpoint", 29.0, priority=8, source="facility manager")
     at = [a.name for a in env.manifest.actuators].index("core_zn_cooling_setpoint")
-    told = env.step([20.0, 25.0])[4]
-    assert told["value_source"][at] == "facility manager"
-    assert (told["effective"][at], told["action"][at]) == (29.0, 25.0)
+    info = env.step([20.0, 25.0])[4]
+    assert info["value_source"][at] == "facility manager"
+    assert (info["effective"][at], info["action"][at]) == (29.0, 25.0)
     env.close()
 
 

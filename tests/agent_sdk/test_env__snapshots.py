@@ -313,17 +313,17 @@ def test_there_are_no_more_forks_than_allowed(limit: int, scratch: Path) -> None
     straight = episode(env, mine)
     env.reset()
     got = go(env, mine[:5])
-    made = [env.snapshot(), env.branch()] if limit else []
+    forks = [env.snapshot(), env.branch()] if limit else []
     for _ in range(3):
         for fork in (env.snapshot, env.branch):
             with pytest.raises(RequestRejected, match=rf"{limit} snapshots and branches.*branches={limit}"):
                 fork()
-    if made:
-        back(env, made[0])
-        made[0].close()
+    if forks:
+        back(env, forks[0])
+        forks[0].close()
         with env.snapshot(), pytest.raises(RequestRejected, match="branches=2"):
             env.branch()
-        made[1].close()
+        forks[1].close()
         until(lambda: not env.link.bus.status("building").branches, "it has ended")
         with env.branch(), env.snapshot():
             pass
@@ -419,13 +419,13 @@ def test_wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:
     env.action_space.seed(1)
     actions = [env.action_space.sample() for _ in range(30)]
     for action in actions[:10]:
-        stood = env.step(action)
+        stepped = env.step(action)
     with env.unwrapped.snapshot() as kept:
         straight = [env.step(action) for action in actions[10:20]]
         for other in (actions[20:], actions[:3]):
             for action in other:
                 env.step(action)
-            np.testing.assert_array_equal(env.reset(options={"snapshot": kept})[0], stood[0])
+            np.testing.assert_array_equal(env.reset(options={"snapshot": kept})[0], stepped[0])
             for action, expected in zip(actions[10:20], straight, strict=True):
                 got = env.step(action)
                 np.testing.assert_array_equal(got[0], expected[0])
@@ -433,8 +433,10 @@ def test_wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:
         assert env.get_state()["slots"][0] == {"steps": (10 + 10 + 10 + 10 + 3 + 10) * max(slots, 1)}
         late = w.PreviousObservation(env, ["outdoor_temperature"])  # not there when the snapshot was taken
         seen = late.reset(options={"snapshot": kept})[0]
-        np.testing.assert_array_equal(seen[..., :-1], stood[0])
-        np.testing.assert_array_equal(seen[..., -1], stood[0][..., late.observation_names.index("outdoor_temperature")])
+        np.testing.assert_array_equal(seen[..., :-1], stepped[0])
+        np.testing.assert_array_equal(
+            seen[..., -1], stepped[0][..., late.observation_names.index("outdoor_temperature")]
+        )
     env.close()
 
 
@@ -443,10 +445,10 @@ def test_what_is_given_of_an_observation_is_the_callers(office: BuildingEnv) -> 
     env: Any = w.PreviousObservation(office, ["core_zn_air_temperature"])
     env.reset(seed=1)
     seen = env.step([20.0, 25.0])[0]
-    stood = seen.copy()
+    expected = seen.copy()
     with env.unwrapped.snapshot() as kept:
         seen[:] = 0.0
         for _ in range(2):
             again = env.reset(options={"snapshot": kept})[0]
-            np.testing.assert_array_equal(again, stood)
+            np.testing.assert_array_equal(again, expected)
             again[:] = 0.0

@@ -1,4 +1,4 @@
-"""What an environment says once when it is made, and what a comparison says of a controller that it skips."""
+"""Warnings of a new environment, and of a comparison about a controller that it skips."""
 
 from __future__ import annotations
 

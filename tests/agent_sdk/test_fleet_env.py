@@ -55,10 +55,12 @@ def nodes(module_folder: Path) -> Iterator[list[NodeProgram]]:
         yield [stack.enter_context(NodeProgram(module_folder / f"n{i}", **DAYS)) for i in range(2)]
 
 
-def fleet(nodes: Sequence[NodeProgram], mode: AutoresetMode = AutoresetMode.NEXT_STEP, **given: Any) -> FleetVectorEnv:
+def fleet(
+    nodes: Sequence[NodeProgram], mode: AutoresetMode = AutoresetMode.NEXT_STEP, **arguments: Any
+) -> FleetVectorEnv:
     endpoints = [node.endpoint for node in nodes]
     env = gym.make_vec(
-        "zenostat/Building-v1", len(nodes), connect=endpoints, node="office", autoreset_mode=mode, **given
+        "zenostat/Building-v1", len(nodes), connect=endpoints, node="office", autoreset_mode=mode, **arguments
     )
     assert isinstance(env, FleetVectorEnv)
     return env
@@ -323,7 +325,7 @@ def test_no_node_left_is_an_error(victim: Restartable) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("arguments", "words"),
     [
         ({"connect": ["tcp/a:1", "tcp/b:1"]}, "several nodes need connect= and node="),
         ({"connect": ["tcp/a:1", "tcp/b:1"], "node": ["x"]}, "connect has 2 endpoints and node 1 names"),
@@ -339,9 +341,9 @@ def test_no_node_left_is_an_error(victim: Restartable) -> None:
         ({"connect": ["tcp/a:1", "tcp/b:1"], "node": "x", "autoreset_mode": "Never"}, "there are: NextStep"),
     ],
 )
-def test_arguments_that_cannot_be(given: dict[str, Any], words: str) -> None:
+def test_arguments_that_cannot_be(arguments: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
-        gym.make_vec("zenostat/Building-v1", 2, **given)
+        gym.make_vec("zenostat/Building-v1", 2, **arguments)
 
 
 def test_an_unknown_argument() -> None:
@@ -363,7 +365,7 @@ def test_nodes_that_are_not_there_are_all_named(nodes: list[NodeProgram]) -> Non
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("arguments", "words"),
     [
         ({"zones": 2}, "its observations are without zone_3_air_temperature"),
         ({"time": ["month"]}, "its observations are with month"),
@@ -371,8 +373,8 @@ def test_nodes_that_are_not_there_are_all_named(nodes: list[NodeProgram]) -> Non
         ({"control": "zone", "discrete": 4}, "its action space is MultiDiscrete"),
     ],
 )
-def test_nodes_that_do_not_fit_are_named(given: dict[str, Any], words: str) -> None:
-    manifests = [FakeEnv(**fields).manifest for fields in ({}, {}, given)]
+def test_nodes_that_do_not_fit_are_named(arguments: dict[str, Any], words: str) -> None:
+    manifests = [FakeEnv(**fields).manifest for fields in ({}, {}, arguments)]
     with pytest.raises(InvalidConfig, match=rf"^slot 2 \(node 'c' at tcp/a:1\) does not fit slot 0: {words}"):
         check_compatible(node_addresses("tcp/a:1", ["a", "b", "c"]), manifests)
 

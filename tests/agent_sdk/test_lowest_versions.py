@@ -39,11 +39,11 @@ def test_the_constraints_are_the_lower_bounds() -> None:
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_every_module_imports(package: str) -> None:
-    for found in pkgutil.walk_packages([str(ROOT / package)], f"zenostat.{package}."):
-        if found.name.endswith("__main__"):
+    for module in pkgutil.walk_packages([str(ROOT / package)], f"zenostat.{package}."):
+        if module.name.endswith("__main__"):
             continue
         try:
-            importlib.import_module(found.name)
+            importlib.import_module(module.name)
         except InvalidConfig as error:
             if "pip install" not in str(error):
                 raise  # else an extra that is not installed
@@ -57,8 +57,11 @@ def test_wrappers_of_both_kinds_go_around_vectors() -> None:
         {"wrapper": "CyclicTime", "fields": ["hour"]},
         {"wrapper": "RescaleAction", "min_action": -1.0, "max_action": 1.0},
     ]
-    given = {"zones": 1, "steps_per_hour": 1, "time": ("hour",)}
-    for env in (SyncVectorEnv([lambda: FakeEnv(**given)] * 2), gym.make_vec("zenostat/Fake-v1", num_envs=2, **given)):
+    settings = {"zones": 1, "steps_per_hour": 1, "time": ("hour",)}
+    for env in (
+        SyncVectorEnv([lambda: FakeEnv(**settings)] * 2),
+        gym.make_vec("zenostat/Fake-v1", num_envs=2, **settings),
+    ):
         wrapped = wrappers.apply_wrappers(env, chain)
         assert wrapped.reset(seed=0)[0].shape == wrapped.observation_space.shape
         observations, *_ = wrapped.step(np.zeros(wrapped.action_space.shape, np.float32))

@@ -1,4 +1,4 @@
-"""What is said where Ray is not installed, or no cluster answers: one sentence."""
+"""Errors without Ray, or without a cluster that answers: one sentence."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_numbers_that_cannot_be(numbers: dict[str, int]) -> None:
 
 
 class Context(dict[str, object]):
-    """What RLlib passes to a creator."""
+    """Context that RLlib passes to a creator."""
 
     worker_index = 2
 

@@ -81,9 +81,9 @@ USUAL = {
 KWH = 3.6e6
 
 
-def values(node: Manifest = NODE, **said: float) -> Array:
+def values(node: Manifest = NODE, **named: float) -> Array:
     """A sample; what is not said is comfortable and uses nothing."""
-    return np.array([(USUAL | said)[name] for name in node.names])
+    return np.array([(USUAL | named)[name] for name in node.names])
 
 
 def node_of(*sensors: Sensor, meters: Sequence[Meter] = ()) -> Manifest:
@@ -91,7 +91,7 @@ def node_of(*sensors: Sensor, meters: Sequence[Meter] = ()) -> Manifest:
 
 
 PERIODS = ({"value": 300.0, "hours": (8, 20), "weekdays": ("mon", "tue", "wed", "thu", "fri")},)
-GIVEN: dict[str, dict[str, Any]] = {
+MINIMAL_FIELDS: dict[str, dict[str, Any]] = {
     "linear": {},
     "exponential": {},
     "hourly": {"weight_outside": 0.75},
@@ -108,14 +108,14 @@ GIVEN: dict[str, dict[str, Any]] = {
 """What each kind needs."""
 
 
-def made(kind: str, **more: Any) -> RewardConfig:
-    found = read_reward({"kind": kind, **GIVEN[kind], **more})
-    assert isinstance(found, RewardConfig)
-    return found
+def reward_config(kind: str, **more: Any) -> RewardConfig:
+    config = read_reward({"kind": kind, **MINIMAL_FIELDS[kind], **more})
+    assert isinstance(config, RewardConfig)
+    return config
 
 
 def test_each_kind_is_here() -> None:
-    assert set(GIVEN) == set(REWARDS)
+    assert set(MINIMAL_FIELDS) == set(REWARDS)
     assert all(REWARDS[kind].model_fields["kind"].default == kind for kind in REWARDS)
 
 
@@ -130,7 +130,7 @@ UNITS = [p.unit for p in (*NODE.sensors, *NODE.meters)]
 samples = st.tuples(*(ROW[unit] for unit in UNITS)).map(np.array)
 moments = st.datetimes(datetime(2016, 1, 1), datetime(2017, 12, 31)).map(lambda m: m.replace(minute=0, second=0))
 HAVE_LIBRARY = importlib.util.find_spec("pythermalcomfort") is not None
-KINDS = sorted(kind for kind in GIVEN if kind != "thermal_sensation" or HAVE_LIBRARY)
+KINDS = sorted(kind for kind in MINIMAL_FIELDS if kind != "thermal_sensation" or HAVE_LIBRARY)
 """Those that can be bound to `NODE`, which has no votes of EnergyPlus's own."""
 kinds = st.sampled_from(KINDS)
 
@@ -141,7 +141,7 @@ kinds = st.sampled_from(KINDS)
 def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
     kind: str, steps: list[tuple[Array, datetime]], weight: float
 ) -> None:
-    bound = made(kind, weight=weight).bind(NODE)
+    bound = reward_config(kind, weight=weight).bind(NODE)
     for sample, begin in steps:
         got = bound(sample, begin)
         assert got.reward == sum(got.terms.values())
@@ -155,7 +155,7 @@ def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=1, max_size=4))
 def test_slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array, datetime]]) -> None:
     """Two timesteps, the second with the samples in reverse: what is remembered is each slot's own."""
-    reward = made(kind)
+    reward = reward_config(kind)
     together, alone = reward.bind(NODE), [reward.bind(NODE) for _ in slots]
     begins = [begin for _, begin in slots]
     for rows in ([row for row, _ in slots], [row for row, _ in reversed(slots)]):
@@ -173,17 +173,17 @@ def test_slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array
 @settings(max_examples=examples(60), deadline=None)
 @given(kinds, moments, arrays(np.float64, (2, 3, len(UNITS)), elements=st.floats(0.0, 50.0)))
 def test_one_begin_does_for_any_leading_shape(kind: str, begin: datetime, batch: Array) -> None:
-    got = made(kind).bind(NODE)(batch, begin)
+    got = reward_config(kind).bind(NODE)(batch, begin)
     assert got.reward.shape == (2, 3)
     assert all(term.shape == (2, 3) for term in (*got.terms.values(), *got.metrics.values()))
-    assert got.reward[1, 2] == pytest.approx(made(kind).bind(NODE)(batch[1, 2], begin).reward)
+    assert got.reward[1, 2] == pytest.approx(reward_config(kind).bind(NODE)(batch[1, 2], begin).reward)
 
 
 @settings(max_examples=examples(60), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=2, max_size=6), st.data())
 def test_a_reward_goes_on_from_its_state(kind: str, steps: list[tuple[Array, datetime]], data: st.DataObject) -> None:
     cut = data.draw(st.integers(0, len(steps) - 1))
-    straight, first, second = (made(kind).bind(NODE) for _ in range(3))
+    straight, first, second = (reward_config(kind).bind(NODE) for _ in range(3))
     for step in steps[:cut]:
         straight(*step)
         first(*step)
@@ -198,7 +198,7 @@ def test_a_reward_leaves_the_values_alone(kind: str) -> None:
     sample = values(north=30.0, power=1e4, electricity=1e7)
     sample.flags.writeable = False
     before = sample.copy()
-    made(kind).bind(NODE)(sample, SUMMER)
+    reward_config(kind).bind(NODE)(sample, SUMMER)
     assert sample.tolist() == before.tolist()
 
 
@@ -206,7 +206,8 @@ def test_a_reward_leaves_the_values_alone(kind: str) -> None:
 
 weights = st.floats(0.0, 0.5)
 optional: dict[str, dict[str, st.SearchStrategy[Any]]] = {
-    kind: {"weight": weights} | ({} if kind == "multi_zone" else {"summer_begin": st.just((11, 1))}) for kind in GIVEN
+    kind: {"weight": weights} | ({} if kind == "multi_zone" else {"summer_begin": st.just((11, 1))})
+    for kind in MINIMAL_FIELDS
 }
 for kind, more in {
     "linear": {"winter": st.just((18.0, 22.0)), "power": st.sampled_from(["power", ("power", "fans")])},
@@ -223,20 +224,20 @@ for kind, more in {
     "thermal_sensation": {"by": st.sampled_from(["pmv", "ppd"]), "met": st.floats(0.8, 4), "pmv": st.just("p")},
 }.items():
     optional[kind] |= more
-described = st.sampled_from(sorted(GIVEN)).flatmap(
+described = st.sampled_from(sorted(MINIMAL_FIELDS)).flatmap(
     lambda kind: st.fixed_dictionaries({"kind": st.just(kind)}, optional=optional[kind]).map(
-        lambda said: GIVEN[said["kind"]] | said
+        lambda fields: MINIMAL_FIELDS[fields["kind"]] | fields
     )
 )
 
 
 @settings(max_examples=examples(200), deadline=None)
 @given(described)
-def test_a_reward_that_was_written_is_read_back(said: dict[str, Any]) -> None:
-    reward = read_reward(said)
+def test_a_reward_that_was_written_is_read_back(fields: dict[str, Any]) -> None:
+    reward = read_reward(fields)
     assert isinstance(reward, RewardConfig)
     plain = reward.model_dump(mode="json", exclude_defaults=True)
-    assert plain["kind"] == said["kind"]
+    assert plain["kind"] == fields["kind"]
     assert read_reward(plain) == reward
     assert read_reward(yaml12.parse(yaml12.dump(plain), "it")) == reward
     assert read_reward(json.loads(reward.model_dump_json())) == reward
@@ -248,10 +249,10 @@ def test_only_what_differs_is_written() -> None:
     assert LinearReward().model_dump(mode="json", exclude_defaults=True) == {"kind": "linear"}
 
 
-@pytest.mark.parametrize("kind", GIVEN)
+@pytest.mark.parametrize("kind", MINIMAL_FIELDS)
 def test_no_reward_takes_what_is_no_number_or_not_known(kind: str) -> None:
     with pytest.raises(InvalidConfig) as raised:
-        read_reward({"kind": kind, **GIVEN[kind], "weight": float("nan"), "wieght": 1})
+        read_reward({"kind": kind, **MINIMAL_FIELDS[kind], "weight": float("nan"), "wieght": 1})
     assert "weight: " in str(raised.value)
     assert "wieght: " in str(raised.value)
 
@@ -287,7 +288,7 @@ def test_hourly(hours: tuple[int, int], hour: int, inside: bool) -> None:
 def test_each_slot_has_its_own_hour() -> None:
     rows, begins = np.array([values(power=1000.0)] * 2), [WINTER, WINTER.replace(hour=3)]
     assert HourlyReward(weight=0.4).bind(NODE)(rows, begins).terms["energy"] == pytest.approx([-0.04, -0.1])
-    costs = made("tariff").bind(NODE)(np.array([values(electricity=KWH)] * 2), begins).metrics["cost"]
+    costs = reward_config("tariff").bind(NODE)(np.array([values(electricity=KWH)] * 2), begins).metrics["cost"]
     assert costs == pytest.approx([0.3, 0.1])
     peaks = PeakReward().bind(NODE)
     peaks(np.array([values(electricity=KWH)] * 2), begins)
@@ -365,13 +366,13 @@ def test_a_price_below_zero_is_an_income() -> None:
 
 def test_the_weights_of_energy_cost_fit() -> None:
     with pytest.raises(InvalidConfig, match="above 1"):
-        made("energy_cost", weight=0.7, weight_temperature=0.4)
-    bound = made("energy_cost", weight=0.7, weight_temperature=0.3).bind(NODE)
+        reward_config("energy_cost", weight=0.7, weight_temperature=0.4)
+    bound = reward_config("energy_cost", weight=0.7, weight_temperature=0.3).bind(NODE)
     assert bound(values(electricity=KWH), WINTER).terms["cost"] == pytest.approx(0.0, abs=1e-12)
 
 
 def test_tariff() -> None:
-    bound = TariffReward.model_validate({**GIVEN["tariff"], "weight": 0.25, "lambda_cost": 2.0}).bind(NODE)
+    bound = TariffReward.model_validate({**MINIMAL_FIELDS["tariff"], "weight": 0.25, "lambda_cost": 2.0}).bind(NODE)
     monday = bound(values(electricity=10 * KWH, north=18.0), WINTER)
     assert monday.terms == pytest.approx({"cost": -0.25 * 2.0 * 3.0, "comfort": -1.5})
     assert monday.metrics == pytest.approx({"degrees_outside": 2.0, "energy_kwh": 10.0, "cost": 3.0})
@@ -380,7 +381,7 @@ def test_tariff() -> None:
 
 
 def test_carbon() -> None:
-    bound = made("carbon", weight=0.25, lambda_carbon=2.0).bind(NODE)  # the intensity of hour k is k g/kWh
+    bound = reward_config("carbon", weight=0.25, lambda_carbon=2.0).bind(NODE)  # the intensity of hour k is k g/kWh
     got = bound(values(electricity=10 * KWH, north=18.0), datetime(2017, 1, 11, 10, 30))
     assert got.metrics == pytest.approx({"degrees_outside": 2.0, "energy_kwh": 10.0, "co2_kg": 2.5})
     assert got.terms == pytest.approx({"carbon": -0.25 * 2.0 * 2.5, "comfort": -1.5})
@@ -622,7 +623,7 @@ def test_a_sensor_of_energy_has_to_read_the_sum() -> None:
 )  # fmt: skip
 @pytest.mark.parametrize("kind", ["linear", "exponential", "hourly", "normalized", "energy_cost", "peak", "occupied"])
 def test_summer_is_in_december_south_of_the_equator(kind: str, day: tuple[int, int], summer: bool) -> None:
-    reward: Any = made(kind)
+    reward: Any = reward_config(kind)
     bound = reward.bind(NODE_SOUTH)
     moment = datetime(2017, *day, 12)
     assert reward.season(NODE_SOUTH).band(moment) == ((23.0, 26.0) if summer else (20.0, 23.5))
@@ -698,7 +699,7 @@ def test_the_state_of_another_reward_and_other_slots_are_refused() -> None:
 
 BARE = node_of(sensor("outdoor", "Site Outdoor Air Drybulb Temperature"))
 WARM = node_of(SENSORS[1], SENSORS[3], meters=[meter("water", "Water:Facility").model_copy(update={"unit": "m3"})])
-THERE: dict[str, tuple[RewardConfig, Manifest, str]] = {
+UNBINDABLE: dict[str, tuple[RewardConfig, Manifest, str]] = {
     "no power": (ExponentialReward(), BARE, "the exponential reward needs the HVAC's power: .* 'HVAC:Elec"),
     "no zone": (PeakReward(energy="fans"), node_of(SENSORS[4]), "the peak reward needs .* 'Zone Air Temperature'"),
     "no energy": (PeakReward(), node_of(SENSORS[1]), "the peak reward needs the energy .*'Electricity:Facility' in m"),
@@ -724,7 +725,7 @@ THERE: dict[str, tuple[RewardConfig, Manifest, str]] = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize(("reward", "node", "words"), THERE.values(), ids=THERE)
+@pytest.mark.parametrize(("reward", "node", "words"), UNBINDABLE.values(), ids=UNBINDABLE)
 def test_a_point_that_is_missing_is_named_when_the_reward_is_bound(
     reward: RewardConfig, node: Manifest, words: str
 ) -> None:
@@ -733,10 +734,12 @@ def test_a_point_that_is_missing_is_named_when_the_reward_is_bound(
 
 
 def test_a_file_of_prices_is_read_when_the_reward_is_bound(tmp_path: Path) -> None:
-    reward = made("energy_cost", price={"csv": str(tmp_path / "none.csv"), "column": "value", "unit": "EUR/MWh"})
+    reward = reward_config(
+        "energy_cost", price={"csv": str(tmp_path / "none.csv"), "column": "value", "unit": "EUR/MWh"}
+    )
     with pytest.raises(InvalidConfig, match=r"cannot read the time series .*none.csv"):
         reward.bind(NODE)
-    carbon = made("carbon", intensity={"csv": str(tmp_path / "none.csv"), "column": "value", "unit": "g/kWh"})
+    carbon = reward_config("carbon", intensity={"csv": str(tmp_path / "none.csv"), "column": "value", "unit": "g/kWh"})
     with pytest.raises(InvalidConfig, match=r"cannot read the time series .*none.csv"):
         carbon.bind(NODE)
 
@@ -755,7 +758,7 @@ def test_a_file_of_prices_is_read_when_the_reward_is_bound(tmp_path: Path) -> No
 )  # fmt: skip
 def test_a_reward_that_cannot_be(kind: str, wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidConfig, match=next(iter(wrong))):
-        made(kind, **wrong)
+        reward_config(kind, **wrong)
 
 
 # One's own
@@ -870,9 +873,9 @@ def asks_for_norht(values: Mapping[str, Any], begin: datetime) -> float:
 
 @pytest.mark.parametrize("slots", [None, 2])
 def test_a_function_that_asks_for_a_point_that_is_not_there(slots: int | None) -> None:
-    given = values() if slots is None else np.array([values()] * slots)
+    observation = values() if slots is None else np.array([values()] * slots)
     with pytest.raises(UnknownName, match=r"asks_for_norht reads 'norht', .*did you mean 'north'") as raised:
-        read_reward(asks_for_norht).bind(NODE)(given, WINTER if slots is None else [WINTER] * slots)
+        read_reward(asks_for_norht).bind(NODE)(observation, WINTER if slots is None else [WINTER] * slots)
     assert isinstance(raised.value.__cause__, KeyError)
 
 

@@ -232,13 +232,13 @@ def test_a_kind_alone_is_the_reward_with_its_defaults() -> None:
 
 
 def test_a_scenario_names_the_parameters() -> None:
-    given = {"kind": "linear", "weight": 0.3, "winter": [19, 22], "summer_begin": [5, 1], "power": "p"}
+    fields = {"kind": "linear", "weight": 0.3, "winter": [19, 22], "summer_begin": [5, 1], "power": "p"}
     named = LinearReward(weight=0.3, winter=(19.0, 22.0), summer_begin=(5, 1), power=("p",))
-    assert read_reward(given) == named
+    assert read_reward(fields) == named
 
 
 @pytest.mark.parametrize(
-    ("said", "words"),
+    ("fields", "words"),
     [
         ("liner", "no kind 'liner'; did you mean 'linear'"),
         ({"weight": 0.3}, "reward: kind is missing; there are: linear"),
@@ -246,9 +246,9 @@ def test_a_scenario_names_the_parameters() -> None:
     ],
     ids=str,
 )
-def test_a_kind_that_is_not_there_is_refused(said: Any, words: str) -> None:
+def test_a_kind_that_is_not_there_is_refused(fields: Any, words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
-        read_reward(said)
+        read_reward(fields)
 
 
 def test_all_that_is_wrong_with_a_reward_is_said_at_once() -> None:

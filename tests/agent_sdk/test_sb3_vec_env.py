@@ -47,12 +47,12 @@ def one_thread() -> Iterator[None]:
     torch.set_num_threads(before)
 
 
-def fakes(count: int = 3, **given: Any) -> SlotsVecEnv:
-    return as_sb3(FakeVectorEnv(count, autoreset_mode=SAME, **{**DAY, **given}))
+def fakes(count: int = 3, **arguments: Any) -> SlotsVecEnv:
+    return as_sb3(FakeVectorEnv(count, autoreset_mode=SAME, **{**DAY, **arguments}))
 
 
-def apart(count: int = 3, **given: Any) -> DummyVecEnv:
-    return DummyVecEnv([lambda: FakeEnv(**{**DAY, **given}) for _ in range(count)])
+def apart(count: int = 3, **arguments: Any) -> DummyVecEnv:
+    return DummyVecEnv([lambda: FakeEnv(**{**DAY, **arguments}) for _ in range(count)])
 
 
 def same(one: Any, other: Any) -> bool:
@@ -140,9 +140,9 @@ def test_wrappers_around_the_vector_are_seen() -> None:
     for _ in range(25):
         action = env.action_space.sample()
         seen, _, ended, infos = env.step(np.stack([action, action]))
-        alone, _, _, told = single.step(action[None])
+        alone, _, _, single_infos = single.step(action[None])
         assert seen[0].tobytes() == alone[0].tobytes()
-        assert same(infos[0], told[0])
+        assert same(infos[0], single_infos[0])
     assert not ended.any()
 
 
@@ -199,12 +199,12 @@ def test_ppo_learns_the_same_weights_as_on_a_dummy_vec_env() -> None:
 def test_evaluation_by_stable_baselines() -> None:
     model = SAC("MlpPolicy", fakes(2), learning_starts=16, batch_size=16, buffer_size=200, device="cpu", seed=0)
     model.learn(40)
-    found = []
+    evaluations = []
     for env in (VecMonitor(fakes(2)), VecMonitor(apart(2))):
         env.seed(1)
-        found.append(evaluate_policy(model, env, n_eval_episodes=4, return_episode_rewards=True))
-    assert found[0] == found[1]
-    assert found[0][1] == [24] * 4
+        evaluations.append(evaluate_policy(model, env, n_eval_episodes=4, return_episode_rewards=True))
+    assert evaluations[0] == evaluations[1]
+    assert evaluations[0][1] == [24] * 4
 
 
 def test_ppo_learns_on_the_slots_of_a_node(scratch: Path) -> None:

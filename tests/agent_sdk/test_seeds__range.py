@@ -27,9 +27,9 @@ def zones() -> ZonesEnv:
 
 
 @WRONG
-@pytest.mark.parametrize("made", [lambda: BuildingEnv(link=FakeLink()), zones])
-def test_one_building(made: Callable[[], Any], seed: Any) -> None:
-    env = made()
+@pytest.mark.parametrize("make_env", [lambda: BuildingEnv(link=FakeLink()), zones])
+def test_one_building(make_env: Callable[[], Any], seed: Any) -> None:
+    env = make_env()
     with pytest.raises(InvalidConfig, match=RANGE):
         env.reset(seed=seed)
     env.reset(seed=2**64 - 1)

@@ -60,11 +60,11 @@ def test_arguments_replace_a_reward_and_choices_in_code(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("given", "kept"), [({}, 4), ({"keep_last": 1}, 2)])
-def test_files_of_the_last_episodes_are_kept(given: dict[str, int], kept: int, scratch: Path) -> None:
-    """As many as the configuration says (`max_ep_store: 3`) or the argument, and those of the running episode."""
+@pytest.mark.parametrize(("arguments", "kept"), [({}, 4), ({"keep_last": 1}, 2)])
+def test_files_of_the_last_episodes_are_kept(arguments: dict[str, int], kept: int, scratch: Path) -> None:
+    """The configuration (`max_ep_store: 3`) or the argument gives their number, beside the running episode's."""
     path = of_the_five_zones(scratch)
-    with gym.make("zenostat/Sinergym-v1", config=path, output_dir=scratch / "runs", **given, **DAY) as env:
+    with gym.make("zenostat/Sinergym-v1", config=path, output_dir=scratch / "runs", **arguments, **DAY) as env:
         for _ in range(6):
             env.reset()
             env.step(env.action_space.sample())

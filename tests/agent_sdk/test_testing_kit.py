@@ -221,7 +221,7 @@ def test_a_heating_setpoint_above_the_cooling_setpoint_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("arguments", "message"),
     [
         ({"zones": 0}, "zones: expected at least one"),
         ({"zones": [Zone("a"), Zone("A")]}, "names that differ"),
@@ -240,9 +240,9 @@ def test_a_heating_setpoint_above_the_cooling_setpoint_is_refused() -> None:
         ({"cop": 0.0}, "cop = 0.0; more than 0 expected"),
     ],
 )
-def test_a_building_that_cannot_be(given: dict[str, Any], says: str) -> None:
-    with pytest.raises(InvalidConfig, match=says):
-        FakeBuilding(**given)
+def test_a_building_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfig, match=message):
+        FakeBuilding(**arguments)
 
 
 def test_a_zone_that_cannot_be() -> None:
@@ -421,9 +421,9 @@ def test_rewards_of_the_house_conform(reward: Any) -> None:
     assert not check_reward(reward).failed
 
 
-@pytest.mark.parametrize("given", [{}, {"control": "building", "discrete": 4}, {"time": ["hour"], "reward": None}])
-def test_environments_of_the_house_conform(given: dict[str, Any]) -> None:
-    env = FakeEnv(2, **given)
+@pytest.mark.parametrize("arguments", [{}, {"control": "building", "discrete": 4}, {"time": ["hour"], "reward": None}])
+def test_environments_of_the_house_conform(arguments: dict[str, Any]) -> None:
+    env = FakeEnv(2, **arguments)
     assert len(check_environment(env).passed) == 11
 
 
@@ -578,10 +578,10 @@ def test_a_bad_controllers_faults_are_named(mutant: str) -> None:
     with pytest.raises(ConformanceError) as error:
         check_controller(make)
     report = error.value.report
-    said = {result.name: " ".join(result.errors) for result in report.results if result.errors}
-    assert set(said) == set(faults)
+    errors = {result.name: " ".join(result.errors) for result in report.results if result.errors}
+    assert set(errors) == set(faults)
     for name, words in faults.items():
-        assert words is None or re.search(words, said[name]), said[name]
+        assert words is None or re.search(words, errors[name]), errors[name]
     if "is created from a manifest" in faults:
         assert len(report.skipped) == len(CONTROLLER_CHECKS) - 1
 
@@ -732,10 +732,10 @@ def test_a_bad_rewards_faults_are_named(name: str) -> None:
     reward, faults = REWARD_MUTANTS[name]
     with pytest.raises(ConformanceError) as error:
         check_reward(reward)
-    said = {result.name: " ".join(result.errors) for result in error.value.report.results if result.errors}
-    assert set(said) == set(faults), said
+    errors = {result.name: " ".join(result.errors) for result in error.value.report.results if result.errors}
+    assert set(errors) == set(faults), errors
     for check, words in faults.items():
-        assert words is None or re.search(words, said[check]), said[check]
+        assert words is None or re.search(words, errors[check]), errors[check]
 
 
 class Changed(gym.Wrapper[Any, Any, Any, Any]):
@@ -760,8 +760,8 @@ class Changed(gym.Wrapper[Any, Any, Any, Any]):
 def with_(**parts: Callable[..., Any]) -> Callable[..., Any]:
     names = ("observation", "reward", "terminated", "truncated", "info")
 
-    def change(env: Any, *came: Any) -> Any:
-        return tuple(parts[n](env, x) if n in parts else x for n, x in zip(names, came, strict=True))
+    def change(env: Any, *step: Any) -> Any:
+        return tuple(parts[n](env, x) if n in parts else x for n, x in zip(names, step, strict=True))
 
     return change
 
@@ -822,7 +822,7 @@ ENVIRONMENT_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
         {"a reset during an episode leaves no trace": "affects the next one: the observation of sample 0 differs"},
     ),
     "names": (
-        lambda env, *came: (setattr(env, "observation_names", ("a",)), came)[1],
+        lambda env, *step: (setattr(env, "observation_names", ("a",)), step)[1],
         {"observations have names": "has 1 names for an observation of shape"},
     ),
     "lax": (
@@ -845,10 +845,10 @@ def test_a_bad_environments_faults_are_named(name: str) -> None:
     change, faults = ENVIRONMENT_MUTANTS[name]
     with pytest.raises(ConformanceError) as error:
         check_environment((Sloppy if name == "lax" else Changed)(FakeEnv(1), change))
-    said = {result.name: " ".join(result.errors) for result in error.value.report.results if result.errors}
-    assert {k for k in faults if faults[k]} <= set(said) <= set(faults), said
+    errors = {result.name: " ".join(result.errors) for result in error.value.report.results if result.errors}
+    assert {k for k in faults if faults[k]} <= set(errors) <= set(faults), errors
     for check, words in faults.items():
-        assert words is None or re.search(words, said[check]), said[check]
+        assert words is None or re.search(words, errors[check]), errors[check]
 
 
 def test_a_name_twice_is_named() -> None:

@@ -82,10 +82,10 @@ def test_the_hour_and_its_minutes_are_the_time_of_the_day(day: date, steps_per_h
     step = data.draw(st.integers(1, 24 * steps_per_hour))
     midnight = datetime(day.year, day.month, day.day)
     begin, end = (midnight + timedelta(hours=1) * k / steps_per_hour for k in (step - 1, step))
-    found = fields_of(begin, end)
-    assert found[TimeField.CURRENT_TIME] == pytest.approx(step / steps_per_hour)
-    assert found[TimeField.HOUR] + found[TimeField.MINUTES] / 60 == pytest.approx(step / steps_per_hour)
-    assert 1 <= found[TimeField.MINUTES] <= 60
+    fields = fields_of(begin, end)
+    assert fields[TimeField.CURRENT_TIME] == pytest.approx(step / steps_per_hour)
+    assert fields[TimeField.HOUR] + fields[TimeField.MINUTES] / 60 == pytest.approx(step / steps_per_hour)
+    assert 1 <= fields[TimeField.MINUTES] <= 60
 
 
 def test_each_field_has_bounds() -> None:
@@ -108,9 +108,9 @@ def test_sample_0_is_the_begin_of_the_day() -> None:
 
 
 def test_the_last_timestep_of_a_year_belongs_to_it() -> None:
-    found = fields_of(datetime(2016, 12, 31, 23, 45), datetime(2017, 1, 1))
-    assert (found[TimeField.YEAR], found[TimeField.MONTH], found[TimeField.DAY_OF_MONTH]) == (2016, 12, 31)
-    assert (found[TimeField.HOUR], found[TimeField.MINUTES], found[TimeField.CURRENT_TIME]) == (23, 60, 24)
+    fields = fields_of(datetime(2016, 12, 31, 23, 45), datetime(2017, 1, 1))
+    assert (fields[TimeField.YEAR], fields[TimeField.MONTH], fields[TimeField.DAY_OF_MONTH]) == (2016, 12, 31)
+    assert (fields[TimeField.HOUR], fields[TimeField.MINUTES], fields[TimeField.CURRENT_TIME]) == (23, 60, 24)
 
 
 def test_the_fields_come_in_the_order_asked() -> None:

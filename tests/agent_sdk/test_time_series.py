@@ -95,9 +95,9 @@ def test_several_moments_give_an_array() -> None:
         HourlySeries(hourly=YEAR, unit="EUR/kWh"),
         TimeOfUse(table=({"value": 1.0, "hours": (2, 4)},), otherwise=0.5, unit="EUR/kWh"),  # type: ignore[arg-type]
     ):
-        found = signal.at(moments)
-        assert isinstance(found, np.ndarray)
-        assert found.tolist() == [signal.at(moment) for moment in moments]
+        values = signal.at(moments)
+        assert isinstance(values, np.ndarray)
+        assert values.tolist() == [signal.at(moment) for moment in moments]
         assert isinstance(signal.at(moments[0]), float)
 
 
@@ -299,8 +299,8 @@ signals = st.one_of(
 
 @settings(max_examples=examples(60), deadline=None)
 @given(signals)
-def test_a_signal_that_was_written_is_read_back(given: dict[str, Any]) -> None:
-    signal = SIGNAL.validate_python(given)
+def test_a_signal_that_was_written_is_read_back(fields: dict[str, Any]) -> None:
+    signal = SIGNAL.validate_python(fields)
     plain = {"signal": signal.model_dump(mode="json", exclude_defaults=True)}
     again = SIGNAL.validate_python(yaml12.parse(yaml12.dump(plain), "it")["signal"])
     assert again == signal

@@ -127,8 +127,8 @@ def test_a_controller_reads_observed_points_only(name: str) -> None:
     whole = building(control="building").manifest
     reduced = removed(whole)
     parameters = {"sensor": "zone_1_air_temperature", "actuator": "heating_setpoint", "setpoint": 21.0}
-    given: dict[str, Any] = {"pid": parameters, "random": {"seed": 1}}.get(name, {})
-    with_hidden, without = (Agent(make_controller(CONTROLLERS[name], one, given)) for one in (whole, reduced))
+    own_parameters: dict[str, Any] = {"pid": parameters, "random": {"seed": 1}}.get(name, {})
+    with_hidden, without = (Agent(make_controller(CONTROLLERS[name], one, own_parameters)) for one in (whole, reduced))
     for hour in range(0, 24, 3):
         values = {n: 17.0 + i + 0.3 * hour for i, n in enumerate(reduced.names)}
         at = view(whole).time.replace(hour=hour)

@@ -60,20 +60,20 @@ FORMS: dict[str, dict[str, Any]] = {
 }
 
 
-def fakes(count: int, mode: AutoresetMode = AutoresetMode.NEXT_STEP, **given: Any) -> FakeVectorEnv:
-    return FakeVectorEnv(count, autoreset_mode=mode, **{**DAY, **given})
+def fakes(count: int, mode: AutoresetMode = AutoresetMode.NEXT_STEP, **arguments: Any) -> FakeVectorEnv:
+    return FakeVectorEnv(count, autoreset_mode=mode, **{**DAY, **arguments})
 
 
-def apart(count: int, mode: AutoresetMode = AutoresetMode.NEXT_STEP, **given: Any) -> SyncVectorEnv:
-    return SyncVectorEnv([lambda: FakeEnv(**{**DAY, **given}) for _ in range(count)], autoreset_mode=mode)
+def apart(count: int, mode: AutoresetMode = AutoresetMode.NEXT_STEP, **arguments: Any) -> SyncVectorEnv:
+    return SyncVectorEnv([lambda: FakeEnv(**{**DAY, **arguments}) for _ in range(count)], autoreset_mode=mode)
 
 
 def differ(one: Any, other: Any, where: str = "") -> str:
-    """Where two infos, or two arrays, differ in anything; empty if they don't."""
+    """Return the path at which two infos, or two arrays, differ; empty if they are equal."""
     if isinstance(one, dict) and isinstance(other, dict):
         if set(one) != set(other):
             return f"{where}: {sorted(set(one) ^ set(other))} only in one of them"
-        return next((found for key in one if (found := differ(one[key], other[key], f"{where}.{key}"))), "")
+        return next((difference for key in one if (difference := differ(one[key], other[key], f"{where}.{key}"))), "")
     if type(one) is not type(other):
         return f"{where}: {type(one)} and {type(other)}"
     if isinstance(one, np.ndarray):
@@ -83,7 +83,7 @@ def differ(one: Any, other: Any, where: str = "") -> str:
             return f"{where}: one is read-only"
         if one.dtype == object:
             pairs = zip(one.tolist(), other.tolist(), strict=True)
-            return next((found for a, b in pairs if (found := differ(a, b, where))), "")
+            return next((difference for a, b in pairs if (difference := differ(a, b, where))), "")
         same = one.tobytes() == other.tobytes()
     else:
         same = one == other
@@ -100,12 +100,14 @@ def step_both(envs: Sequence[VectorEnv[Any, Any, Any]], actions: Any, but: Seque
     return np.asarray(ours[2] | ours[3])
 
 
-def without(told: tuple[Any, ...], keys: Sequence[str]) -> tuple[Any, ...]:
-    return *told[:-1], {key: value for key, value in told[-1].items() if key.removeprefix("_") not in keys}
+def without(step: tuple[Any, ...], keys: Sequence[str]) -> tuple[Any, ...]:
+    return *step[:-1], {key: value for key, value in step[-1].items() if key.removeprefix("_") not in keys}
 
 
-def reset_both(envs: Sequence[VectorEnv[Any, Any, Any]], but: Sequence[str] = (), **given: Any) -> None:
-    ours, theirs = (without(env.reset(**{key: _copied(value) for key, value in given.items()}), but) for env in envs)
+def reset_both(envs: Sequence[VectorEnv[Any, Any, Any]], but: Sequence[str] = (), **arguments: Any) -> None:
+    ours, theirs = (
+        without(env.reset(**{key: _copied(value) for key, value in arguments.items()}), but) for env in envs
+    )
     assert differ(ours[0], theirs[0], "observations") == ""
     assert differ(ours[1], theirs[1], "infos") == ""
 
@@ -184,14 +186,14 @@ def test_a_slot_that_has_ended_may_be_begun_by_hand() -> None:
 def test_what_was_told_stays(mode: AutoresetMode) -> None:
     env = fakes(2, mode, terminate=[COLD])
     seen, _ = env.reset(seed=1)
-    told, before = [seen], [seen.copy()]
+    observations, before = [seen], [seen.copy()]
     for _ in range(6):
         seen, _, terminated, truncated, _ = env.step(env.action_space.sample())
-        told.append(seen)
+        observations.append(seen)
         before.append(seen.copy())
         ended = terminated | truncated
         env.reset(options={"reset_mask": ended if ended.any() else np.array([True, False])})
-    assert differ(dict(enumerate(told)), dict(enumerate(before))) == ""
+    assert differ(dict(enumerate(observations)), dict(enumerate(before))) == ""
 
 
 def test_infos_belong_to_who_gets_them() -> None:
@@ -277,9 +279,9 @@ def test_make_vec(mode: str | None) -> None:
     assert env.spec.id == "zenostat/Fake-v1"
     again = gym.make_vec(env.spec)
     assert (again.num_envs, again.metadata["autoreset_mode"]) == (3, AutoresetMode.SAME_STEP)
-    for made in (env, again):
-        made.close()
-        made.close()
+    for vector in (env, again):
+        vector.close()
+        vector.close()
 
 
 def test_all_ids_have_a_vector_of_their_own() -> None:
@@ -330,9 +332,9 @@ def test_actions_that_cannot_be_name_their_slot() -> None:
     right = np.tile(np.array([15.0, 30.0, 20.0, 25.0]), (3, 1))
     wrong = right.copy()
     wrong[1, 0], wrong[2, 3] = 14.0, np.nan
-    with pytest.raises(InvalidAction) as said:
+    with pytest.raises(InvalidAction) as raised:
         env.step(wrong)
-    assert str(said.value) == (
+    assert str(raised.value) == (
         "slot 1: zone_1_heating_setpoint = 14; its bounds are 15 to 22.5 degC; "
         "slot 2: zone_2_cooling_setpoint = nan; its bounds are 22.5 to 30 degC"
     )
@@ -401,7 +403,7 @@ def test_steps_that_cannot_be() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("arguments", "words"),
     [
         ({"seed": -1}, "an integer from 0 to 2**64 - 2 expected"),
         ({"seed": [1]}, "each of 2 slots"),
@@ -412,15 +414,15 @@ def test_steps_that_cannot_be() -> None:
         ({"options": {"reset_mask": np.array([True])}}, "a bool array of shape (2,)"),
     ],
 )
-def test_resets_that_cannot_be(given: dict[str, Any], words: str) -> None:
+def test_resets_that_cannot_be(arguments: dict[str, Any], words: str) -> None:
     env = fakes(2)
     env.reset(seed=1)
     with pytest.raises(InvalidConfig, match=re.escape(words)):
-        env.reset(**given)
+        env.reset(**arguments)
 
 
 @pytest.mark.parametrize(
-    ("given", "words"),
+    ("arguments", "words"),
     [
         ({"num_envs": 0}, "num_envs = 0; a number from 1 to 256"),
         ({"num_envs": 257}, "num_envs = 257; a number from 1 to 256"),
@@ -431,9 +433,9 @@ def test_resets_that_cannot_be(given: dict[str, Any], words: str) -> None:
         ({}, "name a building and a weather"),
     ],
 )
-def test_vectors_that_cannot_be(given: dict[str, Any], words: str, scratch: Path) -> None:
+def test_vectors_that_cannot_be(arguments: dict[str, Any], words: str, scratch: Path) -> None:
     with pytest.raises(ZenostatError, match=re.escape(words)):
-        BuildingVectorEnv(**{"num_envs": 2, **given})
+        BuildingVectorEnv(**{"num_envs": 2, **arguments})
 
 
 def test_a_failed_step_is_not_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -628,12 +630,12 @@ def test_all_slots_go_back_exactly_any_number_of_times(scratch: Path) -> None:
         envs.step(row)
     envs.reset(options={"reset_mask": np.array([False, True, False])})
     for row in actions[10:15]:
-        stood = envs.step(row)
+        after_step = envs.step(row)
     with envs.snapshot() as kept:
         straight = [envs.step(row) for row in actions[15:40]]
         for _ in range(2):
             seen, info = envs.reset(options={"snapshot": kept})
-            np.testing.assert_array_equal(seen, stood[0])
+            np.testing.assert_array_equal(seen, after_step[0])
             assert info["step"].tolist() == [15, 5, 15]
             assert info["engine_start"].tolist() == ["snapshot"] * 3
             weather = [envs.envs[slot].weather(["dry_bulb_temperature"]).values for slot in range(3)]
@@ -703,18 +705,18 @@ def test_a_slot_that_has_ended_leaves_the_others_time(scratch: Path, mode: Autor
     assert env.link.bus.status(env.manifest.node).state is State.WAITING
     if mode is AutoresetMode.DISABLED:
         env.reset(seed=2, options={"reset_mask": np.array([False, True])})
-        went = [env.step(actions)[0] for _ in range(5)]
-        np.testing.assert_array_equal([row[1] for row in went], straight[:5])
+        observations = [env.step(actions)[0] for _ in range(5)]
+        np.testing.assert_array_equal([row[1] for row in observations], straight[:5])
     else:
-        went = [env.step(actions)[0] for _ in range(5)]  # the first of them begins slot 1 anew
-        np.testing.assert_array_equal([row[1] for row in went[1:]], straight[:4])
-    np.testing.assert_array_equal([row[0] for row in went], straight[91:])
+        observations = [env.step(actions)[0] for _ in range(5)]  # the first of them begins slot 1 anew
+        np.testing.assert_array_equal([row[1] for row in observations[1:]], straight[:4])
+    np.testing.assert_array_equal([row[0] for row in observations], straight[91:])
     env.close()
 
 
 @pytest.mark.slow
 def test_rewards_and_limits_know_the_truth_of_what_faults_disturb(scratch: Path) -> None:
-    """As the single environment's do, to the bit."""
+    """They equal those of the single environment, to the bit."""
     plan = scratch / "faults.yaml"
     bias = {"kind": "bias", "points": "core_zn_air_temperature", "offset": 9.0}
     plan.write_text(

@@ -81,12 +81,12 @@ CHAINS: dict[str, list[dict[str, Any]]] = {
 each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 
 
-def fake(**given: Any) -> FakeBuilding:
-    return FakeBuilding(**{"steps_per_hour": 1, **given})
+def fake(**arguments: Any) -> FakeBuilding:
+    return FakeBuilding(**{"steps_per_hour": 1, **arguments})
 
 
-def fakes(count: int = 2, mode: AutoresetMode = AutoresetMode.NEXT_STEP, **given: Any) -> SyncVectorEnv[Any, Any]:
-    return SyncVectorEnv([lambda: fake(**given)] * count, autoreset_mode=mode)
+def fakes(count: int = 2, mode: AutoresetMode = AutoresetMode.NEXT_STEP, **arguments: Any) -> SyncVectorEnv[Any, Any]:
+    return SyncVectorEnv([lambda: fake(**arguments)] * count, autoreset_mode=mode)
 
 
 def named(env: Any, observation: Any) -> dict[str, float]:
@@ -96,11 +96,11 @@ def named(env: Any, observation: Any) -> dict[str, float]:
 def episode(env: Any, act: Callable[[], Any], seed: int | None = 0) -> list[tuple[Any, ...]]:
     """All that comes out of an episode; sample 0 has None for its reward."""
     observation, info = env.reset(seed=seed)
-    said: list[tuple[Any, ...]] = [(observation, None, False, info)]
-    while not said[-1][2]:
+    steps: list[tuple[Any, ...]] = [(observation, None, False, info)]
+    while not steps[-1][2]:
         observation, reward, _, truncated, info = env.step(act())
-        said.append((observation, reward, truncated, info))
-    return said
+        steps.append((observation, reward, truncated, info))
+    return steps
 
 
 # What holds for all
@@ -170,17 +170,17 @@ def test_a_vector_is_equal_to_its_slots(chain: list[dict[str, Any]], mode: Autor
             last = observation
             if ended and mode is AutoresetMode.SAME_STEP:
                 assert infos["final_obs"][slot].tobytes() == last.tobytes()
-                said = infos["final_info"]
+                final = infos["final_info"]
                 observation = env.reset()[0]
             else:
-                said = infos
+                final = infos
             assert rows[slot].tobytes() == observation.tobytes()
             assert np.array_equal(rewards[slot], reward)
             assert truncated[slot] == ended
             over[slot] = ended and mode is not AutoresetMode.SAME_STEP
             for name, value in info.get("dropped", {}).items():
-                assert said["dropped"][name][slot] == value
-                assert said["dropped"][f"_{name}"][slot]
+                assert final["dropped"][name][slot] == value
+                assert final["dropped"][f"_{name}"][slot]
     many.close()
 
 
@@ -237,8 +237,8 @@ def test_what_was_wrapped_by_hand_is_data_too() -> None:
     assert w.wrappers_of(FrameStackObservation(fake(), 3)) == [stack]
     assert w.wrappers_of(w.CyclicTime(fake())) == [{"wrapper": "CyclicTime"}]  # made without arguments
     price = HourlySeries(hourly=tuple(range(8760)), unit="g/kWh")
-    (told,) = w.wrappers_of(w.TimeSeriesObservation(fake(), {"carbon": price}))
-    assert w.apply_wrappers(fake(), [told]).reset()[0][-1] == 24 * (31 + 28 + 31 + 30 + 31 + 30 + 2)
+    (wrapper,) = w.wrappers_of(w.TimeSeriesObservation(fake(), {"carbon": price}))
+    assert w.apply_wrappers(fake(), [wrapper]).reset()[0][-1] == 24 * (31 + 28 + 31 + 30 + 31 + 30 + 2)
 
 
 @pytest.mark.parametrize(
@@ -465,8 +465,8 @@ def test_errors_by_hand() -> None:
 )
 def test_errors_grow_with_the_horizon_as_said(error: Any, deviation: Callable[[float], float]) -> None:
     """A year of forecasts; the standard error of a deviation from 8,760 paths is below 1 %."""
-    given = {"columns": [DRY], "n": 2, "spacing_h": 12.0}
-    right, wrong = (w.WeatherForecast(fake(days=365), **given, errors=e) for e in (None, {DRY: error}))
+    forecast = {"columns": [DRY], "n": 2, "spacing_h": 12.0}
+    right, wrong = (w.WeatherForecast(fake(days=365), **forecast, errors=e) for e in (None, {DRY: error}))
     difference = np.array([
         b[0][-2:].astype(float) - a[0][-2:]
         for a, b in zip(episode(right, lambda: MIDDLE), episode(wrong, lambda: MIDDLE), strict=True)
@@ -484,8 +484,8 @@ def test_errors_have_a_mean_limits_and_ranges() -> None:
     biased = w.WeatherForecast(
         fake(), ["dry_bulb_temperature"], 3, 12.0, {"dry_bulb_temperature": {"sigma": 0, "mu": -2, "tau_h": 12}}
     )
-    seen, told, low = (env.reset(seed=1)[0][-3:] for env in (truth, drifting, biased))
-    assert told - seen == pytest.approx([1.0, 2.0, 3.0], abs=1e-5)
+    seen, drifted, low = (env.reset(seed=1)[0][-3:] for env in (truth, drifting, biased))
+    assert drifted - seen == pytest.approx([1.0, 2.0, 3.0], abs=1e-5)
     assert low - seen == pytest.approx(-2 * (1 - np.exp([-1.0, -2.0, -3.0])), abs=1e-5)
     limited = {"sigma": [1.0, 5.0], "mu": [3.0, 4.0], "tau_h": [1.0, 2.0], "low": -2.0, "high": 60.0}
     env = w.WeatherForecast(fake(), ["dry_bulb_temperature"], 3, 12.0, {"dry_bulb_temperature": limited})
@@ -526,11 +526,11 @@ def test_signals_now_and_ahead() -> None:
     env = w.TimeSeriesObservation(fake(), {"price": table, "clock": Clock(), "fee": 2}, hours=[0, 3])
     assert w.names_of(env)[-6:] == ("price", "price_in_3h", "clock", "clock_in_3h", "fee", "fee_in_3h")
     steps = episode(env, lambda: MIDDLE)
-    told = [observation[-6:].tolist() for observation, *_ in steps]
+    signals = [observation[-6:].tolist() for observation, *_ in steps]
     small, large = np.float32(0.1), np.float32(0.3)
-    assert told[0] == [small, small, 300, 303, 2, 2]
-    assert told[5] == [small, large, 305, 308, 2, 2], "the timestep that the next action rules begins at 5:00"
-    assert told[22] == [small, small, 322, 401, 2, 2]
+    assert signals[0] == [small, small, 300, 303, 2, 2]
+    assert signals[5] == [small, large, 305, 308, 2, 2], "the timestep that the next action rules begins at 5:00"
+    assert signals[22] == [small, small, 322, 401, 2, 2]
     with pytest.raises(InvalidConfig, match=r"TimeSeriesObservation: price: .*a time series expected"):
         w.TimeSeriesObservation(fake(), {"price": "cheap"})
     with pytest.raises(InvalidConfig, match="numbers from 0 on"):
@@ -560,8 +560,8 @@ def test_rounding_is_half_to_even_and_none_without_a_step() -> None:
 def test_rounding_does_not_exceed_the_largest_increment() -> None:
     # 0.6 is 1.5 steps of 0.4: 2 steps would be 0.8
     steps = np.array([0.4, 0.3])
-    told = rounded(np.array([[0.6, 0.6], [-0.6, -0.6]]), steps, np.array([0.6, 0.6]))
-    assert told.tolist() == [[0.4, 0.6], [-0.4, -0.6]]
+    increments = rounded(np.array([[0.6, 0.6], [-0.6, -0.6]]), steps, np.array([0.6, 0.6]))
+    assert increments.tolist() == [[0.4, 0.6], [-0.4, -0.6]]
 
 
 def test_a_seed_may_be_a_numpy_integer() -> None:
@@ -703,7 +703,7 @@ def test_context_that_cannot_be() -> None:
 
 
 def test_context__set_after_the_reset_replaces_that_of_a_table() -> None:
-    """As in Sinergym, whose `reset(options={"initial_context": …})` replaces the configured one."""
+    """Sinergym does so: its `reset(options={"initial_context": …})` replaces the configured one."""
     env = w.ChangingContext(fake(steps_per_hour=1), {"00:00": {"occupants": 0.5}, "03:00": {"occupants": 0.75}})
     for own in (0.25, None, 0.125):
         env.reset()
@@ -793,10 +793,10 @@ class Board:
     """Stands for TensorBoard's writer."""
 
     def __init__(self, folder: str) -> None:
-        self.folder, self.said, self.closed = folder, list[tuple[str, float, int]](), 0
+        self.folder, self.scalars, self.closed = folder, list[tuple[str, float, int]](), 0
 
     def add_scalar(self, name: str, value: float, step: int) -> None:
-        self.said.append((name, value, step))
+        self.scalars.append((name, value, step))
 
     def close(self) -> None:
         self.closed += 1
@@ -822,19 +822,19 @@ def test_means_of_episodes_and_of_n_steps(monkeypatch: pytest.MonkeyPatch, vecto
         rewards.append(float(np.ravel(reward)[0]))
         cores.append(float(np.ravel(observation)[5]))
     (board,) = boards
-    said = {(name, step): value for name, value, step in board.said}
-    assert {step for name, step in said if name.startswith("steps/")} == {10, 20}
-    assert said["steps/reward", 20] == pytest.approx(np.mean(rewards[10:20]))
-    assert said["episode/reward", 24] == pytest.approx(np.mean(rewards))
-    assert said["episode/return", 24] == pytest.approx(np.sum(rewards))
-    assert said["episode/steps", 24] == 24
-    assert said["episode/reward.energy", 24] == pytest.approx(-4.0)
-    assert said["episode/metric.joules", 24] == pytest.approx(4000.0)
-    assert said["episode/observation.core", 24] == pytest.approx(np.mean(cores))
+    logged = {(name, step): value for name, value, step in board.scalars}
+    assert {step for name, step in logged if name.startswith("steps/")} == {10, 20}
+    assert logged["steps/reward", 20] == pytest.approx(np.mean(rewards[10:20]))
+    assert logged["episode/reward", 24] == pytest.approx(np.mean(rewards))
+    assert logged["episode/return", 24] == pytest.approx(np.sum(rewards))
+    assert logged["episode/steps", 24] == 24
+    assert logged["episode/reward.energy", 24] == pytest.approx(-4.0)
+    assert logged["episode/metric.joules", 24] == pytest.approx(4000.0)
+    assert logged["episode/observation.core", 24] == pytest.approx(np.mean(cores))
     env.reset()
     for _ in range(24):
         env.step(action)
-    assert [value for name, value, step in board.said if name == "episode/steps"] == [24, 24]
+    assert [value for name, value, step in board.scalars if name == "episode/steps"] == [24, 24]
     env.close()
     env.close()
     assert (board.folder, board.closed) == ("here", 1)
@@ -906,11 +906,11 @@ def test_a_chain_goes_on_where_it_was(chain: list[dict[str, Any]], vectors: bool
             base.np_random = np.random.default_rng(5)
     ends = []
     for env in (first, second):
-        said = [env.reset()[0].tobytes()]
+        outputs = [env.reset()[0].tobytes()]
         for action in actions:
             observation, reward, *_ = env.step(action)
-            said += [observation.tobytes(), np.asarray(reward).tobytes()]
-        ends.append(said)
+            outputs += [observation.tobytes(), np.asarray(reward).tobytes()]
+        ends.append(outputs)
     assert ends[0] == ends[1]
 
 

@@ -23,7 +23,7 @@ NOISE = {DRY: {"sigma": 3.0, "tau_h": 12.0}}
 def building() -> Iterator[gym.Env[Any, Any]]:
     """The cooling setpoint of the core is the agent's, that of another zone is context; the weather is noised."""
     points = [COOLING[f"{zone}_cooling_setpoint"] for zone in ("core_zn", "perimeter_zn_1")]
-    made = gym.make(
+    env = gym.make(
         "zenostat/Building-v1",
         **SMALL,
         affinity="off",
@@ -38,21 +38,21 @@ def building() -> Iterator[gym.Env[Any, Any]]:
         actions={"cooling": {"actuators": ["core_cooling"]}},
         weather_noise=NOISE,
     )
-    yield made
-    made.close()
+    yield env
+    env.close()
 
 
 def episode(env: gym.Env[Any, Any], seed: int, action: Any) -> list[tuple[dict[str, float], dict[str, Any]]]:
     """Each sample's observation by name, and its info."""
     observation, info = env.reset(seed=seed)
     names, truncated = w.names_of(env), False
-    said = [(dict(zip(names, observation.tolist(), strict=True)), info)]
+    steps = [(dict(zip(names, observation.tolist(), strict=True)), info)]
     while not truncated:
         observation, _, _, truncated, info = env.step(action)
         assert env.observation_space.contains(observation)
-        said.append((dict(zip(names, observation.tolist(), strict=True)), info))
-    assert len(said) == N + 1
-    return said
+        steps.append((dict(zip(names, observation.tolist(), strict=True)), info))
+    assert len(steps) == N + 1
+    return steps
 
 
 @pytest.mark.slow

@@ -33,8 +33,8 @@ def fake(
     return ZonesEnv(link=link, reward=reward, shared=shared, building_reward=building_reward)
 
 
-def real(**given: Any) -> ZonesEnv:
-    return ZonesEnv(**{**SMALL, "affinity": "off", **given})
+def real(**arguments: Any) -> ZonesEnv:
+    return ZonesEnv(**{**SMALL, "affinity": "off", **arguments})
 
 
 def draw(env: ZonesEnv) -> dict[str, Any]:
@@ -43,9 +43,9 @@ def draw(env: ZonesEnv) -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def office() -> Iterator[ZonesEnv]:
-    made = real(reward="own")
-    yield made
-    made.close()
+    env = real(reward="own")
+    yield env
+    env.close()
 
 
 # Agents and spaces
@@ -176,7 +176,7 @@ def test_faulty_actions_simulate_nothing() -> None:
         env.state()
     env.reset(seed=0)
     good = draw(env)
-    for bad, says in (
+    for bad, message in (
         ({"zone_1": good["zone_1"]}, "no action of 'zone_2'"),
         ({**good, "zone_3": good["zone_1"]}, "no agent 'zone_3'; did you mean 'zone_"),
         ({**good, "zone_2": good["zone_2"][:1]}, r"agent 'zone_2': action .*; Box.* expected: zone_2_heating_setpoint"),
@@ -184,7 +184,7 @@ def test_faulty_actions_simulate_nothing() -> None:
         ({**good, "zone_2": [31.0, 25.0]}, "zone_2_heating_setpoint = 31; its bounds are 15 to 22.5"),
         ({**good, "zone_2": [np.nan, 25.0]}, "zone_2_heating_setpoint = nan"),
     ):
-        with pytest.raises(InvalidAction, match=says):
+        with pytest.raises(InvalidAction, match=message):
             env.step(bad)
     assert env.step(good)[-1]["zone_1"]["step"] == 1
 
@@ -259,7 +259,7 @@ def test_a_function_of_ones_own() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("arguments", "message"),
     [
         ({"reward": "mine"}, "reward = 'mine'; 'shared', 'own' or a function"),
         ({"reward": "own", "building_reward": None}, "there is no reward; use building_reward='linear'"),
@@ -267,9 +267,9 @@ def test_a_function_of_ones_own() -> None:
         ({"shared": ["power"]}, "no observation is named 'power'; did you mean 'hvac_and_plant_power'"),
     ],
 )
-def test_what_cannot_be(given: dict[str, Any], says: str) -> None:
-    with pytest.raises(InvalidConfig, match=says):
-        fake(2, **given)
+def test_what_cannot_be(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfig, match=message):
+        fake(2, **arguments)
 
 
 def test_without_a_reward_all_get_nothing() -> None:

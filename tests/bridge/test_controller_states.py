@@ -159,7 +159,7 @@ def test_the_exchange_reaches_each_state_and_takes_each_transition(policy: Polic
     """All sequences of calls, breadth first, until no new state is reached."""
     begin = Schedule(policy)
     assert begin.state is CONNECTED
-    found, queue = {}, [begin]
+    transitions, queue = {}, [begin]
     reached = {CONNECTED}
     while queue:
         at = queue.pop(0)
@@ -168,11 +168,11 @@ def test_the_exchange_reaches_each_state_and_takes_each_transition(policy: Polic
         for name, call in CALLS.items():
             after = copy.deepcopy(at)
             kinds = call(after)
-            found[before, name] = (after.state, kinds)
+            transitions[before, name] = (after.state, kinds)
             if after.state is not None and after.state not in reached:
                 reached.add(after.state)
                 queue.append(after)
-    assert found == EXPECTED
+    assert transitions == EXPECTED
 
 
 def in_state(state: ControllerState) -> Schedule:

@@ -1,4 +1,4 @@
-"""How long things took: a ring that holds no more than it was given."""
+"""Latencies: a ring that holds a limited number of them."""
 
 from __future__ import annotations
 

@@ -20,10 +20,10 @@ MANY = 20_000
 
 
 def link(*faults: dict[str, Any], seed: int = 1, step: int | None = 0) -> LinkFaults:
-    made = LinkFaults(FaultPlan.model_validate({"seed": seed, "faults": faults}), step_s=900, begin=BEGIN)
+    faulty = LinkFaults(FaultPlan.model_validate({"seed": seed, "faults": faults}), step_s=900, begin=BEGIN)
     if step is not None:
-        made.move(step)
-    return made
+        faulty.move(step)
+    return faulty
 
 
 def within(count: int, of: int, probability: float) -> bool:
@@ -63,18 +63,18 @@ def test_jitter_is_uniform() -> None:
 def test_with_jitter_nothing_overtakes() -> None:
     jitter = link({"kind": "jitter", "samples": True, "jitter_ms": 500})
     sent = [0.001 * k for k in range(2000)]
-    came = [now + delay for now in sent for delay in jitter.outgoing(now)]
-    assert all(later >= earlier - 1e-12 for earlier, later in itertools.pairwise(came))
-    assert len(set(came)) > 2
+    arrivals = [now + delay for now in sent for delay in jitter.outgoing(now)]
+    assert all(later >= earlier - 1e-12 for earlier, later in itertools.pairwise(arrivals))
+    assert len(set(arrivals)) > 2
 
 
 @pytest.mark.parametrize("probability", [0.02, 0.5, 0.97])
 @pytest.mark.parametrize(("kind", "copies"), [("loss", 0), ("duplicate", 2)])
 def test_loss_and_duplicates_are_as_frequent_as_asked(kind: str, copies: int, probability: float) -> None:
     faulty = link({"name": "it", "kind": kind, "samples": True, "probability": probability})
-    came = [faulty.outgoing(float(k)) for k in range(MANY)]
-    hit = sum(len(delays) == copies for delays in came)
-    assert all(delays == [0.0] * len(delays) and len(delays) in (1, copies) for delays in came)
+    deliveries = [faulty.outgoing(float(k)) for k in range(MANY)]
+    hit = sum(len(delays) == copies for delays in deliveries)
+    assert all(delays == [0.0] * len(delays) and len(delays) in (1, copies) for delays in deliveries)
     assert within(hit, MANY, probability)
     assert faulty.counts == {"it": hit}
 
@@ -88,8 +88,8 @@ def test_loss_in_a_row_is_as_frequent_as_by_chance() -> None:
 def test_what_is_held_back_is_overtaken() -> None:
     faulty = link({"kind": "reorder", "samples": True, "probability": 0.1, "hold_ms": 15})
     sent = [0.01 * k for k in range(MANY)]
-    came = sorted((now + faulty.outgoing(now)[0], k) for k, now in enumerate(sent))
-    order = [k for _, k in came]
+    arrivals = sorted((now + faulty.outgoing(now)[0], k) for k, now in enumerate(sent))
+    order = [k for _, k in arrivals]
     overtaken = sum(former > later for former, later in itertools.pairwise(order))
     # held for 15 ms, one is overtaken by the next, unless that is held, too
     assert within(overtaken, MANY, 0.1 * 0.9)
@@ -106,7 +106,7 @@ def test_certain_loss_loses_all_and_a_window_ends_it() -> None:
         faulty.move(step)
         lost.append(faulty.incoming("agent", 0.0) == [])
     assert lost == [False] * 4 + [True] * 2 + [False] * 2
-    assert [(told.turn, told.fault, told.step) for told in faulty.drain_transitions()] == [
+    assert [(transition.turn, transition.fault, transition.step) for transition in faulty.drain_transitions()] == [
         (Transition.BEGAN, "cut", 4),
         (Transition.ENDED, "cut", 6),
     ]
@@ -127,8 +127,8 @@ def test_no_fault_is_on_before_the_node_says_where_it_is() -> None:
 LOSS = {"kind": "loss", "samples": True, "commands": "*", "probability": 0.5}
 
 
-def lost_of(made: LinkFaults, n: int = 200) -> list[bool]:
-    return [not made.outgoing(float(k)) for k in range(n)]
+def lost_of(faulty: LinkFaults, n: int = 200) -> list[bool]:
+    return [not faulty.outgoing(float(k)) for k in range(n)]
 
 
 def test_one_seed_one_sequence() -> None:
@@ -162,27 +162,27 @@ def test_a_reset_with_a_seed_begins_anew() -> None:
 @given(before=st.integers(0, 150), n=st.integers(1, 100))
 def test_a_snapshot_goes_on_with_the_same_numbers(before: int, n: int) -> None:
     burst = {**LOSS, "name": "burst", "probability": 0.9, "when": {"probability": 0.2, "lasts_steps": 3}}
-    made = link(LOSS, burst)
-    made.reset(11)
+    faulty = link(LOSS, burst)
+    faulty.reset(11)
 
     def go_on(it: LinkFaults, first: int) -> list[Any]:
-        said = []
+        delays = []
         for k in range(first, first + n):
             it.move(k)
-            said.append((it.outgoing(0.0), it.incoming("a", 0.0)))
-        return said
+            delays.append((it.outgoing(0.0), it.incoming("a", 0.0)))
+        return delays
 
     for k in range(before):
-        made.move(k)
-        made.outgoing(0.0)
-        made.incoming("a", 0.0)
-    state = made.state()
-    went_on = go_on(made, before)
+        faulty.move(k)
+        faulty.outgoing(0.0)
+        faulty.incoming("a", 0.0)
+    state = faulty.state()
+    went_on = go_on(faulty, before)
     other = link(LOSS, burst, step=None)
     other.restore(state)
     assert go_on(other, before) == went_on
-    made.restore(state)
-    assert go_on(made, before) == went_on
+    faulty.restore(state)
+    assert go_on(faulty, before) == went_on
 
 
 def test_a_window_without_a_sample_is_refused() -> None:

@@ -40,32 +40,32 @@ def plan_of(*faults: dict[str, Any], seed: int = 1) -> FaultPlan:
     return FaultPlan.model_validate({"seed": seed, "faults": faults})
 
 
-def made(*faults: dict[str, Any], seed: int = 1, slots: int = 1, **given: Any) -> PointFaults:
-    named = {"points": NAMES, "actuators": ACTUATORS, "step_s": STEP_S, "begin": BEGIN} | given
+def point_faults(*faults: dict[str, Any], seed: int = 1, slots: int = 1, **arguments: Any) -> PointFaults:
+    named = {"points": NAMES, "actuators": ACTUATORS, "step_s": STEP_S, "begin": BEGIN} | arguments
     return PointFaults(plan_of(*faults, seed=seed), slots=slots, **named)
 
 
 def series(faults: PointFaults, values: list[float], first: int = 0) -> list[float]:
-    """What the bus is told of the room's temperature in an episode; the other points must be untouched."""
-    told = []
+    """Return the room's temperature that the bus gets in an episode; the other points must be untouched."""
+    disturbed = []
     for step, value in enumerate(values, first):
         out = faults.apply_to_sensors(np.array([[value, 18.25, 0.1]]), [step])
         assert out[0, 1:].tolist() == [18.25, 0.1]
-        told.append(float(out[0, 0]))
-    return told
+        disturbed.append(float(out[0, 0]))
+    return disturbed
 
 
 def commands(faults: PointFaults, values: list[float]) -> list[float]:
-    """What the building is told of the cooling setpoint."""
+    """Return the cooling setpoints that the building gets."""
     return [float(faults.apply_to_commands(np.array([[v, 12.0, NAN]]), [k])[0, 0]) for k, v in enumerate(values)]
 
 
-def room(kind: str, **given: Any) -> dict[str, Any]:
-    return {"kind": kind, "points": "room_temperature", **given}
+def room(kind: str, **arguments: Any) -> dict[str, Any]:
+    return {"kind": kind, "points": "room_temperature", **arguments}
 
 
-def cooling(kind: str, **given: Any) -> dict[str, Any]:
-    return {"kind": kind, "actuators": "cooling", **given}
+def cooling(kind: str, **arguments: Any) -> dict[str, Any]:
+    return {"kind": kind, "actuators": "cooling", **arguments}
 
 
 # Each kind by hand
@@ -90,29 +90,31 @@ SOME = {"from_step": 1, "to_step": 3}
     ids=lambda value: value.get("kind") if isinstance(value, dict) else None,
 )
 def test_a_kind_by_hand(fault: dict[str, Any], values: list[float], expected: list[float]) -> None:
-    assert series(made(fault), values) == expected
+    assert series(point_faults(fault), values) == expected
 
 
 def test_a_dropped_point_has_no_value() -> None:
-    assert np.array_equal(series(made(room("drop", when=SOME)), [20.0] * 4), [20.0, NAN, NAN, 20.0], equal_nan=True)
+    assert np.array_equal(
+        series(point_faults(room("drop", when=SOME)), [20.0] * 4), [20.0, NAN, NAN, 20.0], equal_nan=True
+    )
 
 
 @pytest.mark.parametrize("n", [1, 3, 7])
 def test_a_delay_is_the_shifted_series(n: int) -> None:
     values = np.random.default_rng(0).normal(size=40).tolist()
-    delayed = series(made(room("delay", steps=n)), values)
+    delayed = series(point_faults(room("delay", steps=n)), values)
     assert np.isnan(delayed[:n]).all()
     assert delayed[n:] == values[:-n]
 
 
 def test_a_delay_knows_what_was_before_its_window() -> None:
-    faults = made(room("delay", steps=2, when={"from_step": 3, "to_step": 5}))
+    faults = point_faults(room("delay", steps=2, when={"from_step": 3, "to_step": 5}))
     assert series(faults, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]) == [0.0, 1.0, 2.0, 1.0, 2.0, 5.0]
 
 
 @given(st.floats(), st.lists(st.floats(), min_size=1, max_size=5))
 def test_what_is_frozen_holds_to_the_bit(value: float, later: list[float]) -> None:
-    faults = made({"kind": "freeze", "points": "*"})
+    faults = point_faults({"kind": "freeze", "points": "*"})
     raw = np.full((1, 3), value).tobytes()
     for step, other in enumerate([value, *later]):
         assert faults.apply_to_sensors(np.full((1, 3), other), [step]).tobytes() == raw
@@ -122,8 +124,8 @@ def test_a_fault_that_comes_again_begins_anew() -> None:
     # every day from 0:30 to 1:00, two steps: frozen at the first of them, and drift from zero
     when = {"hours": [0.5, 1]}
     values = [float(k) for k in range(24 * HOUR + 4)]
-    frozen = series(made(room("freeze", when=when)), values)
-    drifted = series(made(room("drift", rate_per_h=4.0, when=when)), values)
+    frozen = series(point_faults(room("freeze", when=when)), values)
+    drifted = series(point_faults(room("drift", rate_per_h=4.0, when=when)), values)
     for first in (2, 24 * HOUR + 2):
         assert frozen[first : first + 2] == [first, first]
         assert drifted[first : first + 2] == [first, first + 2]
@@ -132,25 +134,25 @@ def test_a_fault_that_comes_again_begins_anew() -> None:
 
 def test_faults_of_a_point_act_one_on_the_other_in_order() -> None:
     bias, gain = room("bias", offset=1.0), room("gain", factor=2.0)
-    assert series(made(bias, gain), [20.0]) == [42.0]
-    assert series(made(gain, bias), [20.0]) == [41.0]
+    assert series(point_faults(bias, gain), [20.0]) == [42.0]
+    assert series(point_faults(gain, bias), [20.0]) == [41.0]
 
 
 # Actuators
 
 
 def test_a_command_that_does_not_arrive_leaves_the_former_one() -> None:
-    faults = made(cooling("drop", when={"from_step": 2, "to_step": 4}))
+    faults = point_faults(cooling("drop", when={"from_step": 2, "to_step": 4}))
     assert commands(faults, [24.0, 25.0, 26.0, NAN, 28.0]) == [24.0, 25.0, 25.0, 25.0, 28.0]
 
 
 def test_where_nothing_was_commanded_before_the_building_goes_on() -> None:
-    assert np.isnan(commands(made(cooling("drop")), [24.0, 25.0])).all()
+    assert np.isnan(commands(point_faults(cooling("drop")), [24.0, 25.0])).all()
 
 
 def test_commands_come_later_and_so_does_a_release() -> None:
-    found = commands(made(cooling("delay", steps=2)), [24.0, 25.0, NAN, 26.0, 27.0])
-    assert np.array_equal(found, [NAN, NAN, 24.0, 25.0, NAN], equal_nan=True)
+    delayed = commands(point_faults(cooling("delay", steps=2)), [24.0, 25.0, NAN, 26.0, 27.0])
+    assert np.array_equal(delayed, [NAN, NAN, 24.0, 25.0, NAN], equal_nan=True)
 
 
 def test_what_is_released_stays_so_unless_it_is_stuck() -> None:
@@ -165,23 +167,25 @@ def test_what_is_released_stays_so_unless_it_is_stuck() -> None:
         {"kind": "clip", "low": 20.0},
         {"kind": "freeze"},
     ):
-        assert np.isnan(commands(made({"actuators": "cooling", **kind}), relinquished)).all(), kind
-    assert commands(made(cooling("stuck", value=22.0)), relinquished) == [22.0, 22.0]
+        assert np.isnan(commands(point_faults({"actuators": "cooling", **kind}), relinquished)).all(), kind
+    assert commands(point_faults(cooling("stuck", value=22.0)), relinquished) == [22.0, 22.0]
 
 
 def test_a_frozen_actuator_is_not_released() -> None:
-    assert commands(made(cooling("freeze", when={"from_step": 1})), [24.0, 25.0, NAN]) == [24.0, 25.0, 25.0]
+    assert commands(point_faults(cooling("freeze", when={"from_step": 1})), [24.0, 25.0, NAN]) == [24.0, 25.0, 25.0]
 
 
 def test_a_disturbed_command_stays_within_the_bounds() -> None:
-    assert commands(made(cooling("bias", offset=8.0)), [20.0, 25.0]) == [28.0, 30.0]
-    assert commands(made(cooling("bias", offset=-8.0)), [20.0, 11.0]) == [12.0, 10.0]
-    damper = made({"kind": "bias", "actuators": "damper", "offset": 1e6})
+    assert commands(point_faults(cooling("bias", offset=8.0)), [20.0, 25.0]) == [28.0, 30.0]
+    assert commands(point_faults(cooling("bias", offset=-8.0)), [20.0, 11.0]) == [12.0, 10.0]
+    damper = point_faults({"kind": "bias", "actuators": "damper", "offset": 1e6})
     assert damper.apply_to_commands(np.array([[20.0, 20.0, 1.0]]), [0]).tolist() == [[20.0, 20.0, 1000001.0]]
 
 
 def test_points_and_actuators_of_one_fault_are_on_together_and_told_once() -> None:
-    faults = made({"name": "x", "kind": "bias", "offset": 1.0, "points": "power", "actuators": "cooling", "when": SOME})
+    faults = point_faults(
+        {"name": "x", "kind": "bias", "offset": 1.0, "points": "power", "actuators": "cooling", "when": SOME}
+    )
     for step in range(4):
         on = step in (1, 2)
         assert faults.apply_to_sensors(np.array([[0.0, 0.0, 5.0]]), [step])[0, 2] == 5.0 + on
@@ -195,8 +199,8 @@ def test_points_and_actuators_of_one_fault_are_on_together_and_told_once() -> No
 # Windows
 
 
-def on_at(when: dict[str, Any], steps: int = 8 * 24 * HOUR, **given: Any) -> set[int]:
-    faults = made({"kind": "stuck", "value": 1.0, "points": "power", "when": when}, **given)
+def on_at(when: dict[str, Any], steps: int = 8 * 24 * HOUR, **arguments: Any) -> set[int]:
+    faults = point_faults({"kind": "stuck", "value": 1.0, "points": "power", "when": when}, **arguments)
     return {k for k in range(steps) if faults.apply_to_sensors(np.zeros((1, 3)), [k])[0, 2]}
 
 
@@ -230,7 +234,7 @@ def test_no_window_is_always() -> None:
 )
 def test_the_clock_is_that_of_the_simulated_time(begin: datetime, hours: Any, weekdays: Any) -> None:
     when = {name: value for name, value in (("hours", hours), ("weekdays", weekdays)) if value}
-    found = on_at(when, begin=begin)
+    steps_on = on_at(when, begin=begin)
 
     def expected(moment: datetime) -> bool:
         hour = moment.hour + moment.minute / 60
@@ -238,8 +242,8 @@ def test_the_clock_is_that_of_the_simulated_time(begin: datetime, hours: Any, we
         in_hours = first <= hour < end if first < end else hour >= first or hour < end
         return in_hours and WEEKDAYS[moment.weekday()] in (weekdays or WEEKDAYS)
 
-    assert moments(found, begin) == [m for m in moments(set(range(8 * 24 * HOUR)), begin) if expected(m)]
-    assert found
+    assert moments(steps_on, begin) == [m for m in moments(set(range(8 * 24 * HOUR)), begin) if expected(m)]
+    assert steps_on
 
 
 @pytest.mark.variants
@@ -271,7 +275,7 @@ def test_a_burst_that_its_window_ended_does_not_go_on_in_the_next() -> None:
 
 
 def test_what_began_and_ended_is_told_of_each_slot() -> None:
-    faults = made(room("bias", name="b", offset=1, when=SOME), slots=2)
+    faults = point_faults(room("bias", name="b", offset=1, when=SOME), slots=2)
     values = np.zeros((2, 3))
     for steps in ([0, 1], [0, 2], [1, 3]):
         faults.apply_to_sensors(values, steps)
@@ -294,25 +298,25 @@ def noise_of(faults: PointFaults, steps: int, slots: int = 1) -> NDArray[np.floa
 
 
 def test_noise_has_its_mean_variance_and_shape() -> None:
-    found = noise_of(made({"kind": "noise", "points": "*", "sigma": 0.5}), 20_000)[:, 0]
-    n = found.size
-    assert found.mean() == pytest.approx(0.0, abs=4 * 0.5 / math.sqrt(n))
-    assert found.var() == pytest.approx(0.25, abs=4 * 0.25 * math.sqrt(2 / n))
-    assert np.mean(np.abs(found) < 0.5) == pytest.approx(math.erf(1 / math.sqrt(2)), abs=0.01)
+    noise = noise_of(point_faults({"kind": "noise", "points": "*", "sigma": 0.5}), 20_000)[:, 0]
+    n = noise.size
+    assert noise.mean() == pytest.approx(0.0, abs=4 * 0.5 / math.sqrt(n))
+    assert noise.var() == pytest.approx(0.25, abs=4 * 0.25 * math.sqrt(2 / n))
+    assert np.mean(np.abs(noise) < 0.5) == pytest.approx(math.erf(1 / math.sqrt(2)), abs=0.01)
     # neither points nor steps depend on each other: correlations are within 4 / sqrt(n)
-    assert np.abs(np.corrcoef(found.T) - np.eye(3)).max() < 4 / math.sqrt(len(found))
-    assert abs(np.corrcoef(found[1:, 0], found[:-1, 0])[0, 1]) < 4 / math.sqrt(len(found))
+    assert np.abs(np.corrcoef(noise.T) - np.eye(3)).max() < 4 / math.sqrt(len(noise))
+    assert abs(np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1]) < 4 / math.sqrt(len(noise))
 
 
 @pytest.mark.parametrize("two_sided", [True, False])
 def test_spikes_are_as_frequent_as_asked(two_sided: bool) -> None:
     fault = {"kind": "spike", "points": "*", "amplitude": 5.0, "probability": 0.1, "two_sided": two_sided}
-    found = noise_of(made(fault), 10_000)
-    up, down = np.mean(found == 5.0), np.mean(found == -5.0)
-    bound = 4 * math.sqrt(0.1 * 0.9 / found.size)
+    noise = noise_of(point_faults(fault), 10_000)
+    up, down = np.mean(noise == 5.0), np.mean(noise == -5.0)
+    bound = 4 * math.sqrt(0.1 * 0.9 / noise.size)
     assert up + down == pytest.approx(0.1, abs=bound)
     assert down == pytest.approx(0.05 if two_sided else 0.0, abs=bound if two_sided else 0.0)
-    assert np.mean(found == 0.0) == pytest.approx(0.9, abs=bound)
+    assert np.mean(noise == 0.0) == pytest.approx(0.9, abs=bound)
 
 
 NOISE = room("noise", name="n", sigma=1.0)
@@ -323,45 +327,45 @@ def test_another_fault_does_not_change_the_noise(name: str) -> None:
     noise = room("noise", name=name, sigma=1.0)
     other = {"kind": "noise", "name": "other", "points": ["power", "hall_temperature"], "sigma": 2.0}
     burst = {"kind": "drop", "points": "power", "when": {"probability": 0.3}}
-    alone = noise_of(made(noise), 200)[:, 0, 0]
-    assert np.array_equal(alone, noise_of(made(noise, other, burst), 200)[:, 0, 0])
+    alone = noise_of(point_faults(noise), 200)[:, 0, 0]
+    assert np.array_equal(alone, noise_of(point_faults(noise, other, burst), 200)[:, 0, 0])
     if name:  # a named one may stand anywhere
-        assert np.array_equal(alone, noise_of(made(other, burst, noise), 200)[:, 0, 0])
+        assert np.array_equal(alone, noise_of(point_faults(other, burst, noise), 200)[:, 0, 0])
 
 
 def test_two_faults_alike_have_noise_of_their_own() -> None:
-    found = noise_of(made(NOISE, {**NOISE, "name": "m", "points": "power"}), 5000)[:, 0]
-    assert abs(np.corrcoef(found[:, 0], found[:, 2])[0, 1]) < 4 / math.sqrt(5000)
+    noise = noise_of(point_faults(NOISE, {**NOISE, "name": "m", "points": "power"}), 5000)[:, 0]
+    assert abs(np.corrcoef(noise[:, 0], noise[:, 2])[0, 1]) < 4 / math.sqrt(5000)
 
 
 def test_points_and_actuators_of_one_fault_have_noise_of_their_own() -> None:
-    faults = made({**NOISE, "actuators": "damper"})
+    faults = point_faults({**NOISE, "actuators": "damper"})
     sensed = noise_of(faults, 2000)[:, 0, 0]
-    told = np.array([faults.apply_to_commands(np.array([[20.0, 20.0, 0.0]]), [k])[0, 2] for k in range(2000)])
-    assert told.std() == pytest.approx(1.0, rel=0.1)
-    assert abs(np.corrcoef(sensed, told)[0, 1]) < 4 / math.sqrt(2000)
+    commanded = np.array([faults.apply_to_commands(np.array([[20.0, 20.0, 0.0]]), [k])[0, 2] for k in range(2000)])
+    assert commanded.std() == pytest.approx(1.0, rel=0.1)
+    assert abs(np.corrcoef(sensed, commanded)[0, 1]) < 4 / math.sqrt(2000)
 
 
 def test_where_no_spike_is_nothing_is_touched() -> None:
-    faults = made({"kind": "spike", "points": "*", "amplitude": 5.0, "probability": 0.5})
+    faults = point_faults({"kind": "spike", "points": "*", "amplitude": 5.0, "probability": 0.5})
     raw = np.full((1, 3), -0.0)
-    found = {faults.apply_to_sensors(raw, [k])[0, c].tobytes() for k in range(100) for c in range(3)}
-    assert found == {np.float64(v).tobytes() for v in (-0.0, 5.0, -5.0)}
+    values = {faults.apply_to_sensors(raw, [k])[0, c].tobytes() for k in range(100) for c in range(3)}
+    assert values == {np.float64(v).tobytes() for v in (-0.0, 5.0, -5.0)}
 
 
 def test_a_window_does_not_change_the_noise_in_it() -> None:
-    late = noise_of(made({**NOISE, "when": {"from_step": 100}}), 200)[:, 0, 0]
+    late = noise_of(point_faults({**NOISE, "when": {"from_step": 100}}), 200)[:, 0, 0]
     assert not late[:100].any()
-    assert np.array_equal(late[100:], noise_of(made(NOISE), 200)[100:, 0, 0])
+    assert np.array_equal(late[100:], noise_of(point_faults(NOISE), 200)[100:, 0, 0])
 
 
 def test_seeds_and_episodes_give_their_own_sequences() -> None:
     def episodes(seed: int, resets: list[int | None], steps: int) -> list[bytes]:
-        faults, found = made(NOISE, seed=seed), []
+        faults, noises = point_faults(NOISE, seed=seed), []
         for reset in resets:
             faults.reset(None, [reset])
-            found.append(noise_of(faults, steps).tobytes())
-        return found
+            noises.append(noise_of(faults, steps).tobytes())
+        return noises
 
     for steps in (1, 30, 100):
         one = episodes(1, [5, None, None, 5, None, 6], steps)
@@ -372,7 +376,7 @@ def test_seeds_and_episodes_give_their_own_sequences() -> None:
 
 
 def test_a_seed_gives_the_same_in_any_slot_and_without_one_slots_differ() -> None:
-    faults = made(NOISE, slots=3)
+    faults = point_faults(NOISE, slots=3)
     unseeded = noise_of(faults, 70, 3)
     assert len({unseeded[:, slot].tobytes() for slot in range(3)}) == 3
     faults.reset([0, 2], [8, 8])
@@ -383,13 +387,13 @@ def test_a_seed_gives_the_same_in_any_slot_and_without_one_slots_differ() -> Non
 
 def test_a_slot_that_stands_still_says_the_same_again() -> None:
     everything = [NOISE, room("delay", steps=1), {"kind": "freeze", "points": "power", "when": {"probability": 0.5}}]
-    still, moving = made(*everything, slots=2), made(*everything, slots=2)
+    still, moving = point_faults(*everything, slots=2), point_faults(*everything, slots=2)
     for steps, value in (([0, 0], 1.0), ([0, 1], 2.0), ([0, 2], 3.0), ([1, 3], 4.0)):
         values = np.array([[1.0 if steps[0] == 0 else 4.0] * 3, [value] * 3])
-        found = still.apply_to_sensors(values, steps)
+        disturbed = still.apply_to_sensors(values, steps)
         if steps[0] != 0 or steps[1] == 0:
             expected = moving.apply_to_sensors(values, [steps[0], steps[0]])
-        assert np.array_equal(found[0], expected[0], equal_nan=True)
+        assert np.array_equal(disturbed[0], expected[0], equal_nan=True)
 
 
 # Everything at once, over random plans
@@ -424,10 +428,10 @@ faults_of = st.one_of(
                 "when": whens,
                 "points": st.sets(st.sampled_from(NAMES), min_size=1).map(sorted),
                 "actuators": st.sets(st.sampled_from([a.name for a in ACTUATORS])).map(sorted),
-                **given,
+                **parameter_values,
             }
         )
-        for kind, given in parameters.items()
+        for kind, parameter_values in parameters.items()
     )
 )
 plans = st.lists(faults_of, max_size=5)
@@ -457,7 +461,7 @@ def test_the_random_plans_have_all_kinds_of_points() -> None:
 
 @given(plans, st.integers(0, 1000))
 def test_what_no_fault_names_is_untouched_to_the_bit(plan: list[dict[str, Any]], seed: int) -> None:
-    faults = made(*plan, slots=SLOTS)
+    faults = point_faults(*plan, slots=SLOTS)
     values, wanted = inputs(seed)
     kept = values.tobytes(), wanted.tobytes()
     for k in range(STEPS):
@@ -486,12 +490,12 @@ def test_what_no_fault_names_is_untouched_to_the_bit(plan: list[dict[str, Any]],
 @given(plans, st.integers(0, STEPS - 1), st.integers(0, 1000))
 def test_a_snapshot_goes_on_as_if_nothing_had_been(plan: list[dict[str, Any]], cut: int, seed: int) -> None:
     values, wanted = inputs(seed)
-    whole = made(*plan, slots=SLOTS)
+    whole = point_faults(*plan, slots=SLOTS)
     whole.reset(None, [seed, None])
     run(whole, values[:cut], wanted[:cut])
     state = pickle.loads(pickle.dumps(whole.state()))
     went_on = run(whole, values, wanted, cut)
-    other = made(*plan, slots=SLOTS)
+    other = point_faults(*plan, slots=SLOTS)
     other.restore(state)
     assert run(other, values, wanted, cut) == went_on
     whole.restore(state)  # the same node goes back
@@ -501,19 +505,19 @@ def test_a_snapshot_goes_on_as_if_nothing_had_been(plan: list[dict[str, Any]], c
 
 def test_a_branch_of_one_slot_goes_on_in_several() -> None:
     plan = [NOISE, room("freeze", when={"probability": 0.3, "lasts_steps": 3}), room("delay", steps=2)]
-    parent, branch = made(*plan, slots=2), made(*plan, slots=3)
+    parent, branch = point_faults(*plan, slots=2), point_faults(*plan, slots=3)
     values = np.random.default_rng(3).normal(size=(40, 2, 3))
     for k in range(20):
         parent.apply_to_sensors(values[k], [k, k])
     branch.restore([parent.state()[1]] * 3)
     for k in range(20, 40):
         expected = parent.apply_to_sensors(values[k], [k, k])[1]
-        found = branch.apply_to_sensors(np.repeat(values[k, 1:2], 3, axis=0), [k] * 3)
-        assert [row.tobytes() for row in found] == [expected.tobytes()] * 3
+        disturbed = branch.apply_to_sensors(np.repeat(values[k, 1:2], 3, axis=0), [k] * 3)
+        assert [row.tobytes() for row in disturbed] == [expected.tobytes()] * 3
 
 
 def test_an_episode_remembers_nothing_of_the_former() -> None:
-    faults = made(room("delay", steps=2), cooling("drop", when={"from_step": 1}))
+    faults = point_faults(room("delay", steps=2), cooling("drop", when={"from_step": 1}))
     assert commands(faults, [24.0, 25.0]) == [24.0, 24.0]
     series(faults, [1.0, 2.0, 3.0])
     faults.reset()
@@ -541,7 +545,7 @@ def test_a_plan_travels() -> None:
 
 
 def test_a_plan_without_faults_is_a_node_in_order() -> None:
-    faults = made()
+    faults = point_faults()
     values, wanted = inputs(0)
     assert faults.apply_to_sensors(values, [0]) is values
     assert faults.apply_to_commands(wanted, [0]) is wanted
@@ -586,8 +590,8 @@ def test_a_wrong_file_says_all_that_is_wrong(text: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig) as error:
         read_plan(path)
     assert str(path) in str(error.value)
-    for said in WRONG[text]:
-        assert said in str(error.value)
+    for message in WRONG[text]:
+        assert message in str(error.value)
 
 
 def test_a_file_that_is_not_there_is_a_mistake_of_the_users(tmp_path: Path) -> None:
@@ -597,7 +601,7 @@ def test_a_file_that_is_not_there_is_a_mistake_of_the_users(tmp_path: Path) -> N
 
 def test_a_plan_that_does_not_fit_the_node_is_refused_with_all_its_mistakes() -> None:
     with pytest.raises(InvalidConfig) as error:
-        made(
+        point_faults(
             room("bias", name="far", offset=1.0, when={"from_time": "2018-07-03"}),
             {"kind": "drop", "points": ["room_temprature", "cooling", "*_temperature"]},
             {"kind": "stuck", "actuators": ["*", "power"], "value": 45.0},
@@ -619,13 +623,13 @@ def test_a_plan_that_does_not_fit_the_node_is_refused_with_all_its_mistakes() ->
 
 @pytest.mark.parametrize("begins", [7, 8, 9, 10])
 def test_a_delay_that_begins_amid_an_episode_lets_no_former_command_through(begins: int) -> None:
-    faults = made({"kind": "delay", "actuators": "cooling", "steps": 3})
+    faults = point_faults({"kind": "delay", "actuators": "cooling", "steps": 3})
     faults.apply_to_commands(np.array([[29.0, 12.0, NAN]]), [-1])  # what had been commanded last
-    told = [
+    commanded = [
         float(faults.apply_to_commands(np.array([[10.0 + k / 4, 12.0, NAN]]), [k])[0, 0])
         for k in range(begins, begins + 8)
     ]
-    np.testing.assert_array_equal(told, [NAN, NAN, NAN, *(10.0 + k / 4 for k in range(begins, begins + 5))])
+    np.testing.assert_array_equal(commanded, [NAN, NAN, NAN, *(10.0 + k / 4 for k in range(begins, begins + 5))])
 
 
 def test_windows_that_last_longer_than_any_episode_are_refused() -> None:
@@ -635,7 +639,10 @@ def test_windows_that_last_longer_than_any_episode_are_refused() -> None:
 
 def test_a_wildcard_leaves_unobserved_points_alone_and_draws_the_same_for_the_others() -> None:
     noise = {"kind": "noise", "points": "*_temperature", "sigma": 1.0}
-    plain, monitored = made(noise), made(noise, points=(*NAMES, "attic_temperature"), unobserved={"attic_temperature"})
+    plain, monitored = (
+        point_faults(noise),
+        point_faults(noise, points=(*NAMES, "attic_temperature"), unobserved={"attic_temperature"}),
+    )
     for faults in (plain, monitored):
         faults.reset()
     for step in range(5):
@@ -643,10 +650,10 @@ def test_a_wildcard_leaves_unobserved_points_alone_and_draws_the_same_for_the_ot
         values = monitored.apply_to_sensors(np.array([[20.0, 21.0, 5.0, 15.0]]), [step])
         assert values[0, :3].tobytes() == expected[0].tobytes()
         assert values[0, 3] == 15.0
-    named = made(
+    named = point_faults(
         {**noise, "points": "attic_temperature"}, points=("attic_temperature",), unobserved={"attic_temperature"}
     )
     named.reset()
     assert named.apply_to_sensors(np.array([[15.0]]), [0]) != 15.0
     with pytest.raises(InvalidConfig, match=r"no sensor or meter 'attic\*'"):
-        made({**noise, "points": "attic*"}, points=("attic_temperature",), unobserved={"attic_temperature"})
+        point_faults({**noise, "points": "attic*"}, points=("attic_temperature",), unobserved={"attic_temperature"})

@@ -15,7 +15,7 @@ NAMES = [f"controller {i}" for i in range(5)]
 
 priorities = st.integers(1, PRIORITIES)
 finite = st.floats(allow_nan=False, allow_infinity=False)
-who = st.sampled_from(NAMES)
+source_names = st.sampled_from(NAMES)
 cells = st.lists(finite | st.none(), min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS)
 chosen = st.lists(st.booleans(), min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS)
 
@@ -42,14 +42,16 @@ class Model(RuleBasedStateMachine):
             self.model[cell][priority] = (value, name)
 
     @rule(
-        priority=priorities, name=who, values=st.lists(finite, min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS)
+        priority=priorities,
+        name=source_names,
+        values=st.lists(finite, min_size=SLOTS * ACTUATORS, max_size=SLOTS * ACTUATORS),
     )
     def put_all(self, priority: int, name: str, values: list[float]) -> None:
         self.array.put_all(priority, self.array.source(name), np.array(values).tobytes())
         for cell, value in enumerate(values):
             self._set(cell, priority, name, value)
 
-    @rule(priority=priorities, name=who, values=cells, where=chosen)
+    @rule(priority=priorities, name=source_names, values=cells, where=chosen)
     def put(self, priority: int, name: str, values: list[float | None], where: list[bool]) -> None:
         shape = (SLOTS, ACTUATORS)
         numbers = np.array([np.nan if v is None else v for v in values]).reshape(shape)
@@ -58,7 +60,7 @@ class Model(RuleBasedStateMachine):
             if meant:
                 self._set(cell, priority, name, value)
 
-    @rule(priority=priorities, name=who, actuator=st.integers(0, ACTUATORS - 1), value=finite | st.none())
+    @rule(priority=priorities, name=source_names, actuator=st.integers(0, ACTUATORS - 1), value=finite | st.none())
     def put_one(self, priority: int, name: str, actuator: int, value: float | None) -> None:
         self.array.put_one(priority, self.array.source(name), actuator, np.nan if value is None else value)
         for slot in range(SLOTS):

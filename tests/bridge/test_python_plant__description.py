@@ -1,4 +1,4 @@
-"""What a class must have to be a plant: everything that is missing or wrong, in one error."""
+"""Requirements of a class that is to be a plant: everything that is missing or wrong, in one error."""
 
 from __future__ import annotations
 

@@ -33,8 +33,8 @@ def read(path: Path) -> tuple[list[int], RecordingReader]:
 
 
 def test_the_whole_file_is_read(whole: Path) -> None:
-    found, reader = read(whole)
-    assert found == [*range(SAMPLES)]
+    steps, reader = read(whole)
+    assert steps == [*range(SAMPLES)]
     assert (reader.end.is_complete, reader.end.text) == (True, "")
 
 
@@ -44,8 +44,8 @@ def test_a_file_cut_at_any_chunk_is_read_up_to_there(whole: Path, tmp_path: Path
     for chunks, end in enumerate(ends, 1):
         for offset, expected in ((end - 1, 50 * (chunks - 1)), (end, 50 * chunks), (end + 5, 50 * chunks)):
             (tmp_path / "cut.mcap").write_bytes(data[:offset])
-            found, reader = read(tmp_path / "cut.mcap")
-            assert found == [*range(expected)]
+            steps, reader = read(tmp_path / "cut.mcap")
+            assert steps == [*range(expected)]
             assert not reader.end.is_complete
             assert "it was cut off after byte" in reader.end.text
 
@@ -57,17 +57,17 @@ def test_a_changed_byte_is_never_read_as_a_message(whole: Path, place: float, bi
     path = whole.with_name("changed.mcap")
     path.write_bytes(data)
     with suppress(InvalidRecording):
-        found, reader = read(path)
-        assert found == [*range(len(found))]  # a prefix, each as it was
-        assert len(found) == SAMPLES or reader.end.text
+        steps, reader = read(path)
+        assert steps == [*range(len(steps))]  # a prefix, each as it was
+        assert len(steps) == SAMPLES or reader.end.text
 
 
 def test_a_damaged_chunk_is_named_and_what_is_before_it_is_read(whole: Path, tmp_path: Path) -> None:
     data, ends = bytearray(whole.read_bytes()), chunk_ends(whole)
     data[ends[2] - 30] ^= 1
     (tmp_path / "damaged.mcap").write_bytes(data)
-    found, reader = read(tmp_path / "damaged.mcap")
-    assert found == [*range(100)]
+    steps, reader = read(tmp_path / "damaged.mcap")
+    assert steps == [*range(100)]
     assert reader.end.is_damaged
     assert "it is damaged at byte" in reader.end.text
 
@@ -75,8 +75,8 @@ def test_a_damaged_chunk_is_named_and_what_is_before_it_is_read(whole: Path, tmp
 def test_a_missing_chunk_is_a_gap(whole: Path, tmp_path: Path) -> None:
     data, ends = whole.read_bytes(), chunk_ends(whole)
     (tmp_path / "gap.mcap").write_bytes(data[: ends[2]] + data[ends[3] :])
-    found, reader = read(tmp_path / "gap.mcap")
-    assert found == [*range(150)]
+    steps, reader = read(tmp_path / "gap.mcap")
+    assert steps == [*range(150)]
     assert reader.end.is_damaged
     assert "messages are missing" in reader.end.text
 
@@ -86,8 +86,8 @@ def test_a_last_chunk_that_is_not_recognized_is_a_gap(whole: Path, tmp_path: Pat
     heads = (at for at in range(end - 9) if at + 9 + int.from_bytes(data[at + 1 : at + 9], "little") == end)
     data[next(at for at in heads if data[at] == Opcode.CHUNK)] = Opcode.MESSAGE_INDEX
     (tmp_path / "gap.mcap").write_bytes(data)
-    found, reader = read(tmp_path / "gap.mcap")
-    assert found == [*range(SAMPLES - 50)]
+    steps, reader = read(tmp_path / "gap.mcap")
+    assert steps == [*range(SAMPLES - 50)]
     assert reader.end.is_damaged
     assert "messages are missing" in reader.end.text
 
@@ -99,8 +99,8 @@ def test_a_summary_that_cannot_be_read_is_named(whole: Path, tmp_path: Path) -> 
         changed = data.copy()
         changed[at] = byte
         (tmp_path / "damaged.mcap").write_bytes(changed)
-        found, reader = read(tmp_path / "damaged.mcap")
-        assert found == [*range(SAMPLES)]
+        steps, reader = read(tmp_path / "damaged.mcap")
+        assert steps == [*range(SAMPLES)]
         assert reader.end.is_damaged
         assert "its summary cannot be read" in reader.end.text
 

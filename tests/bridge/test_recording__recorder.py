@@ -43,11 +43,11 @@ def test_the_file_is_what_other_readers_expect(tmp_path: Path) -> None:
         assert summary.statistics.message_count == 6000
         assert summary.statistics.chunk_count == len(summary.chunk_indexes) == len(chunk_ends(path))
         topic = keys.SAMPLE.at("office")
-        found = [int.from_bytes(message.data[:4], "little") for _, _, message in reader.iter_messages(topic)]
+        numbers = [int.from_bytes(message.data[:4], "little") for _, _, message in reader.iter_messages(topic)]
         middle = summary.statistics.message_start_time + 1
         later = sum(1 for _ in reader.iter_messages(topic, starting_at=middle))
         assert {a.name for a in reader.iter_attachments()} == {"manifest.json", "scenario.yaml", "provenance.json"}
-    assert found == [*range(6000)]
+    assert numbers == [*range(6000)]
     assert 0 < later < 6000
 
 

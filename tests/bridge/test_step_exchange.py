@@ -21,7 +21,7 @@ from zenostat.topics.messages import Command, CommandOp, ControllerState, Event,
 KEEP, SET, RELEASE = CommandOp.KEEP, CommandOp.SET, CommandOp.RELINQUISH
 
 
-def said(event: Event | None, kind: EventKind, *words: str) -> None:
+def check_event(event: Event | None, kind: EventKind, *words: str) -> None:
     """The event is of that kind and its text has those words."""
     assert event is not None
     assert event.kind is kind
@@ -35,7 +35,7 @@ def same(one: list[float], other: list[float]) -> bool:
 
 
 def unchanged(at: StepExchange, act: Callable[[], object], *, count: str) -> object:
-    """What `act` returns, once it is shown to have changed nothing but that count, by one."""
+    """Return the result of `act`, after a check that it changed nothing but that count, by one."""
     before = copy.deepcopy(at)
     result = act()
     for name in ("accepted", "rejected", "late", "duplicate"):
@@ -119,14 +119,14 @@ def test_an_episode_of_n_timesteps_has_n_commands_and_n_plus_1_samples(steps: in
     # node@0 -> agent@0 -> node@1 -> agent@1 -> ... -> node@N
     at = exchange()
     claim(at, "agent")
-    samples, ruled = [at.step[0]], []
+    samples, applied = [at.step[0]], []
     while at.state is State.WAITING:
         k = at.step[0]
         assert answer(at, "agent", [20.0, 25.0 + k / 100]) is None
-        ruled.append(advance(at, last=k + 1 == steps))
+        applied.append(advance(at, last=k + 1 == steps))
         samples.append(at.step[0])
     assert samples == list(range(steps + 1))
-    assert ruled == [([20.0, 25.0 + k / 100], ["agent", "agent"]) for k in range(steps)]
+    assert applied == [([20.0, 25.0 + k / 100], ["agent", "agent"]) for k in range(steps)]
     assert at.counts.accepted == steps
     assert at.state is State.ENDED
     assert not at.ready_to_step()
@@ -240,7 +240,7 @@ def running() -> StepExchange:
 def test_an_answer_to_a_step_that_is_over_is_late(step: int) -> None:
     at = running()
     event = unchanged(at, lambda: at.command("agent", command([21.0, 26.0], step=step), 0.0), count="late")
-    said(event, EventKind.LATE, f"[{step}]", "[2]")
+    check_event(event, EventKind.LATE, f"[{step}]", "[2]")
     assert (event.source, event.episode, event.step) == ("agent", 0, 2)
 
 
@@ -249,7 +249,7 @@ def test_an_answer_to_an_episode_that_is_over_is_late() -> None:
     at.reset()
     at.ready(0.0)
     event = unchanged(at, lambda: at.command("agent", command([21.0, 26.0], step=2, episode=0), 0.0), count="late")
-    said(event, EventKind.LATE, "episode [0] step [2]", "episode [1] step [0]")
+    check_event(event, EventKind.LATE, "episode [0] step [2]", "episode [1] step [0]")
 
 
 def test_a_second_answer_is_a_duplicate() -> None:
@@ -257,7 +257,7 @@ def test_a_second_answer_is_a_duplicate() -> None:
     claim(at, "second", 11)  # is waited for, so that the node stays at sample 2
     answer(at, "agent", [20.0, 25.0])
     event = unchanged(at, lambda: answer(at, "agent", [21.0, 26.0]), count="duplicate")
-    said(event, EventKind.DUPLICATE, "already answered")
+    check_event(event, EventKind.DUPLICATE, "already answered")
     assert event.source == "agent"
 
 
@@ -265,7 +265,7 @@ def test_a_second_answer_of_one_that_is_not_required_is_a_duplicate_too() -> Non
     at = running()
     assert answer(at, "helper", [0.0, 28.0], [KEEP, SET]) is None
     event = unchanged(at, lambda: answer(at, "helper", [0.0, 29.0], [KEEP, SET]), count="duplicate")
-    said(event, EventKind.DUPLICATE)
+    check_event(event, EventKind.DUPLICATE)
 
 
 def test_an_answer_to_the_last_sample_is_a_duplicate_of_nothing_that_rules() -> None:
@@ -273,7 +273,7 @@ def test_an_answer_to_the_last_sample_is_a_duplicate_of_nothing_that_rules() -> 
     answer(at, "agent", [20.0, 25.0])
     advance(at, last=True)
     event = unchanged(at, lambda: answer(at, "agent", [21.0, 26.0]), count="duplicate")
-    said(event, EventKind.DUPLICATE, "episode is over")
+    check_event(event, EventKind.DUPLICATE, "episode is over")
     assert at.state is State.ENDED
 
 
@@ -308,7 +308,7 @@ WRONG = {
 def test_a_wrong_command_is_rejected_in_words(controller: str, sent: Command, words: list[str]) -> None:
     at = running()
     event = unchanged(at, lambda: at.command(controller, sent, 0.0), count="rejected")
-    said(event, EventKind.REJECTED, *words)
+    check_event(event, EventKind.REJECTED, *words)
     assert event.source == controller
     assert answer(at, "agent", [20.0, 25.0]) is None  # the right answer is still taken
     assert at.ready_to_step()
@@ -318,7 +318,7 @@ def test_a_wrong_command_is_rejected_in_words(controller: str, sent: Command, wo
 def test_bytes_that_are_no_command_are_rejected(payload: bytes) -> None:
     at = running()
     assert unchanged(at, lambda: at.accept_fast("agent", payload, 0.0), count="") is False
-    said(unchanged(at, lambda: at.receive_command("agent", payload, 0.0), count="rejected"), EventKind.REJECTED)
+    check_event(unchanged(at, lambda: at.receive_command("agent", payload, 0.0), count="rejected"), EventKind.REJECTED)
 
 
 def test_a_command_of_another_version_is_rejected_by_name() -> None:
@@ -326,7 +326,7 @@ def test_a_command_of_another_version_is_rejected_by_name() -> None:
     payload, other = wire(command([20.0, 25.0], step=2)), "application/msgpack;zenostat/1.Command"
     assert unchanged(at, lambda: at.accept_fast("agent", payload, 0.0, other), count="") is False
     event = unchanged(at, lambda: at.receive_command("agent", payload, 0.0, other), count="rejected")
-    said(event, EventKind.REJECTED, "zenostat/1.Command", "zenostat/2.Command")
+    check_event(event, EventKind.REJECTED, "zenostat/1.Command", "zenostat/2.Command")
 
 
 def test_every_message_is_counted_once() -> None:
@@ -361,7 +361,7 @@ BOUNDS = {
 }
 
 
-def told(at: StepExchange) -> str:
+def state_text(at: StepExchange) -> str:
     """All that can be seen of an exchange."""
     array = [] if at.state is not State.WAITING else ruling(at)
     return repr((at.state, at.episode, at.step, at.counts, at.controllers(), at.awaiting(), at.ready_to_step(), array))
@@ -382,17 +382,17 @@ def both_paths_agree(bounds: str, controller: str, sent: Command, *, times: int)
     answer(at, "agent", [0.0] * count, [KEEP] * count)
     answer(at, "part", [0.0] * count, [KEEP] * count)
     advance(at)
-    payload, slow, before = wire(sent), copy.deepcopy(at), told(at)
+    payload, slow, before = wire(sent), copy.deepcopy(at), state_text(at)
     for _ in range(times):
         expected = slow.receive_command(controller, payload, 0.0)
         if at.accept_fast(controller, payload, 0.0):
             event = None
         else:
-            assert told(at) == before  # a no of the fast path changes nothing
+            assert state_text(at) == before  # a no of the fast path changes nothing
             event = at.receive_command(controller, payload, 0.0)
         assert event == expected
-        assert told(at) == told(slow)
-        before = told(at)
+        assert state_text(at) == state_text(slow)
+        before = state_text(at)
 
 
 @settings(max_examples=examples(300), deadline=None)
@@ -514,7 +514,7 @@ def test_claims_that_do_not_meet_are_both_taken(priority: int, actuators: list[s
     at = exchange()
     claim(at, "first", 10, actuators=["cool"])
     (event,) = claim(at, "second", priority, actuators=actuators)
-    said(event, EventKind.CONNECTED, "second")
+    check_event(event, EventKind.CONNECTED, "second")
     assert at.awaiting() == ["first", "second"]
 
 
@@ -544,7 +544,7 @@ def test_one_that_has_gone_is_waited_for_until_it_is_back() -> None:
     answer(at, "agent", [20.0, 25.0])
     advance(at)
     (event,) = at.on_disconnect("agent", 0.0)
-    said(event, EventKind.DISCONNECTED, "agent", "waits")
+    check_event(event, EventKind.DISCONNECTED, "agent", "waits")
     assert not at.ready_to_step()
     assert at.awaiting() == ["agent"]
     assert [c.state for c in at.controllers()] == [ControllerState.DISCONNECTED]
@@ -569,14 +569,14 @@ def test_one_that_has_gone_is_replaced_at_its_level() -> None:
     advance(at)
     at.on_disconnect("agent", 0.0)
     gone, joined = claim(at, "other")
-    said(gone, EventKind.DISCONNECTED, "other takes over from agent")
-    said(joined, EventKind.CONNECTED, "other")
+    check_event(gone, EventKind.DISCONNECTED, "other takes over from agent")
+    check_event(joined, EventKind.CONNECTED, "other")
     assert at.awaiting() == ["other"]
     assert answer(at, "other", [16.0, 29.0]) is None
     assert advance(at) == ([16.0, 29.0], ["other", "other"])
     with pytest.raises(RequestRejected, match="claimed by 'other'"):
         claim(at, "agent")
-    said(answer(at, "agent", [20.0, 25.0]), EventKind.REJECTED, "'agent' has claimed nothing")
+    check_event(answer(at, "agent", [20.0, 25.0]), EventKind.REJECTED, "'agent' has claimed nothing")
 
 
 def test_one_that_has_gone_at_another_level_is_not_replaced() -> None:
@@ -621,7 +621,7 @@ def test_one_that_claims_again_answers_again() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     (event,) = claim(at, "agent")
-    said(event, EventKind.CONNECTED, "again")
+    check_event(event, EventKind.CONNECTED, "again")
     assert not at.ready_to_step()
     assert answer(at, "agent", [21.0, 26.0]) is None
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
@@ -652,12 +652,16 @@ def test_a_write_rules_over_a_controller_until_it_is_released() -> None:
     at = exchange()
     claim(at, "agent", 10)
     answer(at, "agent", [20.0, 25.0])
-    said(at.write("cool", Write(value=28.0, source="wall"), 0.0), EventKind.WRITTEN, "cool = 28 degC", "priority 8")
+    check_event(
+        at.write("cool", Write(value=28.0, source="wall"), 0.0), EventKind.WRITTEN, "cool = 28 degC", "priority 8"
+    )
     assert advance(at) == ([20.0, 28.0], ["agent", "wall"])
     answer(at, "agent", [20.0, 24.0])
     assert advance(at) == ([20.0, 28.0], ["agent", "wall"])
     answer(at, "agent", [20.0, 24.0])
-    said(at.write("cool", Write(value=None, source="wall"), 1800.0), EventKind.WRITTEN, "relinquished", "priority 8")
+    check_event(
+        at.write("cool", Write(value=None, source="wall"), 1800.0), EventKind.WRITTEN, "relinquished", "priority 8"
+    )
     assert advance(at) == ([20.0, 24.0], ["agent", "agent"])
 
 
@@ -690,11 +694,11 @@ def test_a_write_reaches_all_slots() -> None:
 def test_a_write_for_1800_s_rules_two_timesteps_of_900_s(priority: int) -> None:
     at = exchange(mode=Mode.FREE)
     at.write("cool", Write(value=28.0, duration_s=1800.0, priority=priority, source="wall"), 0.0)
-    ruled, told_of = [], []
+    sources, told_of = [], []
     for k in range(4):
         told_of += [(k, e.kind, e.source) for e in at.expire(k * 900.0)]
-        ruled.append(advance(at)[1])
-    assert ruled == [["", "wall"], ["", "wall"], ["", ""], ["", ""]]
+        sources.append(advance(at)[1])
+    assert sources == [["", "wall"], ["", "wall"], ["", ""], ["", ""]]
     assert told_of == [(2, EventKind.EXPIRED, "wall")]
     assert not at.commands.has_expiries
 
@@ -772,12 +776,12 @@ REFUSED_WRITES = {
 @pytest.mark.parametrize(("name", "write", "words"), REFUSED_WRITES.values(), ids=REFUSED_WRITES)
 def test_a_wrong_write_is_rejected_in_words(name: str, write: Write, words: list[str]) -> None:
     at = running()
-    said(unchanged(at, lambda: at.write(name, write, 0.0), count="rejected"), EventKind.REJECTED, *words)
+    check_event(unchanged(at, lambda: at.write(name, write, 0.0), count="rejected"), EventKind.REJECTED, *words)
 
 
 def test_a_level_is_claimed_only_on_the_actuators_that_were_claimed() -> None:
     at = running()  # `helper` holds level 9 of `cool`
-    said(at.write("heat", Write(value=20.0, priority=9), 0.0), EventKind.WRITTEN)
+    check_event(at.write("heat", Write(value=20.0, priority=9), 0.0), EventKind.WRITTEN)
 
 
 # Free mode
@@ -793,7 +797,7 @@ def test_in_free_mode_nobody_is_waited_for() -> None:
     assert answer(at, "agent", [20.0, 25.0]) is None
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])  # held
-    said(at.command("agent", command([21.0, 26.0], step=1), 0.0), EventKind.LATE)
+    check_event(at.command("agent", command([21.0, 26.0], step=1), 0.0), EventKind.LATE)
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
 
 

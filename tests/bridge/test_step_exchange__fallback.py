@@ -58,12 +58,12 @@ def state(at: StepExchange, name: str) -> ControllerState:
     return status(at, name).state
 
 
-def told(events: list[Event]) -> list[tuple[EventKind, str]]:
+def kinds_and_sources(events: list[Event]) -> list[tuple[EventKind, str]]:
     return [(event.kind, event.source) for event in events]
 
 
-def ruled(policy: Policy) -> tuple[list[float], list[str]]:
-    """What rules where the agent alone commanded 20 and 25, and the policy goes on without it."""
+def expected_under(policy: Policy) -> tuple[list[float], list[str]]:
+    """Values and sources where the agent alone commanded 20 and 25, and the policy goes on without it."""
     return ([20.0, 25.0], ["agent", "agent"]) if policy is Policy.HOLD else ([NAN, NAN], ["", ""])
 
 
@@ -92,11 +92,11 @@ def test_the_policy_begins_when_the_time_of_grace_is_over(policy: Policy) -> Non
         assert at.awaiting() == ["agent"]
         assert state(at, "agent") is ControllerState.DISCONNECTED
         return
-    assert told(events) == [(EventKind.FALLBACK, "agent")]
+    assert kinds_and_sources(events) == [(EventKind.FALLBACK, "agent")]
     assert ("stay in effect" if policy is Policy.HOLD else "are relinquished") in events[0].text
     assert state(at, "agent") is ControllerState.BYPASSED
     for _ in range(3):
-        check_ruled(at, ruled(policy), now_s=7.0)
+        check_ruled(at, expected_under(policy), now_s=7.0)
         assert at.fallback_active
     assert at.bypass("agent", 7.0, 5.0) == []
 
@@ -113,7 +113,7 @@ def test_abort_raises_when_the_time_of_grace_is_over() -> None:
 def test_one_that_is_back_within_the_time_of_grace_goes_on_as_if_nothing_was(policy: Policy) -> None:
     at = with_agent(policy)
     at.on_disconnect("agent", 2.0)
-    assert told(claim(at, "agent", now_s=4.0)) == [(EventKind.CONNECTED, "agent")]
+    assert kinds_and_sources(claim(at, "agent", now_s=4.0)) == [(EventKind.CONNECTED, "agent")]
     assert at.bypass("agent", 7.0, 5.0) == []
     assert at.awaiting() == ["agent"]
     assert answer(at, "agent", [21.0, 26.0], now_s=7.0) is None
@@ -135,7 +135,7 @@ def test_one_that_leaves_again_has_its_time_of_grace_again(policy: Policy) -> No
         with pytest.raises(EpisodeAborted):
             at.bypass("agent", 11.0, 5.0)
     else:
-        assert told(at.bypass("agent", 11.0, 5.0)) == [(EventKind.FALLBACK, "agent")]
+        assert kinds_and_sources(at.bypass("agent", 11.0, 5.0)) == [(EventKind.FALLBACK, "agent")]
 
 
 @pytest.mark.parametrize("policy", GO_ON)
@@ -146,7 +146,7 @@ def test_one_that_is_back_later_resumes_at_the_present_step(policy: Policy) -> N
     at.bypass("agent", 1.0)
     flags = [at.fallback_active]
     for _ in range(2):
-        check_ruled(at, ruled(policy))
+        check_ruled(at, expected_under(policy))
         flags.append(at.fallback_active)
     claim(at, "agent")
     assert not at.ready_to_step()
@@ -223,7 +223,7 @@ def test_with_nobody_there_and_no_deadline_the_episode_runs_through() -> None:
     at.on_disconnect("agent", 1.0)
     at.bypass("agent", 1.0)
     for _ in range(20):
-        check_ruled(at, ruled(Policy.HOLD))
+        check_ruled(at, expected_under(Policy.HOLD))
     assert at.counts.missed == status(at, "agent").missed == 20
 
 
@@ -235,7 +235,7 @@ def test_with_nobody_there_the_deadline_sets_the_pace(policy: Policy) -> None:
     for k in range(1, 4):
         assert not at.ready_to_step(), f"at sample {k}"
         assert at.on_deadline(1.0) == []  # it was told that the agent has gone
-        check_ruled(at, ruled(policy))
+        check_ruled(at, expected_under(policy))
         assert at.fallback_active
     assert at.counts.missed == status(at, "agent").missed == 3
 
@@ -315,14 +315,14 @@ def test_one_that_is_silent_beyond_the_deadline(policy: Policy) -> None:
     """node@1 at 1 s → silent → 3 s: policy → node@2 → silent → 5 s → node@3: told once, missed twice"""
     at = with_agent(policy, 2.0)
     events = at.on_deadline(3.0)
-    assert told(events) == [(EventKind.FALLBACK, "agent")]
+    assert kinds_and_sources(events) == [(EventKind.FALLBACK, "agent")]
     assert "no command within 2 s" in events[0].text
     assert state(at, "agent") is ControllerState.UNRESPONSIVE
-    check_ruled(at, ruled(policy), now_s=3.0)
+    check_ruled(at, expected_under(policy), now_s=3.0)
     assert at.fallback_active
     assert not at.ready_to_step()
     assert at.on_deadline(5.0) == []
-    check_ruled(at, ruled(policy), now_s=5.0)
+    check_ruled(at, expected_under(policy), now_s=5.0)
     assert (at.counts.missed, status(at, "agent").missed, at.counts.late) == (2, 2, 0)
 
 
@@ -388,7 +388,7 @@ def test_of_two_the_one_that_answered_is_not_blamed(policy: Policy) -> None:
         with pytest.raises(EpisodeAborted, match=r"^heater sent no command within 2 s$"):
             at.on_deadline(3.0)
         return
-    assert told(at.on_deadline(3.0)) == [(EventKind.FALLBACK, "heater")]
+    assert kinds_and_sources(at.on_deadline(3.0)) == [(EventKind.FALLBACK, "heater")]
     held = policy is Policy.HOLD
     check_ruled(at, ([20.0 if held else NAN, 26.0], ["heater" if held else "", "cooler"]), now_s=3.0)
     assert at.fallback_active
@@ -415,7 +415,7 @@ def test_a_late_command_says_how_late_and_rules_nothing() -> None:
     assert (at.counts.late, status(at, "agent").late) == (1, 1)
     assert state(at, "agent") is ControllerState.UNRESPONSIVE
     at.on_deadline(7.5)
-    check_ruled(at, ruled(Policy.HOLD), now_s=7.5)
+    check_ruled(at, expected_under(Policy.HOLD), now_s=7.5)
 
 
 def test_lateness_is_counted_from_the_step_that_the_command_answers() -> None:
@@ -470,7 +470,10 @@ def test_another_program_takes_over_within_the_time_of_grace(policy: Policy, dea
     """agent@0 → node@1 → agent gone → other claims → other@1 → node@2: no timestep without a ruler"""
     at = with_agent(policy, deadline_s)
     at.on_disconnect("agent", 1.5)
-    assert told(claim(at, "other", now_s=1.5)) == [(EventKind.DISCONNECTED, "agent"), (EventKind.CONNECTED, "other")]
+    assert kinds_and_sources(claim(at, "other", now_s=1.5)) == [
+        (EventKind.DISCONNECTED, "agent"),
+        (EventKind.CONNECTED, "other"),
+    ]
     assert at.bypass("agent", 2.0, 0.1) == []
     assert not at.ready_to_step()
     assert answer(at, "other", [21.0, 26.0], now_s=2.0) is None
@@ -480,14 +483,14 @@ def test_another_program_takes_over_within_the_time_of_grace(policy: Policy, dea
 
 
 def test_another_program_takes_over_from_one_that_is_waived() -> None:
-    """What the first one commanded holds until the other's first answer, also if that misses a deadline."""
+    """The first one's command holds until the other's first answer, also if that misses a deadline."""
     at = with_agent(Policy.HOLD, 2.0)
     at.on_disconnect("agent", 1.0)
     at.bypass("agent", 1.0)
     at.on_deadline(1.0)
-    check_ruled(at, ruled(Policy.HOLD))
+    check_ruled(at, expected_under(Policy.HOLD))
     claim(at, "other")
-    assert told(at.on_deadline(1.0)) == [(EventKind.FALLBACK, "other")]
+    assert kinds_and_sources(at.on_deadline(1.0)) == [(EventKind.FALLBACK, "other")]
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
     answer(at, "other", [21.0, 26.0])
     check_ruled(at, ([21.0, 26.0], ["other", "other"]))
@@ -521,7 +524,7 @@ def test_one_that_is_not_required_stops_nothing_by_leaving(policy: Policy) -> No
     (left,) = at.on_disconnect("helper", 0.0)
     assert "waits" not in left.text
     events = at.bypass("helper", 0.0)
-    assert told(events) == ([] if policy is Policy.WAIT else [(EventKind.FALLBACK, "helper")])
+    assert kinds_and_sources(events) == ([] if policy is Policy.WAIT else [(EventKind.FALLBACK, "helper")])
     answer(at, "agent", [20.0, 25.0])
     relinquished = policy is Policy.RELINQUISH
     check_ruled(at, ([20.0, 25.0 if relinquished else 28.0], ["agent", "agent" if relinquished else "helper"]))
@@ -552,8 +555,8 @@ def test_where_time_runs_by_itself_the_policy_says_what_becomes_of_commands(poli
     at.on_disconnect("agent", 1.0)
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
     assert not at.fallback_active
-    assert told(at.bypass("agent", 1.0)) == [(EventKind.FALLBACK, "agent")]
-    check_ruled(at, ruled(policy))
+    assert kinds_and_sources(at.bypass("agent", 1.0)) == [(EventKind.FALLBACK, "agent")]
+    check_ruled(at, expected_under(policy))
     assert at.fallback_active
     claim(at, "agent")
     answer(at, "agent", [21.0, 26.0])
@@ -628,9 +631,9 @@ def test_a_slot_that_is_over_stays_so_while_the_policy_goes_on() -> None:
 def test_a_flood_is_passed_over_and_the_others_are_served() -> None:
     at = with_two(Policy.WAIT)
     wrong = wire(command([99.0, 0.0], step=1, operations=[SET, KEEP]))
-    heard = [at.receive_command("heater", wrong, 1.0) for _ in range(MAX_MESSAGES_PER_STEP + 50)]
-    assert sum(event is not None for event in heard) == MAX_MESSAGES_PER_STEP
-    assert heard[MAX_MESSAGES_PER_STEP:] == [None] * 50
+    events = [at.receive_command("heater", wrong, 1.0) for _ in range(MAX_MESSAGES_PER_STEP + 50)]
+    assert sum(event is not None for event in events) == MAX_MESSAGES_PER_STEP
+    assert events[MAX_MESSAGES_PER_STEP:] == [None] * 50
     assert (at.counts.rate_limited, at.counts.rejected, status(at, "heater").rejected) == (
         50,
         MAX_MESSAGES_PER_STEP,
@@ -654,8 +657,8 @@ def test_a_flood_does_not_stop_a_usual_command_and_ends_with_the_step() -> None:
 
 def test_strangers_of_many_names_are_one_flood() -> None:
     at = with_agent(Policy.WAIT)
-    heard = [at.receive_command(f"stranger-{k}", b"", 1.0) for k in range(MAX_MESSAGES_PER_STEP + 900)]
-    assert sum(event is not None for event in heard) == MAX_MESSAGES_PER_STEP
+    events = [at.receive_command(f"stranger-{k}", b"", 1.0) for k in range(MAX_MESSAGES_PER_STEP + 900)]
+    assert sum(event is not None for event in events) == MAX_MESSAGES_PER_STEP
     assert at.counts.rate_limited == 900
     assert at.receive_command("agent", wire(command([21.0, 26.0], step=1)), 1.0) is None
     assert at.ready_to_step()
@@ -703,7 +706,7 @@ MOVES = st.lists(
 
 
 def value(name: str, step: int) -> float:
-    """What a controller answers to a sample: it tells who, and to which."""
+    """Return a controller's answer to a sample; it identifies both."""
     return (16.0 if name == "a" else 23.0) + step / 64.0
 
 
@@ -733,7 +736,7 @@ def test_whatever_happens_a_command_rules_its_own_step_and_every_message_is_coun
                 step = at.step[0] + {"answer": 0, "late": -by, "early": by}[kind]
                 if step >= 0:
                     messages += 1
-                    late_but_taken += says(at, name, step, taken, now_s)
+                    late_but_taken += send_random(at, name, step, taken, now_s)
     counts = at.counts
     told_of = counts.accepted + counts.rejected + counts.late + counts.duplicate + counts.rate_limited
     assert told_of == messages
@@ -742,7 +745,7 @@ def test_whatever_happens_a_command_rules_its_own_step_and_every_message_is_coun
     assert sum(c.accepted for c in at.controllers()) == counts.accepted
 
 
-def says(at: StepExchange, name: str, step: int, taken: dict[str, list[int]], now_s: float) -> bool:
+def send_random(at: StepExchange, name: str, step: int, taken: dict[str, list[int]], now_s: float) -> bool:
     """A controller answers a step; notes whether it was taken, and gives whether that was after the deadline."""
     before, own = at.counts.accepted, value(name, step)
     operations = [SET, KEEP] if name == "a" else [KEEP, SET]

@@ -110,11 +110,11 @@ def test_only_the_slots_that_are_answered_are_compared_with_the_present(wrong: t
     assert answers(at, "agent", {0: (20.0, 25.0)}) is None
     go(at)
     step, episode = wrong
-    told = Command(episode=[0, 7, 0], step=[1, None, 0], values=np.array([20.0, 25.0] * 3).tobytes())
-    assert at.command("agent", told, 0.0) is None
+    command = Command(episode=[0, 7, 0], step=[1, None, 0], values=np.array([20.0, 25.0] * 3).tobytes())
+    assert at.command("agent", command, 0.0) is None
     go(at)
-    told = Command(episode=[0, episode, 0], step=[None, step, 1], values=np.array([20.0, 25.0] * 3).tobytes())
-    event = at.command("agent", told, 0.0)
+    command = Command(episode=[0, episode, 0], step=[None, step, 1], values=np.array([20.0, 25.0] * 3).tobytes())
+    event = at.command("agent", command, 0.0)
     assert event is not None
     assert event.kind is EventKind.REJECTED
     assert at.step == [2, 0, 1]
@@ -268,8 +268,8 @@ def test_whoever_claimed_since_keeps_its_claim_and_rules_under_its_own_name() ->
     at = held()
     kept = at.capture()
     claim(at, "newcomer", 9)
-    for who in ("agent", "newcomer"):
-        answer(at, who, [22.0, 30.0] * 3)
+    for name in ("agent", "newcomer"):
+        answer(at, name, [22.0, 30.0] * 3)
     go(at)
     at.reset()
     at.ready(0.0, commands=kept)
@@ -375,12 +375,12 @@ def put_in(array: PriorityArray, puts: list[tuple[int, str, list[float], list[bo
             array.put(priority, source, np.array(values).reshape(shape), np.array(where).reshape(shape))
 
 
-def told(array: PriorityArray) -> list[list[tuple[str, str]]]:
+def resolved(array: PriorityArray) -> list[list[tuple[str, str]]]:
     """By slot and actuator, what rules and who set it."""
-    values, who = array.resolve()
+    values, sources = array.resolve()
     cells = [
         (repr(v), array.names[w])
-        for v, w in zip(np.frombuffer(values).tolist(), np.frombuffer(who, "<u2"), strict=True)
+        for v, w in zip(np.frombuffer(values).tolist(), np.frombuffer(sources, "<u2"), strict=True)
     ]
     return [cells[i : i + ACTUATORS] for i in range(0, len(cells), ACTUATORS)]
 
@@ -389,30 +389,30 @@ def told(array: PriorityArray) -> list[list[tuple[str, str]]]:
 def test_a_copy_is_the_same_and_on_its_own(before: list, after: list) -> None:
     array, twin = arrays(before), arrays(before)
     copy = array.copy()
-    assert told(copy) == told(array)
+    assert resolved(copy) == resolved(array)
     put_in(array, after)
-    assert told(copy) == told(twin)
+    assert resolved(copy) == resolved(twin)
     put_in(copy, after)
-    assert told(copy) == told(array)
+    assert resolved(copy) == resolved(array)
     array.restore(twin)
-    assert told(array) == told(twin)
+    assert resolved(array) == resolved(twin)
 
 
 @given(rows, rows, st.integers(0, SLOTS - 1))
 def test_a_slots_part_rules_as_that_slot_does(before: list, after: list, slot: int) -> None:
     array = arrays(before)
     part = array.of_slot(slot, SLOTS)
-    assert told(part) == [told(array)[slot]] * SLOTS
+    assert resolved(part) == [resolved(array)[slot]] * SLOTS
     put_in(part, after)
-    assert told(array) == told(arrays(before))
+    assert resolved(array) == resolved(arrays(before))
 
 
 @given(rows, st.sets(st.integers(0, SLOTS - 1), min_size=1))
 def test_releasing_slots_leaves_the_others_as_they_are(puts: list, slots: set[int]) -> None:
     array = arrays(puts)
-    expected = [[("nan", "")] * ACTUATORS if slot in slots else row for slot, row in enumerate(told(array))]
+    expected = [[("nan", "")] * ACTUATORS if slot in slots else row for slot, row in enumerate(resolved(array))]
     array.relinquish_slots(sorted(slots))
-    assert told(array) == expected
+    assert resolved(array) == expected
 
 
 def test_a_source_s_place_is_given_on_once_nothing_of_it_holds() -> None:
@@ -421,11 +421,11 @@ def test_a_source_s_place_is_given_on_once_nothing_of_it_holds() -> None:
     holder = array.source("holder")
     array.put_one(5, holder, 0, 21.0)
     for number in range(300):
-        who = array.source(f"w{number}", keeping=[array.source("quiet claimant")])
-        array.put_one(8, who, 1, float(number))
+        source = array.source(f"w{number}", keeping=[array.source("quiet claimant")])
+        array.put_one(8, source, 1, float(number))
         _, sources = array.resolve()
         assert [array.names[index] for index in np.frombuffer(sources, "<u2")] == ["holder", f"w{number}"]
-        array.put_one(8, who, 1, np.nan)
+        array.put_one(8, source, 1, np.nan)
     assert array.names[array.source("quiet claimant")] == "quiet claimant"
     assert len(array.names) == 256
 

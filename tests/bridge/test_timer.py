@@ -24,7 +24,7 @@ class Clock:
 
 
 def nothing() -> None:
-    """Is called to wake the thread, which then looks at the clock."""
+    """Wake the thread, which then looks at the clock."""
 
 
 @pytest.fixture
@@ -34,8 +34,8 @@ def clock() -> Clock:
 
 @pytest.fixture
 def timer(clock: Clock) -> Iterator[Timer]:
-    with Timer(clock) as made:
-        yield made
+    with Timer(clock) as running:
+        yield running
     assert not [thread for thread in threading.enumerate() if thread.name == "timer"]
 
 
@@ -44,10 +44,10 @@ times = st.floats(0, 100)
 
 @given(st.lists(times, max_size=30), st.sets(st.integers(0, 30)), times)
 def test_what_is_due_comes_in_order_and_the_rest_stays(dues: list[float], removed: set[int], now_s: float) -> None:
-    clock, came, ended = Clock(), list[int](), threading.Event()
+    clock, calls, ended = Clock(), list[int](), threading.Event()
     clock.now_s = -1.0  # nothing is due before all are there
     with Timer(clock) as timer:
-        events = [timer.at(due, lambda i=i: came.append(i)) for i, due in enumerate(dues)]
+        events = [timer.at(due, lambda i=i: calls.append(i)) for i, due in enumerate(dues)]
         for index in removed:
             if index < len(events):
                 assert timer.cancel(events[index])
@@ -57,7 +57,7 @@ def test_what_is_due_comes_in_order_and_the_rest_stays(dues: list[float], remove
         timer._wakeup.set()
         assert ended.wait(30.0)
         kept = [i for i in range(len(dues)) if i not in removed]
-        assert came == sorted((i for i in kept if dues[i] <= now_s), key=lambda i: (dues[i], i))
+        assert calls == sorted((i for i in kept if dues[i] <= now_s), key=lambda i: (dues[i], i))
         later = [dues[i] for i in kept if dues[i] > now_s]
         assert [event.time for event in timer._scheduler.queue] == sorted(later)
 
@@ -85,73 +85,73 @@ def test_no_thread_before_it_is_used() -> None:
 
 def test_calls_come_when_the_clock_says_so_and_in_order(clock: Clock, timer: Timer) -> None:
     # due at 3000, 1000, 2000 s; the clock goes 0 → 2000 → 3000
-    came: list[int] = []
+    calls: list[int] = []
     for due in (3000, 1000, 2000):
-        timer.at(float(due), lambda due=due: came.append(due))
-    timer.at(0.0, lambda: came.append(0))
-    until(lambda: came == [0], "what is due at once")
+        timer.at(float(due), lambda due=due: calls.append(due))
+    timer.at(0.0, lambda: calls.append(0))
+    until(lambda: calls == [0], "what is due at once")
     clock.now_s = 2000.0
     timer.at(0.0, nothing)
-    until(lambda: came == [0, 1000, 2000], "what is due at 2000")
+    until(lambda: calls == [0, 1000, 2000], "what is due at 2000")
     clock.now_s = 3000.0
     timer.at(0.0, nothing)
-    until(lambda: came == [0, 1000, 2000, 3000], "what is due at 3000")
+    until(lambda: calls == [0, 1000, 2000, 3000], "what is due at 3000")
 
 
 def test_an_earlier_call_is_not_kept_waiting_by_a_later_one() -> None:
-    came = threading.Event()
+    called = threading.Event()
     with Timer() as timer:
         timer.at(timer.clock() + 1e6, nothing)
         until(lambda: timer._wakes_at_s < math.inf, "the thread's waiting for the later call")
-        timer.at(timer.clock() + 0.01, came.set)
-        until(came.is_set, "the earlier call")
+        timer.at(timer.clock() + 0.01, called.set)
+        until(called.is_set, "the earlier call")
 
 
 def test_what_was_cancelled_does_not_come(clock: Clock, timer: Timer) -> None:
-    came: list[str] = []
-    first = timer.at(1000.0, lambda: came.append("cancelled"))
-    second = timer.at(1000.0, lambda: came.append("kept"))
+    calls: list[str] = []
+    first = timer.at(1000.0, lambda: calls.append("cancelled"))
+    second = timer.at(1000.0, lambda: calls.append("kept"))
     assert timer.cancel(first)
     clock.now_s = 1000.0
     timer.at(0.0, nothing)
-    until(lambda: came, "the one that was kept")
-    assert came == ["kept"]
+    until(lambda: calls, "the one that was kept")
+    assert calls == ["kept"]
     assert not timer.cancel(second)
 
 
 def test_a_call_may_ask_for_another(clock: Clock, timer: Timer) -> None:
-    came: list[str] = []
-    timer.at(0.0, lambda: timer.at(0.0, lambda: came.append("second")))
-    until(lambda: came == ["second"], "the call of a call")
+    calls: list[str] = []
+    timer.at(0.0, lambda: timer.at(0.0, lambda: calls.append("second")))
+    until(lambda: calls == ["second"], "the call of a call")
 
 
 def test_what_a_call_raises_is_told_and_the_next_one_comes(
     clock: Clock, timer: Timer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    told: list[str] = []
-    monkeypatch.setattr(threading, "excepthook", lambda said: told.append(str(said.exc_value)))
-    came = threading.Event()
+    messages: list[str] = []
+    monkeypatch.setattr(threading, "excepthook", lambda error: messages.append(str(error.exc_value)))
+    called = threading.Event()
 
     def wrong() -> None:
         raise RuntimeError("a mistake")
 
     timer.at(0.0, wrong)
-    timer.at(0.0, came.set)
-    until(came.is_set, "the next call")
-    assert told == ["a mistake"]
+    timer.at(0.0, called.set)
+    until(called.is_set, "the next call")
+    assert messages == ["a mistake"]
 
 
 def test_close_ends_the_thread_and_nothing_comes_after(clock: Clock) -> None:
-    timer, came = Timer(clock), []
-    timer.at(5.0, lambda: came.append("late"))
+    timer, calls = Timer(clock), []
+    timer.at(5.0, lambda: calls.append("late"))
     (thread,) = [thread for thread in threading.enumerate() if thread.name == "timer"]
     timer.close()
     timer.close()
     assert not thread.is_alive()
     clock.now_s = 9.0
-    timer.at(0.0, lambda: came.append("after"))
+    timer.at(0.0, lambda: calls.append("after"))
     assert not [thread for thread in threading.enumerate() if thread.name == "timer"]
-    assert came == []
+    assert calls == []
 
 
 def test_a_timer_that_was_closed_starts_no_thread(clock: Clock) -> None:
@@ -170,8 +170,8 @@ def test_a_call_may_close_the_timer(clock: Clock) -> None:
 
 def test_a_call_in_a_million_years_holds_up_nobody() -> None:
     """A slow pace has its next timestep then; waiting so long at once is more than a thread can."""
-    timer, came = Timer(), threading.Event()
+    timer, called = Timer(), threading.Event()
     timer.at(timer.clock() + 3e13, nothing)
-    timer.at(timer.clock() + 0.05, came.set)
-    assert came.wait(30.0)
+    timer.at(timer.clock() + 0.05, called.set)
+    assert called.wait(30.0)
     timer.close()

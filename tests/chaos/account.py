@@ -30,7 +30,7 @@ _WRITTEN = re.compile(rf"(\S+) (?:= (\S+) .*|relinquished) ?at priority {PERSON_
 
 @dataclass(slots=True)
 class Episode:
-    """What was recorded of an episode: its samples, and for each timestep what each actuator was commanded to."""
+    """Recorded episode: its samples, and for each timestep what each actuator was commanded to."""
 
     number: int
     samples: list[Sample] = field(default_factory=list)
@@ -89,10 +89,10 @@ class Account:
     def _write(self, event: Event) -> None:
         if " had nothing to re" in event.text:
             return
-        found = _WRITTEN.fullmatch(event.text)
-        assert found, event.text
-        entry = _FREE if found[2] is None else (float(found[2]), event.source)
-        row, index = self._persons, self._index[found[1]]
+        match = _WRITTEN.fullmatch(event.text)
+        assert match, event.text
+        entry = _FREE if match[2] is None else (float(match[2]), event.source)
+        row, index = self._persons, self._index[match[1]]
         self._persons = (*row[:index], entry, *row[index + 1 :])
 
     def see(self, sample: Sample) -> None:
@@ -115,8 +115,8 @@ class Account:
     def _advance(self, sample: Sample, answered: int, *, fallback: bool) -> None:
         where = (sample.episode[0], answered)
         ways = [[*self._ways(role, self._sent[role].get(where, []), fallback=fallback)] for role in self.roles]
-        for role, found in zip(self.roles, ways, strict=True):
-            if not found:
+        for role, possible in zip(self.roles, ways, strict=True):
+            if not possible:
                 text = f"went on without a command of {self._claims[role]} for sample {answered}, and does not say so"
                 self._fault(sample, text)
         tried = {
@@ -148,11 +148,11 @@ class Account:
         )
         wrong = []
         for name, index in self._index.items():
-            value, who = self._resolved(rows)[index]
-            if who != sources[index]:
-                wrong.append(f"{name} is ruled by {sources[index] or _OWN!r}, {who or _OWN!r} expected")
+            value, source = self._resolved(rows)[index]
+            if source != sources[index]:
+                wrong.append(f"{name} is ruled by {sources[index] or _OWN!r}, {source or _OWN!r} expected")
             elif value is not None and value != effective[index]:
-                wrong.append(f"{name} is {effective[index]!r}, and {who} sent {value!r}")
+                wrong.append(f"{name} is {effective[index]!r}, and {source} sent {value!r}")
         return "; ".join(wrong)
 
     def _fault(self, sample: Sample, text: str) -> None:

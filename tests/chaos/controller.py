@@ -40,7 +40,7 @@ def draw(sample: bytes, name: str) -> int:
 
 
 def decide(sample: bytes, actuator: Actuator, *, whole: bool) -> tuple[int, float]:
-    """What is done with an actuator, and its value; who controls the whole building sets all."""
+    """Draw an operation on an actuator, and its value; a controller of the whole building sets all."""
     drawn = draw(sample, actuator.name)
     low, high = actuator.low or 0.0, actuator.high or 1.0
     if not whole and drawn % 16 == 0:

@@ -20,7 +20,7 @@ _PATIENCE_S = 60.0
 
 
 def environment() -> dict[str, str]:
-    """Of programs of this package."""
+    """Environment variables of programs of this package."""
     return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, [_ROOT, _TESTS, os.environ.get("PYTHONPATH", "")]))}
 
 
@@ -113,7 +113,7 @@ class Member:
                 self.frozen = False
 
     def look(self) -> None:
-        """Has a program that ended by itself followed by another one."""
+        """Start another program in place of one that ended by itself."""
         with self._lock:
             if self._process is None or self._process.poll() is None:
                 return

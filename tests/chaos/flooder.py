@@ -77,14 +77,14 @@ class Flooder:
         self._journal.note(
             disturbance=disturbance.name, count=count, writes=[(keys.last_chunk(key), write) for key, write in writes]
         )
-        for key, payload, said in messages:
-            how = zenoh.Encoding(said) if said else None
+        for key, payload, encoding in messages:
+            how = zenoh.Encoding(encoding) if encoding else None
             self._bus.session.put(key, payload, encoding=how, congestion_control=CongestionControl.BLOCK)
 
     def _command_key(self, name: str) -> str:
         return keys.COMMAND.at(self._node, name=name)
 
-    def _who(self, rng: random.Random, names: list[str]) -> str:
+    def _source(self, rng: random.Random, names: list[str]) -> str:
         return self._command_key(rng.choice([*names, "nobody"]))
 
     def _values(self) -> bytes:

@@ -1,4 +1,4 @@
-"""What must hold after a run, whatever was done to it: each invariant gives its faults in words."""
+"""Invariants of a run, whatever was done to it: each returns its faults in words."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _REFUSALS = {EventKind.REJECTED: "rejected", EventKind.LATE: "late", EventKind.D
 
 @dataclass(slots=True)
 class Verdict:
-    """What was found: faults by invariant, and figures of the run."""
+    """Verdict on a run: faults by invariant, and figures."""
 
     outcome: Outcome
     faults: dict[str, list[str]]
@@ -97,13 +97,15 @@ def _contiguous(episodes: list[Episode], steps: int) -> list[str]:
     if numbers and numbers != [*range(numbers[0], numbers[0] + len(numbers))]:
         faults.append(f"episodes {numbers}")
     for episode in episodes:
-        found = [sample.step[0] for sample in episode.samples]
-        if found != [*range(len(found))]:
-            at = next(i for i, (one, other) in enumerate(zip(found, [*range(len(found))], strict=True)) if one != other)
-            faults.append(f"episode {episode.number}: {found[max(at - 2, 0) : at + 3]} about sample {at}")
+        indices = [sample.step[0] for sample in episode.samples]
+        if indices != [*range(len(indices))]:
+            at = next(
+                i for i, (one, other) in enumerate(zip(indices, [*range(len(indices))], strict=True)) if one != other
+            )
+            faults.append(f"episode {episode.number}: {indices[max(at - 2, 0) : at + 3]} about sample {at}")
         truncated = [bool(sample.flags[0] & Flag.TRUNCATED) for sample in episode.samples]
-        if truncated != [step == steps for step in range(len(found))]:
-            faults.append(f"episode {episode.number}: {len(found)} samples, its last of {steps} marked wrongly")
+        if truncated != [step == steps for step in range(len(indices))]:
+            faults.append(f"episode {episode.number}: {len(indices)} samples, its last of {steps} marked wrongly")
     return faults
 
 
@@ -140,7 +142,7 @@ def _counts(outcome: Outcome, sent: dict[str, list[journal.Sent]], events: list[
 
 
 def _written(outcome: Outcome, events: Iterable[Event]) -> list[str]:
-    """What the node took for written was written by somebody."""
+    """Check that somebody sent each write that the node accepted."""
     sent = Counter[tuple[str, str]]()
     for line in journal.lines(outcome.floods):
         for point, write in line.get("writes", []):
@@ -151,7 +153,7 @@ def _written(outcome: Outcome, events: Iterable[Event]) -> list[str]:
             words = event.text.split()
             what = words[:3] if words[1] == "=" else [words[0], "relinquished"]  # or there was nothing to release
             sent[event.source, " ".join(what)] -= 1
-    return [f"{who} never wrote {what}" for (who, what), count in sent.items() if count < 0]
+    return [f"{source} never wrote {what}" for (source, what), count in sent.items() if count < 0]
 
 
 def _flat(outcome: Outcome) -> list[str]:

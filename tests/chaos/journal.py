@@ -1,4 +1,4 @@
-"""What is written down during a run, one line of JSON or one msgpack map each, by whoever does it and as it does it."""
+"""Journals of a run, one line of JSON or one msgpack map each, by whoever does it and as it does it."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ KINDS = ("sample", "event")
 
 
 def recorded(path: Path) -> Iterator[Sample | Event]:
-    """What the recording monitor heard, in the order in which it came."""
+    """Messages that the recording monitor received, in their order."""
     with path.open("rb") as file:
         for kind, payload in msgpack.Unpacker(file, max_buffer_size=0):
             yield codec.decode(Sample, payload) if kind == "sample" else codec.decode(Event, payload)

@@ -36,8 +36,8 @@ _MOST_WITHOUT_A_STEP = 10
 """Nodes after which a run ends in which none has lived long enough to record a step."""
 
 
-def recording_faults(path: Path, heard: Iterable[Any]) -> list[str]:
-    """What is wrong with the recording of a run that a monitor has heard: it verifies, and has all of it."""
+def recording_faults(path: Path, messages: Iterable[Any]) -> list[str]:
+    """Return the faults of a recording: it must verify, and have all messages that a monitor received."""
     result = verify(path)
     faults = [] if result.passed else [str(result)]
     faults += [*result.skipped, *result.notes, *([result.end] if result.end else [])]
@@ -48,7 +48,7 @@ def recording_faults(path: Path, heard: Iterable[Any]) -> list[str]:
     recorded = {(sample.episode[0], sample.step[0]): sample for sample in samples}
     if len(recorded) < len(samples):
         faults.append(f"{len(samples) - len(recorded)} samples are recorded twice")
-    lost = [s for s in heard if isinstance(s, Sample) and recorded.get((s.episode[0], s.step[0])) != s]
+    lost = [s for s in messages if isinstance(s, Sample) and recorded.get((s.episode[0], s.step[0])) != s]
     if lost:
         first = lost[0]
         faults.append(f"{len(lost)} samples were heard otherwise, first that of {first.episode}, {first.step}")
@@ -57,7 +57,7 @@ def recording_faults(path: Path, heard: Iterable[Any]) -> list[str]:
 
 @dataclass(slots=True)
 class Killed:
-    """What nodes that were killed left: how many, with how many verified steps in how many episodes, and faults."""
+    """Recordings of nodes that were killed: how many, with how many verified steps in how many episodes, and faults."""
 
     nodes: int = 0
     empty: int = 0

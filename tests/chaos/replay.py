@@ -20,16 +20,16 @@ QUIET = BUILDING | {"policy": "abort", "deadline_s": 60.0}
 
 
 def differences(folder: Path, episodes: list[Episode]) -> list[str]:
-    """Where the quiet run is not the same to the bit; one line for an episode at most."""
+    """Return the first differences of the quiet run to the bit; one line for an episode at most."""
     with NodeProgram(folder, **QUIET) as node, zenostat.connect(node.endpoint, affinity=Affinity.OFF) as bus:
         with bus.controller(node.name, name="quiet") as link:
             try:
-                found = [_compared(link, episode) for episode in episodes if episode.samples]
+                texts = [_compared(link, episode) for episode in episodes if episode.samples]
             except ZenostatError as error:
-                found = [f"the quiet run ended with {type(error).__name__}: {error}"]
+                texts = [f"the quiet run ended with {type(error).__name__}: {error}"]
         bus.stop(node.name)
         node.process.wait()
-    return [text for text in found if text]
+    return [text for text in texts if text]
 
 
 def _compared(link: ControllerLink, episode: Episode) -> str:

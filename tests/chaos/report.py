@@ -1,4 +1,4 @@
-"""What a run was, in words: tables for the terminal and for the documentation."""
+"""Report of a run: tables for the terminal and for the documentation."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def figures(verdict: Verdict) -> str:
 
 
 def markdown(verdict: Verdict) -> str:
-    """The same for a page. Lost is what the invariants tell: all or nothing."""
+    """Return the report for a page. Losses are those of the invariants: all or nothing."""
     lost = "nothing" if verdict.holds else "see below"
     rows = [f"| {disturbance} | {verdict.outcome.done[disturbance]:,} | {lost} |" for disturbance in Disturbance]
     where = f"{psutil.cpu_count()} cores ({platform.machine()}), Python {platform.python_version()}"

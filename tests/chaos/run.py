@@ -38,7 +38,7 @@ _RECORD, _FLOODS = "record.msgpack", "floods.jsonl"
 
 
 def actuators_of(role: str) -> list[str] | None:
-    """What a controller claims; None is the whole building."""
+    """Return the actuators that a controller claims; None is the whole building."""
     zones = _OWN.get(role)
     return None if zones is None else [f"{zone}_{kind}_setpoint" for zone in zones for kind in ("heating", "cooling")]
 
@@ -56,7 +56,7 @@ class Resources:
 
 @dataclass(slots=True)
 class Outcome:
-    """What a run left, besides its journals in `folder`.
+    """Outcome of a run, besides its journals in `folder`.
 
     Attributes:
         done: how often each disturbance was applied.
@@ -76,21 +76,21 @@ class Outcome:
 
     @property
     def record(self) -> Path:
-        """What the recording monitor heard."""
+        """Path of the recording monitor's messages."""
         return self.folder / _RECORD
 
     @property
     def recording(self) -> Path:
-        """What the node recorded."""
+        """Path of the node's recording."""
         return self.folder / "recording.mcap"
 
     @property
     def floods(self) -> Path:
-        """What the flooder sent."""
+        """Path of the flooder's journal."""
         return self.folder / _FLOODS
 
     def journal(self, role: str) -> Path:
-        """What a controller sent."""
+        """Path of a controller's journal."""
         return self.folder / f"{role}.jsonl"
 
 
@@ -220,10 +220,10 @@ class Chaos:
         return self._trouble_node(step)
 
     def _trouble(self, step: Step, members: list[Member]) -> bool:
-        there = [member for member in members if member.up]
-        if not there:
+        running = [member for member in members if member.up]
+        if not running:
             return False
-        one = there[int(step.draw * len(there))]
+        one = running[int(step.draw * len(running))]
         match step.disturbance:
             case Disturbance.KILL | Disturbance.KILL_MONITOR:
                 one.end(signal.SIGKILL)
@@ -316,8 +316,10 @@ class Chaos:
 
     def _all_answer(self, began_s: float) -> bool:
         self._attend(monotonic(), began_s)
-        there = {one.controller.partition("-")[0]: one for one in self._status().controllers if one.state.is_connected}
-        return set(there) == set(LEVELS) and all(one.accepted for one in there.values())
+        connected = {
+            one.controller.partition("-")[0]: one for one in self._status().controllers if one.state.is_connected
+        }
+        return set(connected) == set(LEVELS) and all(one.accepted for one in connected.values())
 
     def _settled(self) -> Status:
         """The status once nothing more comes."""

@@ -101,9 +101,11 @@ def test_the_page_has_a_row_for_every_disturbance_and_lost_nothing() -> None:
 # Samples are contiguous
 
 
-def sample(step: int, *, episode: int = 0, last: int = 3, ruled: str = "", rows: str = "", flags: int = 0) -> Sample:
+def sample(
+    step: int, *, episode: int = 0, last: int = 3, value_source: str = "", rows: str = "", flags: int = 0
+) -> Sample:
     """Two actuators, `a` and `b`: `ruled` names their rulers, `rows` their values, both with a blank between."""
-    sources, values = ruled.split() or ["-", "-"], rows.split() or ["21", "21"]
+    sources, values = value_source.split() or ["-", "-"], rows.split() or ["21", "21"]
     names = ["", *dict.fromkeys(name for name in sources if name != "-")]
     return Sample(
         episode=[episode],
@@ -187,8 +189,8 @@ BOTH = f"{NORTH} {BASE}"
 
 
 def account(*stream: Event | Sample, commands: list[Sent] = COMMANDS) -> Account:
-    made = {role: [one for one in commands if one.name.startswith(role)] for role in ("north", "base")}
-    kept = Account(MANIFEST, made, made)
+    by_role = {role: [one for one in commands if one.name.startswith(role)] for role in ("north", "base")}
+    kept = Account(MANIFEST, by_role, by_role)
     for message in (*JOINED, STARTED, sample(0), *stream):
         kept.see(message) if isinstance(message, Sample) else kept.hear(message)
     return kept
@@ -196,9 +198,9 @@ def account(*stream: Event | Sample, commands: list[Sent] = COMMANDS) -> Account
 
 def test_a_day_in_lockstep() -> None:
     kept = account(
-        sample(1, ruled=BOTH, rows="30 21"),
-        sample(2, ruled=BOTH, rows="31 23"),
-        sample(3, ruled=f"{BASE} {BASE}", rows="24 25"),
+        sample(1, value_source=BOTH, rows="30 21"),
+        sample(2, value_source=BOTH, rows="31 23"),
+        sample(3, value_source=f"{BASE} {BASE}", rows="24 25"),
     )
     assert kept.faults == []
     assert kept.episodes[0].rulings == [[30, 21], [31, 23], [24, 25]]
@@ -207,11 +209,11 @@ def test_a_day_in_lockstep() -> None:
 @pytest.mark.parametrize(
     "wrong",
     [
-        sample(1, ruled=BOTH, rows="31 21"),
-        sample(1, ruled=BOTH, rows="30 21.000000000000004"),
-        sample(1, ruled=f"{BASE} {BASE}", rows="20 21"),
-        sample(1, ruled=f"{NORTH} -", rows="30 21"),
-        sample(1, ruled=f"{NORTH} nobody", rows="30 21"),
+        sample(1, value_source=BOTH, rows="31 21"),
+        sample(1, value_source=BOTH, rows="30 21.000000000000004"),
+        sample(1, value_source=f"{BASE} {BASE}", rows="20 21"),
+        sample(1, value_source=f"{NORTH} -", rows="30 21"),
+        sample(1, value_source=f"{NORTH} nobody", rows="30 21"),
     ],
     ids=["of another step", "the last bit", "passed over", "not applied", "somebody else"],
 )
@@ -221,26 +223,26 @@ def test_a_wrong_command_is_seen(wrong: Sample) -> None:
 
 def test_a_timestep_without_a_command_must_say_so() -> None:
     only_first = [one for one in COMMANDS if one.step == 0 or one.name == BASE]
-    first, held = sample(1, ruled=BOTH, rows="30 21"), {"ruled": BOTH, "rows": "30 23"}
+    first, held = sample(1, value_source=BOTH, rows="30 21"), {"value_source": BOTH, "rows": "30 23"}
     assert account(first, sample(2, **held), commands=only_first).faults
     assert account(first, sample(2, **held, flags=Flag.FALLBACK), commands=only_first).faults == []
-    assert account(first, sample(2, ruled=f"{BASE} {BASE}", rows="22 23", flags=2), commands=only_first).faults
+    assert account(first, sample(2, value_source=f"{BASE} {BASE}", rows="22 23", flags=2), commands=only_first).faults
 
 
 def test_what_came_too_late_may_rule_no_other_step() -> None:
     """north's command 1 was late; held is its command 0, and then its command 2 releases."""
-    late = [sample(1, ruled=BOTH, rows="30 21"), sample(2, ruled=BOTH, rows="30 23", flags=Flag.FALLBACK)]
-    assert account(*late, sample(3, ruled=f"{BASE} {BASE}", rows="24 25")).faults == []
-    assert account(*late, sample(3, ruled=BOTH, rows="31 25")).faults
+    late = [sample(1, value_source=BOTH, rows="30 21"), sample(2, value_source=BOTH, rows="30 23", flags=Flag.FALLBACK)]
+    assert account(*late, sample(3, value_source=f"{BASE} {BASE}", rows="24 25")).faults == []
+    assert account(*late, sample(3, value_source=BOTH, rows="31 25")).faults
 
 
 def test_another_takes_over_and_what_was_commanded_holds_until_it_commands() -> None:
     second = "north-3-0"
     stream: list[Event | Sample] = [
-        sample(1, ruled=BOTH, rows="30 21"),
+        sample(1, value_source=BOTH, rows="30 21"),
         event(EventKind.DISCONNECTED, "gone", NORTH),
         event(EventKind.CONNECTED, f"{second} controls at priority 1", second),
-        sample(2, ruled=f"{second} {BASE}", rows="33 23"),
+        sample(2, value_source=f"{second} {BASE}", rows="33 23"),
     ]
     mine = [one for one in COMMANDS if (one.name, one.step) != (NORTH, 1)]
     assert account(*stream, commands=[*mine, command(second, 1, 33, only_a=True)]).faults == []
@@ -251,17 +253,17 @@ def test_a_person_rules_until_the_time_is_over() -> None:
     person = f"person {BASE}"
     write = event(EventKind.WRITTEN, "a = 26.5 C at priority 8", "person")
     over = event(EventKind.EXPIRED, "a relinquished at priority 8", "person")
-    ruled = sample(1, ruled=person, rows="26.5 21")
-    assert account(write, ruled, over, sample(2, ruled=BOTH, rows="31 23")).faults == []
-    assert account(write, sample(1, ruled=BOTH, rows="30 21")).faults
-    assert account(ruled).faults
-    assert account(write, ruled, over, sample(2, ruled=person, rows="26.5 23")).faults
+    override = sample(1, value_source=person, rows="26.5 21")
+    assert account(write, override, over, sample(2, value_source=BOTH, rows="31 23")).faults == []
+    assert account(write, sample(1, value_source=BOTH, rows="30 21")).faults
+    assert account(override).faults
+    assert account(write, override, over, sample(2, value_source=person, rows="26.5 23")).faults
 
 
 def test_nothing_of_an_episode_rules_the_next() -> None:
     def after(next_one: Callable[[], Sample]) -> list[str]:
         return account(
-            sample(1, ruled=BOTH, rows="30 21"),
+            sample(1, value_source=BOTH, rows="30 21"),
             event(EventKind.DISCONNECTED, "gone", NORTH),
             Event(kind=EventKind.STARTED, text="", episode=1),
             sample(0, episode=1),
@@ -269,8 +271,8 @@ def test_nothing_of_an_episode_rules_the_next() -> None:
             commands=[*COMMANDS, replace(command(BASE, 0, 20, 21), episode=1)],
         ).faults
 
-    assert after(lambda: sample(1, episode=1, ruled=f"{BASE} {BASE}", rows="20 21")) == []
-    assert after(lambda: sample(1, episode=1, ruled=BOTH, rows="30 21"))
+    assert after(lambda: sample(1, episode=1, value_source=f"{BASE} {BASE}", rows="20 21")) == []
+    assert after(lambda: sample(1, episode=1, value_source=BOTH, rows="30 21"))
 
 
 def test_a_controller_that_leaves_is_not_ended_by_the_signal_to_repeat(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import zenostat
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_node__that_is_ended_while_it_starts_leaves_nothing(scratch: Path, number: signal.Signals) -> None:
-    """When its engine has begun, which takes EnergyPlus some tenths of a second."""
+    """It ends once its engine has begun, which takes EnergyPlus some tenths of a second."""
     command = [*ZENOSTAT, "node", *DAY, "--listen", f"tcp/127.0.0.1:{free_port()}", "--affinity", "off"]
 
     def simulates() -> bool:

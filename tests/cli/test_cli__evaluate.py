@@ -85,7 +85,7 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         (["--controller", "rbc", "--out", "rows.txt"], "--out rows.txt: expected a .parquet or .csv file"),
         (["--controller", "rbc", "--out", "/dev/null/rows.csv"], "/dev/null is not a folder that can be written to"),
@@ -102,10 +102,10 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
         (["--controller", "rbc", "--emissions", "electricity=-1"], "electricity has the factor -1"),
     ],
 )
-def test_mistakes_are_one_sentence(scratch: Path, arguments: list[str], says: str) -> None:
+def test_mistakes_are_one_sentence(scratch: Path, arguments: list[str], message: str) -> None:
     done = run_in_process("evaluate", "ref-small-office-USA_CO_Denver-continuous-v1", *arguments, cwd=scratch)
     assert done.returncode == 2
-    assert says in plain(done.stderr)
+    assert message in plain(done.stderr)
     assert "Traceback" not in done.stderr
     assert list(scratch.glob("rows*")) == []
 

@@ -1,4 +1,4 @@
-"""What `--help` imports: counted, since a time depends on the machine."""
+"""Imports of `--help`: counted, since a time depends on the machine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `zenostat` prints: help, tables, and the mistakes in a call.
+"""Output of `zenostat`: help, tables, and the mistakes in a call.
 
 The commands run within the test's process; of each kind one runs as a program, too.
 """
@@ -64,9 +64,13 @@ def test_mistakes__are_named_before_anything_starts(scratch: Path, arguments: li
 
 def test_mistakes__a_program_ends_as_the_call_within_this_process(scratch: Path) -> None:
     call = ["node", *DAY, "--steps-per-hour", "7"]
-    program, here = run_program(*call, cwd=scratch), run_in_process(*call, cwd=scratch)
-    assert (program.returncode, program.stdout, program.stderr) == (here.returncode, here.stdout, here.stderr)
-    assert here.returncode == 2
+    program, in_process = run_program(*call, cwd=scratch), run_in_process(*call, cwd=scratch)
+    assert (program.returncode, program.stdout, program.stderr) == (
+        in_process.returncode,
+        in_process.stdout,
+        in_process.stderr,
+    )
+    assert in_process.returncode == 2
 
 
 def test_monitor__without_a_display_names_the_alternatives(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:

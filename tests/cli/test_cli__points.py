@@ -37,14 +37,14 @@ def bus(shared_bus: zenostat.Bus) -> zenostat.Bus:
 
 
 def sources(link: zenostat.ControllerLink, steps: int) -> list[tuple[float, str]]:
-    """What the point really was in each of the next timesteps, and who set it; the controller keeps all as it is."""
-    sample, found = link.current(), []
+    """Return the point's effective value and source in the next timesteps; the controller keeps all as it is."""
+    sample, values = link.current(), []
     place = [a.name for a in link.manifest.actuators].index(POINT)
     for _ in range(steps):
         sample.send()
         sample = link.receive()
-        found.append((sample.effective[place], sample.value_source[POINT]))
-    return found
+        values.append((sample.effective[place], sample.value_source[POINT]))
+    return values
 
 
 def actuator_of(endpoint: str) -> dict[str, Any]:
@@ -66,8 +66,8 @@ def test_a_write_rules_until_it_is_released(bus: zenostat.Bus) -> None:
         assert (read["value"], read["unit"], read["value_source"]) == (26.0, "degC", "ann")
         relinquished = run_program("relinquish", "office", POINT, *connect)
         assert (relinquished.returncode, relinquished.stdout) == (0, f"office: {POINT} relinquished at priority 8\n")
-        ((value, who),) = sources(link, 1)
-        assert (value != 26.0, who) == (True, "")
+        ((value, source),) = sources(link, 1)
+        assert (value != 26.0, source) == (True, "")
         assert actuator_of(bus.endpoint)["value_source"] == ""
 
 
@@ -75,12 +75,12 @@ def test_a_write_for_half_an_hour_rules_two_quarters(bus: zenostat.Bus) -> None:
     written = run_zenostat(bus.endpoint, "write", "office", POINT, "26", "--duration", "30min", "--source", "ann")
     assert written.stdout == f"office: {POINT} = 26 degC at priority 8 for 30min\n"
     with bus.controller("office") as link:
-        assert [who for _, who in sources(link, 4)] == ["ann", "ann", "", ""]
+        assert [source for _, source in sources(link, 4)] == ["ann", "ann", "", ""]
 
 
 def test_the_higher_priority_rules_and_a_release_is_of_one_level(bus: zenostat.Bus) -> None:
-    for value, priority, who in (("25", "9", "low"), ("27", "3", "high")):
-        done = run_zenostat(bus.endpoint, "write", "office", POINT, value, "--priority", priority, "--source", who)
+    for value, priority, source in (("25", "9", "low"), ("27", "3", "high")):
+        done = run_zenostat(bus.endpoint, "write", "office", POINT, value, "--priority", priority, "--source", source)
         assert done.returncode == 0, done.stderr
     with bus.controller("office") as link:
         assert sources(link, 1) == [(27.0, "high")]
@@ -91,8 +91,8 @@ def test_the_higher_priority_rules_and_a_release_is_of_one_level(bus: zenostat.B
 def test_who_writes_is_a_person_at_a_machine_if_nobody_is_named(bus: zenostat.Bus) -> None:
     assert run_zenostat(bus.endpoint, "write", "office", POINT, "26").returncode == 0
     with bus.controller("office") as link:
-        ((_, who),) = sources(link, 1)
-    assert re.fullmatch(r"[^@]+@.+", who)
+        ((_, source),) = sources(link, 1)
+    assert re.fullmatch(r"[^@]+@.+", source)
 
 
 def test_what_the_node_refuses_ends_with_1_and_its_reason(bus: zenostat.Bus) -> None:
@@ -157,7 +157,7 @@ def test_times_that_are_none(text: str) -> None:
 def test_each_writer_hears_of_its_own_write(bus: zenostat.Bus) -> None:
     """Four write at once under one name, some of it refused; each is told what it wrote."""
     values = [20.0, 26.0, 27.0, 40.0]
-    heard: dict[float, list[str]] = {value: [] for value in values}
+    replies: dict[float, list[str]] = {value: [] for value in values}
     episode = bus.status("office").episode
 
     def write(value: float) -> None:
@@ -165,16 +165,16 @@ def test_each_writer_hears_of_its_own_write(bus: zenostat.Bus) -> None:
             try:
                 ack = bus.write("office", POINT, value, source="somebody")
                 assert (ack.episode, ack.step) == (episode, [0])
-                heard[value].append(ack.text)
+                replies[value].append(ack.text)
             except RequestRejected as refused:
-                heard[value].append(str(refused))
+                replies[value].append(str(refused))
 
     threads = [threading.Thread(target=write, args=(value,)) for value in values]
     for thread in threads:
         thread.start()
     for thread in threads:
         thread.join()
-    for value, texts in heard.items():
+    for value, texts in replies.items():
         assert len(texts) == 5
         assert all(f"{POINT} = {value:g}" in text for text in texts)
         assert all(("its bounds are" in text) == (value in (20.0, 40.0)) for text in texts)
@@ -221,11 +221,11 @@ def test_read_shows_the_latest_sample(bus: zenostat.Bus) -> None:
         sample = link.current()
         sample.send()
         sample = link.receive()
-        said = json.loads(run_zenostat(bus.endpoint, "read", "office", "--json").stdout)
-        assert (said["node"], said["episode"], said["step"]) == ("office", bus.status("office").episode[0], 1)
-        assert said["time"] == sample.time.isoformat()
+        output = json.loads(run_zenostat(bus.endpoint, "read", "office", "--json").stdout)
+        assert (output["node"], output["episode"], output["step"]) == ("office", bus.status("office").episode[0], 1)
+        assert output["time"] == sample.time.isoformat()
         kinds = {
-            kind: [row for row in said["points"] if row["kind"] == kind] for kind in ("sensor", "meter", "actuator")
+            kind: [row for row in output["points"] if row["kind"] == kind] for kind in ("sensor", "meter", "actuator")
         }
         assert {row["name"]: row["value"] for row in kinds["sensor"] + kinds["meter"]} == sample.as_dict()
         manifest = link.manifest
@@ -234,8 +234,8 @@ def test_read_shows_the_latest_sample(bus: zenostat.Bus) -> None:
             ("meter", manifest.meters),
             ("actuator", manifest.actuators),
         ):
-            told = [(row["name"], row["unit"], row["low"], row["high"]) for row in kinds[kind]]
-            assert told == [(point.name, point.unit, point.low, point.high) for point in points]
+            shown = [(row["name"], row["unit"], row["low"], row["high"]) for row in kinds[kind]]
+            assert shown == [(point.name, point.unit, point.low, point.high) for point in points]
         effective = [float("nan") if row["value"] is None else row["value"] for row in kinds["actuator"]]
         assert np.array_equal(effective, sample.effective, equal_nan=True)
         assert {row["name"]: row["value_source"] for row in kinds["actuator"]} == sample.value_source

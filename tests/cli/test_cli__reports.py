@@ -53,7 +53,7 @@ def test_an_evaluation_writes_report_and_figures_with_its_own_numbers(scratch: P
 
 @pytest.mark.parametrize("command", [["evaluate", "x", "--controller", "rbc"], ["run", "--node", "x"]])
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "message"),
     [
         (["--report", "report.txt"], "--report report.txt: expected an .html file"),
         (["--report", "nowhere/report.html"], "--report nowhere/report.html: there is no folder"),
@@ -63,14 +63,14 @@ def test_an_evaluation_writes_report_and_figures_with_its_own_numbers(scratch: P
     ],
 )
 def test_a_wrong_path_is_one_sentence_before_anything_starts(
-    command: list[str], options: list[str], says: str, tmp_path: Path
+    command: list[str], options: list[str], message: str, tmp_path: Path
 ) -> None:
     pytest.importorskip("matplotlib")
     (tmp_path / "folder.html").mkdir()
     (tmp_path / "file").touch()
     done = run_in_process(*command, *options, cwd=tmp_path)
     assert done.returncode == 2
-    assert says in plain(done.stderr)
+    assert message in plain(done.stderr)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.html"]
 
 

@@ -1,4 +1,4 @@
-"""What the terminal says about a recording that stopped, never began, or is damaged."""
+"""Texts in the terminal on a recording that stopped, never began, or is damaged."""
 
 from __future__ import annotations
 

@@ -34,24 +34,24 @@ def weather_file(env: BuildingEnv) -> Path:
     return path
 
 
-def fresh(env: BuildingEnv, folder: Path, name: str, actions: list[Any], **given: Any) -> list[Row]:
+def fresh(env: BuildingEnv, folder: Path, name: str, actions: list[Any], **settings: Any) -> list[Row]:
     """Return the episode of an engine that starts with the weather file of the running episode."""
     weather = shutil.copy(weather_file(env), folder / "combined.epw")
-    source = str(given.get("weather", ""))
+    source = str(settings.get("weather", ""))
     original = Path(source) if source.endswith(".epw") else find_weather(env.manifest.weather).path
     original, days = original.with_suffix(".ddy"), folder / "combined.ddy"
     days.unlink(missing_ok=True)
     if original.is_file():
         shutil.copy(original, days)
-    given = {k: v for k, v in given.items() if k not in ("weather_noise", "noise_start", "weather_order")}
-    again = make(name, **given | {"weather": str(weather)})
+    settings = {k: v for k, v in settings.items() if k not in ("weather_noise", "noise_start", "weather_order")}
+    again = make(name, **settings | {"weather": str(weather)})
     rows = episode(again, actions)
     again.close()
     return rows
 
 
-def dates(**given: str) -> dict[str, Any]:
-    return LATE | given
+def dates(**settings: str) -> dict[str, Any]:
+    return LATE | settings
 
 
 CASES = {
@@ -70,24 +70,24 @@ SLOW_CASES = {
 
 
 @pytest.mark.parametrize(
-    ("name", "given"),
+    ("name", "settings"),
     [
         *(pytest.param(*case, id=text) for text, case in CASES.items()),
         *(pytest.param(*case, id=text, marks=pytest.mark.slow) for text, case in SLOW_CASES.items()),
     ],
 )
 def test_episode__equals_one_that_starts_with_its_weather_file(
-    scratch: Path, module_folder: Path, name: str, given: dict[str, Any]
+    scratch: Path, module_folder: Path, name: str, settings: dict[str, Any]
 ) -> None:
-    env = make(name, **given)
+    env = make(name, **settings)
     mine = plan(env, 1)
     first = episode(env, mine, seed=4)
     _, info = env.reset(seed=5)
     assert info["engine_start"] == "forked"
     second = [row(env), *go(env, mine)]
-    same(second, fresh(env, module_folder, name, mine, **given))
+    same(second, fresh(env, module_folder, name, mine, **settings))
     same(episode(env, mine, seed=4), first)  # the seed determines it
-    begin = NOISE_FREE_H * given["steps_per_hour"]
+    begin = NOISE_FREE_H * settings["steps_per_hour"]
     differs = (np.array(first) != np.array(second)).any(axis=1)
     assert not differs[: begin + 1].any()  # no noise in the first two days
     assert differs[begin + 1 :].any()
@@ -99,13 +99,13 @@ def test_episode__over_a_leap_day_equals_one_that_starts_with_its_weather_file(
     scratch: Path, module_folder: Path
 ) -> None:
     path = module_folder / "leap.epw"
-    given = dates(begin="2020-02-26", end="2020-03-03", weather=str(path))
+    settings = dates(begin="2020-02-26", end="2020-03-03", weather=str(path))
     path.write_bytes(_with_leap_day(find_weather("USA_CO_Denver").path.read_bytes()))
-    env = make(SMALL, **given)
+    env = make(SMALL, **settings)
     mine = plan(env, 1)
     rows = episode(env, mine, seed=4)
     assert len(rows) == 7 * 24 + 1
-    same(rows, fresh(env, module_folder, SMALL, mine, **given))
+    same(rows, fresh(env, module_folder, SMALL, mine, **settings))
     env.close()
 
 
@@ -147,14 +147,14 @@ def test_weather__of_the_episode_is_what_info_and_forecasts_have(scratch: Path) 
 
 @pytest.mark.slow
 def test_several_weather_files__have_an_engine_each(scratch: Path, module_folder: Path) -> None:
-    given = LATE | {"weather": ["USA_CO_Denver", "USA_FL_Miami"], "weather_order": "sequence"}
-    env = make(SMALL, **given)
+    settings = LATE | {"weather": ["USA_CO_Denver", "USA_FL_Miami"], "weather_order": "sequence"}
+    env = make(SMALL, **settings)
     mine, seen = plan(env, 1), []
     for number in range(4):
         _, info = env.reset(seed=3 if number == 0 else None)
         seen.append((info["weather"], info["engine_start"]))
         rows = [row(env), *go(env, mine)]
-        same(rows, fresh(env, module_folder, SMALL, mine, **given))
+        same(rows, fresh(env, module_folder, SMALL, mine, **settings))
     assert [weather for weather, _ in seen] == ["USA_CO_Denver", "USA_FL_Miami"] * 2
     assert [start for _, start in seen[2:]] == ["forked", "forked"]
     env.close()

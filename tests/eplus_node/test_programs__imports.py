@@ -1,4 +1,4 @@
-"""What the programs of a node import, of what takes long to import: a start pays for each of them."""
+"""Slow imports of a node's programs: a start pays for each of them."""
 
 from __future__ import annotations
 

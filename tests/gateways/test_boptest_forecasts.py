@@ -52,14 +52,14 @@ def test_test_periods_follow_their_definitions():
     heating[5, 30] = 50_000  # before the first day that can be chosen
     cooling[100:300, 50] = np.linspace(100, 8000, 200)
     cooling[250, 60:62] = (20_000, 20_000)
-    found = find_test_periods(heating.ravel(), cooling.ravel(), 900)
-    assert found["peak_heat_day"] == 14
+    periods = find_test_periods(heating.ravel(), cooling.ravel(), 900)
+    assert periods["peak_heat_day"] == 14
     daily = heating.max(axis=1)
     median = np.median(daily[daily > 1])
-    assert daily[found["typical_heat_day"]] == daily[14:358][daily[14:358] <= median].max()
-    assert found["peak_cool_day"] == 250
+    assert daily[periods["typical_heat_day"]] == daily[14:358][daily[14:358] <= median].max()
+    assert periods["peak_cool_day"] == 250
     overlap = np.minimum(daily, cooling.max(axis=1))
-    assert overlap[found["mix_day"]] == overlap[14:358].max()
+    assert overlap[periods["mix_day"]] == overlap[14:358].max()
 
 
 def test_periods_of_a_load_that_the_building_lacks_are_left_out():

@@ -90,7 +90,7 @@ def test_a_reader_without_minari_finds_the_same_arrays(folder: Path) -> None:
 
 
 def test_a_loader_of_transitions_gets_the_recovered_environments_own_steps(folder: Path) -> None:
-    """As d3rlpy's loader: observations without the last, actions, rewards, ends; then the environment."""
+    """d3rlpy's loader does so: observations without the last, actions, rewards, ends; then the environment."""
     assert folder.is_dir()
     write_dataset(fake(), ["rbc", "random"], ID, episodes=2, seed=3, epsilon=0.3)
     dataset = minari.load_dataset(ID)

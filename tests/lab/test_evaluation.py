@@ -1,4 +1,4 @@
-"""What an episode came to, against numbers worked out by hand; and controllers compared on a made-up building."""
+"""Metrics of an episode, against numbers worked out by hand; and controllers compared on a made-up building."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ OFFICE = manifest(
 
 def test_an_episode_by_hand() -> None:
     # The band of July is 23 to 26 degC. Each timestep has a quarter of an hour.
-    found = tallied(
+    result = tallied(
         OFFICE,
         [27.0, 22.5, 3.0, 1.0 * KWH, 0.5 * KWH, 2.0 * KWH, 0.1 * KWH, 9.0 * KWH],  # 1 K and 0.5 K outside
         [26.0, 23.0, 0.0, 3.0 * KWH, 1.5 * KWH, 0.0 * KWH, 0.1 * KWH, 9.0 * KWH],  # both on the ends: inside
@@ -86,18 +86,18 @@ def test_an_episode_by_hand() -> None:
         [24.0, 24.0, 0.0, 0.0 * KWH, 0.0 * KWH, 0.0 * KWH, 0.1 * KWH, 9.0 * KWH],
         terms={"energy": -0.5, "comfort": -0.25},
     )
-    assert found.steps == 4
-    assert found.reward == -3.0
-    assert found.terms == {"energy": -2.0, "comfort": -1.0}
-    assert found.energy_kwh == pytest.approx({"electricity": 6.0, "natural_gas": 3.0, "district_heating_water": 0.4})
-    assert found.hvac_electricity_kwh == pytest.approx(3.0)
-    assert found.mean_power_w == pytest.approx(6000.0)  # 6 kWh in an hour
-    assert found.peak_kw == pytest.approx(12.0)  # 3 kWh in a quarter of an hour
-    assert found.mean_deviation_k == pytest.approx((1.0 + 0.5 + 2.0) / (2 * 4))
-    assert found.outside_percent == pytest.approx(50.0)
-    assert found.outside_kh == pytest.approx(3.5 * 0.25)
-    assert found.occupied_outside_kh == pytest.approx((1.0 + 0.5) * 0.25)  # the south's people are not measured
-    metrics = found.metrics()
+    assert result.steps == 4
+    assert result.reward == -3.0
+    assert result.terms == {"energy": -2.0, "comfort": -1.0}
+    assert result.energy_kwh == pytest.approx({"electricity": 6.0, "natural_gas": 3.0, "district_heating_water": 0.4})
+    assert result.hvac_electricity_kwh == pytest.approx(3.0)
+    assert result.mean_power_w == pytest.approx(6000.0)  # 6 kWh in an hour
+    assert result.peak_kw == pytest.approx(12.0)  # 3 kWh in a quarter of an hour
+    assert result.mean_deviation_k == pytest.approx((1.0 + 0.5 + 2.0) / (2 * 4))
+    assert result.outside_percent == pytest.approx(50.0)
+    assert result.outside_kh == pytest.approx(3.5 * 0.25)
+    assert result.occupied_outside_kh == pytest.approx((1.0 + 0.5) * 0.25)  # the south's people are not measured
+    metrics = result.metrics()
     assert metrics["mean_reward"] == pytest.approx(-0.75)
     assert metrics["mean_reward.comfort"] == pytest.approx(-0.25)
     assert metrics["natural_gas_kwh"] == pytest.approx(3.0)
@@ -117,28 +117,28 @@ def test_an_episode_by_hand() -> None:
 def test_without_meters_power_times_the_timestep_counts_and_is_called_so(aggregation: Aggregation) -> None:
     power = sensor("demand", "Facility Total HVAC Electricity Demand Rate", "Whole Building", "W")
     of = manifest(sensors=[sensor("core"), power.model_copy(update={"aggregation": aggregation})])
-    found = tallied(of, [24.0, 1000.0], [24.0, 3000.0])
-    assert found.hvac_electricity_kwh == pytest.approx(1.0)  # 4000 W for a quarter of an hour
-    assert found.energy_kwh == {}
-    assert found.metrics()["electricity_kwh"] is None
-    assert (found.mean_power_w, found.peak_kw) == (pytest.approx(2000.0), pytest.approx(3.0))
-    said = MetricsAccumulator(of).sources["mean_power_w"]
-    assert said.startswith("sensor demand, W times the timestep")
-    assert ("approximation" in said) == (aggregation is Aggregation.INSTANT)
+    result = tallied(of, [24.0, 1000.0], [24.0, 3000.0])
+    assert result.hvac_electricity_kwh == pytest.approx(1.0)  # 4000 W for a quarter of an hour
+    assert result.energy_kwh == {}
+    assert result.metrics()["electricity_kwh"] is None
+    assert (result.mean_power_w, result.peak_kw) == (pytest.approx(2000.0), pytest.approx(3.0))
+    source = MetricsAccumulator(of).sources["mean_power_w"]
+    assert source.startswith("sensor demand, W times the timestep")
+    assert ("approximation" in source) == (aggregation is Aggregation.INSTANT)
 
 
 def test_what_a_scenario_does_not_tell_is_absent() -> None:
     of = manifest(sensors=[sensor("outdoors", "Site Outdoor Air Drybulb Temperature")])
-    found = tallied(of, [30.0])
-    known = {name: value for name, value in found.metrics().items() if value is not None}
+    result = tallied(of, [30.0])
+    known = {name: value for name, value in result.metrics().items() if value is not None}
     assert known == {"steps": 1, "late": 0, "rejected": 0, "terminated": 0.0, "kpi.idis_tot": 0.0}
     assert MetricsAccumulator(of).sources == {}
 
 
 def test_without_a_timestep_nothing_is_known() -> None:
-    found = tallied(OFFICE)
-    assert (found.steps, found.reward, found.energy_kwh) == (0, None, {})
-    assert (found.mean_power_w, found.peak_kw, found.mean_deviation_k, found.outside_percent) == (None,) * 4
+    result = tallied(OFFICE)
+    assert (result.steps, result.reward, result.energy_kwh) == (0, None, {})
+    assert (result.mean_power_w, result.peak_kw, result.mean_deviation_k, result.outside_percent) == (None,) * 4
 
 
 @pytest.mark.parametrize(
@@ -157,12 +157,12 @@ def test_without_a_timestep_nothing_is_known() -> None:
 )
 def test_the_band_is_that_of_the_reward(task: Task, reward: Any, degrees: list[float] | None) -> None:
     of = OFFICE.model_copy(update={"task": task})
-    found = tallied(of, [27.0, 22.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0], reward=reward)
+    result = tallied(of, [27.0, 22.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0], reward=reward)
     if degrees is None:
-        assert (found.mean_deviation_k, found.outside_percent, found.outside_kh) == (None,) * 3
+        assert (result.mean_deviation_k, result.outside_percent, result.outside_kh) == (None,) * 3
     else:
-        assert found.mean_deviation_k == pytest.approx(math.fsum(degrees) / len(degrees))
-        assert found.outside_percent == (100.0 if any(degrees) else 0.0)
+        assert result.mean_deviation_k == pytest.approx(math.fsum(degrees) / len(degrees))
+        assert result.outside_percent == (100.0 if any(degrees) else 0.0)
 
 
 def test_zones_with_setpoints_of_their_own() -> None:
@@ -171,8 +171,8 @@ def test_zones_with_setpoints_of_their_own() -> None:
         sensor("c", "Zone Thermostat Cooling Setpoint Temperature", "core"),
     ]
     of = manifest(sensors=[sensor("core"), *setpoints])
-    found = tallied(of, [26.0, 21.0, 24.0], [22.0, 21.0, 24.0], reward=MultiZoneReward(threshold=0.5))
-    assert found.mean_deviation_k == pytest.approx(1.5 / 2)
+    result = tallied(of, [26.0, 21.0, 24.0], [22.0, 21.0, 24.0], reward=MultiZoneReward(threshold=0.5))
+    assert result.mean_deviation_k == pytest.approx(1.5 / 2)
 
 
 def test_messages_that_were_refused_in_this_episode_and_a_second_one() -> None:
@@ -183,9 +183,9 @@ def test_messages_that_were_refused_in_this_episode_and_a_second_one() -> None:
     assert (tally.result().late, tally.result().rejected) == (2, 0)
     tally.add(view(OFFICE, 0, row, late=9, rejected=3))
     tally.add(view(OFFICE, 1, row, late=9, rejected=4))
-    found = tally.result(terminated=True)
-    assert (found.late, found.rejected, found.steps, found.terminated) == (0, 1, 1, True)
-    assert found.energy_kwh["electricity"] == pytest.approx(1.0)
+    result = tally.result(terminated=True)
+    assert (result.late, result.rejected, result.steps, result.terminated) == (0, 1, 1, True)
+    assert result.energy_kwh["electricity"] == pytest.approx(1.0)
 
 
 # The spread
@@ -196,38 +196,38 @@ def result(reward: float | None) -> EpisodeMetrics:
 
 
 def test_mean_standard_deviation_and_interval(monkeypatch: pytest.MonkeyPatch) -> None:
-    found = Evaluation(
+    evaluation = Evaluation(
         tuple(EpisodeRecord("rbc", k, k, "", result(value)) for k, value in enumerate((1.0, 2.0, 6.0))), {}
     )
-    spread = found.summary()["rbc"]["reward"]
+    spread = evaluation.summary()["rbc"]["reward"]
     assert (spread.count, spread.mean, spread.deviation) == (3, 3.0, pytest.approx(math.sqrt(7.0)))
-    assert "mean_power_w" not in found.summary()["rbc"]
+    assert "mean_power_w" not in evaluation.summary()["rbc"]
     pytest.importorskip("scipy")
     # Student's t for two degrees of freedom: 4.302653 (any table of it).
     half = 4.302653 * math.sqrt(7.0 / 3.0)
     assert spread.interval == pytest.approx((3.0 - half, 3.0 + half))
     monkeypatch.setitem(sys.modules, "scipy.stats", None)
-    assert found.summary()["rbc"]["reward"].interval is None
-    alone = Evaluation(found.rows[:1], {}).summary()["rbc"]["reward"]
+    assert evaluation.summary()["rbc"]["reward"].interval is None
+    alone = Evaluation(evaluation.rows[:1], {}).summary()["rbc"]["reward"]
     assert (alone.deviation, alone.interval) == (None, None)
 
 
 # Controllers compared
 
 
-def building(**given: Any) -> dict[str, Any]:
+def building(**arguments: Any) -> dict[str, Any]:
     """A made-up building with noise on its weather, as arguments of an environment."""
-    fake = FakeBuilding(zones=2, begin="07-03", end="07-03", climate=Climate(noise_k=2.0), **given)
+    fake = FakeBuilding(zones=2, begin="07-03", end="07-03", climate=Climate(noise_k=2.0), **arguments)
     return {"link": FakeLink(fake)}
 
 
 def test_the_same_call_gives_the_same_tables_and_the_same_seeds_to_all() -> None:
     controllers = {"rbc": "rbc", "warm": partial(FixedSetpoints, zone_1_cooling_setpoint=29.0), "random": "random"}
-    found = evaluate(building(), controllers, episodes=2, seed=5)
-    assert [(row.controller, row.episode, row.seed) for row in found.rows] == [
+    evaluation = evaluate(building(), controllers, episodes=2, seed=5)
+    assert [(row.controller, row.episode, row.seed) for row in evaluation.rows] == [
         (name, k, 5 + k) for name in controllers for k in range(2)
     ]
-    table = found.table()
+    table = evaluation.table()
     assert all(list(row) == list(table[0]) for row in table)
     assert table[0]["reward"] != table[1]["reward"]  # other weather
     assert evaluate(building(), controllers, episodes=2, seed=5).table() == table
@@ -257,18 +257,18 @@ def test_a_limit_that_is_broken_ends_the_episode() -> None:
 
 
 def test_progress_tells_each_timestep() -> None:
-    told: list[tuple[str, int, int, int]] = []
-    evaluate(building(steps_per_hour=1), ["rbc"], episodes=2, progress=lambda *now: told.append(now))
-    assert told == [("rbc", k, step, 24) for k in range(2) for step in range(1, 25)]
+    progress: list[tuple[str, int, int, int]] = []
+    evaluate(building(steps_per_hour=1), ["rbc"], episodes=2, progress=lambda *now: progress.append(now))
+    assert progress == [("rbc", k, step, 24) for k in range(2) for step in range(1, 25)]
 
 
 def test_parameters_go_to_those_that_take_them() -> None:
-    made: dict[str, dict[str, Any]] = {}
+    parameters: dict[str, dict[str, Any]] = {}
 
     def maker(name: str) -> Any:
         class Recording(FixedSetpoints):
             def __init__(self, manifest: Manifest, *, margin: float = 0.0, seed: int = -1, **values: float) -> None:
-                made[name] = {"margin": margin, "seed": seed, **values}
+                parameters[name] = {"margin": margin, "seed": seed, **values}
                 super().__init__(manifest, **values)
 
         return Recording
@@ -280,11 +280,11 @@ def test_parameters_go_to_those_that_take_them() -> None:
         parameters={"margin": 0.5, "zone_2_cooling_setpoint": 27.0},
     )
     same = {"margin": 0.5, "zone_2_cooling_setpoint": 27.0}
-    assert made == {"mine": {**same, "seed": 4}, "bound": {**same, "seed": 9}}
+    assert parameters == {"mine": {**same, "seed": 4}, "bound": {**same, "seed": 9}}
 
 
 @pytest.mark.parametrize(
-    ("controllers", "given", "error", "says"),
+    ("controllers", "arguments", "error", "message"),
     [
         ([], {}, InvalidConfig, "expected a list of names"),
         ("rbc", {}, InvalidConfig, "expected a list of names, such as"),
@@ -298,14 +298,14 @@ def test_parameters_go_to_those_that_take_them() -> None:
     ],
 )
 def test_mistakes_are_said_before_anything_runs(
-    controllers: Any, given: dict[str, Any], error: type[Exception], says: str
+    controllers: Any, arguments: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     if "nothing.zip" in controllers:
         pytest.importorskip("stable_baselines3")
-    told: list[Any] = []
-    with pytest.raises(error, match=says):
-        evaluate(building(), controllers, progress=lambda *now: told.append(now), **given)
-    assert told == []
+    progress: list[Any] = []
+    with pytest.raises(error, match=message):
+        evaluate(building(), controllers, progress=lambda *now: progress.append(now), **arguments)
+    assert progress == []
 
 
 def test_the_last_controllers_mistake_is_said_before_the_first_one_runs() -> None:
@@ -316,19 +316,19 @@ def test_the_last_controllers_mistake_is_said_before_the_first_one_runs() -> Non
         def act(self, sample: SampleView) -> dict[str, float | None]:
             return {}
 
-    told: list[Any] = []
+    progress: list[Any] = []
     with pytest.raises(InvalidConfig, match="not here"):
-        evaluate(building(), {"rbc": "rbc", "picky": Picky}, progress=lambda *now: told.append(now))
-    assert told == []
+        evaluate(building(), {"rbc": "rbc", "picky": Picky}, progress=lambda *now: progress.append(now))
+    assert progress == []
 
 
 def test_what_faults_do_to_points_does_not_count() -> None:
     """Metrics are of the building, as rewards are: a point that was dropped has the value that EnergyPlus gave."""
     values = [22.0, 30.0, 1.0, KWH, KWH, 0.0, 0.0, 0.0]
-    told = view(OFFICE, 1, [NAN] * len(values))
-    told.message = told.message.model_copy(update={"fault_free_values": np.array(values, "<f8").tobytes()})
+    disturbed = view(OFFICE, 1, [NAN] * len(values))
+    disturbed.message = disturbed.message.model_copy(update={"fault_free_values": np.array(values, "<f8").tobytes()})
     tally, plain = MetricsAccumulator(OFFICE, None), MetricsAccumulator(OFFICE, None)
-    for accumulator, last in ((tally, told), (plain, view(OFFICE, 1, values))):
+    for accumulator, last in ((tally, disturbed), (plain, view(OFFICE, 1, values))):
         accumulator.add(view(OFFICE, 0, values))
         accumulator.add(last)
     assert tally.result() == plain.result()
@@ -343,6 +343,6 @@ def test_the_meters_of_a_plant_are_named_as_the_metrics() -> None:
             Meter(name="heat", unit="J"),
         ],
     )
-    found = tallied(of, [24.0, 0.0, 0.0, 0.0], [24.0, KWH, 5.0, KWH])
-    assert found.energy_kwh == pytest.approx({"electricity": 1.0})
+    result = tallied(of, [24.0, 0.0, 0.0, 0.0], [24.0, KWH, 5.0, KWH])
+    assert result.energy_kwh == pytest.approx({"electricity": 1.0})
     assert MetricsAccumulator(of).sources["electricity_kwh"] == "meter electricity"

@@ -57,8 +57,8 @@ def office() -> ProbeReport:
 def test_the_one_zone_data_centre_does_not_feel_its_only_action(begin: str, scratch: Path) -> None:
     """Approach temperatures rule its supply air; the node knows it from the model, and the probe sees it."""
     packs.sinergym()
-    found = probe("smalldatacenter-hot-continuous-v1", days=1, begin=begin, end=begin, affinity="off")
-    (effect,) = found.effects
+    result = probe("smalldatacenter-hot-continuous-v1", days=1, begin=begin, end=begin, affinity="off")
+    (effect,) = result.effects
     assert (effect.actuator, effect.responses, effect.first_min, effect.identical) == (
         "cooling_setpoint",
         (),
@@ -72,8 +72,8 @@ def test_the_one_zone_data_centre_does_not_feel_its_only_action(begin: str, scra
 
 def test_the_two_zone_data_centre_does(scratch: Path) -> None:
     packs.sinergym()
-    found = probe("datacenter_dx-hot-continuous-v1", days=1, begin="07-03", end="07-03", affinity="off")
-    (effect,) = found.effects
+    result = probe("datacenter_dx-hot-continuous-v1", days=1, begin="07-03", end="07-03", affinity="off")
+    (effect,) = result.effects
     assert {"west_zone_air_temperature", "HVAC_electricity_demand_rate"} <= {felt.point for felt in effect.responses}
     assert effect.pass_through == ("cooling_setpoint",)
 
@@ -110,9 +110,9 @@ def test_branching_is_only_a_shortcut(scratch: Path) -> None:
     apart = {side: np.abs(np.array(rows[side]) - np.array(rows["alone"])) for side in ("low", "high")}
     assert not apart["low"][:step].any()
     assert not apart["high"][:step].any()
-    found = probe(OFFICE, hours=2, days=1, at=(15,))
-    felt = {one.point: one for one in found.effects[0].responses}
-    assert found.times == (datetime(2017, 7, 3, 15),)
+    result = probe(OFFICE, hours=2, days=1, at=(15,))
+    felt = {one.point: one for one in result.effects[0].responses}
+    assert result.times == (datetime(2017, 7, 3, 15),)
     for place, name in ((0, "core_air"), (4, "electricity")):
         one, by_side = felt[name], {side: of[step:, place] for side, of in apart.items()}
         assert one.difference == max(of.max() for of in by_side.values())
@@ -123,8 +123,8 @@ def test_a_branch_that_energyplus_gives_up_in_is_a_note(scratch: Path) -> None:
     """A heating setpoint above the cooling setpoint ends EnergyPlus; the others' branches go on."""
     wide = ("Zone Temperature Control", "Heating Setpoint", "Core_ZN", 15.0, 40.0)
     actuators = OFFICE["actuators"] | {"core_heating": wide}
-    found = probe({**OFFICE, "actuators": actuators}, hours=1, days=1, at=(15,))
-    cooling, heating = found.effects
+    result = probe({**OFFICE, "actuators": actuators}, hours=1, days=1, at=(15,))
+    cooling, heating = result.effects
     assert [
         note for note in heating.notes if note.startswith("EnergyPlus failed in 1 of the branches that held it high")
     ]
@@ -140,17 +140,17 @@ def test_all_mistakes_are_said_at_once(scratch: Path) -> None:
     settings = {**OFFICE, "actuators": people}
     with nothing_left(scratch), pytest.raises(InvalidConfig) as caught:
         probe(settings, points=["cores_*"], low={"peple": 1.0}, at=(24,))
-    said = str(caught.value)
-    assert "no sensor or meter 'cores_*'" in said
-    assert "no actuator 'peple'; did you mean 'people'" in said
-    assert "one hour from 0 to below 24" in said
-    assert "people has no bound to hold it at" in said
-    assert "add --high people=VALUE" in said  # its least is 0
+    message = str(caught.value)
+    assert "no sensor or meter 'cores_*'" in message
+    assert "no actuator 'peple'; did you mean 'people'" in message
+    assert "one hour from 0 to below 24" in message
+    assert "people has no bound to hold it at" in message
+    assert "add --high people=VALUE" in message  # its least is 0
 
 
 @pytest.mark.variants
 @pytest.mark.parametrize(
-    ("given", "says"),
+    ("arguments", "message"),
     [
         ({"hours": 30.0}, "no branch of 120 timesteps"),
         ({"hours": float("nan")}, "got 0 timesteps"),
@@ -160,15 +160,15 @@ def test_all_mistakes_are_said_at_once(scratch: Path) -> None:
         ({"wether": "USA_CO_Denver"}, "did you mean 'weather'"),
     ],
 )
-def test_a_mistake(given: dict[str, Any], says: str, scratch: Path) -> None:
-    with pytest.raises(InvalidConfig, match=re.escape(says)):
-        probe(OFFICE, **given)
+def test_a_mistake(arguments: dict[str, Any], message: str, scratch: Path) -> None:
+    with pytest.raises(InvalidConfig, match=re.escape(message)):
+        probe(OFFICE, **arguments)
 
 
 @pytest.mark.slow
 def test_only_the_points_that_are_asked_for_count(scratch: Path) -> None:
-    found = probe(OFFICE, hours=1, days=1, at=(15,), points=["core_*", "outdoor"])
-    assert [felt.point for felt in found.effects[0].responses] == ["core_air"]
+    result = probe(OFFICE, hours=1, days=1, at=(15,), points=["core_*", "outdoor"])
+    assert [felt.point for felt in result.effects[0].responses] == ["core_air"]
     with pytest.raises(UnknownName, match="no sensor or meter 'air'"):
         probe(OFFICE, points=["air"])
 
@@ -176,7 +176,7 @@ def test_only_the_points_that_are_asked_for_count(scratch: Path) -> None:
 # The comparison, by hand
 
 
-def _manifest(**given: Any) -> Manifest:
+def _manifest(**fields: Any) -> Manifest:
     sensors = (
         Sensor(name="air", variable="Zone Air Temperature", key="Z", unit="degC", aggregation=Aggregation.MEAN),
         Sensor(name="asked", variable="Schedule Value", key="S", unit="", aggregation=Aggregation.INSTANT),
@@ -192,7 +192,7 @@ def _manifest(**given: Any) -> Manifest:
         "sensors": sensors, "meters": (Meter(name="used", meter="Electricity:Facility", unit="J"),),
         "actuators": (actuator,), "versions": Versions(zenostat="1", energyplus="25.2"),
     }  # fmt: skip
-    return Manifest(**{**whole, **given})
+    return Manifest(**{**whole, **fields})
 
 
 def test_a_temperature_without_bounds_is_held_two_kelvin_from_what_it_was() -> None:
@@ -218,14 +218,16 @@ def test_a_temperature_without_bounds_is_held_two_kelvin_from_what_it_was() -> N
 def test_branches_are_spread_over_the_working_days(begin: str, steps: int, days: int, times: list[str]) -> None:
     manifest = _manifest(begin=f"{begin}T00:00:00", steps=steps)
     first = datetime.fromisoformat(begin)
-    found = [first + timedelta(minutes=15 * step) for step in ProbeRequest(manifest, 3.0, days, (7,), (), {}, {}).steps]
-    assert found == [datetime.fromisoformat(f"{day}T07:00") for day in times]
+    starts = [
+        first + timedelta(minutes=15 * step) for step in ProbeRequest(manifest, 3.0, days, (7,), (), {}, {}).steps
+    ]
+    assert starts == [datetime.fromisoformat(f"{day}T07:00") for day in times]
 
 
 def _effect(
-    points: list[list[float]], alone: list[list[float]], *, side: Any = "high", value: float = 30.0, **given: Any
+    points: list[list[float]], alone: list[list[float]], *, side: Any = "high", value: float = 30.0, **fields: Any
 ):
-    manifest = _manifest(**given)
+    manifest = _manifest(**fields)
     one = HoldExperiment(side, value, BEGIN, np.array(points), np.array(alone), np.full(len(points), value))
     ranges = Ranges(4)
     ranges.add(one.points)
@@ -278,9 +280,9 @@ def test_the_command_tells_json_and_a_table(scratch: Path) -> None:
     zones = ["--set", "control=zone", *DAY]
     done = _probe(SCENARIO, *zones, "--json", cwd=scratch)
     assert done.returncode == 0, done.stderr
-    said = json.loads(done.stdout)
-    assert (said["times"], said["hours"], said["timestep_min"]) == (["2017-07-03T15:00:00"], 0.5, 10.0)
-    by_name = {effect["actuator"]: effect for effect in said["actuators"]}
+    output = json.loads(done.stdout)
+    assert (output["times"], output["hours"], output["timestep_min"]) == (["2017-07-03T15:00:00"], 0.5, 10.0)
+    by_name = {effect["actuator"]: effect for effect in output["actuators"]}
     cooling = by_name["core_zn_cooling_setpoint"]
     assert "core_zn_air_temperature" in {felt["point"] for felt in cooling["responses"]}
     shown = _probe(SCENARIO, *zones, "--points", "core_*", cwd=scratch)
@@ -290,17 +292,17 @@ def test_the_command_tells_json_and_a_table(scratch: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         (["--low", "core", "--set", "x"], "--low core: expected an actuator and a number"),
         (["--set", "colour=red"], "colour: not an argument of a scenario"),
         (["--points", "roof"], "no sensor or meter 'roof'"),
     ],
 )
-def test_mistakes_in_the_call_are_sentences(scratch: Path, arguments: list[str], says: str) -> None:
+def test_mistakes_in_the_call_are_sentences(scratch: Path, arguments: list[str], message: str) -> None:
     done = run_in_process("probe", SCENARIO, *DAY, *arguments, cwd=scratch)
     assert done.returncode == 2
-    assert says in " ".join(done.stderr.split())
+    assert message in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
 
 

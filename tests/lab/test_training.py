@@ -60,28 +60,28 @@ def same(one: dict[str, Any], other: dict[str, Any]) -> bool:
     return list(one) == list(other) and all(torch.equal(one[name], other[name]) for name in one)
 
 
-def real(name: str, **given: Any) -> gym.Env[Any, Any]:
+def real(name: str, **arguments: Any) -> gym.Env[Any, Any]:
     form = {"discrete": 5} if name == "dqn" else {}
-    return gym.make("zenostat/Building-v1", **{**SMALL, **form, "control": "building", "affinity": "off", **given})
+    return gym.make("zenostat/Building-v1", **{**SMALL, **form, "control": "building", "affinity": "off", **arguments})
 
 
-def fake(**given: Any) -> gym.Env[Any, Any]:
+def fake(**arguments: Any) -> gym.Env[Any, Any]:
     """A day of two rooms, in steps of an hour, with noise on the weather."""
     settings = {"zones": 2, "begin": "07-03", "steps_per_hour": 1, "climate": Climate(noise_k=2.0)}
-    return FakeEnv(**{**settings, **given})
+    return FakeEnv(**{**settings, **arguments})
 
 
-def scaled(**given: Any) -> gym.Env[Any, Any]:
-    """The same with actions from -1 to 1: an untrained PPO draws around 0, which in degC is always the lower bound."""
-    env = fake(**given)
+def scaled(**arguments: Any) -> gym.Env[Any, Any]:
+    """Scale the actions to -1 to 1: an untrained PPO draws around 0, which in degC is always the lower bound."""
+    env = fake(**arguments)
     low, high = env.action_space.low, env.action_space.high
     wider = gym.spaces.Box(np.float32(-1.0), np.float32(1.0), low.shape)
     return gym.wrappers.TransformAction(env, lambda a: np.clip(low + 0.5 * (a + 1) * (high - low), low, high), wider)
 
 
-def ppo(env: Any, **given: Any) -> Any:
+def ppo(env: Any, **arguments: Any) -> Any:
     settings = {"n_steps": 48, "batch_size": 24, "n_epochs": 2, "policy_kwargs": dict(NET), "seed": 3, "device": "cpu"}
-    return PPO("MlpPolicy", env, **{**settings, **given})
+    return PPO("MlpPolicy", env, **{**settings, **arguments})
 
 
 @pytest.mark.slow
@@ -104,8 +104,8 @@ def test_algorithms_learn_on_a_real_building(name: str, scratch: Path) -> None:
             observation, *_ = env.step(action)
         model.save(scratch / "model.zip")
         (own,) = evaluate_model(model, env, seed=1)
-    given = {**SMALL, "control": "building", "affinity": "off"} | ({"discrete": 5} if name == "dqn" else {})
-    (row,) = evaluate(given, {"trained": f"{name}:{scratch / 'model.zip'}"}, seed=1).rows
+    building = {**SMALL, "control": "building", "affinity": "off"} | ({"discrete": 5} if name == "dqn" else {})
+    (row,) = evaluate(building, {"trained": f"{name}:{scratch / 'model.zip'}"}, seed=1).rows
     # `evaluate` also measures what this environment has no points for: end uses, gas and unmet hours.
     more = dict.fromkeys(("hvac_kwh", "kpis", "unmet_heating_h", "unmet_cooling_h"))
     assert replace(row.result, **more) == replace(own, **more)
@@ -117,20 +117,20 @@ def test_algorithms_learn_on_a_real_building(name: str, scratch: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ppo", "dqn"])
 def test_the_checker_of_stable_baselines3_passes(name: str, scratch: Path) -> None:
-    with real(name) as env, warnings.catch_warnings(record=True) as said:
+    with real(name) as env, warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         check_env(env.unwrapped, skip_render_check=True)
     # Setpoints are in degC, not between -1 and 1: gymnasium.wrappers.RescaleAction makes them so.
-    texts = [str(one.message) for one in said if "symmetric and normalized Box action space" not in str(one.message)]
+    texts = [str(one.message) for one in warned if "symmetric and normalized Box action space" not in str(one.message)]
     assert texts == []
-    assert len(said) == (1 if name == "ppo" else 0)
+    assert len(warned) == (1 if name == "ppo" else 0)
 
 
 # The callback
 
 
 def steps_and_draws(env: gym.Env[Any, Any]) -> list[Any]:
-    """What a training sees is recorded in the list that is given back."""
+    """Record a training's steps and draws in the list that is returned."""
     seen: list[Any] = []
     step, reset = env.step, env.reset
 
@@ -139,8 +139,8 @@ def steps_and_draws(env: gym.Env[Any, Any]) -> list[Any]:
         seen.append((np.asarray(action).tobytes(), out[0].tobytes(), out[1]))
         return out
 
-    def begun(**given: Any) -> Any:
-        out = reset(**given)
+    def begun(**arguments: Any) -> Any:
+        out = reset(**arguments)
         seen.append(out[0].tobytes())
         return out
 
@@ -179,33 +179,33 @@ class Written(KVWriter):
     """A logger's output in memory."""
 
     def __init__(self) -> None:
-        self.said: list[tuple[int, dict[str, Any]]] = []
+        self.entries: list[tuple[int, dict[str, Any]]] = []
 
     def write(self, key_values: dict[str, Any], key_excluded: dict[str, Any], step: int = 0) -> None:
-        self.said.append((step, dict(key_values)))
+        self.entries.append((step, dict(key_values)))
 
     def close(self) -> None:
         pass
 
 
 def test_evaluations_are_logged_and_the_best_model_is_kept(tmp_path: Path) -> None:
-    best, written, made = tmp_path / "best.zip", Written(), []
+    best, written, environments = tmp_path / "best.zip", Written(), []
 
     def make_env() -> gym.Env[Any, Any]:
         env = fake()
-        made.append(env)
+        environments.append(env)
         closed = env.close
-        env.close = lambda: (made.append("closed"), closed())[1]  # type: ignore[method-assign]
+        env.close = lambda: (environments.append("closed"), closed())[1]  # type: ignore[method-assign]
         return env
 
     model = ppo(fake(), n_steps=24)
     model.set_logger(Logger(None, [written]))
     callback = EvaluationCallback(make_env, every=50, episodes=2, seed=4, best_model_path=best)
-    assert made == []
+    assert environments == []
     model.learn(192, callback=callback)
-    assert len(made) == 2
-    assert made[1] == "closed"
-    logged = {step: values for step, values in written.said if "eval/reward" in values}
+    assert len(environments) == 2
+    assert environments[1] == "closed"
+    logged = {step: values for step, values in written.entries if "eval/reward" in values}
     assert list(logged) == list(callback.results) == [50, 100, 150]
     for step, results in callback.results.items():
         assert logged[step]["eval/reward"] == pytest.approx(np.mean([r.reward for r in results]))
@@ -253,9 +253,9 @@ def test_what_wrappers_have_learnt_is_used_and_kept(tmp_path: Path) -> None:
 
 
 def test_mistakes_in_a_callback(tmp_path: Path) -> None:
-    for given in ({"every": 0}, {"every": 1, "episodes": 0}):
+    for arguments in ({"every": 0}, {"every": 1, "episodes": 0}):
         with pytest.raises(InvalidConfig, match="numbers of at least 1 expected"):
-            EvaluationCallback(fake, **given)
+            EvaluationCallback(fake, **arguments)
     for path in (tmp_path / "best.pt", tmp_path / "nowhere" / "best.zip"):
         with pytest.raises(InvalidConfig, match=r"a .zip file in an existing folder expected"):
             EvaluationCallback(fake, every=1, best_model_path=path)
@@ -270,16 +270,16 @@ def test_mistakes_in_a_callback(tmp_path: Path) -> None:
 
 
 def test_a_model_as_a_controller_acts_as_in_its_environment(tmp_path: Path) -> None:
-    given = {"zones": 2, "begin": "07-03", "time": ("month", "hour", "day_of_week")}
-    env = FakeEnv(**given)
+    settings = {"zones": 2, "begin": "07-03", "time": ("month", "hour", "day_of_week")}
+    env = FakeEnv(**settings)
     model = SAC("MlpPolicy", env, policy_kwargs=dict(NET), seed=1, device="cpu", **OFF_POLICY)
     model.save(tmp_path / "model.zip")
     expected = evaluate_model(model, env, episodes=2, seed=7)
     assert expected[0] != expected[1]
     state = np.random.get_state()[1].tobytes(), torch.random.get_rng_state().numpy().tobytes()
     for trained in (f"sac:{tmp_path / 'model.zip'}", load_policy(tmp_path / "model.zip", SAC)):
-        found = evaluate({"link": FakeLink(FakeBuilding(**given))}, {"trained": trained}, episodes=2, seed=7)
-        assert tuple(row.result for row in found.rows) == expected
+        evaluation = evaluate({"link": FakeLink(FakeBuilding(**settings))}, {"trained": trained}, episodes=2, seed=7)
+        assert tuple(row.result for row in evaluation.rows) == expected
     # The file has a seed, and loading it seeds nothing here.
     assert state == (np.random.get_state()[1].tobytes(), torch.random.get_rng_state().numpy().tobytes())
 
@@ -295,14 +295,14 @@ def test_a_model_of_other_observations_is_refused() -> None:
 def test_files_that_are_no_models(tmp_path: Path) -> None:
     (tmp_path / "text.zip").write_text("nothing")
     ppo(fake()).save(tmp_path / "model.zip")
-    for text, error, says in (
+    for text, error, message in (
         (f"ppo:{tmp_path}/none.zip", UnknownName, "there is no model file"),
         (f"pop:{tmp_path}/model.zip", UnknownName, "no algorithm 'pop'; did you mean 'ppo'"),
         (f"{tmp_path}/model.zip", InvalidConfig, "the algorithm of .* is missing"),
         (f"ppo:{tmp_path}/text.zip", InvalidConfig, "is not a model of PPO, or of another version"),
         (f"sac:{tmp_path}/model.zip", InvalidConfig, "is not a model of SAC"),
     ):
-        with pytest.raises(error, match=says):
+        with pytest.raises(error, match=message):
             load_policy(text)
 
 

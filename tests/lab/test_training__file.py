@@ -84,16 +84,18 @@ def one_thread() -> Iterator[None]:
 @pytest.mark.variants
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_the_weights_are_those_of_stable_baselines3_driven_by_hand(name: str, tmp_path: Path) -> None:
-    given = fields(name, tmp_path / "file", normalization=False, evaluation={"every_episodes": 2}, checkpoint_steps=30)
-    train(read_training(given))
+    training = fields(
+        name, tmp_path / "file", normalization=False, evaluation={"every_episodes": 2}, checkpoint_steps=30
+    )
+    train(read_training(training))
     parameters = json.loads(json.dumps(PARAMETERS[name]))  # the algorithms write into `policy_kwargs`
     if "action_noise" in parameters:
         from stable_baselines3.common.noise import OrnsteinUhlenbeckActionNoise
 
-        actions = FakeEnv(**given["arguments"]).action_space.shape
+        actions = FakeEnv(**training["arguments"]).action_space.shape
         parameters["action_noise"] = OrnsteinUhlenbeckActionNoise(np.zeros(actions), np.full(actions, 0.2))
     policy = "MlpLstmPolicy" if name == "recurrent-ppo" else "MlpPolicy"
-    env = gym.make("zenostat/Fake-v1", **given["arguments"])
+    env = gym.make("zenostat/Fake-v1", **training["arguments"])
     model = ALGORITHMS[name](policy, env, seed=3, device="cpu", **parameters)
     model.learn(160)
     model.save(tmp_path / "hand.zip")
@@ -101,10 +103,10 @@ def test_the_weights_are_those_of_stable_baselines3_driven_by_hand(name: str, tm
 
 
 def test_slots_and_normalization_are_those_of_the_documented_program(tmp_path: Path) -> None:
-    given = fields("ppo", tmp_path / "file", slots=3, steps=96)
-    train(read_training(given))
+    training = fields("ppo", tmp_path / "file", slots=3, steps=96)
+    train(read_training(training))
     mode = gym.VectorizeMode.VECTOR_ENTRY_POINT
-    envs = gym.make_vec("zenostat/Fake-v1", 3, mode, autoreset_mode="SameStep", **given["arguments"])
+    envs = gym.make_vec("zenostat/Fake-v1", 3, mode, autoreset_mode="SameStep", **training["arguments"])
     scaled = gym.wrappers.vector.RescaleAction(envs, np.float32(-1), np.float32(1))
     env = VecNormalize(VecMonitor(as_sb3(scaled)), gamma=0.99)
     parameters = json.loads(json.dumps(PARAMETERS["ppo"]))
@@ -151,8 +153,8 @@ def test_the_folder_of_a_training_behind_wrappers_is_a_controller(tmp_path: Path
         {"wrapper": "NormalizeObservation"},
     ]
     evaluation = {"every_steps": 96, "seed": 5}
-    given = fields("ppo", tmp_path, wrappers=wrappers, evaluation=evaluation, arguments=DAY, steps=96)
-    result = train(read_training(given))
+    training = fields("ppo", tmp_path, wrappers=wrappers, evaluation=evaluation, arguments=DAY, steps=96)
+    result = train(read_training(training))
     for factory in (load_controller(str(tmp_path)), load_policy(tmp_path / "best.zip")):
         with FakeEnv(**DAY) as env:
             agent = Agent(factory(env.manifest))
@@ -162,8 +164,8 @@ def test_the_folder_of_a_training_behind_wrappers_is_a_controller(tmp_path: Path
 
 
 def test_a_folder_of_an_older_version_is_one_sentence(tmp_path: Path) -> None:
-    given = fields("a2c", tmp_path, arguments=DAY, steps=5)
-    train(read_training(given))
+    training = fields("a2c", tmp_path, arguments=DAY, steps=5)
+    train(read_training(training))
     versions = json.loads((tmp_path / "versions.json").read_text())
     (tmp_path / "versions.json").write_text(json.dumps({**versions, "format": 0, "zenostat": "0.0.9"}))
     for use in (lambda: load_policy(tmp_path), lambda: resume_training(tmp_path)):
@@ -172,11 +174,11 @@ def test_a_folder_of_an_older_version_is_one_sentence(tmp_path: Path) -> None:
 
 
 def test_a_folder_is_neither_overwritten_nor_resumed_with_another_training(tmp_path: Path) -> None:
-    given = fields("a2c", tmp_path, arguments=DAY, steps=5)
-    train(read_training(given))
+    training = fields("a2c", tmp_path, arguments=DAY, steps=5)
+    train(read_training(training))
     with pytest.raises(InvalidConfig, match="already has a training"):
-        train(read_training(given))
-    other = {**given, "parameters": {**PARAMETERS["a2c"], "gamma": 0.5}}
+        train(read_training(training))
+    other = {**training, "parameters": {**PARAMETERS["a2c"], "gamma": 0.5}}
     with pytest.raises(InvalidConfig, match=r"parameters\.gamma was not set, now 0\.5"):
         train(read_training(other), resume=True)
     longer = train(resume_training(tmp_path, 10), resume=True)

@@ -32,10 +32,10 @@ def fake() -> FakeEnv:
 
 
 def trained(kind: str, path: Path, *, normalized: bool = True, callback: Any = None) -> Any:
-    algorithm, given = KINDS[kind]
+    algorithm, parameters = KINDS[kind]
     envs: Any = DummyVecEnv([fake])
     env = VecNormalize(envs) if normalized else envs
-    model = algorithm("MlpPolicy", env, **given, policy_kwargs={"net_arch": [8]}, seed=0, device="cpu")
+    model = algorithm("MlpPolicy", env, **parameters, policy_kwargs={"net_arch": [8]}, seed=0, device="cpu")
     model.learn(48, callback=callback)
     model.save(path)
     return model

@@ -60,15 +60,15 @@ def accumulated(of: Manifest, rows: list[dict[str, float]], **rates: Any) -> Epi
     return metrics.result()
 
 
-def kpi(found: EpisodeMetrics, name: str) -> float:
-    value = found.kpis[name]
+def kpi(metrics: EpisodeMetrics, name: str) -> float:
+    value = metrics.kpis[name]
     assert value is not None
     return value
 
 
 def test_three_timesteps_by_hand() -> None:
     # The band of July is 23 to 26 degC. Timesteps of a quarter of an hour on 100 m2.
-    found = accumulated(
+    metrics = accumulated(
         office(),
         [
             {"core": 27.0, "south": 24.0},  # 1 K at the beginning
@@ -81,17 +81,17 @@ def test_three_timesteps_by_hand() -> None:
     )  # fmt: skip
     # Trapezoids of the deviations, core 1, 3, 0, 0 K and south 0, 1, 2, 0 K, in K times a quarter of an hour.
     core, south = (1 + 3) / 2 + (3 + 0) / 2 + 0, (0 + 1) / 2 + (1 + 2) / 2 + (2 + 0) / 2
-    assert kpi(found, "tdis_tot") == pytest.approx((core + south) * 0.25 / 2)
+    assert kpi(metrics, "tdis_tot") == pytest.approx((core + south) * 0.25 / 2)
     electricity, gas, heat = 1.5 + 4 + 0.5, 2.0, 2.0  # neither lights nor the kitchen's gas
-    assert kpi(found, "ener_tot") == pytest.approx((electricity + gas + heat) / 100)
-    assert kpi(found, "cost_tot") == pytest.approx((0.3 * electricity + 0.1 * gas + 0.2 * heat) / 100)
-    assert kpi(found, "emis_tot") == pytest.approx((0.4 * electricity + 0.2 * gas + 0.1 * heat) / 100)
-    assert kpi(found, "pele_tot") == pytest.approx(4 * 4 / 100)  # 4 kWh in a quarter of an hour
-    assert kpi(found, "pgas_tot") == pytest.approx(2 * 4 / 100)
-    assert kpi(found, "pdih_tot") == pytest.approx(2 * 4 / 100)
-    assert kpi(found, "idis_tot") == 0.0
-    assert found.metrics()["kpi.ener_tot"] == kpi(found, "ener_tot")
-    assert [name for name in found.metrics() if name.startswith("kpi.")] == [f"kpi.{name}" for name in KPIS]
+    assert kpi(metrics, "ener_tot") == pytest.approx((electricity + gas + heat) / 100)
+    assert kpi(metrics, "cost_tot") == pytest.approx((0.3 * electricity + 0.1 * gas + 0.2 * heat) / 100)
+    assert kpi(metrics, "emis_tot") == pytest.approx((0.4 * electricity + 0.2 * gas + 0.1 * heat) / 100)
+    assert kpi(metrics, "pele_tot") == pytest.approx(4 * 4 / 100)  # 4 kWh in a quarter of an hour
+    assert kpi(metrics, "pgas_tot") == pytest.approx(2 * 4 / 100)
+    assert kpi(metrics, "pdih_tot") == pytest.approx(2 * 4 / 100)
+    assert kpi(metrics, "idis_tot") == 0.0
+    assert metrics.metrics()["kpi.ener_tot"] == kpi(metrics, "ener_tot")
+    assert [name for name in metrics.metrics() if name.startswith("kpi.")] == [f"kpi.{name}" for name in KPIS]
 
 
 def test_what_is_unknown_is_none() -> None:
@@ -123,23 +123,23 @@ def test_a_cost_without_a_price_for_a_fuel_in_use_is_unknown() -> None:
 
 def test_the_price_is_that_of_the_hour_in_which_a_timestep_begins() -> None:
     table = {"table": [{"value": 300.0, "hours": [1, 2]}], "otherwise": 100.0, "unit": "EUR/MWh"}
-    found = accumulated(office(), [{"cooling": KWH}] * 10, prices={"electricity": table})  # 0:00 to 2:15
-    assert kpi(found, "cost_tot") == pytest.approx((4 * 0.1 + 4 * 0.3 + 1 * 0.1) / 100)
+    metrics = accumulated(office(), [{"cooling": KWH}] * 10, prices={"electricity": table})  # 0:00 to 2:15
+    assert kpi(metrics, "cost_tot") == pytest.approx((4 * 0.1 + 4 * 0.3 + 1 * 0.1) / 100)
 
 
 def test_means_over_the_timestep_are_not_averaged_again() -> None:
     mean = {"aggregation": Aggregation.MEAN}
     of = office(sensors=(SENSORS[0].model_copy(update=mean), *SENSORS[1:]))
-    found = accumulated(of, [{"core": 30.0}, {"core": 28.0}, {"core": 27.0}])
-    assert kpi(found, "tdis_tot") == pytest.approx((2 + 1) * 0.25 / 2)
+    metrics = accumulated(of, [{"core": 30.0}, {"core": 28.0}, {"core": 27.0}])
+    assert kpi(metrics, "tdis_tot") == pytest.approx((2 + 1) * 0.25 / 2)
 
 
 def test_an_excess_of_carbon_dioxide_counts_for_all_zones_with_a_sensor() -> None:
     sensors = (*SENSORS, *(sensor(f"co2_{n}", "Zone Air CO2 Concentration", n, "ppm") for n in ("core", "south")))
-    found = accumulated(
+    metrics = accumulated(
         office(sensors=sensors), [{}, {"co2_core": CO2_LIMIT_PPM + 100, "co2_south": CO2_LIMIT_PPM}, {}]
     )
-    assert kpi(found, "idis_tot") == pytest.approx((100 / 2 + 100 / 2) * 0.25 / 2)
+    assert kpi(metrics, "idis_tot") == pytest.approx((100 / 2 + 100 / 2) * 0.25 / 2)
 
 
 def test_the_season_of_an_interval_holds_at_both_of_its_ends() -> None:
@@ -193,9 +193,9 @@ def test_kpis__gas_of_the_whole_building_is_not_hvac_gas() -> None:
 
 def test_kpis__a_plant_that_is_no_building_counts_whole() -> None:
     own = tuple(meter(name).model_copy(update={"meter": ""}) for name in ("electricity", "natural_gas"))
-    found = accumulated(office(meters=own, sensors=SENSORS[:2]), [{}, {"electricity": KWH, "natural_gas": 5 * KWH}])
-    assert kpi(found, "ener_tot") == pytest.approx(6 / 100)
-    assert found.hvac_kwh == {}
+    metrics = accumulated(office(meters=own, sensors=SENSORS[:2]), [{}, {"electricity": KWH, "natural_gas": 5 * KWH}])
+    assert kpi(metrics, "ener_tot") == pytest.approx(6 / 100)
+    assert metrics.hvac_kwh == {}
 
 
 # Peaks
@@ -224,9 +224,9 @@ def test_a_peak_is_the_highest_mean_of_a_quarter_of_an_hour(step_s: int, kw: lis
 
 def test_a_timestep_of_ten_minutes_is_split_between_bins() -> None:
     of = office(step_s=600.0)
-    found = accumulated(of, [{}, {"cooling": 1 * KWH}, {"cooling": 3 * KWH}, {"cooling": 0.0}])
+    metrics = accumulated(of, [{}, {"cooling": 1 * KWH}, {"cooling": 3 * KWH}, {"cooling": 0.0}])
     # 6 kW and 18 kW: ten minutes of the first and five of the second; then five of the second and ten of nothing.
-    assert kpi(found, "pele_tot") == pytest.approx(max((10 * 6 + 5 * 18) / 15, 5 * 18 / 15) / 100)
+    assert kpi(metrics, "pele_tot") == pytest.approx(max((10 * 6 + 5 * 18) / 15, 5 * 18 / 15) / 100)
 
 
 # Rates
@@ -296,12 +296,12 @@ def test_a_wrong_rate_is_an_error_before_anything_starts() -> None:
 def test_all_controllers_of_a_comparison_have_the_same_rates() -> None:
     link = FakeLink(FakeBuilding(2))
     link.building.manifest = link.manifest = link.manifest.model_copy(update={"floor_area_m2": 50.0})
-    found = evaluate({"link": link}, ["rbc", "fixed"], prices={"electricity": 0.5})
-    for row in found.rows:
+    evaluation = evaluate({"link": link}, ["rbc", "fixed"], prices={"electricity": 0.5})
+    for row in evaluation.rows:
         energy, cost = kpi(row.result, "ener_tot"), kpi(row.result, "cost_tot")
         assert energy > 0.0
         assert cost == pytest.approx(0.5 * energy)
-    assert found.sources["kpi.cost_tot"].endswith("per m² of 50 m² floor area")
+    assert evaluation.sources["kpi.cost_tot"].endswith("per m² of 50 m² floor area")
 
 
 # A real building
@@ -331,12 +331,12 @@ def test_energy_is_that_of_energyplus_own_meters_and_of_its_demand_rate() -> Non
         sum(joules[f"{use}:{fuel}"] for use in hvac if f"{use}:{fuel}" in joules)
         for fuel in ("Electricity", "NaturalGas")
     )
-    area_m2, found = of.floor_area_m2 or 0.0, metrics.result()
-    assert kpi(found, "ener_tot") * area_m2 == pytest.approx((electricity.sum() + gas.sum()) / KWH)
-    assert kpi(found, "cost_tot") * area_m2 == pytest.approx((electricity.sum() + 10.0 * gas.sum()) / KWH)
-    assert kpi(found, "emis_tot") * area_m2 == pytest.approx(electricity.sum() / KWH)
-    assert kpi(found, "pele_tot") * area_m2 == pytest.approx(electricity.max() / 900.0 / 1000.0)
-    assert kpi(found, "pgas_tot") * area_m2 == pytest.approx(gas.max() / 900.0 / 1000.0)
+    area_m2, result = of.floor_area_m2 or 0.0, metrics.result()
+    assert kpi(result, "ener_tot") * area_m2 == pytest.approx((electricity.sum() + gas.sum()) / KWH)
+    assert kpi(result, "cost_tot") * area_m2 == pytest.approx((electricity.sum() + 10.0 * gas.sum()) / KWH)
+    assert kpi(result, "emis_tot") * area_m2 == pytest.approx(electricity.sum() / KWH)
+    assert kpi(result, "pele_tot") * area_m2 == pytest.approx(electricity.max() / 900.0 / 1000.0)
+    assert kpi(result, "pgas_tot") * area_m2 == pytest.approx(gas.max() / 900.0 / 1000.0)
     assert gas.sum() > 0.0
     assert gas.sum() < joules["NaturalGas:Facility"].sum()  # without hot water
     # EnergyPlus's own sum of the HVAC's electricity, by another way than meters.

@@ -59,8 +59,8 @@ OFFICE = manifest(
 
 
 def test_roles_by_hand() -> None:
-    found = roles(OFFICE)
-    first, second = found.zones
+    identified = roles(OFFICE)
+    first, second = identified.zones
     assert (first.key, first.label, first.place, first.temperature) == (
         "PERIMETER_BOT_ZN_1", "Perimeter bottom 1", 0, 1,
     )  # fmt: skip
@@ -68,19 +68,19 @@ def test_roles_by_hand() -> None:
     assert (second.label, second.place, second.temperature) == ("Core bottom", 1, 2)
     assert (second.occupants, second.humidity, second.heating_setpoint, second.cooling_setpoint) == (4, 5, 6, 7)
     assert (second.heating_actuator, second.cooling_actuator) == (1, 0)
-    assert found.outdoor_temperature == 0
+    assert identified.outdoor_temperature == 0
     to_kw = 1.0 / 900.0 / 1000.0  # J in a quarter of an hour
-    assert found.facility_power == PowerSource(10, pytest.approx(to_kw), "Whole building")  # type: ignore[arg-type]
-    assert found.hvac_power == PowerSource(9, 1e-3, "HVAC and plant")
-    assert [(use.label, use.fuel, use.index, use.is_hvac) for use in found.end_uses] == [
+    assert identified.facility_power == PowerSource(10, pytest.approx(to_kw), "Whole building")  # type: ignore[arg-type]
+    assert identified.hvac_power == PowerSource(9, 1e-3, "HVAC and plant")
+    assert [(use.label, use.fuel, use.index, use.is_hvac) for use in identified.end_uses] == [
         ("heating", "natural gas", 13, True), ("cooling", "electricity", 15, True),
         ("interior lights", "electricity", 11, False),
     ]  # fmt: skip
-    assert [(fuel.fuel, fuel.index) for fuel in found.fuels] == [("electricity", 10), ("natural gas", 12)]
-    assert found.others == {"degC": (3,), "m/s": (8,), "J": (14,)}
-    assert found.labels[6] == "B heat"
-    assert found.actuator_labels == ("Core bottom cooling setpoint", "Core bottom heating setpoint")
-    assert all(use.to_kw == pytest.approx(to_kw) for use in (*found.end_uses, *found.fuels))
+    assert [(fuel.fuel, fuel.index) for fuel in identified.fuels] == [("electricity", 10), ("natural gas", 12)]
+    assert identified.others == {"degC": (3,), "m/s": (8,), "J": (14,)}
+    assert identified.labels[6] == "B heat"
+    assert identified.actuator_labels == ("Core bottom cooling setpoint", "Core bottom heating setpoint")
+    assert all(use.to_kw == pytest.approx(to_kw) for use in (*identified.end_uses, *identified.fuels))
 
 
 def test_hvac_power__is_that_of_the_end_uses_where_they_are_measured() -> None:
@@ -88,10 +88,10 @@ def test_hvac_power__is_that_of_the_end_uses_where_they_are_measured() -> None:
         meter(name.replace(":", "_"), name) for name in ("Electricity:HVAC", "HVAC:Electricity", "HVAC:NaturalGas")
     )
     to_kw = pytest.approx(1.0 / 900.0 / 1000.0)
-    found = roles(manifest(meters=[groups, uses, gas]))
-    assert found.hvac_power == PowerSource(1, to_kw, "HVAC")  # type: ignore[arg-type]
-    assert [(fuel.fuel, fuel.index) for fuel in found.hvac_fuels] == [("natural gas", 2)]
-    assert found.others == {"J": (0,)}
+    identified = roles(manifest(meters=[groups, uses, gas]))
+    assert identified.hvac_power == PowerSource(1, to_kw, "HVAC")  # type: ignore[arg-type]
+    assert [(fuel.fuel, fuel.index) for fuel in identified.hvac_fuels] == [("natural gas", 2)]
+    assert identified.others == {"J": (0,)}
     without = roles(manifest(sensors=OFFICE.sensors, meters=[groups]))
     assert without.hvac_power == PowerSource(10, to_kw, "HVAC without plant")  # type: ignore[arg-type]
 
@@ -124,8 +124,8 @@ def test_setpoints_that_are_schedules_serve_the_zones_that_their_names_tell() ->
 
 
 def test_an_empty_manifest_has_no_roles() -> None:
-    found = roles(manifest())
-    assert (found.zones, found.others, found.end_uses, found.hvac_power) == ((), {}, (), None)
+    identified = roles(manifest())
+    assert (identified.zones, identified.others, identified.end_uses, identified.hvac_power) == ((), {}, (), None)
 
 
 @pytest.mark.parametrize("is_energyplus", [True, False])
@@ -139,13 +139,13 @@ def test_a_fake_building_has_zones_and_powers_under_energyplus_names_and_as_a_pl
                 "actuators": tuple(Actuator(name=a.name, unit=a.unit) for a in of.actuators),
             }
         )
-    found = roles(of)
-    assert [zone.label for zone in found.zones] == ["Zone 1", "Zone 2"]
-    assert [(z.temperature, z.occupants, z.heating_actuator, z.cooling_actuator) for z in found.zones] == [
+    identified = roles(of)
+    assert [zone.label for zone in identified.zones] == ["Zone 1", "Zone 2"]
+    assert [(z.temperature, z.occupants, z.heating_actuator, z.cooling_actuator) for z in identified.zones] == [
         (2, 3, 0, 1), (4, 5, 2, 3),
     ]  # fmt: skip
-    assert found.outdoor_temperature == 0
-    assert (found.facility_power, found.hvac_power) == (
+    assert identified.outdoor_temperature == 0
+    assert (identified.facility_power, identified.hvac_power) == (
         PowerSource(6, 1 / 9e5, "Whole building"), PowerSource(7, 1 / 9e5, "HVAC"),
     )  # fmt: skip
 
@@ -158,19 +158,19 @@ def test_a_plant_of_ones_own_has_a_room_and_its_tank_is_none() -> None:
         meters=[Meter(name=p.name, unit=p.unit) for p in plant.meters],
         actuators=[Actuator(name=p.name, unit=p.unit) for p in plant.actuators],
     )
-    found = roles(of)
+    identified = roles(of)
     names = of.names
-    assert [(zone.label, names[zone.temperature or 0]) for zone in found.zones] == [("Room", "room_temperature")]
-    assert found.outdoor_temperature == names.index("outdoor_temperature")
-    assert found.facility_power is not None
-    assert found.facility_power.index == names.index("electricity")
-    assert [names[index] for indices in found.others.values() for index in indices] == ["tank_temperature", "cop"]
+    assert [(zone.label, names[zone.temperature or 0]) for zone in identified.zones] == [("Room", "room_temperature")]
+    assert identified.outdoor_temperature == names.index("outdoor_temperature")
+    assert identified.facility_power is not None
+    assert identified.facility_power.index == names.index("electricity")
+    assert [names[index] for indices in identified.others.values() for index in indices] == ["tank_temperature", "cop"]
 
 
 def test_the_only_power_sensor_of_a_plant_is_its_power() -> None:
-    found = roles(manifest(sensors=[Sensor(name="temperature", unit="degC"), Sensor(name="heat_pump", unit="kW")]))
-    assert found.facility_power == PowerSource(1, 1.0, "Whole building")
-    assert [zone.label for zone in found.zones] == ["Zone"]
+    identified = roles(manifest(sensors=[Sensor(name="temperature", unit="degC"), Sensor(name="heat_pump", unit="kW")]))
+    assert identified.facility_power == PowerSource(1, 1.0, "Whole building")
+    assert [zone.label for zone in identified.zones] == ["Zone"]
 
 
 def of_scenario(scenario: Any) -> Manifest:
@@ -200,12 +200,12 @@ def test_the_scenarios_of_the_data_pack() -> None:
     first = {name.partition("-")[0]: scenario for name, scenario in reversed(list(pack_scenarios().items()))}
     assert first.keys() == ZONES.keys()
     for building, scenario in first.items():
-        found = roles(of_scenario(scenario))
-        heated = [zone for zone in found.zones if zone.heating_actuator is not None]
-        assert (len(found.zones), len(heated)) == ZONES[building], building
-        assert found.hvac_power is not None
-        assert found.outdoor_temperature is not None
-        assert len({zone.label for zone in found.zones}) == len(found.zones)
+        identified = roles(of_scenario(scenario))
+        heated = [zone for zone in identified.zones if zone.heating_actuator is not None]
+        assert (len(identified.zones), len(heated)) == ZONES[building], building
+        assert identified.hvac_power is not None
+        assert identified.outdoor_temperature is not None
+        assert len({zone.label for zone in identified.zones}) == len(identified.zones)
 
 
 # Comfort

@@ -79,8 +79,8 @@ def test_a_fault_is_what_energyplus_refuses(case: str, office: dict[str, Any], f
     assert bool(schema.schema_errors(objects, complete=True)) == refused
     command = [sys.executable, "-P", "-c", _RUN, str(write(objects, folder)), str(find_weather("Denver").path)]
     subprocess.run([*command, str(folder)], stdin=subprocess.DEVNULL, check=False)
-    said = (folder / "eplusout.err").read_text()
-    assert ("Errors occurred on processing input file" in said) == refused
+    errors = (folder / "eplusout.err").read_text()
+    assert ("Errors occurred on processing input file" in errors) == refused
 
 
 @pytest.mark.slow
@@ -98,9 +98,11 @@ for kind, said in full["properties"].items():
 print(json.dumps(found))
 """
     done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True)
-    theirs = {kind: tuple(map(tuple, said)) for kind, said in json.loads(done.stdout).items()}
+    theirs = {kind: tuple(map(tuple, fields)) for kind, fields in json.loads(done.stdout).items()}
     kinds = schema._schema()["types"]
-    ours = {kind: (tuple(sorted(said["fields"])), tuple(sorted(said["required"]))) for kind, said in kinds.items()}
+    ours = {
+        kind: (tuple(sorted(fields["fields"])), tuple(sorted(fields["required"]))) for kind, fields in kinds.items()
+    }
     assert ours == theirs
 
 
@@ -119,7 +121,7 @@ def test_unknown_names_list_near_ones() -> None:
 
 
 @pytest.mark.parametrize(
-    ("edits", "said"),
+    ("edits", "message"),
     [
         ({"thickness": -1}, "thickness is -1; expected a number above 0"),
         ({"thickness": float("nan")}, "thickness is nan; expected a number above 0"),
@@ -129,8 +131,8 @@ def test_unknown_names_list_near_ones() -> None:
         ({"thickness": None}, "thickness is null; expected a number above 0, or no such field"),
     ],
 )  # fmt: skip
-def test_a_wrong_value_is_said_with_what_would_be_right(edits: dict[str, Any], said: str) -> None:
-    assert only(material(**edits)) == f"Material 'brick': {said}"
+def test_a_wrong_value_is_said_with_what_would_be_right(edits: dict[str, Any], message: str) -> None:
+    assert only(material(**edits)) == f"Material 'brick': {message}"
 
 
 def test_words_and_limits_of_a_field_with_both_are_said() -> None:
@@ -168,8 +170,8 @@ def test_what_converters_leave_behind_is_no_fault() -> None:
 
 
 def test_all_faults_are_said_at_once() -> None:
-    found = schema.schema_errors(material(thickness=-1, density="x", colour="red") | {"Zonne": {}}, complete=True)
-    assert len(found) == 4
+    errors = schema.schema_errors(material(thickness=-1, density="x", colour="red") | {"Zonne": {}}, complete=True)
+    assert len(errors) == 4
 
 
 # Respelling

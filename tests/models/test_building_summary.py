@@ -1,4 +1,4 @@
-"""What a building and a weather file are: against EnergyPlus's own words, hand calculation, and small models."""
+"""Summaries of buildings and weather files: against EnergyPlus's own words, hand calculation, and small models."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from zenostat.models.points.discovery import discover, locations
 from zenostat.models.scenario.run_period import Period
 
 # Multipliers of zones and of a list of zones, plenums, attics, no heating in some zones, condenser loops.
-ASKED = ("restaurant-fast-food", "hotel-small", "office-large", "ref-midrise-apartment", "ref-outpatient", "warehouse")
+MODELS = ("restaurant-fast-food", "hotel-small", "office-large", "ref-midrise-apartment", "ref-outpatient", "warehouse")
 
 _RUN = """
 import sys
@@ -40,8 +40,8 @@ api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
 
 
 @dataclass(frozen=True)
-class Said:
-    """What EnergyPlus says of a model at the start of a run: rows of `eplusout.eio` and `eplusout.bnd`."""
+class EngineReport:
+    """Report of EnergyPlus on a model at the start of a run: rows of `eplusout.eio` and `eplusout.bnd`."""
 
     building: Building
     rows: list[list[str]]
@@ -50,7 +50,7 @@ class Said:
         return [row for row in self.rows if row[0] == kind]
 
 
-def start(name: str, folder: Path) -> Said:
+def start(name: str, folder: Path) -> EngineReport:
     building = read_building(catalog.find_building(name))
     day = date(2017, 1, 1)
     objects = for_episode(building, Period(day, day, building.steps_per_hour))
@@ -59,54 +59,54 @@ def start(name: str, folder: Path) -> Said:
     model, weather = write(objects, folder), catalog.find_weather("USA_CO_Denver").path
     subprocess.run([sys.executable, "-P", "-c", _RUN, str(model), str(weather), str(folder)], stdin=subprocess.DEVNULL)
     text = (folder / "eplusout.eio").read_text() + (folder / "eplusout.bnd").read_text()
-    return Said(building, [[cell.strip() for cell in line.split(",")] for line in text.splitlines()])
+    return EngineReport(building, [[cell.strip() for cell in line.split(",")] for line in text.splitlines()])
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Said]:
+def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EngineReport]:
     folder = tmp_path_factory.mktemp("eio")
     with ThreadPoolExecutor(2) as pool:
-        return dict(zip(ASKED, pool.map(lambda name: start(name, folder / name), ASKED), strict=True))
+        return dict(zip(MODELS, pool.map(lambda name: start(name, folder / name), MODELS), strict=True))
 
 
 # Areas, as in `Zone Information`: … zone multiplier [10], list multiplier [11], … floor area [-8], … counted [-1]
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", ASKED)
-def test_the_floor_area_of_each_zone_is_energyplus_own(said: dict[str, Said], name: str) -> None:
-    rows = said[name].of("Zone Information")
-    areas = {zone.upper(): area for zone, area in zone_areas(said[name].building.objects).items()}
+@pytest.mark.parametrize("name", MODELS)
+def test_the_floor_area_of_each_zone_is_energyplus_own(reports: dict[str, EngineReport], name: str) -> None:
+    rows = reports[name].of("Zone Information")
+    areas = {zone.upper(): area for zone, area in zone_areas(reports[name].building.objects).items()}
     assert areas == pytest.approx({row[1]: float(row[-8]) for row in rows}, rel=0.005, abs=0.006)
 
 
-@pytest.mark.parametrize("name", ASKED)
-def test_the_buildings_areas_and_zones_are_energyplus_own(said: dict[str, Said], name: str) -> None:
-    rows = said[name].of("Zone Information")
-    controlled = {row[1] for row in said[name].of("Controlled Zone")}
+@pytest.mark.parametrize("name", MODELS)
+def test_the_buildings_areas_and_zones_are_energyplus_own(reports: dict[str, EngineReport], name: str) -> None:
+    rows = reports[name].of("Zone Information")
+    controlled = {row[1] for row in reports[name].of("Controlled Zone")}
     counted = {row[1]: float(row[-8]) * int(row[10]) * int(row[11]) for row in rows if row[-1] == "Yes"}
-    found = building_summary(said[name].building)
-    assert found.floor_area_m2 == pytest.approx(sum(counted.values()), rel=0.005)
-    assert found.conditioned_area_m2 == pytest.approx(
+    summary = building_summary(reports[name].building)
+    assert summary.floor_area_m2 == pytest.approx(sum(counted.values()), rel=0.005)
+    assert summary.conditioned_area_m2 == pytest.approx(
         sum(area for zone, area in counted.items() if zone in controlled), rel=0.005
     )
-    assert (found.zones, found.conditioned_zones) == (len(rows), len(controlled))
+    assert (summary.zones, summary.conditioned_zones) == (len(rows), len(controlled))
 
 
-def test_the_models_asked_have_multipliers_and_zones_that_do_not_count(said: dict[str, Said]) -> None:
-    rows = [row for name in ASKED for row in said[name].of("Zone Information")]
+def test_models__have_multipliers_and_zones_that_do_not_count(reports: dict[str, EngineReport]) -> None:
+    rows = [row for name in MODELS for row in reports[name].of("Zone Information")]
     assert max(int(row[10]) * int(row[11]) for row in rows) > 1
     assert {row[-1] for row in rows} == {"Yes", "No"}
 
 
 @pytest.mark.parametrize("entry", catalog.bundled_buildings(), ids=lambda e: e.name)
 def test_facts_of_all_buildings_hold_together(entry: catalog.Entry) -> None:
-    found = listed_summaries(entry)
-    assert 0 < found.conditioned_area_m2 <= found.floor_area_m2 * (1 + 1e-9)
-    assert 0 < found.conditioned_zones <= found.zones
-    assert found.hvac != "none"
-    assert found.fuels[0] == "electricity"
-    assert (found.ems_programs > 0) != entry.name.startswith("ref-")  # the older models have none
+    summary = listed_summaries(entry)
+    assert 0 < summary.conditioned_area_m2 <= summary.floor_area_m2 * (1 + 1e-9)
+    assert 0 < summary.conditioned_zones <= summary.zones
+    assert summary.hvac != "none"
+    assert summary.fuels[0] == "electricity"
+    assert (summary.ems_programs > 0) != entry.name.startswith("ref-")  # the older models have none
 
 
 # The same building in both generations: its form did not change.
@@ -182,8 +182,8 @@ def model(**kinds: dict[str, dict[str, Any]]) -> Building:
     ],
 )  # fmt: skip
 def test_systems_and_fuels_are_read_from_the_objects(kinds: dict[str, Any], hvac: str, fuels: tuple[str, ...]) -> None:
-    found = building_summary(model(**kinds))
-    assert (found.hvac, found.fuels) == (hvac, fuels)
+    summary = building_summary(model(**kinds))
+    assert (summary.hvac, summary.fuels) == (hvac, fuels)
 
 
 # Geometry by hand
@@ -245,7 +245,7 @@ def test_spaces_add_up_to_their_zone() -> None:
 
 
 def test_multipliers_of_zones_and_lists_count_and_an_attic_does_not() -> None:
-    found = building_summary(
+    summary = building_summary(
         model(
             Zone={
                 "a": {"floor_area": 10.0, "multiplier": 2},
@@ -257,19 +257,19 @@ def test_multipliers_of_zones_and_lists_count_and_an_attic_does_not() -> None:
             ZoneHVAC__EquipmentConnections={"e": {"zone_name": "A"}},
         )
     )
-    assert (found.floor_area_m2, found.conditioned_area_m2) == (65.0, 60.0)
-    assert (found.zones, found.conditioned_zones) == (3, 1)
+    assert (summary.floor_area_m2, summary.conditioned_area_m2) == (65.0, 60.0)
+    assert (summary.zones, summary.conditioned_zones) == (3, 1)
 
 
 def test_a_thermostat_on_a_list_of_zones_conditions_each() -> None:
-    found = building_summary(
+    summary = building_summary(
         model(
             Zone={"a": {}, "b": {}, "c": {}},
             ZoneList={"both": {"zones": [{"zone_name": "a"}, {"zone_name": "b"}]}},
             ZoneControl__Thermostat={"t": {"zone_or_zonelist_name": "Both"}},
         )
     )
-    assert found.conditioned_zones == 2
+    assert summary.conditioned_zones == 2
 
 
 def test_facts_are_made_once_for_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -287,23 +287,25 @@ def test_facts_are_made_once_for_a_file(tmp_path: Path, monkeypatch: pytest.Monk
 # Places, as in EnergyPlus's list of what is connected (`eplusout.bnd`)
 
 
-@pytest.mark.parametrize("name", ASKED)
-def test_nodes_equipment_and_branches_are_where_energyplus_has_them(said: dict[str, Said], name: str) -> None:
-    where = {key: place.upper() for key, place in locations(said[name].building.objects).items()}
+@pytest.mark.parametrize("name", MODELS)
+def test_nodes_equipment_and_branches_are_where_energyplus_has_them(
+    reports: dict[str, EngineReport], name: str
+) -> None:
+    where = {key: place.upper() for key, place in locations(reports[name].building.objects).items()}
     expected = {}
-    for row in said[name].of("Branch"):  # branch, loop, kind of loop, inlet node, outlet node
+    for row in reports[name].of("Branch"):  # branch, loop, kind of loop, inlet node, outlet node
         expected[row[2]] = row[3]
         if row[4] == "Air":
             expected |= {row[5]: row[3], row[6]: row[3]}
     for kind in ("Controlled Zone Inlet", "Controlled Zone Return"):  # zone, node
-        expected |= {row[3]: row[2] for row in said[name].of(kind)}
-    expected |= {row[3]: row[4] for row in said[name].of("Zone Equipment Component")}
+        expected |= {row[3]: row[2] for row in reports[name].of(kind)}
+    expected |= {row[3]: row[4] for row in reports[name].of("Zone Equipment Component")}
     assert len(expected) > 10
     assert {key: where.get(key) for key in expected} == expected
 
 
 def test_names_lead_to_the_zone_or_the_loop() -> None:
-    found = locations(
+    places = locations(
         model(
             Zone={"Hall": {}, "Attic": {}},
             ZoneList={"All": {"zones": [{"zone_name": "Hall"}, {"zone_name": "Attic"}]}},
@@ -348,5 +350,5 @@ def test_names_lead_to_the_zone_or_the_loop() -> None:
         "REHEAT": "Hall", "HOT": "Hall", "AIR": "Hall", "IN": "Hall", "DUCT": "Duct", "MAIN": "Duct", "FAN": "Duct",
         "RETURN": "Duct", "MANAGER": "Duct", "LOOP": "Loop", "BOILER": "Loop", "SOURCE": "Loop", "SINK": "Loop",
     }  # fmt: skip
-    assert {name: found.get(name) for name in expected} == expected
-    assert not {"BULBS", "ALL", "DAY", "BRICK"} & found.keys()
+    assert {name: places.get(name) for name in expected} == expected
+    assert not {"BULBS", "ALL", "DAY", "BRICK"} & places.keys()

@@ -102,10 +102,10 @@ def test_a_whole_name_is_meant_even_where_it_is_a_part_of_another() -> None:
 def test_a_part_that_fits_several_names_them_all() -> None:
     with pytest.raises(UnknownName) as raised:
         find_building("hotel")
-    said = str(raised.value)
-    assert "'hotel' matches several" in said
-    assert all(name in said for name in ("hotel-large", "hotel-small", "ref-large-hotel", "ref-small-hotel"))
-    assert "hospital" not in said
+    message = str(raised.value)
+    assert "'hotel' matches several" in message
+    assert all(name in message for name in ("hotel-large", "hotel-small", "ref-large-hotel", "ref-small-hotel"))
+    assert "hospital" not in message
 
 
 def test_a_misspelt_name_lists_near_ones() -> None:

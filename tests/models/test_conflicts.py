@@ -1,4 +1,4 @@
-"""What fights a scenario's actuators: found in small models, and true in EnergyPlus."""
+"""Conflicts over a scenario's actuators: found in small models, and true in EnergyPlus."""
 
 from __future__ import annotations
 
@@ -98,14 +98,14 @@ FIGHTS = {
 }
 
 
-def said(edits: dict[str, Any], *actuators: Actuator) -> list[str]:
+def conflict_texts(edits: dict[str, Any], *actuators: Actuator) -> list[str]:
     return conflicts(MODEL | edits, actuators)
 
 
 @pytest.mark.parametrize("case", FIGHTS)
 def test_who_fights_whom(case: str) -> None:
     edits, actuator, text = FIGHTS[case]
-    assert said(edits, actuator) == ([f"actuator {actuator.name!r}: {text}"] if text else [])
+    assert conflict_texts(edits, actuator) == ([f"actuator {actuator.name!r}: {text}"] if text else [])
 
 
 _DRIVE = """
@@ -164,15 +164,15 @@ def test_it_is_so_in_energyplus(case: str, folder: Path) -> None:
 
 def test_programs_that_nobody_calls_and_comments_set_nothing() -> None:
     quiet = ems(ZONE, "Cooling Setpoint", "Core_ZN", "! SET Rival = 28.0")
-    assert GIVES_BACK in said(quiet, COOLING)[0]
+    assert GIVES_BACK in conflict_texts(quiet, COOLING)[0]
     idle = {**SETS_ZONE, "EnergyManagementSystem:ProgramCallingManager": {}}
-    assert GIVES_BACK in said(idle, COOLING)[0]
+    assert GIVES_BACK in conflict_texts(idle, COOLING)[0]
 
 
 def test_a_subroutine_that_is_run_is_named() -> None:
     sub = {"EnergyManagementSystem:Subroutine": {"Sub": {"lines": [{"program_line": "SET Rival = 28.0"}]}}}
     called = ems(ZONE, "Cooling Setpoint", "Core_ZN", "RUN sub", more=sub)  # type: ignore[arg-type]
-    assert "EMS program 'Sub' sets the same control" in said(called, COOLING)[0]
+    assert "EMS program 'Sub' sets the same control" in conflict_texts(called, COOLING)[0]
 
 
 def test_a_program_that_also_reads_the_schedule_is_said_to() -> None:
@@ -186,7 +186,7 @@ def test_a_program_that_also_reads_the_schedule_is_said_to() -> None:
         SCHEDULE, "Schedule Value", "CLGSETP_SCH", "SET Rival = Seen + 1",
         more={"EnergyManagementSystem:Sensor": sensor},  # type: ignore[dict-item]
     )  # fmt: skip
-    (line,) = said(edits, COOLING_SCHEDULE)
+    (line,) = conflict_texts(edits, COOLING_SCHEDULE)
     assert line.endswith("'Rival' (program 'Prog' also reads it) and takes precedence")
 
 
@@ -198,19 +198,21 @@ def schedule(key: str) -> Actuator:
 
 
 def test_a_schedule_that_nothing_uses_is_said() -> None:
-    assert said({}, schedule("SPARE_SCH")) == ["actuator 'plan': nothing in the model uses schedule 'SPARE_SCH'"]
-    assert said({"Lights": {"l": {"schedule_name": "Spare_Sch"}}}, schedule("SPARE_SCH")) == []
-    assert len(said({"Output:Variable": {"o": {"key_value": "Spare_Sch"}}}, schedule("SPARE_SCH"))) == 1
+    assert conflict_texts({}, schedule("SPARE_SCH")) == [
+        "actuator 'plan': nothing in the model uses schedule 'SPARE_SCH'"
+    ]
+    assert conflict_texts({"Lights": {"l": {"schedule_name": "Spare_Sch"}}}, schedule("SPARE_SCH")) == []
+    assert len(conflict_texts({"Output:Variable": {"o": {"key_value": "Spare_Sch"}}}, schedule("SPARE_SCH"))) == 1
 
 
 def test_a_use_within_a_list_is_a_use() -> None:
-    heard = {"X": {"x": {"entries": [{"schedule_name": "Spare_Sch"}]}}}
-    assert said(heard, schedule("SPARE_SCH")) == []
+    edits = {"X": {"x": {"entries": [{"schedule_name": "Spare_Sch"}]}}}
+    assert conflict_texts(edits, schedule("SPARE_SCH")) == []
 
 
 def test_a_schedule_for_sizing_only_is_said() -> None:
     sizing = {"Sizing:Zone": {"s": {"some_schedule_name": "Spare_Sch"}}}
-    assert said(sizing, schedule("SPARE_SCH")) == [
+    assert conflict_texts(sizing, schedule("SPARE_SCH")) == [
         "actuator 'plan': schedule 'SPARE_SCH' is used for sizing only (Sizing:Zone)"
     ]
 
@@ -282,19 +284,22 @@ def test_it_equipment_under_approach_temperatures_takes_the_cooling_setpoint_awa
         "the cooling setpoint of zone 'Core_ZN' has no effect: ElectricEquipment:ITE:AirCooled 'Rack' uses "
         "FlowControlWithApproachTemperatures, which determines the supply air temperature"
     )
-    assert said(approach, COOLING, COOLING_SCHEDULE) == [f"actuator 'zone': {text}", f"actuator 'plan': {text}"]
-    assert said(approach, HEATING) == []
-    assert said(servers("FlowFromSystem"), COOLING) == []
-    assert said(servers("FlowControlWithApproachTemperatures", "Elsewhere"), COOLING) == []
+    assert conflict_texts(approach, COOLING, COOLING_SCHEDULE) == [
+        f"actuator 'zone': {text}",
+        f"actuator 'plan': {text}",
+    ]
+    assert conflict_texts(approach, HEATING) == []
+    assert conflict_texts(servers("FlowFromSystem"), COOLING) == []
+    assert conflict_texts(servers("FlowControlWithApproachTemperatures", "Elsewhere"), COOLING) == []
 
 
 def test_plugins_and_external_interfaces_may_fight() -> None:
     plugin = {"PythonPlugin:Instance": {"P": {"python_module_name": "mine", "plugin_class_name": "Ruler"}}}
-    assert said(plugin, COOLING, HEATING) == [
+    assert conflict_texts(plugin, COOLING, HEATING) == [
         "actuators 'zone', 'heat': PythonPlugin:Instance 'P' runs mine.Ruler, which may set the same controls"
     ]
     outer = {"ExternalInterface:Actuator": SETS_ZONE["EnergyManagementSystem:Actuator"]}
-    assert said(outer, COOLING, HEATING) == [
+    assert conflict_texts(outer, COOLING, HEATING) == [
         "actuator 'zone': ExternalInterface:Actuator 'Rival' is on the same control and may take precedence"
     ]
-    assert said(plugin) == []
+    assert conflict_texts(plugin) == []

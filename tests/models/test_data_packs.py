@@ -52,9 +52,9 @@ def mirror(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, cache: Path) -> Path
 @pytest.fixture
 def fake(mirror: Path, monkeypatch: pytest.MonkeyPatch) -> Pack:
     """A pack that pip finds there."""
-    made = pack_of(wheel(mirror, FILES))
-    monkeypatch.setitem(PACKS, "fake", made)
-    return made
+    pack = pack_of(wheel(mirror, FILES))
+    monkeypatch.setitem(PACKS, "fake", pack)
+    return pack
 
 
 def everything(path: Path) -> list[str]:
@@ -156,15 +156,18 @@ def test_without_the_pack_its_names_say_what_to_do(cache):
 
 
 def test_a_pack_is_fetched_once_and_nothing_of_it_is_run(fake, cache, mirror):
-    said: list[str] = []
-    made = add("fake", said.append)
-    assert made == cache / "packs" / "fake-1.0" == folder("fake")
-    assert said == ["downloading zenostat-fake-pack==1.0 with pip", "unpacking zenostat_fake_pack-1.0-py3-none-any.whl"]
-    assert {name: (made / name).read_text() for name in FILES} == FILES
+    messages: list[str] = []
+    pack_folder = add("fake", messages.append)
+    assert pack_folder == cache / "packs" / "fake-1.0" == folder("fake")
+    assert messages == [
+        "downloading zenostat-fake-pack==1.0 with pip",
+        "unpacking zenostat_fake_pack-1.0-py3-none-any.whl",
+    ]
+    assert {name: (pack_folder / name).read_text() for name in FILES} == FILES
     assert [path.name for path in (cache / "packs").iterdir()] == ["fake-1.0"]
     (mirror / "zenostat_fake_pack-1.0-py3-none-any.whl").unlink()
-    assert add("fake", said.append) == made
-    assert len(said) == 2
+    assert add("fake", messages.append) == pack_folder
+    assert len(messages) == 2
 
 
 def test_the_catalogue_follows_what_is_there(fake):
@@ -332,12 +335,12 @@ def test_what_is_no_zip_is_refused(tmp_path):
 # Several at once, and killed ones
 
 
-def _add_at(barrier, given: Pack) -> None:
-    PACKS["fake"] = given
+def _add_at(barrier, pack: Pack) -> None:
+    PACKS["fake"] = pack
     barrier.wait(60)
-    said: list[str] = []
-    add("fake", said.append)
-    sys.stdout.write(f"said {len(said)}\n")
+    messages: list[str] = []
+    add("fake", messages.append)
+    sys.stdout.write(f"said {len(messages)}\n")
     assert (folder("fake") / "fake/data/buildings/hut.epJSON").read_text() == "{}"
 
 
@@ -373,8 +376,8 @@ def test_a_killed_one_leaves_no_half_pack(fake, cache, tmp_path):
     os.kill(process.pid, signal.SIGKILL)
     process.join()
     assert installed() == []
-    made = add("fake")
-    assert not (made / "half.txt").exists()
+    pack_folder = add("fake")
+    assert not (pack_folder / "half.txt").exists()
     assert [path.name for path in (cache / "packs").iterdir()] == ["fake-1.0"]
 
 

@@ -75,7 +75,7 @@ def beside(folder: Path, ddy: str, *, name: str = "Ort.ddy") -> tuple[Path, Head
 
 
 def outdoors(folder: Path, where: Site, **more: Any) -> Outdoors:
-    """What EnergyPlus makes of the design days of `where`."""
+    """Return EnergyPlus's outdoor values in the design days of `where`."""
     names = [DRY_BULB, "Site Outdoor Air Wetbulb Temperature", "Site Outdoor Air Barometric Pressure"]
     names += ["Site Wind Speed", "Site Wind Direction", "Site Direct Solar Radiation Rate per Area"]
     objects = {"Site:Location": where.location, "SizingPeriod:DesignDay": where.design_days}
@@ -84,13 +84,13 @@ def outdoors(folder: Path, where: Site, **more: Any) -> Outdoors:
 
 @pytest.mark.parametrize("name", ["Ort.ddy", "Ort.DDY"])
 def test_the_ddy_beside_a_weather_file_says_place_and_days(folder: Path, name: str) -> None:
-    found = site(*beside(folder, LOCATION + HEATING + OTHER + COOLING, name=name))
-    assert found.source == f"design days from {name}"
-    assert found.location == {
+    design = site(*beside(folder, LOCATION + HEATING + OTHER + COOLING, name=name))
+    assert design.source == f"design days from {name}"
+    assert design.location == {
         "Ort Design_Conditions": {"latitude": 48.1, "longitude": 11.7, "time_zone": 1.0, "elevation": 520.0}
     }
-    assert list(found.design_days) == ["Ort Ann Htg 99.6% Condns DB", "Ort Ann Clg .4% Condns DB=>MWB"]
-    heating, cooling = found.design_days.values()
+    assert list(design.design_days) == ["Ort Ann Htg 99.6% Condns DB", "Ort Ann Clg .4% Condns DB=>MWB"]
+    heating, cooling = design.design_days.values()
     assert (heating["month"], heating["day_of_month"], heating["day_type"]) == (1, 21, "WinterDesignDay")
     assert (heating["maximum_dry_bulb_temperature"], heating["wind_speed"], heating["wind_direction"]) == (
         -11.5,
@@ -101,7 +101,7 @@ def test_the_ddy_beside_a_weather_file_says_place_and_days(folder: Path, name: s
     assert (cooling["maximum_dry_bulb_temperature"], cooling["daily_dry_bulb_temperature_range"]) == (31.5, 10.4)
     assert cooling["ashrae_clear_sky_optical_depth_for_beam_irradiance_taub_"] == 0.421
     assert cooling["ashrae_clear_sky_optical_depth_for_diffuse_irradiance_taud_"] == 2.172
-    ran = outdoors(folder / "run", found)
+    ran = outdoors(folder / "run", design)
     assert ran.code == 0
     assert "** Severe  **" not in ran.errors
     assert "** Warning **" not in ran.errors
@@ -117,9 +117,9 @@ def test_the_ddy_beside_a_weather_file_says_place_and_days(folder: Path, name: s
     [LOCATION + HEATING, LOCATION + COOLING, HEATING + COOLING, LOCATION + HEATING + OTHER, "", "no objects at all\n"],
 )
 def test_a_ddy_that_lacks_something_is_not_taken_and_the_source_says_so(folder: Path, ddy: str) -> None:
-    found = site(*beside(folder, ddy))
-    assert found.source.startswith("design days from the header of Ort.epw (Ort.ddy lacks")
-    assert [d["maximum_dry_bulb_temperature"] for d in found.design_days.values()] == [-17.9, 33.9]  # Denver's
+    design = site(*beside(folder, ddy))
+    assert design.source.startswith("design days from the header of Ort.epw (Ort.ddy lacks")
+    assert [d["maximum_dry_bulb_temperature"] for d in design.design_days.values()] == [-17.9, 33.9]  # Denver's
 
 
 def test_a_ddy_that_energyplus_cannot_convert_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -146,16 +146,16 @@ def test_a_ddy_is_converted_once(folder: Path, monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_without_a_ddy_the_header_says_them() -> None:
-    found = site(DENVER, read_header(DENVER))
-    assert found.source == f"design days from the header of {DENVER.name}"
-    (place,) = found.location.values()
+    design = site(DENVER, read_header(DENVER))
+    assert design.source == f"design days from the header of {DENVER.name}"
+    (place,) = design.location.values()
     assert place == {"latitude": 39.72, "longitude": -104.75, "time_zone": -7.0, "elevation": 1726.0}
 
 
 def test_the_header_of_denver_says_what_the_model_of_denver_was_sized_for() -> None:
     # The wheel's models for Denver carry the design days of Denver's DDY; those of the header differ in the sky.
     own = read_building(find_building("office-small")).objects["SizingPeriod:DesignDay"]
-    found = site(DENVER, read_header(DENVER)).design_days
+    days = site(DENVER, read_header(DENVER)).design_days
     sky = {
         "solar_model_indicator",
         "sky_clearness",
@@ -164,16 +164,16 @@ def test_the_header_of_denver_says_what_the_model_of_denver_was_sized_for() -> N
     }
     for kind in ("Htg 99.6%", "Clg .4%"):
         (theirs,) = (day for name, day in own.items() if kind in name)
-        (ours,) = (day for name, day in found.items() if kind in name)
+        (ours,) = (day for name, day in days.items() if kind in name)
         but = sky if kind == "Clg .4%" else set()
         assert {k: v for k, v in ours.items() if k not in but} == {k: v for k, v in theirs.items() if k not in but}
 
 
 def test_a_header_without_design_conditions_leaves_the_models_own() -> None:
-    found = site(BOULDER, read_header(BOULDER))
-    assert found.design_days == {}
-    assert found.source == f"{BOULDER.name} has no design conditions: the model's own design days are kept"
-    (place,) = found.location.values()
+    design = site(BOULDER, read_header(BOULDER))
+    assert design.design_days == {}
+    assert design.source == f"{BOULDER.name} has no design conditions: the model's own design days are kept"
+    (place,) = design.location.values()
     assert place["latitude"] == 40.13
 
 

@@ -36,9 +36,9 @@ def draws(draws: WeatherSampler, count: int) -> list[WeatherDraw]:
 
 
 def seeded(sources: int, order: Any, seed: int | None, *, noisy: bool = True) -> WeatherSampler:
-    made = WeatherSampler(sources, order, noisy=noisy)
-    made.seed(seed)
-    return made
+    sampler = WeatherSampler(sources, order, noisy=noisy)
+    sampler.seed(seed)
+    return sampler
 
 
 # Draws
@@ -46,11 +46,11 @@ def seeded(sources: int, order: Any, seed: int | None, *, noisy: bool = True) ->
 
 @given(SEEDS, st.integers(1, 20), st.sampled_from(ORDERS), st.booleans(), st.integers(0, 9))
 def test_a_seed_begins_the_same_draws_anew(seed: int, sources: int, order: str, noisy: bool, before: int) -> None:
-    made = seeded(sources, order, seed, noisy=noisy)
-    first = draws(made, 10)
-    draws(made, before)
-    made.seed(seed)
-    assert draws(made, 10) == first
+    sampler = seeded(sources, order, seed, noisy=noisy)
+    first = draws(sampler, 10)
+    draws(sampler, before)
+    sampler.seed(seed)
+    assert draws(sampler, 10) == first
     assert draws(seeded(sources, order, seed, noisy=noisy), 10) == first
 
 
@@ -63,18 +63,18 @@ def test_without_a_seed_the_draws_differ_from_run_to_run() -> None:
 
 def test_seeds_and_episodes_each_have_a_noise_of_their_own() -> None:
     """20,000 seeds of 63 bits: two are the same with a chance of 2e8 / 2^63 = 2e-11, and these are fixed."""
-    found = [draw.noise for seed in range(1000) for draw in draws(seeded(3, "random", seed), 20)]
-    assert len(set(found)) == len(found)
-    assert all(0 <= noise < 2**63 for noise in found)
+    noises = [draw.noise for seed in range(1000) for draw in draws(seeded(3, "random", seed), 20)]
+    assert len(set(noises)) == len(noises)
+    assert all(0 <= noise < 2**63 for noise in noises)
 
 
 @given(SEEDS, st.integers(1, 9))
 def test_a_sequence_goes_round_and_a_seed_begins_it_anew(seed: int, sources: int) -> None:
-    made = seeded(sources, "sequence", seed)
+    sampler = seeded(sources, "sequence", seed)
     round_and_round = [k % sources for k in range(3 * sources + 1)]
-    assert [draw.source for draw in draws(made, 3 * sources + 1)] == round_and_round
-    made.seed(seed + 1)
-    assert [draw.source for draw in draws(made, sources + 1)] == round_and_round[: sources + 1]
+    assert [draw.source for draw in draws(sampler, 3 * sources + 1)] == round_and_round
+    sampler.seed(seed + 1)
+    assert [draw.source for draw in draws(sampler, sources + 1)] == round_and_round[: sources + 1]
 
 
 @pytest.mark.parametrize("order", ORDERS)
@@ -102,8 +102,8 @@ def test_random_draws_reach_all_sources_alike(sources: int) -> None:
 
 def test_random_draws_do_not_follow_from_the_one_before() -> None:
     """Nine pairs of three sources, alike within 5 standard deviations."""
-    found = [draw.source for draw in draws(seeded(3, "random", 2), 9001)]
-    pairs = Counter(3 * before + after for before, after in pairwise(found))
+    drawn = [draw.source for draw in draws(seeded(3, "random", 2), 9001)]
+    pairs = Counter(3 * before + after for before, after in pairwise(drawn))
     assert within_five_deviations(pairs, 9, 9000)
 
 
@@ -183,22 +183,22 @@ def test_the_same_draw_gives_the_same_files(small: Building, tmp_path: Path) -> 
 def test_noise_is_put_on_the_weather_that_was_drawn(small: Building, tmp_path: Path) -> None:
     """Miami is some 14 K warmer than Denver; noise of mean 0 shifts a year's mean by less than 1 K."""
     sources = [source(DENVER), source(MIAMI)]
-    made = episodes(small, sources, NOISE)
+    factory = episodes(small, sources, NOISE)
     for number, drawn in enumerate((1, 0, 1)):
-        found, own = (
-            epw.read(prepared(made, WeatherDraw(drawn, number), tmp_path / str(number)).weather),
+        noisy, own = (
+            epw.read(prepared(factory, WeatherDraw(drawn, number), tmp_path / str(number)).weather),
             sources[drawn],
         )
-        assert found.header.place == own.header.place
-        shift = found.column("dry_bulb_temperature") - epw.read(own.path).column("dry_bulb_temperature")
+        assert noisy.header.place == own.header.place
+        shift = noisy.column("dry_bulb_temperature") - epw.read(own.path).column("dry_bulb_temperature")
         assert abs(np.mean(shift)) < 1.0
 
 
 def test_another_noise_is_another_weather_and_the_same_model(small: Building, tmp_path: Path) -> None:
-    made = episodes(small, [source(DENVER)], NOISE)
+    factory = episodes(small, [source(DENVER)], NOISE)
     one, other = (
-        prepared(made, WeatherDraw(0, 1), tmp_path / "one"),
-        prepared(made, WeatherDraw(0, 2), tmp_path / "other"),
+        prepared(factory, WeatherDraw(0, 1), tmp_path / "one"),
+        prepared(factory, WeatherDraw(0, 2), tmp_path / "other"),
     )
     assert one.weather.read_bytes() != other.weather.read_bytes()
     assert one.noise_parameters != other.noise_parameters
@@ -232,17 +232,17 @@ def test_noisy_weather_is_written_beside_the_model_and_the_original_is_left_alon
 
 
 def test_without_variability_the_file_itself_is_read(small: Building, tmp_path: Path) -> None:
-    made = episodes(small, [source(DENVER), source(MIAMI)])
-    found = [prepared(made, WeatherDraw(k, 0), tmp_path / str(k)) for k in range(2)]
-    assert [files.weather for files in found] == [find_weather(name).path for name in (DENVER, MIAMI)]
-    assert [files.noise_parameters for files in found] == [{}, {}]
+    factory = episodes(small, [source(DENVER), source(MIAMI)])
+    prepared_files = [prepared(factory, WeatherDraw(k, 0), tmp_path / str(k)) for k in range(2)]
+    assert [files.weather for files in prepared_files] == [find_weather(name).path for name in (DENVER, MIAMI)]
+    assert [files.noise_parameters for files in prepared_files] == [{}, {}]
     assert [file.name for file in (tmp_path / "0").iterdir()] == ["in.epJSON"]
 
 
 def test_the_location_and_design_days_follow_the_weather(small: Building, tmp_path: Path) -> None:
     """Denver lies at 39.7 degrees north and 1.7 km up, Miami at 25.8 degrees and at the sea."""
-    made = episodes(small, [source(DENVER), source(MIAMI)])
-    denver, miami = (objects(prepared(made, WeatherDraw(k), tmp_path / str(k))) for k in range(2))
+    factory = episodes(small, [source(DENVER), source(MIAMI)])
+    denver, miami = (objects(prepared(factory, WeatherDraw(k), tmp_path / str(k))) for k in range(2))
     (high,), (low,) = (model["Site:Location"].values() for model in (denver, miami))
     assert (high["latitude"], low["latitude"]) == pytest.approx((39.7, 25.8), abs=0.2)
     assert high["elevation"] > 1500
@@ -256,15 +256,15 @@ def test_the_location_and_design_days_follow_the_weather(small: Building, tmp_pa
 
 
 def test_the_location_and_design_days_of_the_model_stay_where_asked(small: Building, tmp_path: Path) -> None:
-    made = objects(prepared(episodes(small, [source(MIAMI, "model")]), WeatherDraw(), tmp_path / "own"))
+    model = objects(prepared(episodes(small, [source(MIAMI, "model")]), WeatherDraw(), tmp_path / "own"))
     for kind in ("Site:Location", "SizingPeriod:DesignDay"):
-        assert made[kind] == small.objects[kind]
+        assert model[kind] == small.objects[kind]
 
 
 def test_the_run_period_is_that_of_the_episode(small: Building, tmp_path: Path) -> None:
-    made = objects(prepared(episodes(small, [source(DENVER)]), WeatherDraw(), tmp_path / "own"))
-    (run,) = made["RunPeriod"].values()
+    model = objects(prepared(episodes(small, [source(DENVER)]), WeatherDraw(), tmp_path / "own"))
+    (run,) = model["RunPeriod"].values()
     days = [run[f"{end}_{part}"] for end in ("begin", "end") for part in ("month", "day_of_month")]
     assert days == [7, 3, 7, 4]
-    (timestep,) = made["Timestep"].values()
+    (timestep,) = model["Timestep"].values()
     assert timestep["number_of_timesteps_per_hour"] == 4

@@ -28,7 +28,7 @@ def decoded(building: Building) -> tuple[Geometry, list[Surface]]:
 
 
 def check_whole(building: Building) -> None:
-    """What holds for any building: triangles, zones, storeys, floor areas."""
+    """Check the invariants of any building: triangles, zones, storeys, floor areas."""
     geometry, parts = decoded(building)
     for part in parts:
         triangles = [area(part.corners[triangle]) for triangle in triangulate(part.corners)]
@@ -136,23 +136,23 @@ def zones_of(
 
 def test_plena_attics_and_crawl_spaces_have_no_storey_of_their_own() -> None:
     levels = (("crawl", -1.5, 1.5), ("low", 0, 2.7), ("plenum", 2.7, 1.3), ("high", 4, 2.7), ("attic", 6.7, 3))
-    storeys, found = zones_of(*levels, hvac=("low", "high"))
+    storeys, storey_of = zones_of(*levels, hvac=("low", "high"))
     assert storeys == (0.0, 4.0)
-    assert found == {"crawl": 0, "low": 0, "plenum": 0, "high": 1, "attic": 1}
+    assert storey_of == {"crawl": 0, "low": 0, "plenum": 0, "high": 1, "attic": 1}
 
 
 def test_a_storey_without_hvac_but_with_people_is_one() -> None:
-    storeys, found = zones_of(
+    storeys, storey_of = zones_of(
         ("garage", -3, 3), ("shop", 0, 3), ("flat", 3, 3), people=("garage",), hvac=("shop", "flat")
     )
     assert storeys == (-3.0, 0.0, 3.0)
-    assert found == {"garage": 0, "shop": 1, "flat": 2}
+    assert storey_of == {"garage": 0, "shop": 1, "flat": 2}
 
 
 def test_floors_that_differ_by_a_step_are_one_storey() -> None:
-    storeys, found = zones_of(("a", 0, 3), ("b", 0.4, 3), ("c", 0.9, 3), ("d", 3.2, 3))
+    storeys, storey_of = zones_of(("a", 0, 3), ("b", 0.4, 3), ("c", 0.9, 3), ("d", 3.2, 3))
     assert storeys == (0.0, pytest.approx(3.2))
-    assert found == {"a": 0, "b": 0, "c": 0, "d": 1}
+    assert storey_of == {"a": 0, "b": 0, "c": 0, "d": 1}
 
 
 def test_multipliers_are_those_of_the_zone_and_of_its_group() -> None:

@@ -48,13 +48,13 @@ def named_surfaces(objects: Mapping[str, Objects]) -> dict[str, Surface]:
     geometry, note = building_geometry(building, DENVER)
     assert geometry is not None
     assert note == ""
-    found: dict[str, list[Surface]] = {}
+    surfaces_by_label: dict[str, list[Surface]] = {}
     for polygon, surface in zip(PolygonReader(objects).polygons, surfaces(geometry), strict=True):
         assert polygon.kind is surface.kind
         if surface.kind is not SurfaceKind.PHOTOVOLTAIC:
-            found.setdefault(polygon.label, []).append(surface)
+            surfaces_by_label.setdefault(polygon.label, []).append(surface)
     named = {}
-    for label, parts in found.items():
+    for label, parts in surfaces_by_label.items():
         kind, name = label[:-1].split(" '", 1)
         suffixes = ("{} Left", "{} Right") if kind.startswith("Shading:Fin") else ("{}", "iz-{}")
         named |= {suffix.format(name.upper()): part for suffix, part in zip(suffixes, parts, strict=False)}

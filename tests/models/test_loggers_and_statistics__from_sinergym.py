@@ -1,4 +1,4 @@
-"""What those who come from Sinergym bring along: loggers of their own, statistics of observations, noise, rewards."""
+"""Compatibility with code of Sinergym's users: their loggers, statistics of observations, noise, rewards."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ def test_a_misspelled_name_says_the_near_one_and_what_a_new_object_would_lack() 
 
 
 @pytest.mark.parametrize(
-    ("edits", "said"),
+    ("edits", "message"),
     [
         ({"Materiel": {"Brick": {}}}, "EnergyPlus has no object type 'Materiel'; did you mean 'Material'"),
         ({"Material": {"Brick": {"thicknes": 1.0}}}, "Material 'Brick' has no field 'thicknes'; did you mean"),
@@ -104,9 +104,9 @@ def test_a_misspelled_name_says_the_near_one_and_what_a_new_object_would_lack() 
          "Timestep 'mine': a model has only one object of this type, here 'Timestep 1'; '*' refers to it as well"),
     ],
 )  # fmt: skip
-def test_a_wrong_change_is_refused(edits: Any, said: str) -> None:
+def test_a_wrong_change_is_refused(edits: Any, message: str) -> None:
     (line,) = refused(edits)
-    assert line.startswith(said)
+    assert line.startswith(message)
 
 
 def test_all_faults_come_in_one_report() -> None:
@@ -121,9 +121,9 @@ def test_what_was_wrong_in_the_model_before_is_not_the_changes_fault() -> None:
 
 @given(st.dictionaries(st.sampled_from(["thickness", "conductivity", "density"]), st.floats(0.001, 1e6)))
 def test_a_change_and_its_reverse_give_the_model_back(fields: dict[str, float]) -> None:
-    there = apply_edits(MODEL, {"Material": {"Brick": fields}})
+    edited = apply_edits(MODEL, {"Material": {"Brick": fields}})
     back: Edits = {"Material": {"Brick": {name: BRICK[name] for name in fields}}}
-    assert apply_edits(there, back) == MODEL
+    assert apply_edits(edited, back) == MODEL
 
 
 def heat(model: dict[str, Any], folder: Path) -> float:

@@ -72,9 +72,9 @@ def test_an_epjson_of_any_depth_is_one_error(tmp_path: Path) -> None:
 
 
 def _office_with(more: Mapping[str, Any]) -> Building:
-    found = read_building(OFFICE)
-    objects = {**found.objects, **more}
-    return Building("mine", objects, found.content + json.dumps(more), (), "/home/me/mine.epJSON")
+    building = read_building(OFFICE)
+    objects = {**building.objects, **more}
+    return Building("mine", objects, building.content + json.dumps(more), (), "/home/me/mine.epJSON")
 
 
 def test_unknown_objects_and_fields_of_an_epjson_are_all_named() -> None:

@@ -193,8 +193,8 @@ def test_a_reading_that_energyplus_does_not_give_is_refused(spec: tuple[str, ...
 
 
 def test_an_unknown_reading_is_refused_with_those_there_are() -> None:
-    said = refused(sensors={"s": (*TEMPERATURE, "average")})
-    assert "no aggregation 'average'; there are: mean, sum, instant" in said
+    message = refused(sensors={"s": (*TEMPERATURE, "average")})
+    assert "no aggregation 'average'; there are: mean, sum, instant" in message
 
 
 # Bounds
@@ -285,8 +285,8 @@ def test_feedback_is_a_variable_that_the_model_has(spec: tuple[str, ...], feedba
     ],
 )  # fmt: skip
 def test_an_unknown_point_says_which_part_is_wrong_and_lists_near_ones(asked: dict[str, Any], words: list[str]) -> None:
-    said = refused(**asked)
-    assert all(word in said for word in words), said
+    message = refused(**asked)
+    assert all(word in message for word in words), message
 
 
 def test_all_that_is_not_there_is_said_at_once() -> None:
@@ -303,17 +303,17 @@ def test_all_that_is_not_there_is_said_at_once() -> None:
 
 
 def test_all_that_cannot_be_is_said_at_once() -> None:
-    said = refused(
+    message = refused(
         sensors={"s1": (*TEMPERATURE, "sum"), "s2": ("Zone Air Temperature",), "a/b": TEMPERATURE},
         meters={"m1": "Steam:Facility"},
         actuators={"a1": (THERMOSTAT, "Heating Setpoint", "CORE ZN", 22, 15)},
     )
-    assert [name for name in ("'s1'", "'s2'", "'a/b'", "'m1'", "'a1'") if name not in said] == []
+    assert [name for name in ("'s1'", "'s2'", "'a/b'", "'m1'", "'a1'") if name not in message] == []
 
 
 def test_one_name_is_one_point() -> None:
-    said = refused(sensors={"a": TEMPERATURE, "b": POWER}, meters={"b": "Electricity:HVAC", "a": "Electricity:HVAC"})
-    assert "sensor and a meter: a, b" in said
+    message = refused(sensors={"a": TEMPERATURE, "b": POWER}, meters={"b": "Electricity:HVAC", "a": "Electricity:HVAC"})
+    assert "sensor and a meter: a, b" in message
 
 
 @pytest.mark.parametrize("kind", ["sensors", "meters", "actuators"])
@@ -323,9 +323,9 @@ def test_a_name_that_cannot_stand_in_a_topic_is_refused(kind: str) -> None:
         "meters": "Electricity:HVAC",
         "actuators": (THERMOSTAT, "Heating Setpoint", "CORE ZN"),
     }
-    said = refused(**{kind: {"core zn/t": spec[kind]}})
-    assert "'core zn/t'" in said
-    assert "'core_zn_t'" in said
+    message = refused(**{kind: {"core zn/t": spec[kind]}})
+    assert "'core zn/t'" in message
+    assert "'core_zn_t'" in message
 
 
 @pytest.mark.parametrize(
@@ -476,10 +476,10 @@ Whole = tuple[Building, list[PointListing], dict[str, Any], dict[str, Any]]
 
 
 def test_meters_actuators_and_internal_variables_are_energyplus_own_list(whole: Whole) -> None:
-    _, rows, _, said = whole
+    _, rows, _, answers = whole
     listed = Counter((r.kind, r.name, r.key) for r in rows if r.kind != "sensor" and r.name not in HVAC_METERS)
     own: Counter[tuple[str, str, str]] = Counter()
-    for what, name, key, control in said["list"]:
+    for what, name, key, control in answers["list"]:
         if what == "Actuator":
             own["actuator", f"{name} / {control}", key] += 1
         elif what == "OutputMeter":
@@ -490,16 +490,16 @@ def test_meters_actuators_and_internal_variables_are_energyplus_own_list(whole: 
 
 
 def test_every_listed_point_can_be_had(whole: Whole) -> None:
-    _, _, wanted, said = whole
+    _, _, wanted, answers = whole
     assert len(wanted["sensor"]) > 300
-    assert [point for point, handle in zip(wanted["sensor"], said["sensor"], strict=True) if handle < 0] == []
-    assert [point for point, handle in zip(wanted["actuator"], said["actuator"], strict=True) if handle < 0] == []
-    assert [point for point, (h, _) in zip(wanted["internal"], said["internal"], strict=True) if h < 0] == []
+    assert [point for point, handle in zip(wanted["sensor"], answers["sensor"], strict=True) if handle < 0] == []
+    assert [point for point, handle in zip(wanted["actuator"], answers["actuator"], strict=True) if handle < 0] == []
+    assert [point for point, (h, _) in zip(wanted["internal"], answers["internal"], strict=True) if h < 0] == []
 
 
 def test_internal_variables_have_the_models_numbers(whole: Whole) -> None:
-    building, _, wanted, said = whole
-    values = dict(zip(map(tuple, wanted["internal"]), (value for _, value in said["internal"]), strict=True))
+    building, _, wanted, answers = whole
+    values = dict(zip(map(tuple, wanted["internal"]), (value for _, value in answers["internal"]), strict=True))
     areas = {key: value for (name, key), value in values.items() if name == "Zone Floor Area"}
     assert areas == pytest.approx({zone.upper(): area for zone, area in zone_areas(building.objects).items()})
 

@@ -163,8 +163,8 @@ fields = st.fixed_dictionaries(
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(fields)
-def test_a_scenario_that_was_written_is_read_back(tmp_path: Path, given: dict[str, Any]) -> None:
-    scenario = read_scenario(given)
+def test_a_scenario_that_was_written_is_read_back(tmp_path: Path, fields: dict[str, Any]) -> None:
+    scenario = read_scenario(fields)
     file = tmp_path / "written.yaml"
     file.write_text(dump(scenario), encoding="utf-8", newline="")
     again = load_scenario(file)
@@ -174,23 +174,23 @@ def test_a_scenario_that_was_written_is_read_back(tmp_path: Path, given: dict[st
 
 @settings(suppress_health_check=[HealthCheck.too_slow])
 @given(fields)
-def test_what_is_given_is_what_is_read(given: dict[str, Any]) -> None:
-    read = read_scenario(given).model_dump(mode="json", exclude_unset=True)
-    assert read == given
+def test_what_is_given_is_what_is_read(fields: dict[str, Any]) -> None:
+    read = read_scenario(fields).model_dump(mode="json", exclude_unset=True)
+    assert read == fields
 
 
 @settings(suppress_health_check=[HealthCheck.too_slow], max_examples=examples(50))
 @given(fields)
-def test_the_schema_accepts_what_the_loader_accepts(given: dict[str, Any]) -> None:
-    SCHEMA.validate(given)
-    SCHEMA.validate(yaml.safe_load(dump(read_scenario(given))))
+def test_the_schema_accepts_what_the_loader_accepts(fields: dict[str, Any]) -> None:
+    SCHEMA.validate(fields)
+    SCHEMA.validate(yaml.safe_load(dump(read_scenario(fields))))
 
 
 @pytest.mark.parametrize("character", BREAKS, ids=ascii)
 @pytest.mark.parametrize("text", ["{}", "a{}", "{}a", "a{}b", " {} ", "'{}\"", "{0}{0}", "a\n{}"])
 def test_line_breaks_of_unicode_are_kept(tmp_path: Path, character: str, text: str) -> None:
-    said = text.format(character)
-    scenario = read_scenario({**BASE, "about": said, "edits": {"M": {said: {said: said}}}})
+    value = text.format(character)
+    scenario = read_scenario({**BASE, "about": value, "edits": {"M": {value: {value: value}}}})
     file = tmp_path / "written.yaml"
     file.write_text(dump(scenario), encoding="utf-8", newline="")
     assert load_scenario(file) == scenario
@@ -278,7 +278,7 @@ def test_parts_may_be_given_as_they_are() -> None:
             "discrete": [{"actions": ["f"], "values": [[0], [2]]}],
         }
     )
-    made = Scenario(
+    built = Scenario(
         building="b",
         weather=("w",),
         weather_noise={"dry_bulb_temperature": ColumnNoise(sigma=(1.0, 2.0))},
@@ -287,7 +287,7 @@ def test_parts_may_be_given_as_they_are() -> None:
         actions={"f": ActionSpec(actuators=("c",))},
         discrete=(DiscreteActionSpec(actions=("f",), values=((0.0,), (2.0,))),),
     )
-    assert made == read
+    assert built == read
 
 
 @pytest.mark.parametrize(("written", "day"), [("2018-07-01", "2018-07-01"), ("'2018-07-01'", "2018-07-01"),
@@ -350,9 +350,9 @@ weather_noise:
     ],
 )
 def test_a_key_that_stands_twice_is_an_error(load: Load, text: str, key: str, line: int) -> None:
-    said = refused(load, text)
-    assert f"repeated name {key!r}" in said
-    assert f"line {line}" in said
+    message = refused(load, text)
+    assert f"repeated name {key!r}" in message
+    assert f"line {line}" in message
 
 
 UNKNOWN = {
@@ -412,9 +412,9 @@ def test_the_words_that_there_are_are_said(load: Load) -> None:
 
 
 def test_all_faults_are_in_one_report(load: Load) -> None:
-    said = refused(load, "\n".join([*UNKNOWN.values(), "control: zones", "begin: 5", "weather_order: shuffled"]))
+    message = refused(load, "\n".join([*UNKNOWN.values(), "control: zones", "begin: 5", "weather_order: shuffled"]))
     wanted = [*UNKNOWN, "control", "begin", "weather_order"]
-    assert [path for path in wanted if f"{path}:" not in said] == []
+    assert [path for path in wanted if f"{path}:" not in message] == []
 
 
 def test_the_report_names_the_file(load: Load, tmp_path: Path) -> None:
@@ -453,8 +453,8 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 
 def test_paths_are_relative_to_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, elsewhere = tmp_path / "scenarios", tmp_path / "elsewhere"
-    for made in (folder / "models", elsewhere):
-        made.mkdir(parents=True)
+    for directory in (folder / "models", elsewhere):
+        directory.mkdir(parents=True)
     for path in ("models/mine.idf", "mine.epw"):
         (folder / path).write_text("")
     text = "building: models/mine.idf\nweather: [mine.epw, USA_CA_San.Francisco, '{}']\n"
@@ -482,8 +482,8 @@ def test_a_short_name_is_no_path(tmp_path: Path) -> None:
 
 
 def test_what_is_no_text_is_left_for_the_check(tmp_path: Path) -> None:
-    given = {"building": 5, "weather": [None, 1], "begin": "x.epw"}
-    assert resolve_paths(given, tmp_path) == given
+    fields = {"building": 5, "weather": [None, 1], "begin": "x.epw"}
+    assert resolve_paths(fields, tmp_path) == fields
 
 
 def test_a_path_in_the_users_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -521,8 +521,8 @@ def test_the_schema_accepts_the_short_forms(form: dict[str, Any]) -> None:
 
 def documented() -> dict[str, Any]:
     (block,) = re.findall(r"```yaml\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.S)
-    found: dict[str, Any] = yaml.safe_load(block)
-    return found
+    document: dict[str, Any] = yaml.safe_load(block)
+    return document
 
 
 def test_the_example_of_the_documentation_is_a_scenario() -> None:
@@ -554,10 +554,10 @@ NEITHER = {
 
 @pytest.mark.parametrize("wrong", NEITHER.values(), ids=NEITHER)
 def test_schema_and_loader_refuse_the_same(wrong: dict[str, Any]) -> None:
-    given = {**FULL, **wrong}
+    fields = {**FULL, **wrong}
     with pytest.raises(InvalidConfig):
-        read_reward(read_scenario(given).reward or "linear")
-    assert not SCHEMA.is_valid(given)
+        read_reward(read_scenario(fields).reward or "linear")
+    assert not SCHEMA.is_valid(fields)
 
 
 def test_the_schema_is_one_and_explains_the_reward() -> None:

@@ -40,16 +40,16 @@ def root() -> Path:
 
 
 @pytest.fixture(scope="module")
-def found(root: Path) -> dict[str, Scenario]:
+def scenarios_by_name(root: Path) -> dict[str, Scenario]:
     return pack_scenarios()
 
 
 def plain_reading(root: Path, base: str) -> dict[str, Any]:
     """The YAML of an id base, read by nothing of ours."""
     for path in (root / "data" / "default_configuration").glob("*.yaml"):
-        said = yaml.safe_load(path.read_text())
-        if said["id_base"] == base:
-            return said
+        fields = yaml.safe_load(path.read_text())
+        if fields["id_base"] == base:
+            return fields
     raise AssertionError(base)
 
 
@@ -63,48 +63,50 @@ def numbers(text: str, name: str) -> list[float]:
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
-def test_a_scenario_says_what_its_file_says(base, root, found):
-    said = plain_reading(root, base)
+def test_a_scenario_says_what_its_file_says(base, root, scenarios_by_name):
+    fields = plain_reading(root, base)
     weathers = dict(
-        zip(said["weather_specification"]["keys"], said["weather_specification"]["weather_files"], strict=True)
+        zip(fields["weather_specification"]["keys"], fields["weather_specification"]["weather_files"], strict=True)
     )
-    mine = [name for name in found if re.match(rf"{base}-({'|'.join(weathers)})-", name)]
-    order = [f for f in FORMS if ("continuous" not in f or not said.get("only_discrete"))
-             and ("discrete" not in f or "action_space_discrete" in said)]  # fmt: skip
+    mine = [name for name in scenarios_by_name if re.match(rf"{base}-({'|'.join(weathers)})-", name)]
+    order = [f for f in FORMS if ("continuous" not in f or not fields.get("only_discrete"))
+             and ("discrete" not in f or "action_space_discrete" in fields)]  # fmt: skip
     assert mine == [f"{base}-{key}-{form}-v1" for key in weathers for form in order]
     for name in mine:
-        scenario = found[name]
+        scenario = scenarios_by_name[name]
         key = name.removeprefix(f"{base}-").split("-")[0]
         assert scenario.id == name
-        assert find_building(scenario.building).path == root / "data" / "buildings" / said["building_file"]
+        assert find_building(scenario.building).path == root / "data" / "buildings" / fields["building_file"]
         assert [find_weather(w).path for w in scenario.weather] == [root / "data" / "weather" / weathers[key]]
         assert (scenario.sizing, scenario.aggregation, scenario.control) == ("weather", "instant", "point")
-        assert list(scenario.time) == said["time_variables"] == ["month", "day_of_month", "hour"]
-        assert scenario.steps_per_hour == (said["building_config"] or {}).get("timesteps_per_hour")
+        assert list(scenario.time) == fields["time_variables"] == ["month", "day_of_month", "hour"]
+        assert scenario.steps_per_hour == (fields["building_config"] or {}).get("timesteps_per_hour")
         assert (scenario.begin, scenario.end) == (None, None)
         assert (scenario.edits, scenario.actions, scenario.weather_order) == ({}, None, "random")
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
-def test_what_is_observed_stands_in_the_files_order(base, root, found):
-    said = plain_reading(root, base)
+def test_what_is_observed_stands_in_the_files_order(base, root, scenarios_by_name):
+    fields = plain_reading(root, base)
     expected = []
-    for variable, spec in said["variables"].items():
+    for variable, spec in fields["variables"].items():
         names, keys = spec["variable_names"], spec["keys"]
         for index, key in enumerate([keys] if isinstance(keys, str) else keys):
             prefix = "" if isinstance(keys, str) or isinstance(names, list) else key.lower().replace(" ", "_") + "_"
             name = prefix + (names if isinstance(names, str) else names[index])
             expected.append((re.sub("[^A-Za-z0-9_.-]", "_", name), variable, key))
-    for scenario in (s for n, s in found.items() if s.id.startswith(f"{base}-")):
+    for scenario in (s for n, s in scenarios_by_name.items() if s.id.startswith(f"{base}-")):
         assert [(name, s.variable, s.key) for name, s in scenario.sensors.items()] == expected
         assert all(s.aggregation is None for s in scenario.sensors.values())
-        assert scenario.meters == {name: meter for meter, name in said["meters"].items()}
+        assert scenario.meters == {name: meter for meter, name in fields["meters"].items()}
 
 
-def test_the_observations_have_the_sizes_that_sinergym_has(found):
+def test_the_observations_have_the_sizes_that_sinergym_has(scenarios_by_name):
     sizes = {
         base: {
-            len(s.time) + len(s.sensors) + len(s.meters) for n, s in found.items() if re.match(rf"{base}-[a-z]+-", n)
+            len(s.time) + len(s.sensors) + len(s.meters)
+            for n, s in scenarios_by_name.items()
+            if re.match(rf"{base}-[a-z]+-", n)
         }
         for base in PACK_IDS
     }
@@ -115,21 +117,21 @@ def test_the_observations_have_the_sizes_that_sinergym_has(found):
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
-def test_actuators_have_the_bounds_of_the_action_space(base, root, found):
-    said = plain_reading(root, base)
-    lows, highs = numbers(said["action_space"], "low"), numbers(said["action_space"], "high")
+def test_actuators_have_the_bounds_of_the_action_space(base, root, scenarios_by_name):
+    fields = plain_reading(root, base)
+    lows, highs = numbers(fields["action_space"], "low"), numbers(fields["action_space"], "high")
     expected = [
         (spec["variable_name"], spec["element_type"], spec["value_type"], key, low, high)
-        for (key, spec), low, high in zip(said["actuators"].items(), lows, highs, strict=True)
+        for (key, spec), low, high in zip(fields["actuators"].items(), lows, highs, strict=True)
     ]
-    for scenario in (s for s in found.values() if s.id.startswith(f"{base}-")):
+    for scenario in (s for s in scenarios_by_name.values() if s.id.startswith(f"{base}-")):
         actuators = scenario.actuators.items()
         assert [(n, a.component_type, a.control_type, a.key, a.low, a.high) for n, a in actuators] == expected
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
-def test_only_the_stochastic_ones_have_noise(base, found):
-    for scenario in (s for s in found.values() if s.id.startswith(f"{base}-")):
+def test_only_the_stochastic_ones_have_noise(base, scenarios_by_name):
+    for scenario in (s for s in scenarios_by_name.values() if s.id.startswith(f"{base}-")):
         assert scenario.weather_noise == (
             {
                 "dry_bulb_temperature": ColumnNoise(sigma=1.0, mu=0.0, tau_h=24.0),
@@ -141,26 +143,26 @@ def test_only_the_stochastic_ones_have_noise(base, found):
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
-def test_the_reward_has_the_files_numbers_and_names_of_what_is_observed(base, root, found):
-    said = plain_reading(root, base)["reward_kwargs"]
-    for scenario in (s for s in found.values() if s.id.startswith(f"{base}-")):
+def test_the_reward_has_the_files_numbers_and_names_of_what_is_observed(base, root, scenarios_by_name):
+    fields = plain_reading(root, base)["reward_kwargs"]
+    for scenario in (s for s in scenarios_by_name.values() if s.id.startswith(f"{base}-")):
         assert scenario.reward == {
             "kind": "linear",
-            "weight": said["energy_weight"],
-            "lambda_energy": said["lambda_energy"],
-            "lambda_temperature": said["lambda_temperature"],
-            "winter": said["range_comfort_winter"],
-            "summer": said["range_comfort_summer"],
-            "summer_begin": said["summer_start"],
-            "summer_end": said["summer_final"],
-            "temperatures": [re.sub("[^A-Za-z0-9_.-]", "_", name) for name in said["temperature_variables"]],
-            "power": said["energy_variables"],
+            "weight": fields["energy_weight"],
+            "lambda_energy": fields["lambda_energy"],
+            "lambda_temperature": fields["lambda_temperature"],
+            "winter": fields["range_comfort_winter"],
+            "summer": fields["range_comfort_summer"],
+            "summer_begin": fields["summer_start"],
+            "summer_end": fields["summer_final"],
+            "temperatures": [re.sub("[^A-Za-z0-9_.-]", "_", name) for name in fields["temperature_variables"]],
+            "power": fields["energy_variables"],
         }
         assert set(scenario.reward["temperatures"] + scenario.reward["power"]) <= set(scenario.sensors)
         assert all(scenario.sensors[n].variable == "Zone Air Temperature" for n in scenario.reward["temperatures"])
 
 
-def test_the_discrete_ones_have_ten_rows_over_all_actions(found):
+def test_the_discrete_ones_have_ten_rows_over_all_actions(scenarios_by_name):
     tables = {
         "5zone": [(12, 30), (13, 29), (14, 28), (15, 27), (16, 26), (17, 25), (18, 24), (19, 23.25), (20, 23.25),
                   (21, 23.25)],
@@ -171,7 +173,7 @@ def test_the_discrete_ones_have_ten_rows_over_all_actions(found):
         tables[base] = [(15, 30), (16, 29), (17, 28), (18, 27), (19, 26), (20, 25), (21, 24), (22, 23), (22, 22.5),
                         (21, 22.5)]  # fmt: skip
     tables["officegrid"] = [(*row, 0, 0) for row in tables["office"]]
-    for name, scenario in found.items():
+    for name, scenario in scenarios_by_name.items():
         base = name.split("-")[0]
         if "-discrete-" not in name:
             assert scenario.discrete is None
@@ -181,8 +183,8 @@ def test_the_discrete_ones_have_ten_rows_over_all_actions(found):
             )
 
 
-def test_the_radiant_building_has_a_choice_for_each_action_and_names_without_colons(found):
-    scenario = found["radiant-stockholm-discrete-v1"]
+def test_the_radiant_building_has_a_choice_for_each_action_and_names_without_colons(scenarios_by_name):
+    scenario = scenarios_by_name["radiant-stockholm-discrete-v1"]
     assert [choice.actions for choice in scenario.discrete] == [(name,) for name in scenario.actuators]
     assert [len(choice.values) for choice in scenario.discrete] == [2, 2, 2, 2, 2, 21]
     assert all(choice.values == ((0.0,), (1.0,)) for choice in scenario.discrete[:5])
@@ -193,8 +195,8 @@ def test_the_radiant_building_has_a_choice_for_each_action_and_names_without_col
     assert scenario.reward["temperatures"][0] == "firstfloor_livingroom_air_temperature"
 
 
-def test_the_office_with_a_battery_observes_zones_by_their_keys(found):
-    scenario = found["officegrid-hot-continuous-v1"]
+def test_the_office_with_a_battery_observes_zones_by_their_keys(scenarios_by_name):
+    scenario = scenarios_by_name["officegrid-hot-continuous-v1"]
     assert list(scenario.actuators) == [
         "heating_setpoint", "cooling_setpoint", "battery_charge_rate", "battery_discharge_rate",
     ]  # fmt: skip
@@ -203,8 +205,8 @@ def test_the_office_with_a_battery_observes_zones_by_their_keys(found):
     assert len(scenario.reward["temperatures"]) == 19
 
 
-def test_the_demo_is_read_from_the_code(found, root):
-    scenario = found[DEMO]
+def test_the_demo_is_read_from_the_code(scenarios_by_name, root):
+    scenario = scenarios_by_name[DEMO]
     assert scenario.id == DEMO
     assert scenario.weather == ("sinergym/USA_PA_Pittsburgh",)
     assert (scenario.begin, scenario.end, scenario.steps_per_hour) == ("1991-01-01", "1991-03-01", 1)
@@ -221,11 +223,11 @@ def test_the_demo_is_read_from_the_code(found, root):
     assert scenario.discrete is None
 
 
-def test_a_scenario_of_the_pack_is_a_file(found, tmp_path):
+def test_a_scenario_of_the_pack_is_a_file(scenarios_by_name, tmp_path):
     for name in (DEMO, "radiant-hot-discrete-stochastic-v1", "officegrid-cool-discrete-v1"):
         path = tmp_path / f"{name}.yaml"
-        path.write_text(dump(found[name]))
-        assert load_scenario(path) == found[name]
+        path.write_text(dump(scenarios_by_name[name]))
+        assert load_scenario(path) == scenarios_by_name[name]
 
 
 def test_all_are_read_once(root):
@@ -276,12 +278,12 @@ def own(tmp_path: Path):
     (tmp_path / "here.epw").write_text("")
 
     def write(*more: str, **replaced: str) -> Path:
-        said = yaml.safe_load(textwrap.dedent(OWN))
+        fields = yaml.safe_load(textwrap.dedent(OWN))
         for text in more:
-            said |= yaml.safe_load(textwrap.dedent(text))
-        said |= {name: yaml.safe_load(text) for name, text in replaced.items()}
+            fields |= yaml.safe_load(textwrap.dedent(text))
+        fields |= {name: yaml.safe_load(text) for name, text in replaced.items()}
         path = tmp_path / "own.yaml"
-        path.write_text(yaml.safe_dump(said, sort_keys=False))
+        path.write_text(yaml.safe_dump(fields, sort_keys=False))
         return path
 
     return write
@@ -607,8 +609,8 @@ def test_the_packs_prices_go_by_their_name(own):
     path = sinergym() / "sinergym" / "data" / "energy_cost" / name
     kwargs = ZONES | ENERGY
     # Sinergym's class has no argument for the file; its own one is meant.
-    for given in (kwargs, kwargs | {"energy_cost_data_path": name}):
-        (scenario,) = scenarios_of(rewarded(own, "EnergyCostLinearReward", given)).values()
+    for arguments in (kwargs, kwargs | {"energy_cost_data_path": name}):
+        (scenario,) = scenarios_of(rewarded(own, "EnergyCostLinearReward", arguments)).values()
         assert scenario.reward["price"]["csv"] == str(path)
     assert read_reward(scenario.reward).price.at(datetime(2017, 1, 1)) == 41.45
 

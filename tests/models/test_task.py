@@ -1,4 +1,4 @@
-"""What an agent decides, from a scenario and the points of a model that is written out here."""
+"""Actions of an agent, from a scenario and the points of a model that this file defines."""
 
 from __future__ import annotations
 
@@ -73,10 +73,10 @@ def plain(actions: tuple[Action, ...]) -> list[tuple[str, float | None, float | 
 
 @pytest.mark.parametrize("control", ["point", "zone"])
 def test_each_actuator_has_a_dimension_of_its_own(control: str) -> None:
-    made = task(control=control)
-    assert plain(made.actions) == [(a.name, a.low, a.high, (a.name,)) for a in ALL]
-    assert [a.unit for a in made.actions] == [a.unit for a in ALL]
-    assert made.discrete_actions == ()
+    built = task(control=control)
+    assert plain(built.actions) == [(a.name, a.low, a.high, (a.name,)) for a in ALL]
+    assert [a.unit for a in built.actions] == [a.unit for a in ALL]
+    assert built.discrete_actions == ()
 
 
 def test_a_building_has_one_pair_for_all_thermostats_and_the_rest_as_it_is() -> None:
@@ -89,18 +89,18 @@ def test_a_building_has_one_pair_for_all_thermostats_and_the_rest_as_it_is() -> 
 
 def test_without_actuators_there_is_nothing_to_decide() -> None:
     for control in ("point", "zone", "building"):
-        made = task_of(scenario(control=control), points())
-        assert (made.actions, made.discrete_actions) == ((), ())
+        built = task_of(scenario(control=control), points())
+        assert (built.actions, built.discrete_actions) == ((), ())
 
 
 def test_two_things_of_one_name_are_not_joined() -> None:
     """The joined heating setpoints are called as an actuator that the user named."""
     named = flow("heating_setpoint", 0.0, 20.0)
     try:
-        made = task(*NORTH, *SOUTH, named, control="building")
+        built = task(*NORTH, *SOUTH, named, control="building")
     except InvalidConfig:
         return
-    together = next(a.actuators for a in made.actions if "north_heating" in a.actuators)
+    together = next(a.actuators for a in built.actions if "north_heating" in a.actuators)
     assert named.name not in together
 
 
@@ -138,8 +138,8 @@ def test_thermostats_that_have_no_value_in_common_cannot_be_joined() -> None:
 
 
 def test_actions_are_those_that_are_named_in_their_order() -> None:
-    made = task(actions={"cool": {"actuators": ["south_cooling"], "low": 24, "high": 28}, "f": {"actuators": ["fan"]}})
-    assert plain(made.actions) == [("cool", 24.0, 28.0, ("south_cooling",)), ("f", 0.0, 2.0, ("fan",))]
+    built = task(actions={"cool": {"actuators": ["south_cooling"], "low": 24, "high": 28}, "f": {"actuators": ["fan"]}})
+    assert plain(built.actions) == [("cool", 24.0, 28.0, ("south_cooling",)), ("f", 0.0, 2.0, ("fan",))]
 
 
 def test_one_bound_alone_narrows_one_side() -> None:
@@ -150,8 +150,8 @@ def test_one_bound_alone_narrows_one_side() -> None:
 
 def test_bounds_for_actuators_that_have_none() -> None:
     free = flow("free", None, None)
-    (made,) = task(free, actions={"f": {"actuators": ["free"], "low": -5, "high": 5}}).actions
-    assert (made.low, made.high) == (-5.0, 5.0)
+    (action,) = task(free, actions={"f": {"actuators": ["free"], "low": -5, "high": 5}}).actions
+    assert (action.low, action.high) == (-5.0, 5.0)
 
 
 def test_no_actions_is_not_the_same_as_actions_left_out() -> None:
@@ -191,9 +191,9 @@ def test_all_that_is_wrong_with_the_actions_is_said_at_once() -> None:
 # Equal steps
 
 
-def rows(made: Task) -> list[dict[str, list[float]]]:
+def rows(task: Task) -> list[dict[str, list[float]]]:
     """For each choice dimension: action to its column."""
-    return [dict(zip(c.actions, map(list, zip(*c.values, strict=True)), strict=True)) for c in made.discrete_actions]
+    return [dict(zip(c.actions, map(list, zip(*c.values, strict=True)), strict=True)) for c in task.discrete_actions]
 
 
 def test_steps_go_from_the_widest_to_the_tightest_pair() -> None:
@@ -211,8 +211,8 @@ def test_each_zone_chooses_on_its_own() -> None:
 
 def test_zones_need_not_stand_side_by_side() -> None:
     mixed = (NORTH[0], SOUTH[1], FAN, SOUTH[0], NORTH[1])
-    made = rows(task(*mixed, control="zone", discrete=2))
-    assert [set(columns) for columns in made] == [
+    choices = rows(task(*mixed, control="zone", discrete=2))
+    assert [set(columns) for columns in choices] == [
         {"north_heating", "north_cooling"},
         {"south_heating", "south_cooling"},
         {"fan"},
@@ -220,21 +220,21 @@ def test_zones_need_not_stand_side_by_side() -> None:
 
 
 def test_each_point_chooses_on_its_own() -> None:
-    made = rows(task(control="point", discrete=3))
-    assert [list(columns) for columns in made] == [[a.name] for a in ALL]
-    assert made[0] == {"north_heating": [15.0, 18.75, 22.5]}
-    assert made[1] == {"north_cooling": [30.0, 26.25, 22.5]}
-    assert made[4] == {"fan": [0.0, 1.0, 2.0]}
+    choices = rows(task(control="point", discrete=3))
+    assert [list(columns) for columns in choices] == [[a.name] for a in ALL]
+    assert choices[0] == {"north_heating": [15.0, 18.75, 22.5]}
+    assert choices[1] == {"north_cooling": [30.0, 26.25, 22.5]}
+    assert choices[4] == {"fan": [0.0, 1.0, 2.0]}
 
 
 @given(st.sampled_from(["point", "zone", "building"]), st.integers(2, 30))
 def test_steps_are_equal_reach_both_ends_and_set_each_action_once(control: str, count: int) -> None:
-    made = task(control=control, discrete=count)
-    columns = {name: column for choice in rows(made) for name, column in choice.items()}
-    assert sorted(name for choice in made.discrete_actions for name in choice.actions) == sorted(
-        a.name for a in made.actions
+    built = task(control=control, discrete=count)
+    columns = {name: column for choice in rows(built) for name, column in choice.items()}
+    assert sorted(name for choice in built.discrete_actions for name in choice.actions) == sorted(
+        a.name for a in built.actions
     )
-    for action in made.actions:
+    for action in built.actions:
         column = columns[action.name]
         downwards = "cooling" in action.name
         assert column[0] == (action.high if downwards else action.low)
@@ -257,9 +257,9 @@ PAIRS = {"heat": {"actuators": ["north_heating"]}, "cool": {"actuators": ["north
 
 def test_choices_are_those_that_are_named() -> None:
     table = [{"actions": ["cool", "heat"], "values": [[30, 15], [24, 21], [24, 21]]}]
-    made = task(actions=PAIRS, discrete=table)
+    built = task(actions=PAIRS, discrete=table)
     rows = ((30.0, 15.0), (24.0, 21.0), (24.0, 21.0))
-    assert made.discrete_actions == (DiscreteAction(actions=("cool", "heat"), values=rows),)
+    assert built.discrete_actions == (DiscreteAction(actions=("cool", "heat"), values=rows),)
 
 
 def test_the_ends_of_an_action_may_be_chosen() -> None:
@@ -297,9 +297,16 @@ def test_all_that_is_wrong_with_the_choices_is_said_at_once() -> None:
             {"actions": ["heat", "cooll"], "values": [[15, 25]]},
         ],
     )
-    said = ("heat = 14", "heat = 23", "row 2 has 2", "'cooll'", "discrete.1: action 'heat'", "no choices for cool, f")
-    assert [words for words in said if words not in "\n".join(lines)] == []
-    assert len(lines) == len(said)
+    expected = (
+        "heat = 14",
+        "heat = 23",
+        "row 2 has 2",
+        "'cooll'",
+        "discrete.1: action 'heat'",
+        "no choices for cool, f",
+    )
+    assert [words for words in expected if words not in "\n".join(lines)] == []
+    assert len(lines) == len(expected)
 
 
 def test_what_is_wrong_with_actions_and_choices_is_said_at_once() -> None:
@@ -307,9 +314,9 @@ def test_what_is_wrong_with_actions_and_choices_is_said_at_once() -> None:
         actions={"heat": {"actuators": ["north_heating"]}, "f": {"actuators": ["fam"]}},
         discrete=[{"actions": ["heat"], "values": [[14], [15, 16]]}, {"actions": ["f"], "values": [[1]]}],
     )
-    said = "\n".join(lines)
-    assert [words for words in ("'fam'", "heat = 14", "row 1 has 2") if words not in said] == []
-    assert "no action 'f'" not in said, "it is there, though its actuator is not"
+    message = "\n".join(lines)
+    assert [words for words in ("'fam'", "heat = 14", "row 1 has 2") if words not in message] == []
+    assert "no action 'f'" not in message, "it is there, though its actuator is not"
 
 
 # The rest of the task
@@ -317,8 +324,8 @@ def test_what_is_wrong_with_actions_and_choices_is_said_at_once() -> None:
 
 def test_the_task_has_what_the_scenario_says() -> None:
     reward = {"kind": "linear", "weight": 0.3}
-    made = task(id="mine", time=["hour", "month"], reward=reward)
-    assert (made.scenario, made.time, made.reward) == ("mine", (TimeField.HOUR, TimeField.MONTH), reward)
+    built = task(id="mine", time=["hour", "month"], reward=reward)
+    assert (built.scenario, built.time, built.reward) == ("mine", (TimeField.HOUR, TimeField.MONTH), reward)
     assert task(reward=None).reward is None
 
 
@@ -327,8 +334,8 @@ def test_the_task_has_what_the_scenario_says() -> None:
 def test_a_scenario_written_out_in_full_is_the_same_task(control: str, discrete: int | None) -> None:
     building = Building("b", {"Building": {"b": {}}}, "0")
     short = scenario(id="mine", control=control, discrete=discrete)
-    found = points(*ALL)
-    task = task_of(short, found)
-    full = expanded(short, building, found, task)
-    assert task_of(full, found) == task
+    catalog = points(*ALL)
+    task = task_of(short, catalog)
+    full = expanded(short, building, catalog, task)
+    assert task_of(full, catalog) == task
     assert None not in (full.begin, full.end, full.steps_per_hour, full.sensors, full.meters, full.actuators)

@@ -26,11 +26,11 @@ def model(version: str | None, **objects: Any) -> dict[str, Any]:
     return ({"Version": {"v": {"version_identifier": version}}} if version else {}) | objects
 
 
-def refused(given: dict[str, Any] | str, engine: str | None = None) -> str:
+def refused(model_data: dict[str, Any] | str, engine: str | None = None) -> str:
     def check() -> object:
-        if isinstance(given, str):
-            return check_idf(given, name="old.idf", engine=engine)
-        return check_epjson(given, name="old.epJSON", engine=engine)
+        if isinstance(model_data, str):
+            return check_idf(model_data, name="old.idf", engine=engine)
+        return check_epjson(model_data, name="old.epJSON", engine=engine)
 
     with pytest.raises(InvalidConfig) as raised:
         check()
@@ -42,10 +42,10 @@ def refused(given: dict[str, Any] | str, engine: str | None = None) -> str:
 
 @pytest.mark.parametrize("version", ["25.2", "25.2.0", " 25.2", None])
 def test_the_engines_own_version_and_none_are_taken_as_they_are(version: str | None) -> None:
-    given = model(version, Zone={"core": {"nothing_that_energyplus_knows": 1}})
-    result = check_epjson(given, name="m")
-    assert (result.objects, result.notes) == (given, ())
-    assert result.objects["Zone"] is given["Zone"]
+    model_data = model(version, Zone={"core": {"nothing_that_energyplus_knows": 1}})
+    result = check_epjson(model_data, name="m")
+    assert (result.objects, result.notes) == (model_data, ())
+    assert result.objects["Zone"] is model_data["Zone"]
 
 
 @pytest.mark.parametrize(
@@ -145,11 +145,11 @@ def test_what_was_a_name_in_a_field_becomes_the_objects_name() -> None:
 
 
 def test_what_still_does_not_fit_is_refused_by_name() -> None:
-    said = refused(model("25.1", Zone={"core": {"multiplyer": 2}}, Zonne={}))
-    assert said.startswith(
+    message = refused(model("25.1", Zone={"core": {"multiplyer": 2}}, Zonne={}))
+    assert message.startswith(
         "old.epJSON is for EnergyPlus 25.1, and these objects do not match 25.2 (the engine's version is 25.2"
     )
-    field, kind = said.split("\n")[1:]
+    field, kind = message.split("\n")[1:]
     assert field.startswith("Zone 'core' has no field 'multiplyer'; did you mean 'multiplier'")
     assert kind.startswith("EnergyPlus has no object type 'Zonne'; did you mean ")
 

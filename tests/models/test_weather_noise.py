@@ -341,7 +341,7 @@ def test_infrared_with_noise_of_its_own_follows_nothing(denver: Weather) -> None
 
 
 def without_extraterrestrial(folder: Path) -> Weather:
-    """As some files are: 0 in all rows."""
+    """Set the extraterrestrial radiation to 0 in all rows, as in some files."""
     path = folder / "zero.epw"
     zeros = np.zeros(8760)
     names = ("extraterrestrial_horizontal_radiation", "extraterrestrial_direct_normal_radiation")

@@ -54,16 +54,16 @@ def test_two_years_are_judged_as_one_and_a_month_not_at_all() -> None:
 
 @pytest.mark.parametrize("entry", catalog.bundled_weathers(), ids=lambda e: e.name)
 def test_a_bundled_weather_has_its_facts(entry: catalog.Entry) -> None:
-    found = weather_summary(entry.path)
+    summary = weather_summary(entry.path)
     rows = [line.split(",") for line in entry.path.read_text("latin-1").splitlines()[8:]]
-    assert found.mean_temperature_degC == pytest.approx(sum(float(row[6]) for row in rows) / 8760)
-    assert found.mean_humidity_pct == pytest.approx(sum(float(row[8]) for row in rows) / 8760)
-    assert found.years == "typical year"
-    assert (found.first, found.last) == ((1, 1), (12, 31))
+    assert summary.mean_temperature_degC == pytest.approx(sum(float(row[6]) for row in rows) / 8760)
+    assert summary.mean_humidity_pct == pytest.approx(sum(float(row[8]) for row in rows) / 8760)
+    assert summary.years == "typical year"
+    assert (summary.first, summary.last) == ((1, 1), (12, 31))
     # Places whose county's zone in the Standard is far from a limit.
     known = {"Denver": "5", "Golden": "5", "Boulder": "5", "Miami": "1", "Orlando": "2", "Tampa": "2", "Chicago": "5"}
     known |= {"San.Francisco": "3", "Fresno": "3", "Sterling": "4"}
-    assert found.climate_zone == known.get(entry.name.split("_")[2], found.climate_zone)
+    assert summary.climate_zone == known.get(entry.name.split("_")[2], summary.climate_zone)
 
 
 @pytest.mark.parametrize(
@@ -82,18 +82,18 @@ def test_a_stat_file_beside_names_the_zone(tmp_path: Path, line: str, zone: str)
 
 
 @pytest.mark.parametrize(
-    ("years", "said"), [((2019,), "2019"), ((1999, 1987), "typical year"), ((2001, 2005), "typical year")]
+    ("years", "text"), [((2019,), "2019"), ((1999, 1987), "typical year"), ((2001, 2005), "typical year")]
 )
-def test_years_are_those_of_the_rows(tmp_path: Path, years: tuple[int, ...], said: str) -> None:
-    assert weather_summary(epw(tmp_path / "a.epw", constant(10.0), years=years)).years == said
+def test_years_are_those_of_the_rows(tmp_path: Path, years: tuple[int, ...], text: str) -> None:
+    assert weather_summary(epw(tmp_path / "a.epw", constant(10.0), years=years)).years == text
 
 
 def test_a_missing_value_is_left_out_of_the_mean(tmp_path: Path) -> None:
     temperature = constant(10.0)
     temperature[3, 4:9] = 99.9
-    found = weather_summary(epw(tmp_path / "a.epw", temperature, humidity=999.0 / 3))
-    assert found.mean_temperature_degC == pytest.approx(10.0)
-    assert found.climate_zone == "5"
+    summary = weather_summary(epw(tmp_path / "a.epw", temperature, humidity=999.0 / 3))
+    assert summary.mean_temperature_degC == pytest.approx(10.0)
+    assert summary.climate_zone == "5"
 
 
 def test_a_file_without_a_single_temperature_is_refused(tmp_path: Path) -> None:

@@ -45,7 +45,7 @@ def options() -> dict[str, str]:
 
 
 def default(name: str) -> Any:
-    """What is used if neither the argument nor a scenario names another value; None: see the meaning."""
+    """Value that is used if neither the argument nor a scenario names another value; None: see the meaning."""
     field = Scenario.model_fields.get(name) or NodeConfig.model_fields.get(name)
     if field is None or field.is_required():
         return None

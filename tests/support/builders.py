@@ -88,11 +88,11 @@ def manifest(
 
 def exchange(*actuators: Actuator, mode: Mode = Mode.LOCKSTEP, slots: int = 1) -> StepExchange:
     """An exchange that waits at sample 0; by default with a heating and a cooling setpoint."""
-    made = StepExchange(
+    built = StepExchange(
         actuators or (actuator("heat", 15.0, 22.5), actuator("cool", 22.5, 30.0)), slots=slots, mode=mode
     )
-    made.ready(0.0)
-    return made
+    built.ready(0.0)
+    return built
 
 
 def claim(
@@ -146,7 +146,7 @@ def advance(at: StepExchange, *, last: bool = False, now_s: float = 0.0) -> tupl
 
 
 def ruling(at: StepExchange) -> tuple[list[float], list[str]]:
-    """What would rule the next timestep, without simulating it: on a copy."""
+    """Return the values and sources of the next timestep, without simulating it: on a copy."""
     import copy
 
     ahead = copy.deepcopy(at)

@@ -62,10 +62,10 @@ def parts() -> dict[str, str]:
 
 def page(text: str) -> str:
     """A page with its made parts made anew."""
-    made = parts()
+    generated = parts()
 
-    def part(found: re.Match[str]) -> str:
-        return f"<!-- made: {found[1]} -->\n{made[found[1]]}\n<!-- end -->"
+    def part(match: re.Match[str]) -> str:
+        return f"<!-- made: {match[1]} -->\n{generated[match[1]]}\n<!-- end -->"
 
     return re.sub(r"<!-- made: (\w+) -->\n.*?<!-- end -->", part, text, flags=re.DOTALL)
 
@@ -83,12 +83,12 @@ def _arrays() -> str:
     rows = ["| message | field | elements |", "|---|---|---|"]
     for kind in asyncapi.payload_classes():
         for name, field in asyncapi.document()["components"]["schemas"][kind.__name__]["properties"].items():
-            found = {
+            arrays = {
                 form["x-items"]
                 for form in (field, *field.get("anyOf", []), field.get("items", {}))
                 if "x-items" in form
             }
-            rows += [f"| `{kind.__name__}` | `{name}` | {items} |" for items in found]
+            rows += [f"| `{kind.__name__}` | `{name}` | {items} |" for items in arrays]
     return "\n".join(rows)
 
 
@@ -102,8 +102,8 @@ def _how(topic: Topic) -> str:
 
 def _fenced(message: Command | Sample) -> str:
     payload = codec.encode(message)
-    said = f"{len(payload)} bytes, encoding {codec.encoding(type(message))}"
-    return "\n".join(["```text", said, "", *diagnosed(payload), "```"])
+    caption = f"{len(payload)} bytes, encoding {codec.encoding(type(message))}"
+    return "\n".join(["```text", caption, "", *diagnosed(payload), "```"])
 
 
 def diagnosed(payload: bytes) -> list[str]:
@@ -134,9 +134,9 @@ def _value(name: str, value: Any) -> list[str]:
 
 
 def _errors(kind: type[ZenostatError], depth: int) -> str:
-    said = (inspect.getdoc(kind) or "").replace("\n", " ")
+    description = (inspect.getdoc(kind) or "").replace("\n", " ")
     below = [_errors(child, depth + 1) for child in kind.__subclasses__() if child.__module__ == errors.__name__]
-    return "\n".join([f"{'    ' * depth}- `{kind.__name__}`: {said}", *below])
+    return "\n".join([f"{'    ' * depth}- `{kind.__name__}`: {description}", *below])
 
 
 if __name__ == "__main__":

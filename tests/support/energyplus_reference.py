@@ -56,7 +56,7 @@ class Case:
     edits: Edits = field(default_factory=dict, hash=False)
 
     def settings(self) -> dict[str, object]:
-        """As settings of a node."""
+        """Return the settings of a node."""
         return {name: getattr(self, name) for name in self.__slots__}
 
 
@@ -178,16 +178,16 @@ def _sum(columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 def _dictionary(file: Iterator[str]) -> dict[tuple[str, str, str], str]:
     """(key, name, frequency) to id; reads `file` up to the end of its dictionary. A meter's key is empty."""
-    found = {}
+    identities = {}
     for line in file:
         if line.startswith("End of Data Dictionary"):
-            return found
+            return identities
         entry, _, frequency = line.rstrip("\n").partition(" !")
         if not frequency:
             continue
         identity, _, rest = entry.split(",", 2)
         key, _, name = rest.rpartition(",")
-        found[key.casefold(), name.rsplit(" [", 1)[0].casefold(), frequency.split(" [")[0].strip()] = identity
+        identities[key.casefold(), name.rsplit(" [", 1)[0].casefold(), frequency.split(" [")[0].strip()] = identity
     raise AssertionError("the ESO file ends within its dictionary")
 
 

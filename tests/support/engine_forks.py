@@ -1,4 +1,4 @@
-"""What the tests of snapshots and branches share: trajectories under planned actions, and engines that fork badly."""
+"""Scaffolding for tests of snapshots and branches: trajectories under planned actions, and engines that fork badly."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ KINDS = {
 Row = list[float]
 
 
-def make(name: str = SMALL, **given: Any) -> BuildingEnv:
-    env = gym.make(name if "/" in name else f"zenostat/{name}", **(DAY | given)).unwrapped
+def make(name: str = SMALL, **arguments: Any) -> BuildingEnv:
+    env = gym.make(name if "/" in name else f"zenostat/{name}", **(DAY | arguments)).unwrapped
     assert isinstance(env, BuildingEnv)
     return env
 
@@ -92,11 +92,11 @@ def engines(env: BuildingEnv) -> list[psutil.Process]:
 
 
 def new_engine(env: BuildingEnv, make_one: Callable[[], Any]) -> tuple[Any, psutil.Process]:
-    """What `make_one` gives, and the one engine that came with it."""
+    """Return the result of `make_one`, and the one engine that started with it."""
     before = {engine.pid for engine in engines(env)}
-    made = make_one()
+    new = make_one()
     (engine,) = [engine for engine in engines(env) if engine.pid not in before]
-    return made, engine
+    return new, engine
 
 
 def drop_forks(env: BuildingEnv) -> None:
@@ -160,7 +160,7 @@ main(*map(int, sys.argv[2:]))
 
 
 class Faults:
-    """Has the engines of nodes that are started from now on fork badly while a fault is set.
+    """Make engines of nodes that start from now on fork badly while a fault is set.
 
     The node is the real one; its engines are real processes of a program that differs in its fork alone.
     """

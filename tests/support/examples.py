@@ -1,4 +1,4 @@
-"""How many examples of a property are tried."""
+"""Numbers of examples that are tried of a property."""
 
 from __future__ import annotations
 

@@ -37,14 +37,14 @@ class FakeBuilding(gym.Env[NDArray[np.float32], Any]):
         actions = tuple(
             Action(name=a.name, unit=a.unit, low=a.low, high=a.high, actuators=(a.name,)) for a in (heat, cool)
         )
-        made = builders.manifest(
+        manifest = builders.manifest(
             sensors=[*temperatures, humidity],
             meters=[builders.meter("electricity")],
             actuators=[heat, cool, context],
             task=Task(time=TIME, actions=actions),
         )
         steps = days * 24 * steps_per_hour
-        self.manifest = made.model_copy(update={"begin": begin, "step_s": 3600.0 / steps_per_hour, "steps": steps})
+        self.manifest = manifest.model_copy(update={"begin": begin, "step_s": 3600.0 / steps_per_hour, "steps": steps})
         self.observation_space = spaces.observation_space(self.manifest)
         self._actions = Actions(self.manifest)
         self.action_space = self._actions.space
@@ -109,8 +109,8 @@ class FakeBuilding(gym.Env[NDArray[np.float32], Any]):
         return np.concatenate([time_features(TIME, begin, self.time), sensors]).astype(np.float32)
 
     def _info(self, effective: list[float]) -> dict[str, Any]:
-        told = {"time": self.time.isoformat(), "step": self._step, "late": 0, "rejected": 0}
-        return {**told, "effective": np.array(effective)}
+        info = {"time": self.time.isoformat(), "step": self._step, "late": 0, "rejected": 0}
+        return {**info, "effective": np.array(effective)}
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
         self.asked.append(list(columns))

@@ -31,7 +31,7 @@ class FragilePlant(EmptyPlant):
 
 
 class CopyablePlant(FragilePlant):
-    """Is copied by assignment, as a plant without processes can be."""
+    """Plant that is copied by assignment, as one without processes can be."""
 
     _numbers = itertools.count(1)
     _file: Path | None = None

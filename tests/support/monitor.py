@@ -47,13 +47,13 @@ def samples(
     fault_free: ArrayLike | None = None,
 ) -> list[Sample]:
     """Consecutive samples with these values, shape (n, points); `sources` names each sample's value sources."""
-    made = []
+    messages = []
     rows = np.asarray(values, float)
     plant = None if fault_free is None else np.asarray(fault_free, float)
     for number, row in enumerate(rows):
         by = list(sources[number]) if sources is not None else [""] * len(manifest.actuators)
         known = ["", *dict.fromkeys(name for name in by if name)]
-        made.append(
+        messages.append(
             Sample(
                 episode=[episode],
                 step=[first + number],
@@ -68,7 +68,7 @@ def samples(
                 fault_free_values=b"" if plant is None else plant[number].astype(codec.FLOAT).tobytes(),
             )
         )
-    return made
+    return messages
 
 
 def rows(count: int, **columns: ArrayLike) -> np.ndarray:
@@ -147,12 +147,12 @@ def logged(path: Path, component: str) -> dict[str, dict[int, Any]]:
 
 def times(path: Path, entity: str) -> dict[int, np.datetime64]:
     """Simulated time of each row of an entity, by step."""
-    found = {}
+    moments_by_step = {}
     for name, columns in _chunks(path, is_static=False):
         if name == entity and "simulated" in columns:
             moments = [np.datetime64(moment, "ns") for moment in columns["simulated"]]
-            found.update(zip(columns["step"], moments, strict=True))
-    return found
+            moments_by_step.update(zip(columns["step"], moments, strict=True))
+    return moments_by_step
 
 
 def static(path: Path, component: str) -> dict[str, Any]:

@@ -78,10 +78,10 @@ class NodeProgram:
     def __init__(self, folder: Path, *, before: tuple[str, ...] = (), module: str = "", **settings: Any) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
-        given = {"listen": [f"unixsock-stream/{folder}/bus"], "folder": str(folder / "run"), "affinity": "off"}
-        given |= {"name": "office", **settings}
-        self.name: str = given["name"]
-        self.endpoint: str = (given["listen"] or given["connect"])[0]
+        arguments = {"listen": [f"unixsock-stream/{folder}/bus"], "folder": str(folder / "run"), "affinity": "off"}
+        arguments |= {"name": "office", **settings}
+        self.name: str = arguments["name"]
+        self.endpoint: str = (arguments["listen"] or arguments["connect"])[0]
         self.process = subprocess.Popen(
             [
                 *before,
@@ -95,7 +95,7 @@ class NodeProgram:
             process_group=0,
         )
         try:
-            self._start(given)
+            self._start(arguments)
         except BaseException:
             self.close()
             raise
@@ -105,10 +105,10 @@ class NodeProgram:
         self.process.stdin.flush()
         line = self.process.stdout.readline()
         assert line, f"the node ended with {self.process.wait()} and said nothing"
-        said = json.loads(line)
-        if "error" in said:
-            raise from_wire(said)
-        assert said["ready"] == self.name
+        answer = json.loads(line)
+        if "error" in answer:
+            raise from_wire(answer)
+        assert answer["ready"] == self.name
 
     def __enter__(self) -> NodeProgram:
         return self
@@ -285,12 +285,12 @@ def interrupted(
         try:
             until(when, what)
             run.send_signal(number)
-            _, said = run.communicate(timeout=60)
+            _, stderr = run.communicate(timeout=60)
         finally:
             run.kill()
             run.wait()
         assert run.returncode == 128 + number
-        assert "Traceback" not in said, said
+        assert "Traceback" not in stderr, stderr
 
 
 def programs_of(folder: Path) -> list[psutil.Process]:
@@ -312,7 +312,7 @@ def _temporary_folder(process: psutil.Process) -> str | None:
 
 
 def remains(folder: Path) -> list[str]:
-    """What runs left in a place of temporary files: their folders and sockets."""
+    """Return the folders and sockets that runs left in a place of temporary files."""
     return sorted(str(p) for p in within(folder) if p.name.startswith("zenostat-") or p.is_socket())
 
 

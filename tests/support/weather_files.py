@@ -24,7 +24,7 @@ _CLOCK = "2"
 
 @dataclass(frozen=True)
 class Outdoors:
-    """What EnergyPlus did: its exit code, its messages, and each environment's days and values at each timestep."""
+    """Result of a run of EnergyPlus: its exit code, its messages, and the days and values of each environment."""
 
     code: int
     errors: str

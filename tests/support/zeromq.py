@@ -40,7 +40,7 @@ class GatewayProgram:
         command = [sys.executable, "-P", "-u", "-m", "zenostat.cli.main", "gateway", "zeromq", "--connect", endpoint]
         command += [*(() if "--publish" in options else ("--publish", ANY, "--command", ANY)), *options]
         self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        line = self.said = self.process.stdout.readline()
+        line = self.first_line = self.process.stdout.readline()
         if not line:
             raise AssertionError(self.process.communicate()[1])
         self.publish, self.command = re.findall(r"tcp://127\.0\.0\.1:\d+", line)[-2:]
@@ -104,9 +104,13 @@ class Peer:
 
     def after(self, sample: Sample | None) -> Sample:
         """The first sample that is another one."""
-        while (heard := self.hear(Sample)) and sample and (heard.episode, heard.step) == (sample.episode, sample.step):
+        while (
+            (received := self.hear(Sample))
+            and sample
+            and (received.episode, received.step) == (sample.episode, sample.step)
+        ):
             pass
-        return heard
+        return received
 
     def event(self, kind: EventKind) -> Event:
         while (event := self.hear(Event)).kind is not kind:
@@ -118,10 +122,10 @@ def answering(sample: Sample, values: np.ndarray, **more: Any) -> dict[str, Any]
     return {"episode": sample.episode, "step": sample.step, "values": values.astype("<f8").tobytes(), **more}
 
 
-def keeping(sample: Sample, **given: Any) -> dict[str, Any]:
+def keeping(sample: Sample, **changes: Any) -> dict[str, Any]:
     """A command that changes nothing."""
     count = len(sample.effective) // 8
-    return answering(sample, np.zeros(count), operations=bytes(count)) | given
+    return answering(sample, np.zeros(count), operations=bytes(count)) | changes
 
 
 @pytest.fixture(scope="module")

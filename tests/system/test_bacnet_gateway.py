@@ -204,8 +204,8 @@ def test_the_device_describes_itself_and_answers_who_is(paused_bus: zenostat.Bus
             (answer,) = await reader.app.who_is(address=reader.device, timeout=1)
             assert tuple(answer.iAmDeviceIdentifier) == (8, INSTANCE)
             assert await reader.app.who_is(INSTANCE + 1, INSTANCE + 2, address=reader.device, timeout=0.2) == []
-            (found,) = await reader.app.who_has(object_name=INPUT, address=reader.device, timeout=1)
-            assert tuple(found.objectIdentifier) == tuple(reader.identifier(INPUT))
+            (reply,) = await reader.app.who_has(object_name=INPUT, address=reader.device, timeout=1)
+            assert tuple(reply.objectIdentifier) == tuple(reader.identifier(INPUT))
             assert await reader.read(DEVICE, "object-name") == "office"
             assert await reader.read(DEVICE, "location") == manifest.location
             assert await reader.read(DEVICE, "system-status") == "operational"

@@ -1,4 +1,4 @@
-"""What BACnet clients send in error or in malice: answered, counted, and without effect."""
+"""Erroneous and malicious requests of BACnet clients: answered, counted, and without effect."""
 
 from __future__ import annotations
 

@@ -83,12 +83,12 @@ def test_the_status_command_shows_forks_with_their_memory(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()
         branch, snapshot = bus.branch("office", CreateBranch(controller=link.name)), bus.snapshot("office", link.name)
-        said = subprocess.run(
+        output = subprocess.run(
             [sys.executable, "-P", "-m", "zenostat.cli.main", "status", "--connect", bus.endpoint],
             capture_output=True, text=True, check=True, env=os.environ | {"COLUMNS": "200"},
         ).stdout  # fmt: skip
     for words in (f"branch {branch}", f"snapshot {snapshot.snapshot}", link.name, "MB"):
-        assert words in said, said
+        assert words in output, output
 
 
 def test_a_stop_ends_a_branch_alone(bus: Bus) -> None:

@@ -89,7 +89,7 @@ with open_session(connect=[sys.argv[1]]) as session:
 
 @pytest.fixture(scope="module")
 def endpoint(module_folder: Path) -> Iterator[str]:
-    """Where a node named `office` is, which these tests share; each begins an episode of its own."""
+    """Endpoint of a node named `office`, which these tests share; each begins an episode of its own."""
     with NodeProgram(module_folder / "shared", **DAY) as node:
         yield node.endpoint
 

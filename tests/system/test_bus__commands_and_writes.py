@@ -61,8 +61,8 @@ class Client:
         replies: queue.SimpleQueue[Any] = queue.SimpleQueue()
         payload = content if isinstance(content, bytes) else codec.encode(content)
         handler = Callback(replies.put, lambda: replies.put(None), indirect=False)
-        said = zenoh.Encoding(encoding) if encoding else None
-        self.session.get(topic.at("office", name=name), handler, payload=payload, encoding=said, timeout=60)
+        zenoh_encoding = zenoh.Encoding(encoding) if encoding else None
+        self.session.get(topic.at("office", name=name), handler, payload=payload, encoding=zenoh_encoding, timeout=60)
         return replies
 
     @staticmethod
@@ -80,8 +80,8 @@ class Client:
 
     def put(self, topic: Topic, name: str, content: Message | bytes, encoding: str = "") -> None:
         payload = content if isinstance(content, bytes) else codec.encode(content)
-        said = zenoh.Encoding(encoding) if encoding else None
-        self.session.put(topic.at("office", name=name), payload, encoding=said)
+        zenoh_encoding = zenoh.Encoding(encoding) if encoding else None
+        self.session.put(topic.at("office", name=name), payload, encoding=zenoh_encoding)
 
     def claim(self, name: str, actuators: list[str] | None = None, **more: Any) -> None:
         assert isinstance(self.ask(keys.CLAIM, "", Claim(controller=name, actuators=actuators, **more)), Ack)
@@ -293,8 +293,8 @@ def test_each_of_a_hundred_rejections_has_its_reason_and_further_ones_are_not_pr
     assert all(reply.message.startswith(limit) for reply in replies[MAX_MESSAGES_PER_STEP:])
     assert isinstance(client.ask(keys.COMMAND_REQUEST, "c", client.command()), Ack), "the fast path is not limited"
     client.next_sample()
-    told = [client.event("c").text for _ in range(EVENTS_A_STEP)]
-    assert told == [reply.message for reply in replies[:EVENTS_A_STEP]]
+    texts = [client.event("c").text for _ in range(EVENTS_A_STEP)]
+    assert texts == [reply.message for reply in replies[:EVENTS_A_STEP]]
     assert f"{POINT} = 98; its bounds are" in client.ask(keys.COMMAND_REQUEST, "c", client.command(value=98.0)).message
     assert f"{POINT} = 98; its bounds are" in client.event("c").text, "of the others there were no events"
     status = client.bus.status("office")

@@ -35,12 +35,12 @@ def test_node_answers_each_malformed_write_to_its_source(episode_bus: zenostat.B
         bus.status("office")  # an answer shows that the node has heard of the subscription
 
         def next_rejection() -> Event:
-            def heard() -> Event | None:
+            def rejection() -> Event | None:
                 message = events.try_recv()
                 event = codec.decode(Event, message.payload.to_bytes()) if message else None
                 return event if event and event.kind is EventKind.REJECTED else None
 
-            return until(heard, "the write is rejected")
+            return until(rejection, "the write is rejected")
 
         for name, (fields, encoding, words) in BAD_WRITES.items():
             payload = msgpack.packb({**fields, "source": f"panel {name}"})
@@ -63,8 +63,8 @@ def test_queries_are_checked_like_any_other_request(episode_bus: zenostat.Bus, t
     bus = episode_bus
 
     def ask(payload: bytes | None, encoding: str = "zenoh/bytes") -> tuple[str, dict[str, object]]:
-        said = zenoh.Encoding(encoding) if payload is not None else None
-        (reply,) = bus.session.get(topic.at("office"), payload=payload, encoding=said, timeout=60)
+        zenoh_encoding = zenoh.Encoding(encoding) if payload is not None else None
+        (reply,) = bus.session.get(topic.at("office"), payload=payload, encoding=zenoh_encoding, timeout=60)
         return str(reply.ok.encoding), msgpack.unpackb(reply.ok.payload.to_bytes())
 
     assert topic.reply is not None

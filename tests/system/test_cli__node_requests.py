@@ -52,9 +52,9 @@ def test_step__reports_the_timestep_that_it_reached(shared_node: NodeProgram, ep
     assert "free; paused; step 4 of 96" in run_zenostat("step", "office", "4", *at).stdout
     assert "free; paused; step 5 of 96" in run_zenostat("step", "office", *at).stdout
     assert run_zenostat("pace", "office", "lockstep", *at).returncode == 0
-    said = run_zenostat("step", "office", "2", *at).stdout
-    assert "lockstep; paused; step 5 of 96" in said
-    assert "2 of 2 timesteps left: waiting for a controller" in said
+    output = run_zenostat("step", "office", "2", *at).stdout
+    assert "lockstep; paused; step 5 of 96" in output
+    assert "2 of 2 timesteps left: waiting for a controller" in output
 
 
 def second_node(endpoint: str, *arguments: str, cwd: Path) -> subprocess.Popen[str]:
@@ -76,9 +76,9 @@ def test_a_second_node_on_the_default_port_joins_the_bus_of_the_first(scratch: P
         zenostat.connect(endpoint, affinity="off") as bus,
     ):
         try:
-            said = second.stdout.readline()
-            assert f"{endpoint} is in use by another program, so annex does not listen; it shares the bus at" in said
-            assert "--listen tcp/127.0.0.1:" in said
+            line = second.stdout.readline()
+            assert f"{endpoint} is in use by another program, so annex does not listen; it shares the bus at" in line
+            assert "--listen tcp/127.0.0.1:" in line
             assert "annex" in second.stdout.readline()
             assert bus.nodes() == ["annex", "office"]
             bus.stop("annex")
@@ -104,8 +104,8 @@ def test_a_port_of_a_program_that_is_on_no_bus_is_refused(scratch: Path) -> None
 def test_monitor__names_the_node_that_it_waits_for(shared_node: NodeProgram, scratch: Path) -> None:
     command = [*ZENOSTAT, "monitor", "--node", "ofice", "--save", "run.rrd", "--connect", shared_node.endpoint]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=scratch) as monitor:
-        said = monitor.stdout.readline()
-        assert said == (
+        line = monitor.stdout.readline()
+        assert line == (
             f"connected to {shared_node.endpoint}; waiting for node 'ofice', which is not on this bus "
             "(did you mean 'office'?); press Ctrl-C to stop\n"
         )

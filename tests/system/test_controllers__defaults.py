@@ -34,9 +34,9 @@ def pack() -> Any:
 
 def outside_kh(scenario: str, *controllers: str) -> dict[str, float]:
     """Degree-hours outside the comfort band by controller."""
-    found = evaluate(scenario, ["baseline", *controllers], **WEEK)
-    assert found.unfit == {}
-    return {row["controller"]: row["outside_kh"] for row in found.table()}
+    evaluation = evaluate(scenario, ["baseline", *controllers], **WEEK)
+    assert evaluation.unfit == {}
+    return {row["controller"]: row["outside_kh"] for row in evaluation.table()}
 
 
 @pytest.mark.slow
@@ -51,9 +51,9 @@ def outside_kh(scenario: str, *controllers: str) -> dict[str, float]:
     ],
 )
 def test_rules_are_no_less_comfortable_than_the_buildings_own_control(scenario: str) -> None:
-    found = outside_kh(scenario, "rbc", "incremental")
-    assert found["rbc"] <= found["baseline"]
-    assert found["incremental"] <= found["baseline"]
+    discomfort = outside_kh(scenario, "rbc", "incremental")
+    assert discomfort["rbc"] <= discomfort["baseline"]
+    assert discomfort["incremental"] <= discomfort["baseline"]
 
 
 def test_a_band_is_kept_by_a_kelvin_or_a_third_of_it() -> None:
@@ -203,10 +203,10 @@ def test_pid_does_not_swing_in_a_building() -> None:
 @pytest.mark.slow
 def test_evaluate_goes_on_without_a_controller_that_does_not_fit() -> None:
     day = {**SMALL, "affinity": "off"}
-    found = evaluate(day, ["baseline", "pid", "rbc"], parameters={"setpoint": 24.0})
-    assert [row["controller"] for row in found.table()] == ["baseline", "rbc"]
-    assert list(found.unfit) == ["pid"]
-    assert "pid takes one sensor: name it by sensor=" in found.unfit["pid"]
+    evaluation = evaluate(day, ["baseline", "pid", "rbc"], parameters={"setpoint": 24.0})
+    assert [row["controller"] for row in evaluation.table()] == ["baseline", "rbc"]
+    assert list(evaluation.unfit) == ["pid"]
+    assert "pid takes one sensor: name it by sensor=" in evaluation.unfit["pid"]
     with pytest.raises(InvalidConfig, match="pid takes one sensor"):
         evaluate(day, ["pid"], parameters={"setpoint": 24.0})
     named = {"setpoint": 24.0, "sensor": "core_zn_air_temperature", "actuator": "core_zn_cooling_setpoint"}

@@ -46,9 +46,9 @@ def pack() -> Path:
 
 def manifest_of(name: str) -> Manifest:
     """The points and the task of a scenario, without simulating it."""
-    found = plan(read_config({"scenario": name}))
-    points = found.points
-    return manifest(sensors=points.sensors, meters=points.meters, actuators=points.actuators, task=found.task)
+    planned = plan(read_config({"scenario": name}))
+    points = planned.points
+    return manifest(sensors=points.sensors, meters=points.meters, actuators=points.actuators, task=planned.task)
 
 
 def made_up(of: Manifest, at: str, temperature: float, people: float) -> SampleView:
@@ -131,8 +131,8 @@ def day(controller: type[Controller], env: gym.Env[Any, Any], **parameters: Any)
 @pytest.mark.variants
 @pytest.mark.parametrize("name", ["5zone-hot-continuous-v1", "5zone-hot-discrete-v1", "ref-small-office"])
 def test_rules_are_more_comfortable_than_chance(name: str) -> None:
-    given = SMALL if name in BUILDINGS else {"scenario": name, "begin": "07-03", "end": "07-03"}
-    with gym.make("zenostat/Building-v1", **given, affinity="off") as env:
+    settings = SMALL if name in BUILDINGS else {"scenario": name, "begin": "07-03", "end": "07-03"}
+    with gym.make("zenostat/Building-v1", **settings, affinity="off") as env:
         rules, chance = day(RuleBasedController, env), day(RandomController, env, seed=0)
         assert rules > chance
         assert day(RuleBasedController, env) == rules  # nothing is left of the episode before
@@ -150,25 +150,25 @@ def run(node: NodeProgram, *arguments: str, cwd: Path | None = None) -> subproce
 def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Path) -> None:
     with NodeProgram(scratch / "node", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
 
-        def ruled(*arguments: str, cwd: Path | None = None) -> list[float]:
+        def rewards(*arguments: str, cwd: Path | None = None) -> list[float]:
             done = run(node, "--reset", *arguments, cwd=cwd)
             assert done.returncode == 0, done.stderr
             latest = bus.latest("office")
             assert latest.step == [96]
             return np.frombuffer(latest.effective, "<f8").tolist()
 
-        fixed = ruled(
+        fixed = rewards(
             "--controller", "fixed", "--set", "core_zn_cooling_setpoint=27", "--set", "core_zn_heating_setpoint=19.5"
         )
         named = dict(zip((a.name for a in bus.manifest("office").actuators), fixed, strict=True))
         assert (named["core_zn_heating_setpoint"], named["core_zn_cooling_setpoint"]) == (19.5, 27.0)
         assert named["perimeter_zn_1_cooling_setpoint"] == 25.0  # 1 K inside the band of July
 
-        drawn = ruled("--controller", "random", "--seed", "3")
-        assert ruled("--controller", "random", "--seed", "3") == drawn
-        assert ruled("--controller", "random", "--seed", "4") != drawn
+        drawn = rewards("--controller", "random", "--seed", "3")
+        assert rewards("--controller", "random", "--seed", "3") == drawn
+        assert rewards("--controller", "random", "--seed", "4") != drawn
 
-        mine = ruled("--controller", f"{EXAMPLES / 'my_controller.py'}:Mine", "--set", "night=28.5")
+        mine = rewards("--controller", f"{EXAMPLES / 'my_controller.py'}:Mine", "--set", "night=28.5")
         assert mine.count(28.5) == 5  # the last timestep is before midnight
         (scratch / "models.py").write_text("NIGHT = 27.25\n")
         (scratch / "brain.py").write_text(
@@ -176,12 +176,12 @@ def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Pat
             "class Brain(FixedSetpoints):\n    def __init__(self, manifest):\n"
             "        super().__init__(manifest, core_zn_cooling_setpoint=models.NIGHT)\n"
         )
-        assert 27.25 in ruled("--controller", "brain.py:Brain", cwd=scratch)
-        assert 27.25 in ruled("--controller", "brain:Brain", cwd=scratch)
+        assert 27.25 in rewards("--controller", "brain.py:Brain", cwd=scratch)
+        assert 27.25 in rewards("--controller", "brain:Brain", cwd=scratch)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         (["--controller", "pid", "--set", "setpoint=21"], "pid takes one sensor: name it by sensor=...;"),
         (["--controller", "pid"], "PIDController needs setpoint: --set setpoint=..."),
@@ -195,10 +195,12 @@ def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Pat
         (["--controller", "mine.py:Mine"], "there is no file"),
     ],
 )
-def test_mistakes_are_one_sentence_and_claim_nothing(shared_node: NodeProgram, arguments: list[str], says: str) -> None:
+def test_mistakes_are_one_sentence_and_claim_nothing(
+    shared_node: NodeProgram, arguments: list[str], message: str
+) -> None:
     done = run_in_process("run", "--node", shared_node.name, "--connect", shared_node.endpoint, *arguments)
     assert done.returncode == 2
-    assert says in " ".join(done.stderr.split())
+    assert message in " ".join(done.stderr.split())
     assert "Traceback" not in done.stderr
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         assert bus.status("office").controllers == []

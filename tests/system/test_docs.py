@@ -106,8 +106,8 @@ def blocks(text: str) -> Iterator[Block]:
         if opened:
             end = lines.index("```", number + 1)
             before = next((line for line in reversed(lines[:number]) if line.strip()), "")
-            said = re.fullmatch(r"<!-- not run: (.+) -->", before)
-            excerpt = said[1] if said else "an excerpt" if ".excerpt" in opened[2] else ""
+            reason = re.fullmatch(r"<!-- not run: (.+) -->", before)
+            excerpt = reason[1] if reason else "an excerpt" if ".excerpt" in opened[2] else ""
             yield Block(opened[1], "\n".join(lines[number + 1 : end]) + "\n", number + 1, excerpt)
             number = end
         number += 1
@@ -118,8 +118,8 @@ def of_language(page: str, *languages: str) -> list[Block]:
 
 
 def pages_with(*languages: str) -> list[Any]:
-    found = [page for page in PAGES if of_language(page, *languages)]
-    return [pytest.param(page, marks=pytest.mark.slow) if page in SLOW else page for page in found]
+    pages = [page for page in PAGES if of_language(page, *languages)]
+    return [pytest.param(page, marks=pytest.mark.slow) if page in SLOW else page for page in pages]
 
 
 # Programs
@@ -171,11 +171,11 @@ def _node_of(page: str) -> dict[str, Any]:
     line = next(command for command in commands(page) if command.startswith("zenostat node"))
     words = shlex.split(line)[2:]
     options = dict(zip(words[::2], words[1::2], strict=True))
-    given = {name.removeprefix("--").replace("-", "_"): value for name, value in options.items()}
+    settings = {name.removeprefix("--").replace("-", "_"): value for name, value in options.items()}
     for seconds in ("grace", "deadline"):
-        if seconds in given:
-            given[f"{seconds}_s"] = given.pop(seconds)
-    return given | {"end": given["begin"]}
+        if seconds in settings:
+            settings[f"{seconds}_s"] = settings.pop(seconds)
+    return settings | {"end": settings["begin"]}
 
 
 def test_presupposed_blocks_are_there() -> None:
@@ -189,13 +189,15 @@ def test_presupposed_blocks_are_there() -> None:
 @pytest.mark.parametrize("page", pages_with("yaml"))
 def test_scenarios_are_valid(page: str) -> None:
     for block in of_language(page, "yaml"):
-        given = yaml.safe_load(block.text)
-        fields = set(given) if isinstance(given, dict) else set()
+        scenario_fields = yaml.safe_load(block.text)
+        fields = set(scenario_fields) if isinstance(scenario_fields, dict) else set()
         if "building" not in fields and not fields <= set(Scenario.model_fields):
             continue  # of something else than a scenario
-        found = read_scenario({"building": "office-small", "weather": "USA_CO_Denver"} | given, f"{page}:{block.line}")
-        if found.reward is not None:
-            read_reward(found.reward)
+        scenario = read_scenario(
+            {"building": "office-small", "weather": "USA_CO_Denver"} | scenario_fields, f"{page}:{block.line}"
+        )
+        if scenario.reward is not None:
+            read_reward(scenario.reward)
 
 
 # Commands
@@ -207,8 +209,8 @@ def commands(page: str) -> list[str]:
     shells = of_language(page, "", "console", "bash", "sh")
     lines = [line.strip() for block in shells for line in block.text.splitlines()]
     lines += re.findall(r"`(zenostat(?: [^`]+)?)`", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
-    found = [re.split(r"\s+[#>|]", line.removeprefix("$ "))[0] for line in lines]
-    return [line for line in found if re.match(r"zenostat( |$)", line) and "…" not in line]
+    calls = [re.split(r"\s+[#>|]", line.removeprefix("$ "))[0] for line in lines]
+    return [line for line in calls if re.match(r"zenostat( |$)", line) and "…" not in line]
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
@@ -289,5 +291,5 @@ def test_the_site_fetches_nothing_from_elsewhere(site: Path) -> None:
 @pytest.mark.parametrize("room", ["controllers", "rewards", "testing", "wrappers"])
 def test_the_api_has_all_that_a_room_shows(site: Path, room: str) -> None:
     text = (site / "api" / f"{room}.html").read_text(encoding="utf-8")
-    there = {name.rpartition(".")[2] for name in re.findall(r"id=\"(zenostat\.[\w.]+)\"", text)}
-    assert set(importlib.import_module(f"zenostat.{room}").__all__) - there == set()
+    documented = {name.rpartition(".")[2] for name in re.findall(r"id=\"(zenostat\.[\w.]+)\"", text)}
+    assert set(importlib.import_module(f"zenostat.{room}").__all__) - documented == set()

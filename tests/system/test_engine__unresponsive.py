@@ -23,12 +23,12 @@ pytestmark = pytest.mark.usefixtures("scratch")
 SOON: dict[str, Any] = {"unresponsive_s": 2.0, "affinity": "off"}
 NOISE = "zenostat/ref-small-office-USA_CO_Denver-continuous-stochastic-v1"
 DAY: dict[str, Any] = {key: SMALL[key] for key in ("begin", "end", "steps_per_hour")}
-SAID = r"neither answered nor used processor time for 2 s after sample 1, and was killed"
+MESSAGE = r"neither answered nor used processor time for 2 s after sample 1, and was killed"
 
 
-def next_of(heard: Any, kind: EventKind) -> Event:
+def next_of(events: Any, kind: EventKind) -> Event:
     """The next event of a kind."""
-    while (event := codec.decode(Event, heard.recv().payload.to_bytes())).kind is not kind:
+    while (event := codec.decode(Event, events.recv().payload.to_bytes())).kind is not kind:
         pass
     return event
 
@@ -54,7 +54,7 @@ def test_a_timestep_of_an_engine_that_stands_still_fails_by_name() -> None:
         own = env.unwrapped.local_node
         engine = engines_of(own.pid)[-1]
         engine.suspend()
-        with pytest.raises(EngineUnresponsive, match=SAID):
+        with pytest.raises(EngineUnresponsive, match=MESSAGE):
             env.step(env.action_space.low)
         env.reset(seed=1)
         assert env.step(env.action_space.low)[-1]["step"] == 1
@@ -67,7 +67,7 @@ def test_one_of_several_that_stands_still_fails_the_step() -> None:
     low = np.stack([env.single_action_space.low] * 2)
     env.step(low)
     engines_of(env.unwrapped.local_node.pid)[-1].suspend()
-    with pytest.raises(EngineUnresponsive, match=SAID):
+    with pytest.raises(EngineUnresponsive, match=MESSAGE):
         env.step(low)
     env.reset(seed=1)
     env.step(low)
@@ -84,23 +84,23 @@ def test_an_event_says_so(folder: Path) -> None:
         link.reset().send()
         sample = link.receive()
         engines_of(node.pid)[-1].suspend()
-        with bus.session.declare_subscriber(keys.EVENT.at("office"), FifoChannel(1024)) as heard:
+        with bus.session.declare_subscriber(keys.EVENT.at("office"), FifoChannel(1024)) as events:
             sample.send()
-            assert next_of(heard, EventKind.FAILED).error == "EngineUnresponsive"
+            assert next_of(events, EventKind.FAILED).error == "EngineUnresponsive"
         assert bus.status("office").failure_error == "EngineUnresponsive"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("name", "given", "place", "engine_start"),
+    ("name", "settings", "place", "engine_start"),
     [("zenostat/Building-v1", SMALL, 0, EngineStart.FORKED), (NOISE, DAY, 1, EngineStart.PREFETCHED)],
     ids=["waiting", "prefetched"],
 )
 def test_one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
-    name: str, given: dict[str, Any], place: int, engine_start: EngineStart
+    name: str, settings: dict[str, Any], place: int, engine_start: EngineStart
 ) -> None:
     """And harms no episode."""
-    with gym.make(name, **given, **SOON) as env:
+    with gym.make(name, **settings, **SOON) as env:
         env.reset(seed=1)
         env.step(env.action_space.low)
         own = env.unwrapped.local_node
@@ -108,11 +108,11 @@ def test_one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
         engines_of(own.pid)[place].suspend()
         with (
             zenostat.connect(own.endpoint, affinity="off") as bus,
-            bus.session.declare_subscriber(keys.EVENT.at("building"), FifoChannel(1024)) as heard,
+            bus.session.declare_subscriber(keys.EVENT.at("building"), FifoChannel(1024)) as events,
         ):
             assert env.reset()[1]["engine_start"] == engine_start
             assert env.step(env.action_space.low)[-1]["step"] == 1
-            assert "replaced: the engine process neither answered" in next_of(heard, EventKind.WARNING).text
+            assert "replaced: the engine process neither answered" in next_of(events, EventKind.WARNING).text
 
 
 def test_no_time_at_all_is_refused() -> None:

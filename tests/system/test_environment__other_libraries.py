@@ -1,4 +1,4 @@
-"""What other libraries ask of an environment: errors of their kind, infos of one form, and their own collectors."""
+"""Requirements of other libraries: errors of their kind, infos of one form, and their own collectors."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ def own_reward(values: Mapping[str, Any], begin: Any) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize(
-    "given",
+    "arguments",
     [{}, {"terminate": WARM}, {"reward": None}, {"reward": {"kind": "peak"}}, {"reward": own_reward}, BESIDE],
     ids=["plain", "limits", "no reward", "peak", "own reward", "beside"],
 )
-def test_infos_of_reset_and_step_have_one_form(given: dict[str, Any]) -> None:
-    env = FakeEnv(**DAY, **given)
+def test_infos_of_reset_and_step_have_one_form(arguments: dict[str, Any]) -> None:
+    env = FakeEnv(**DAY, **arguments)
     expected, ended = form(env.reset(seed=0)[1]), False
     while not ended:
         _, _, _, ended, info = env.step(env.action_space.sample())
@@ -100,11 +100,13 @@ def test_info_action__is_nan_for_actuators_that_no_action_sets() -> None:
 @pytest.mark.parametrize(
     "make",
     [
-        lambda **given: gym.make("zenostat/Building-v1", building="office-small", weather="USA_CO_Denver", **given),
-        lambda **given: gym.make("zenostat/office-small-USA_CO_Denver-continuous-v1", **given),
-        lambda **given: gym.make_vec("zenostat/office-small-USA_CO_Denver-continuous-v1", num_envs=2, **given),
-        lambda **given: gym.make("zenostat/Fake-v1", **given),
-        lambda **given: gym.make_vec("zenostat/Fake-v1", num_envs=2, **given),
+        lambda **arguments: gym.make(
+            "zenostat/Building-v1", building="office-small", weather="USA_CO_Denver", **arguments
+        ),
+        lambda **arguments: gym.make("zenostat/office-small-USA_CO_Denver-continuous-v1", **arguments),
+        lambda **arguments: gym.make_vec("zenostat/office-small-USA_CO_Denver-continuous-v1", num_envs=2, **arguments),
+        lambda **arguments: gym.make("zenostat/Fake-v1", **arguments),
+        lambda **arguments: gym.make_vec("zenostat/Fake-v1", num_envs=2, **arguments),
     ],
     ids=["building", "scenario", "vector", "fake", "fake vector"],
 )

@@ -47,10 +47,10 @@ def test_each_id_of_the_short_list_exists() -> None:
 )
 def test_it_runs_two_days(name: str, scratch: Path) -> None:
     """Every step is taken; what is seen lies in its space, what was decided ruled, the reward is its terms' sum."""
-    with warnings.catch_warnings(record=True) as said:
+    with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         env = gym.make(f"zenostat/{name}", affinity="off", **PERIOD)
-    warned = " ".join(str(each.message) for each in said)
+    warned = " ".join(str(each.message) for each in caught)
     try:
         building = env.unwrapped
         env.action_space.seed(1)
@@ -65,8 +65,8 @@ def test_it_runs_two_days(name: str, scratch: Path) -> None:
             assert not terminated
             assert reward == pytest.approx(sum(info["reward_terms"].values()))
             wanted = building._actions.values(action)
-            for actuator, commanded, ruled in zip(manifest.actuators, wanted, info["effective"], strict=True):
-                assert ruled == pytest.approx(commanded, abs=1e-9) or actuator.name in warned, actuator.name
+            for actuator, commanded, effective in zip(manifest.actuators, wanted, info["effective"], strict=True):
+                assert effective == pytest.approx(commanded, abs=1e-9) or actuator.name in warned, actuator.name
         assert steps == DAYS * 24 * 3600 / manifest.step_s
         assert np.isfinite(observation).all()
     finally:

@@ -29,18 +29,18 @@ def _run(name: str, *arguments: str) -> str:
 
 
 def test_gymnasium_environment(scratch):
-    said = _run("gymnasium_environment.py", "--days", "1")
-    assert "96 timesteps to 2017-07-02T00:00:00" in said
-    assert "{'heating': 20.0, 'cooling': 25.0}" in said
+    output = _run("gymnasium_environment.py", "--days", "1")
+    assert "96 timesteps to 2017-07-02T00:00:00" in output
+    assert "{'heating': 20.0, 'cooling': 25.0}" in output
 
 
 @pytest.mark.slow
 def test_recording(scratch):
-    said = _run("recording.py", "--out", str(scratch / "run.mcap"))
-    assert "identical: 144 steps" in said
-    assert "episode 1, seed 1, USA_CO_Denver: 145 samples" in said
-    assert re.search(r"setpoint [\d.]+ degC, set by env-", said)
-    assert re.search(r"env-\S+: command answers step \[0\] of episode \[1\], 144 times, accepted", said)
+    output = _run("recording.py", "--out", str(scratch / "run.mcap"))
+    assert "identical: 144 steps" in output
+    assert "episode 1, seed 1, USA_CO_Denver: 145 samples" in output
+    assert re.search(r"setpoint [\d.]+ degC, set by env-", output)
+    assert re.search(r"env-\S+: command answers step \[0\] of episode \[1\], 144 times, accepted", output)
     with (scratch / "run.csv").open() as table:
         assert len(table.readlines()) == 1 + 1 + 145  # with the sample of the episode that the reset replaced
 
@@ -48,8 +48,8 @@ def test_recording(scratch):
 @pytest.mark.slow
 def test_own_plant_controller():
     """A cooler tank has a lower lift, so a higher COP; both keep the room warm, so both need the same heat."""
-    said = _run("own_plant_controller.py")
-    rows = re.findall(r"^(.+): ([\d.]+) kWh, ([\d.]+) K h too cold at (\S+)$", said, flags=re.MULTILINE)
+    output = _run("own_plant_controller.py")
+    rows = re.findall(r"^(.+): ([\d.]+) kWh, ([\d.]+) K h too cold at (\S+)$", output, flags=re.MULTILINE)
     assert [(name, cold, end) for name, _, cold, end in rows] == [
         ("tank at 50 degC", "0.00", "2026-01-14T00:00:00"),
         ("curve", "0.00", "2026-01-14T00:00:00"),
@@ -65,9 +65,9 @@ def test_boptest_client():
     from support.boptest import serving
 
     with serving() as client:
-        said = _run("boptest_client.py", client.url)
-    assert f"at time {200 * 86400}\n" in said
-    controlled, baseline = re.search(r"ener_tot: ([\d.]+), baseline control ([\d.]+)", said).groups()
+        output = _run("boptest_client.py", client.url)
+    assert f"at time {200 * 86400}\n" in output
+    controlled, baseline = re.search(r"ener_tot: ([\d.]+), baseline control ([\d.]+)", output).groups()
     assert 0.0 < float(baseline) != float(controlled) > 0.0
 
 
@@ -112,27 +112,29 @@ def test_own_plants_heat_balance():
 
 def test_controller_on_the_bus(scratch):
     with NodeProgram(scratch / "node", **SMALL) as node:
-        said = _run("controller_on_the_bus.py", "--connect", node.endpoint)
-    assert "96 timesteps" in said
-    assert "value source of the core cooling setpoint: saver-" in said
+        output = _run("controller_on_the_bus.py", "--connect", node.endpoint)
+    assert "96 timesteps" in output
+    assert "value source of the core cooling setpoint: saver-" in output
 
 
 @pytest.mark.slow
 def test_mpc_by_branching(scratch):
     """After the first moves it follows the rules, so that it is never worse than they are."""
     packs.sinergym()
-    said = _run("mpc_by_branching.py", "--days", "1", "--hours", "2", "--moves", "2", "--plot", str(scratch / "a.png"))
-    rows = re.findall(r"^(\S.*?) {2,}(-[\d.]+) ", said, flags=re.MULTILINE)
+    output = _run(
+        "mpc_by_branching.py", "--days", "1", "--hours", "2", "--moves", "2", "--plot", str(scratch / "a.png")
+    )
+    rows = re.findall(r"^(\S.*?) {2,}(-[\d.]+) ", output, flags=re.MULTILINE)
     rewards = {name: float(reward) for name, reward in rows}
     assert rewards["MPC by branching"] >= rewards["rbc, setback=0"] > rewards["rbc"]
-    assert "2 moves" in said
-    assert f"{2 * 16 * 2 * 4} branch timesteps" in said  # moves, plans, hours, timesteps an hour
+    assert "2 moves" in output
+    assert f"{2 * 16 * 2 * 4} branch timesteps" in output  # moves, plans, hours, timesteps an hour
     assert (scratch / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_two_floors(scratch):
     with NodeProgram(scratch / "node", **SMALL, policy="hold", grace_s=2, deadline_s=60) as node:
-        said = _run("two_floors.py", "--connect", node.endpoint)
-    assert "core_zn_cooling_setpoint by north: 92 timesteps" in said
-    assert "core_zn_cooling_setpoint by supervisor: 4 timesteps" in said
-    assert said.count(": 96 timesteps") == 4
+        output = _run("two_floors.py", "--connect", node.endpoint)
+    assert "core_zn_cooling_setpoint by north: 92 timesteps" in output
+    assert "core_zn_cooling_setpoint by supervisor: 4 timesteps" in output
+    assert output.count(": 96 timesteps") == 4

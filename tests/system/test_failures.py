@@ -66,8 +66,8 @@ ENDED = r"node 'office' (was stopped|is gone) \(last sample: episode 1, step {st
 """Its last word and the news of its end travel side by side; either may be the first."""
 
 
-def make(**given: Any) -> gym.Env[Any, Any]:
-    return gym.make("zenostat/Building-v1", **{**SMALL, "affinity": "off", **given})
+def make(**arguments: Any) -> gym.Env[Any, Any]:
+    return gym.make("zenostat/Building-v1", **{**SMALL, "affinity": "off", **arguments})
 
 
 @pytest.fixture(scope="module")
@@ -119,7 +119,7 @@ def during_a_timestep(env: gym.Env[Any, Any], do: Callable[[psutil.Process, psut
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("arguments", "message"),
     [
         ({"building": "ofice-small"}, r"no building 'ofice-small'; did you mean .*'office-small'"),
         ({"building": "office"}, r"building 'office' matches several: office-large, office-medium, office-small"),
@@ -128,9 +128,9 @@ def during_a_timestep(env: gym.Env[Any, Any], do: Callable[[psutil.Process, psut
         ({"weather": "gone.epw"}, r"no weather file at /.*/gone\.epw"),
     ],
 )
-def test_an_unknown_building_or_weather(given: dict[str, str], message: str) -> None:
+def test_an_unknown_building_or_weather(arguments: dict[str, str], message: str) -> None:
     with pytest.raises(UnknownName, match=message):
-        plan(read_config(SMALL | given))
+        plan(read_config(SMALL | arguments))
 
 
 def test_all_unknown_points_are_named_at_once_with_near_names() -> None:
@@ -171,7 +171,7 @@ def test_an_unknown_building_and_weather_are_named_at_once() -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("arguments", "message"),
     [
         ({"begin": "02-30"}, r"begin '02-30' is not a calendar date"),
         ({"begin": "1 July"}, r"begin '1 July' is not a date; write it as MM-DD or YYYY-MM-DD"),
@@ -184,22 +184,22 @@ def test_an_unknown_building_and_weather_are_named_at_once() -> None:
         ),
     ],
 )
-def test_settings__refused_by_the_node(given: dict[str, Any], message: str) -> None:
+def test_settings__refused_by_the_node(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfig, match=message):
-        plan(read_config(SMALL | given))
+        plan(read_config(SMALL | arguments))
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("arguments", "message"),
     [
         ({"begin": "02-30"}, r"begin '02-30' is not a calendar date"),  # by its own node
         ({"sensors": {"inside": "Zone Air Temperature"}}, r"sensors 'inside': a tuple of EnergyPlus's names expected"),
         ({"building": None}, r"name a building and a weather, a scenario, a file .file=., a class of your own"),
     ],
 )
-def test_settings__refused_by_the_environment(given: dict[str, Any], message: str) -> None:
+def test_settings__refused_by_the_environment(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfig, match=message):
-        make(**given)
+        make(**arguments)
 
 
 # Models
@@ -222,11 +222,11 @@ def test_model__refused_by_energyplus(scratch: Path) -> None:
 
     with pytest.raises(ModelError) as raised:
         make(building=_broken(scratch, break_))
-    said = str(raised.value)
-    assert "EnergyPlus reports:" in said
-    assert "** Severe **" in said
-    assert "UNOBTAINIUM 20CM" in said.upper()
-    assert "** Fatal **" in said
+    message = str(raised.value)
+    assert "EnergyPlus reports:" in message
+    assert "** Severe **" in message
+    assert "UNOBTAINIUM 20CM" in message.upper()
+    assert "** Fatal **" in message
 
 
 def test_model__refused_if_it_is_no_building(scratch: Path) -> None:
@@ -488,13 +488,13 @@ WITH = "with env:" + STEPS.replace("\n", "\n    ")
 @pytest.mark.variants
 @pytest.mark.parametrize("text", [ENVIRONMENT + WITH, ENVIRONMENT + STEPS], ids=["with", "bare"])
 def test_ctrl_c_in_a_script_with_an_environment(text: str) -> None:
-    """As the terminal sends it, and also if the script has no `with`."""
+    """The terminal sends the signal so; the script may have no `with`."""
     with Program(text) as program:
         assert program.line() == "steps"
         program.process.send_signal(signal.SIGINT)
-        code, _, said = program.end()
+        code, _, stderr = program.end()
         assert code in (-signal.SIGINT, 128 + signal.SIGINT, 1)
-        assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
+        assert stderr.strip().splitlines()[-1] == "KeyboardInterrupt"
 
 
 def test_ctrl_c_in_a_controller_leaves_the_node_running(shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
@@ -511,9 +511,9 @@ with zenostat.connect(sys.argv[1], affinity="off") as bus, bus.controller("offic
     with Program(text, shared_node.endpoint) as program:
         assert program.line() == "steps"
         program.process.send_signal(signal.SIGINT)
-        code, _, said = program.end()
+        code, _, stderr = program.end()
         assert code in (-signal.SIGINT, 128 + signal.SIGINT, 1)
-        assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
+        assert stderr.strip().splitlines()[-1] == "KeyboardInterrupt"
     until(lambda: episode_bus.controllers() == [], "the script's controller has gone")
     with episode_bus.controller("office", name="next") as link:
         link.reset().send()
@@ -531,9 +531,9 @@ gym.make("zenostat/Building-v1", building="office-medium", weather={WEATHER!r}, 
         assert program.line() == "starts"
         until(lambda: psutil.Process(program.pid).children(), "it has started a node")
         program.process.send_signal(signal.SIGINT)
-        code, _, said = program.end()
+        code, _, stderr = program.end()
         assert code != 0
-        assert said.strip().splitlines()[-1] == "KeyboardInterrupt"
+        assert stderr.strip().splitlines()[-1] == "KeyboardInterrupt"
 
 
 def test_environment__ends_its_node_if_it_is_never_closed(scratch: Path) -> None:

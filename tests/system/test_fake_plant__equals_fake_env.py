@@ -21,8 +21,8 @@ BUILDING = {"zones": 2, "begin": "07-03", "time": ["hour"], "steps_per_hour": 6,
 
 @pytest.fixture
 def env() -> Iterator[Any]:
-    with closing(gym.make("zenostat/Plant-v1", plant=PLANT, plant_arguments=BUILDING, reward=None)) as made:
-        yield made
+    with closing(gym.make("zenostat/Plant-v1", plant=PLANT, plant_arguments=BUILDING, reward=None)) as plant_env:
+        yield plant_env
 
 
 @pytest.fixture

@@ -78,12 +78,12 @@ def next_event(events: zenoh.Subscriber, *kinds: EventKind) -> Event:
 
 
 def to_the_end(samples: Iterator[SampleView]) -> list[SampleView]:
-    found = []
+    received = []
     for sample in samples:
-        found.append(sample)
+        received.append(sample)
         if sample.truncated:
             break
-    return found
+    return received
 
 
 def effective(sample: SampleView, point: str = POINT) -> float:
@@ -170,13 +170,13 @@ def test_one_that_was_killed_comes_back_at_the_present_step(scratch: Path) -> No
                     successor = second.line()
                     assert second.json() == sample.step == 31
                     second.tell("27 on")
-        found = to_the_end(samples)
-    assert [sample.step for sample in found] == [*range(1, STEPS + 1)]
-    who = [{sample.value_source[point] for point in SOUTH} for sample in found]
-    fell = [sample.step for sample in found if sample.fallback]
-    assert {sample.value_source[point] for sample in found for point in NORTH} == {north.name}
-    assert who == [{name}] * 31 + [{successor}] * (STEPS - 31)
-    assert [effective(sample, SOUTH[0]) for sample in found] == [26.0] * 31 + [27.0] * (STEPS - 31)
+        received = to_the_end(samples)
+    assert [sample.step for sample in received] == [*range(1, STEPS + 1)]
+    sources = [{sample.value_source[point] for point in SOUTH} for sample in received]
+    fell = [sample.step for sample in received if sample.fallback]
+    assert {sample.value_source[point] for sample in received for point in NORTH} == {north.name}
+    assert sources == [{name}] * 31 + [{successor}] * (STEPS - 31)
+    assert [effective(sample, SOUTH[0]) for sample in received] == [26.0] * 31 + [27.0] * (STEPS - 31)
     # It had answered sample 21 before it was killed, or had not.
     assert fell in ([*range(22, 32)], [*range(23, 32)])
 
@@ -283,7 +283,7 @@ def test_abort__reaches_the_other_controller_and_a_reset_begins_anew(scratch: Pa
 
 
 def wanted(point: str, step: int) -> float:
-    """What the controller of a zone group sends for a sample."""
+    """Return the command of a zone group's controller for a sample."""
     return 23.0 + (7 * step + 3 * list(COOLING).index(point)) % 13 / 4
 
 
@@ -318,12 +318,12 @@ def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(
         assert north.json() == STEPS
     assert len(many) == STEPS + 1
     for sample in many[1:]:
-        who = dict.fromkeys(NORTH, name) | dict.fromkeys(SOUTH, south.name)
+        sources = dict.fromkeys(NORTH, name) | dict.fromkeys(SOUTH, south.name)
         source_index = sample.value_source[POINT]
         if 9 <= sample.step <= 12:
             assert source_index == "supervisor"
-            who[POINT] = source_index
-        assert sample.value_source == {point: who.get(point, "") for point in sample.value_source}
+            sources[POINT] = source_index
+        assert sample.value_source == {point: sources.get(point, "") for point in sample.value_source}
     begin_new_episode(episode_bus)
     with episode_bus.controller("office", name="one", actuators=[*COOLING]) as one:
         single = [one.current()]
@@ -381,15 +381,15 @@ def test_status_command__shows_the_policy_and_the_bypassed_controller(scratch: P
                 assert next_event(events, EventKind.FALLBACK).source == name
                 north.current().send()
                 north.receive()
-                said = run_zenostat("status", "--connect", endpoint).stdout
+                output = run_zenostat("status", "--connect", endpoint).stdout
     finally:
         node.send_signal(signal.SIGINT)
         node.communicate(timeout=60)
-    assert row(said, "fallback policy") == [["fallback policy", "hold; applied in 1 timesteps"]]
-    claims, counts = row(said, name)
+    assert row(output, "fallback policy") == [["fallback policy", "hold; applied in 1 timesteps"]]
+    claims, counts = row(output, name)
     assert claims[1:] == ["office", "10", "3", "yes", "bypassed"]
     assert counts[1:] == ["0", "0", "0", "0", "1", "-", "-", "-"]
-    claims, counts = row(said, north.name)
+    claims, counts = row(output, north.name)
     assert claims[1:] == ["office", "10", "2", "yes", "connected"]
     assert counts[1:6] == ["1", "0", "0", "0", "0"]
     median, p99, most = (float(cell.replace(",", "")) for cell in counts[6:])

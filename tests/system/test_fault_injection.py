@@ -34,7 +34,7 @@ LAST = 96
 
 
 def command(step: int) -> float:
-    """What a controller commands at a sample: another value each hour, within the bounds."""
+    """Return a controller's command at a sample: another value each hour, within the bounds."""
     return 24.0 + (step // 4) % 5
 
 
@@ -46,14 +46,14 @@ def day(
 ) -> list[Sample]:
     """An episode; all its samples. `between` is done at each sample before it is answered."""
     sample = link.reset(**reset)
-    found = [sample.message]
+    messages = [sample.message]
     while not sample.truncated:
         if between is not None:
             between(sample.step)
         sample.send({SETPOINT: at(sample.step)})
         sample = link.receive()
-        found.append(sample.message)
-    return found
+        messages.append(sample.message)
+    return messages
 
 
 class Stage:
@@ -69,11 +69,11 @@ class Stage:
         self.names, self.actuators = list(manifest.names), [a.name for a in manifest.actuators]
         self.clean = day(link, seed=1)
 
-    def faulty(self, *faults: dict[str, Any], seed: int = 0, **given: Any) -> list[Sample]:
+    def faulty(self, *faults: dict[str, Any], seed: int = 0, **settings: Any) -> list[Sample]:
         """A day with faults from its begin on, and none afterwards."""
         self.bus.faults("office", {"seed": seed, "faults": faults})
         try:
-            return day(self.link, **{"seed": 1, **given})
+            return day(self.link, **{"seed": 1, **settings})
         finally:
             self.bus.faults("office", None)
 
@@ -172,28 +172,28 @@ def test_faults__change_the_planned_values_and_nothing_else(stage: Stage) -> Non
 
 
 def test_a_dropped_point_is_nan_in_the_frame_and_silent_by_itself(stage: Stage) -> None:
-    heard: list[int] = []
+    steps: list[int] = []
 
     def on_point(message: Any) -> None:
-        heard.append(codec.decode(PointValue, message.payload.to_bytes()).step)
+        steps.append(codec.decode(PointValue, message.payload.to_bytes()).step)
 
     def wait_for_it(step: int) -> None:  # each message comes before the sample that follows it
         if step == LAST - 1:
-            until(lambda: heard and heard[-1] == step, "the single point was told")
+            until(lambda: steps and steps[-1] == step, "the single point was told")
 
     bus = stage.bus
     topic = keys.SENSOR.at("office", name=CORE)
     with bus.session.declare_subscriber(topic, on_point):
-        until(lambda: day(stage.link, seed=1) and heard, "the node knows that somebody listens")
-        until(lambda: heard[-1] == LAST, "all is heard")
-        heard.clear()
+        until(lambda: day(stage.link, seed=1) and steps, "the node knows that somebody listens")
+        until(lambda: steps[-1] == LAST, "all is heard")
+        steps.clear()
         ran = stage.faulty(
             {"kind": "drop", "points": CORE, "when": {"from_step": 10, "to_step": 20}}, between=wait_for_it
         )
-        until(lambda: heard[-1] == LAST, "all is heard")
+        until(lambda: steps[-1] == LAST, "all is heard")
     assert true(ran, stage.clean)
     assert np.flatnonzero(np.isnan(stage.column(ran, CORE))).tolist() == [*range(10, 20)]
-    assert heard == [*range(10), *range(20, LAST + 1)]
+    assert steps == [*range(10), *range(20, LAST + 1)]
 
 
 # Actuators
@@ -232,18 +232,18 @@ def test_a_fault_that_is_set_amid_an_episode_knows_what_was_heard_before(stage: 
 
 
 def test_events__report_when_a_fault_begins_and_ends(stage: Stage) -> None:
-    told: list[Event] = []
+    reported: list[Event] = []
 
     def on_event(message: Any) -> None:
-        told.append(codec.decode(Event, message.payload.to_bytes()))
+        reported.append(codec.decode(Event, message.payload.to_bytes()))
 
     with stage.bus.session.declare_subscriber(keys.EVENT.at("office"), on_event):
         stage.faulty(
             {"name": "sun", "kind": "bias", "points": CORE, "offset": 1.0, "when": {"hours": [6.0, 8.0]}},
             {"name": "radio", "kind": "latency", "samples": True, "delay_ms": 0.1, "when": {"from_step": 90}},
         )
-        until(lambda: told and told[-1].text == "faults are set: none", "all is heard")
-    assert [(e.text, e.step) for e in told if e.kind is EventKind.FAULT] == [
+        until(lambda: reported and reported[-1].text == "faults are set: none", "all is heard")
+    assert [(e.text, e.step) for e in reported if e.kind is EventKind.FAULT] == [
         ("faults are set: sun, radio", LAST),
         ("sun begins", 24),
         ("sun ends", 32),
@@ -330,17 +330,17 @@ def test_a_branch_and_a_snapshot_meet_the_same_faults(scratch: Path) -> None:
         for action in actions[:20]:
             env.step(action)
         with env.unwrapped.snapshot() as snapshot, env.unwrapped.branch() as branch:
-            went = [env.step(action) for action in actions[20:]]
+            parent_steps = [env.step(action) for action in actions[20:]]
             beside = [branch.step(action) for action in actions[20:]]
             env.reset(options={"snapshot": snapshot})
             back = [env.step(action) for action in actions[20:]]
         for other in (beside, back):
-            assert [s[0].tobytes() for s in other] == [s[0].tobytes() for s in went]
+            assert [s[0].tobytes() for s in other] == [s[0].tobytes() for s in parent_steps]
             assert [s[-1]["fault_free_values"].tobytes() for s in other] == [
-                s[-1]["fault_free_values"].tobytes() for s in went
+                s[-1]["fault_free_values"].tobytes() for s in parent_steps
             ]
-            assert [s[1] for s in other] == [s[1] for s in went]
-        assert went[0][0].tobytes() != went[0][-1]["fault_free_values"].astype(np.float32).tobytes()
+            assert [s[1] for s in other] == [s[1] for s in parent_steps]
+        assert parent_steps[0][0].tobytes() != parent_steps[0][-1]["fault_free_values"].astype(np.float32).tobytes()
     finally:
         env.close()
 
@@ -350,21 +350,21 @@ def test_messages_after_a_snapshot_meet_the_same_faults_of_the_link() -> None:
     faults = FaultPlan.model_validate({"seed": 1, "faults": [{"kind": "loss", "samples": True, "probability": 0.5}]})
     values = bytes(8 * (len(planned.points.sensors) + len(planned.points.meters)))
 
-    def told(injection: FaultInjection, first: int, last: int) -> list[list[float]]:
-        found = []
+    def delays(injection: FaultInjection, first: int, last: int) -> list[list[float]]:
+        drawn = []
         for step in range(first, last):
             injection.apply_to_sensors(values, [step])
-            found.append(injection.link.outgoing(0.0))
-        return found
+            drawn.append(injection.link.outgoing(0.0))
+        return drawn
 
     parent, branch = FaultInjection(faults, describe(planned), 1), FaultInjection(faults, describe(planned), 1)
-    told(parent, 0, 21)
+    delays(parent, 0, 21)
     branch.restore(parent.state(), 0)
-    told(branch, 20, 21)  # a branch says the sample at which it stands
-    went = told(parent, 21, LAST + 1)
-    assert told(branch, 21, LAST + 1) == went
-    assert [] in went
-    assert [0.0] in went
+    delays(branch, 20, 21)  # a branch says the sample at which it stands
+    parent_delays = delays(parent, 21, LAST + 1)
+    assert delays(branch, 21, LAST + 1) == parent_delays
+    assert [] in parent_delays
+    assert [0.0] in parent_delays
 
 
 # The link
@@ -380,15 +380,15 @@ def test_lost_samples_are_missing_when_free(episode_bus: Bus) -> None:
     with bus.listen("office") as samples:
         bus.faults("office", faults)
         bus.pace("office", mode="free")
-        came = [next(samples)]
-        while not came[-1].truncated:
-            came.append(next(samples))
+        received = [next(samples)]
+        while not received[-1].truncated:
+            received.append(next(samples))
     expected = LinkFaults(FaultPlan.model_validate(faults), **grid())
     arrive = []
     for step in range(1, LAST + 1):
         expected.move(step)
         arrive += [step] * len(expected.outgoing(0.0))
-    assert [s.step for s in came] == arrive
+    assert [s.step for s in received] == arrive
     assert 20 < LAST - len(arrive) < 40
     bus.faults("office", None)
 
@@ -399,9 +399,9 @@ def test_delayed_samples_come_later_when_paced(episode_bus: Bus) -> None:
     with bus.listen("office") as samples:
         asked_s = time.monotonic()
         bus.pace("office", 90_000.0)  # 10 ms a timestep
-        came = [(next(samples).step, time.monotonic()) for _ in range(20)]
-    assert [step for step, _ in came] == [*range(1, 21)]
-    assert all(now_s >= asked_s + 0.01 * step + 0.4 for step, now_s in came)
+        arrivals = [(next(samples).step, time.monotonic()) for _ in range(20)]
+    assert [step for step, _ in arrivals] == [*range(1, 21)]
+    assert all(now_s >= asked_s + 0.01 * step + 0.4 for step, now_s in arrivals)
 
 
 def test_duplicates_do_not_disturb_a_controller(stage: Stage) -> None:
@@ -415,7 +415,7 @@ def test_duplicates_do_not_disturb_a_controller(stage: Stage) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "warned"),
+    ("settings", "warned"),
     [
         ({}, True),
         ({"deadline_s": 0.5}, True),
@@ -424,11 +424,11 @@ def test_duplicates_do_not_disturb_a_controller(stage: Stage) -> None:
         ({"mode": "free"}, False),
     ],
 )
-def test_plan_that_loses_awaited_messages__warns(scratch: Path, given: dict[str, Any], warned: bool) -> None:
+def test_plan_that_loses_awaited_messages__warns(scratch: Path, settings: dict[str, Any], warned: bool) -> None:
     file = scratch / "faults.yaml"
     file.write_text(yaml.safe_dump({"faults": [{"kind": "loss", "samples": True, "probability": 0.5}]}))
-    said = plan(read_config({**SMALL, "faults": str(file), **given})).warnings
-    assert [("loses messages" in text) for text in said] == [True] * warned
+    warning_texts = plan(read_config({**SMALL, "faults": str(file), **settings})).warnings
+    assert [("loses messages" in text) for text in warning_texts] == [True] * warned
 
 
 @pytest.mark.slow
@@ -455,13 +455,13 @@ def test_lockstep_with_lost_commands_goes_on_by_its_deadline(scratch: Path) -> N
 # Environments
 
 
-def building(folder: Path, **given: Any) -> gym.Env[Any, Any]:
+def building(folder: Path, **settings: Any) -> gym.Env[Any, Any]:
     """The small building for a day."""
     return gym.make(
         "zenostat/Building-v1",
         building="ref-small-office", weather=WEATHER, begin="07-03", end="07-03", steps_per_hour=4,
         actuators={"cooling": ("Zone Temperature Control", "Cooling Setpoint", "Core_ZN")},
-        reward="linear", affinity="off", **given,
+        reward="linear", affinity="off", **settings,
     )  # fmt: skip
 
 

@@ -50,8 +50,8 @@ def _with_other_readings(case: Case) -> dict[str, list[str]]:
         "sun": ("Site Direct Solar Radiation Rate per Area", "Environment"),
         "hvac_power_instant": (selection.HVAC_POWER, "Whole Building", "instant"),
     }
-    found = selection.default_sensors(discovery.discover(read_building(entry), weather))
-    return {name: list(spec) for name, spec in (found | more).items()}
+    defaults = selection.default_sensors(discovery.discover(read_building(entry), weather))
+    return {name: list(spec) for name, spec in (defaults | more).items()}
 
 
 def _both(case: Case, folder: Path) -> Runs:
@@ -97,7 +97,7 @@ def divided(both: Callable[[Case], Runs]) -> Runs:
 
 
 def test_state_and_mean_are_distinguished(divided) -> None:
-    """Where the HVAC needed shorter steps, the state at the end of a timestep is not its mean: neither may be
+    """The state at the end of a timestep is not its mean if the HVAC needed shorter steps: neither may be
     taken for EnergyPlus's report of the other.
     """
     manifest, got, expected = divided

@@ -63,10 +63,10 @@ print("done", flush=True)
 @pytest.mark.parametrize("slots", [1, 2])
 def test_the_child_is_told_and_the_parent_goes_on(slots: int) -> None:
     with Program(PROGRAM, str(slots), json.dumps(SMALL)) as program:
-        said: dict[str, Any] = program.json()
-        assert {said[what][0] for what in ("step", "reset", "snapshot", "nodes", "listen")} == {"BusError"}
-        assert all("this process was forked" in said[what][1] for what in ("step", "reset", "snapshot", "nodes"))
-        assert said["closed"][0] == "EpisodeChanged"
+        outcome: dict[str, Any] = program.json()
+        assert {outcome[what][0] for what in ("step", "reset", "snapshot", "nodes", "listen")} == {"BusError"}
+        assert all("this process was forked" in outcome[what][1] for what in ("step", "reset", "snapshot", "nodes"))
+        assert outcome["closed"][0] == "EpisodeChanged"
         assert program.json() == {"child": 7, "heard": 2}
         assert program.line() == "done"
         assert program.end()[0] == 0

@@ -57,8 +57,8 @@ def test_clients_of_three_protocols_command_a_branch_and_not_its_parent(bus: zen
 
             asyncio.run(command())
             until(lambda: set(commands(bus, branch)) >= {4, 5, 7}, "all three are commanded")
-            found = commands(bus, branch)
-            assert [found[n] for n in (4, 5, 7)] == [26.5, 27.5, 28.5]
+            applied = commands(bus, branch)
+            assert [applied[n] for n in (4, 5, 7)] == [26.5, 27.5, 28.5]
             assert not set(commands(bus, "office")) & {4, 5, 7}
             assert mqtt.end()[0] == 0
             assert 4 not in commands(bus, branch), "it relinquishes its commands in the branch"

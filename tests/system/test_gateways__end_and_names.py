@@ -1,4 +1,4 @@
-"""What gateways of all protocols have in common: their end, and names that only one of them may have."""
+"""Common behavior of gateways of all protocols: their end, and names that only one of them may have."""
 
 from __future__ import annotations
 

@@ -44,11 +44,11 @@ def building() -> Building:
 
 
 @pytest.fixture(scope="module")
-def found(building: Building) -> PointCatalog:
+def catalog(building: Building) -> PointCatalog:
     return discover(building, find_weather(CASE.weather).path)
 
 
-def test_all_that_energyplus_can_report_is_found(building: Building, found: PointCatalog, tmp_path: Path) -> None:
+def test_all_that_energyplus_can_report_is_found(building: Building, catalog: PointCatalog, tmp_path: Path) -> None:
     """The survey has each variable of EnergyPlus's own dictionary (`eplusout.rdd`)."""
     day = date(2017, 1, 1)
     objects = for_episode(building, Period(day, day, 4))
@@ -57,12 +57,12 @@ def test_all_that_energyplus_can_report_is_found(building: Building, found: Poin
     model = json.loads(write(objects, tmp_path).read_text())
     energyplus._run_until_ready(model, str(find_weather(CASE.weather).path), str(tmp_path / "run"))
     names = energyplus._variable_kinds(str(tmp_path / "run" / "eplusout.rdd"))
-    assert {v.name.casefold() for v in found.variables} == {name.casefold() for name in names}
+    assert {v.name.casefold() for v in catalog.variables} == {name.casefold() for name in names}
 
 
-def test_they_have_a_kind_and_a_unit(found: PointCatalog) -> None:
+def test_they_have_a_kind_and_a_unit(catalog: PointCatalog) -> None:
     for name, key in (SYSTEM | ZONE).items():
-        variable = find_variable(found, "x", name, key)
+        variable = find_variable(catalog, "x", name, key)
         assert (variable.system, variable.summed, variable.unit) == (name in SYSTEM, name.endswith("Count"), "1")
         assert default_aggregation(variable) is (Aggregation.SUM if variable.summed else Aggregation.INSTANT)
 

@@ -54,5 +54,5 @@ def test_the_second_does_not_disturb_what_the_first_began() -> None:
         finally:
             node.resume()
         assert program.json() == 1
-        code, _, said = program.end()
-        assert (code, said) == (0, "")
+        code, _, stderr = program.end()
+        assert (code, stderr) == (0, "")

@@ -45,7 +45,7 @@ def kernel(monkeypatch: pytest.MonkeyPatch, scratch: Any) -> Iterator[tuple[Any,
 
 
 def outcome(client: Any, request: str) -> str:
-    """How a cell ended: `ok`, or the name of its exception."""
+    """Return the outcome of a cell: `ok`, or the name of its exception."""
     while True:
         reply = client.get_shell_msg(timeout=90)
         if reply["parent_header"].get("msg_id") == request:

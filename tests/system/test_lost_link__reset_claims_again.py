@@ -25,11 +25,11 @@ pytestmark = pytest.mark.usefixtures("scratch")
 SLOTS = pytest.mark.parametrize("slots", [1, 2])
 
 
-def make(slots: int, **given: Any) -> Any:
-    given["affinity"] = "off"
+def make(slots: int, **arguments: Any) -> Any:
+    arguments["affinity"] = "off"
     if slots == 1:
-        return gym.make("zenostat/Building-v1", **given)
-    return gym.make_vec("zenostat/Building-v1", slots, "vector_entry_point", **given)
+        return gym.make("zenostat/Building-v1", **arguments)
+    return gym.make_vec("zenostat/Building-v1", slots, "vector_entry_point", **arguments)
 
 
 def step_until_lost(env: Any) -> None:
@@ -57,9 +57,9 @@ def steps_again(env: Any) -> None:
 
 
 @contextmanager
-def node_behind_link(folder: Path, **given: Any) -> Iterator[tuple[NodeProgram, CuttableLink, int]]:
+def node_behind_link(folder: Path, **more: Any) -> Iterator[tuple[NodeProgram, CuttableLink, int]]:
     port = free_port()
-    settings = {**SMALL, "listen": [f"tcp/127.0.0.1:{port}"], **given}
+    settings = {**SMALL, "listen": [f"tcp/127.0.0.1:{port}"], **more}
     with NodeProgram(folder / "node", **settings) as node, CuttableLink(port) as link:
         yield node, link, port
 

@@ -1,4 +1,4 @@
-"""What a node holds: within its limit, and no more after many episodes than after a few."""
+"""Memory of a node: within its limit, and no more after many episodes than after a few."""
 
 from __future__ import annotations
 

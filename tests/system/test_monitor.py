@@ -28,14 +28,14 @@ from zenostat.views.live.viewer import web_viewer
 
 def _recorded(path: Path) -> dict[str, dict[int, list[float]]]:
     """Entity to step to vector, as the recording has it."""
-    found: dict[str, dict[int, list[float]]] = defaultdict(dict)
+    series: dict[str, dict[int, list[float]]] = defaultdict(dict)
     for chunk in RrdReader(str(path)).stream():
         if chunk.is_static or "Scalars:scalars" not in (batch := chunk.to_record_batch()).schema.names:
             continue
         rows = batch.to_pydict()
         for step, scalars in zip(rows["step"], rows["Scalars:scalars"], strict=True):
-            found[str(chunk.entity_path)][step] = scalars
-    return found
+            series[str(chunk.entity_path)][step] = scalars
+    return series
 
 
 def _run(endpoint: str, *, reset: bool = False) -> list[np.ndarray]:
@@ -71,15 +71,19 @@ def _to_the_stop(
     subscriber: zenoh.Subscriber, of: Callable[[zenoh.Sample], list[tuple[str, bytes]]]
 ) -> list[tuple[str, bytes]]:
     """Topics and payloads up to the event that the node has stopped, which may come after the node's end."""
-    found: list[tuple[str, bytes]] = []
+    received: list[tuple[str, bytes]] = []
 
     def stopped() -> bool:
         for message in iter(subscriber.try_recv, None):
-            found.extend(of(message))
-        return bool(found) and found[-1][0] == "event" and codec.decode(Event, found[-1][1]).kind is EventKind.STOPPED
+            received.extend(of(message))
+        return (
+            bool(received)
+            and received[-1][0] == "event"
+            and codec.decode(Event, received[-1][1]).kind is EventKind.STOPPED
+        )
 
     until(stopped, "it is told that the node has stopped")
-    return found
+    return received
 
 
 def test_batches_have_all_that_was_streamed_in_the_order_sent(scratch):
@@ -92,17 +96,17 @@ def test_batches_have_all_that_was_streamed_in_the_order_sent(scratch):
         with zenostat.connect(node.endpoint, affinity="off") as bus:
             bus.stop("office")
         assert node.process.wait(30) == 0
-        heard = _to_the_stop(one_by_one, lambda m: [(str(m.key_expr).rpartition("/")[2], m.payload.to_bytes())])
-        came: list[Batch] = []
+        streamed = _to_the_stop(one_by_one, lambda m: [(str(m.key_expr).rpartition("/")[2], m.payload.to_bytes())])
+        arrived: list[Batch] = []
 
         def unpacked(message: zenoh.Sample) -> list[tuple[str, bytes]]:
-            came.append(codec.decode(Batch, message.payload.to_bytes(), str(message.encoding)))
-            return [(sent.topic, sent.payload) for sent in came[-1].messages]
+            arrived.append(codec.decode(Batch, message.payload.to_bytes(), str(message.encoding)))
+            return [(sent.topic, sent.payload) for sent in arrived[-1].messages]
 
         gathered = _to_the_stop(batches, unpacked)
-    assert gathered == heard
-    assert [topic for topic, _ in heard].count("sample") == 96 + 97  # the first one was there before
-    assert len(came) < len(heard) / 4
+    assert gathered == streamed
+    assert [topic for topic, _ in streamed].count("sample") == 96 + 97  # the first one was there before
+    assert len(arrived) < len(streamed) / 4
 
 
 def test_late_monitor_has_the_episode_from_its_beginning(scratch, shared_node, episode_bus):
@@ -195,11 +199,11 @@ def test_a_monitor_may_come_before_its_node(scratch):
         with NodeProgram(scratch / "node", **SMALL, listen=[endpoint]):
             assert "connected" in monitor.stdout.readline()
             assert len(_run(endpoint)) == 97
-        said, _ = monitor.communicate(timeout=60)
+        output, _ = monitor.communicate(timeout=60)
     finally:
         monitor.kill()
         monitor.wait()
-    assert "0 missed" in said
+    assert "0 missed" in output
 
 
 @pytest.mark.slow
@@ -214,9 +218,9 @@ def test_a_node_that_starts_again_is_recorded_from_its_beginning(scratch):
         RerunStream(session, "office", [rr.FileSink(str(path))]) as stream,
     ):
         for life, sensors in enumerate((outdoors, core | outdoors, core), 1):
-            given = SMALL | {"sensors": sensors, "meters": {}, "reward": None}
+            settings = SMALL | {"sensors": sensors, "meters": {}, "reward": None}
             own, before = f"tcp/127.0.0.1:{free_port()}", 97 * (life - 1)
-            with NodeProgram(scratch / f"n{life}", **given, listen=[own], connect=[endpoint]):
+            with NodeProgram(scratch / f"n{life}", **settings, listen=[own], connect=[endpoint]):
                 _pump_until(stream, before + 1)  # it stands at sample 0 until somebody answers
                 _run(own)
                 _pump_until(stream, before + 97)
@@ -224,8 +228,8 @@ def test_a_node_that_starts_again_is_recorded_from_its_beginning(scratch):
 
 
 def _pump_until(stream: RerunStream, samples: int) -> None:
-    def there() -> bool:
+    def has_samples() -> bool:
         stream.pump()
         return stream.samples >= samples
 
-    until(there, f"{samples} samples have come")
+    until(has_samples, f"{samples} samples have come")

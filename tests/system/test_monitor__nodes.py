@@ -37,11 +37,11 @@ class Tank:
 
 
 def _pump_until(stream: RerunStream, holds: Callable[[], object], what: str) -> None:
-    def there() -> object:
+    def is_reached() -> object:
         stream.pump()
         return holds()
 
-    until(there, what)
+    until(is_reached, what)
 
 
 def test_zone_colors_and_overview_of_an_office_beside_a_tank(scratch, shared_node, episode_bus, capsys):

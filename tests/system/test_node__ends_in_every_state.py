@@ -31,8 +31,8 @@ NOISE: dict[str, Any] = {
     **{key: SMALL[key] for key in ("begin", "end", "steps_per_hour")},
 }
 NEVER: dict[str, Any] = {"unresponsive_s": 1e6}
-Tell = Callable[[NodeProgram, zenostat.Bus], None]
-TOLD: dict[str, Tell] = {
+Shutdown = Callable[[NodeProgram, zenostat.Bus], None]
+SHUTDOWNS: dict[str, Shutdown] = {
     "SIGTERM": lambda node, _: os.kill(node.pid, signal.SIGTERM),
     "SIGINT": lambda node, _: os.kill(node.pid, signal.SIGINT),
     "stop": lambda node, bus: quietly(lambda: bus.stop("office")),
@@ -42,14 +42,14 @@ TOLD: dict[str, Tell] = {
 
 
 def quietly(do: Callable[[], Any]) -> None:
-    """Does something that may well be cut short."""
+    """Call a function that may well be cut short."""
     with suppress(ZenostatError):
         do()
 
 
 @contextmanager
 def beside(do: Callable[[], Any]) -> Iterator[None]:
-    """Does something in another thread, that may be cut short as well."""
+    """Call a function in another thread; it may be cut short as well."""
     thread = threading.Thread(target=quietly, args=(do,))
     thread.start()
     try:
@@ -82,8 +82,8 @@ def ends(node: NodeProgram, engines: list[psutil.Process]) -> None:
 
 
 @pytest.mark.variants
-@pytest.mark.parametrize("told", TOLD)
-def test_while_a_reset_forks_an_engine_that_does_not_answer(folder: Path, told: str) -> None:
+@pytest.mark.parametrize("shutdown", SHUTDOWNS)
+def test_while_a_reset_forks_an_engine_that_does_not_answer(folder: Path, shutdown: str) -> None:
     with office(folder, **SMALL) as (node, bus):
         bus.reset("office", Reset(controller=""))
         with bus.controller("office", name="mine") as link:
@@ -92,13 +92,13 @@ def test_while_a_reset_forks_an_engine_that_does_not_answer(folder: Path, told: 
             engines = freeze(node)
             with beside(lambda: bus.reset("office", Reset(controller=""))):
                 until(lambda: bus.status("office").state is State.STARTING, "the node forks an engine")
-                with beside(lambda: TOLD[told](node, bus)):
+                with beside(lambda: SHUTDOWNS[shutdown](node, bus)):
                     ends(node, engines)
 
 
 @pytest.mark.variants
-@pytest.mark.parametrize("told", ["SIGTERM", "stop"])
-def test_while_an_engine_starts_that_does_not_answer(folder: Path, told: str) -> None:
+@pytest.mark.parametrize("shutdown", ["SIGTERM", "stop"])
+def test_while_an_engine_starts_that_does_not_answer(folder: Path, shutdown: str) -> None:
     """Another seed, and so another weather: the engine is started anew, and the one of the next episode after it."""
     with office(folder, **NOISE) as (node, bus):
         before = {engine.pid for engine in engines_of(node.pid)}
@@ -107,7 +107,7 @@ def test_while_an_engine_starts_that_does_not_answer(folder: Path, told: str) ->
         for engine in new:
             engine.suspend()
         assert bus.status("office").state is State.STARTING
-        with beside(lambda: TOLD[told](node, bus)):
+        with beside(lambda: SHUTDOWNS[shutdown](node, bus)):
             ends(node, new)
 
 
@@ -157,11 +157,11 @@ def test_while_a_model_is_surveyed(folder: Path, monkeypatch: pytest.MonkeyPatch
                 if "zenostat.models.energyplus" in " ".join(c.cmdline()) and c.cpu_times().user > 0.05
             ]
 
-        found = until(surveys, "a model is converted or surveyed")
-        found[0].suspend()
+        surveying = until(surveys, "a model is converted or surveyed")
+        surveying[0].suspend()
         program.process.send_signal(signal.SIGTERM)
         program.process.wait(timeout=ENDS_WITHIN_S)
-        until(lambda: not runs(found[0]), "the survey has ended")
+        until(lambda: not runs(surveying[0]), "the survey has ended")
 
 
 # Killed

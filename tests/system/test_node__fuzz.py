@@ -169,8 +169,8 @@ with open_session(connect=[endpoint]) as session:
 
 def until_quiet(session: zenoh.Session) -> None:
     """Returns once nothing more comes of what a stranger has said in the node's name, which is still on its way."""
-    with session.declare_subscriber(keys.stream("office"), RingChannel(1)) as heard:
-        until(lambda: time.sleep(0.5) or heard.try_recv() is None, "nobody speaks in the node's name any more")
+    with session.declare_subscriber(keys.stream("office"), RingChannel(1)) as stream:
+        until(lambda: time.sleep(0.5) or stream.try_recv() is None, "nobody speaks in the node's name any more")
 
 
 @contextmanager
@@ -199,10 +199,10 @@ def test_malformed_messages__change_nothing(scratch: Path, seconds: float) -> No
                     fuzzer.tell()
                     assert values_of_day(link) == quiet
                     warm = warm or size(node.pid)
-            told = [codec.decode(Event, e.payload.to_bytes()) for e in iter(events.try_recv, None)]
+            published = [codec.decode(Event, e.payload.to_bytes()) for e in iter(events.try_recv, None)]
             status = bus.status("office")  # after them: what is told has been counted
             assert status.rejected > 20
-            refusals = [event for event in told if event.kind is EventKind.REJECTED]
+            refusals = [event for event in published if event.kind is EventKind.REJECTED]
             assert any("not msgpack" in event.text for event in refusals)
             assert len(refusals) <= status.rejected
         until(lambda: size(node.pid)[0] <= warm[0] + 5, "descriptors are given back")

@@ -58,8 +58,8 @@ def test_a_million_timesteps_do_not_drift(speed: float) -> None:
 def test_an_overrun_is_a_sample_that_came_after_the_next_one_was_due() -> None:
     pace = StepSchedule(STEP_S, 900.0)  # a timestep a second
     pace.rebase(100.0, 0)
-    came = {1: 101.0, 2: 103.0, 3: 104.5, 4: 106.25, 5: 106.5, 6: 106.75}
-    late = [step for step, now_s in came.items() if pace.record_sample(now_s, step)]
+    times = {1: 101.0, 2: 103.0, 3: 104.5, 4: 106.25, 5: 106.5, 6: 106.75}
+    late = [step for step, now_s in times.items() if pace.record_sample(now_s, step)]
     # due: 101, 102, 103, 104, 105, 106; the next of each a second later
     assert late == [3, 4, 5]
     assert pace.overruns == 3
@@ -136,12 +136,12 @@ def test_no_pace_on_the_command_line() -> None:
 
 def arrivals(samples: Iterator[SampleView], steps: int) -> list[tuple[int, float]]:
     """So many samples: the step of each, and when it came by the clock that all processes share."""
-    found = []
+    received = []
     for sample in samples:
-        found.append((sample.step, time.monotonic()))
-        if len(found) == steps:
+        received.append((sample.step, time.monotonic()))
+        if len(received) == steps:
             break
-    return found
+    return received
 
 
 def round_trips(bus: Bus, times: int = 5) -> None:
@@ -157,17 +157,17 @@ def held(link: ControllerLink) -> None:
 
 
 def trajectory(samples: list[Sample]) -> list[tuple[list[int], bytes, bytes]]:
-    """What must agree to the bit."""
+    """Return the parts of messages that must agree to the bit."""
     return [(sample.step, sample.values, sample.effective) for sample in samples]
 
 
 def rest(samples: Iterator[SampleView]) -> list[Sample]:
     """All samples up to the episode's last."""
-    found = []
+    messages = []
     for sample in samples:
-        found.append(sample.message)
+        messages.append(sample.message)
         if sample.truncated:
-            return found
+            return messages
     raise AssertionError("the node is gone")
 
 
@@ -198,20 +198,20 @@ def reference(shared_node: NodeProgram) -> list[Sample]:
     """Samples 1 to the last of a day in lockstep, with one setpoint held."""
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         begin_new_episode(bus)
-        found = []
+        messages = []
         for sample in bus.controller("office"):
-            found.append(sample.message)
+            messages.append(sample.message)
             sample.send({SETPOINT: 27.0})
-        return found[1:]
+        return messages[1:]
 
 
 def test_no_sample_comes_before_it_is_due(bus: Bus) -> None:
     with bus.listen("office") as samples:
         asked_s = time.monotonic()
         bus.pace("office", FAST)
-        came = arrivals(samples, DAY_STEPS)
-    assert [step for step, _ in came] == list(range(1, DAY_STEPS + 1))
-    early = [(step, now_s - asked_s) for step, now_s in came if now_s < asked_s + step * STEP_WALL_S]
+        received = arrivals(samples, DAY_STEPS)
+    assert [step for step, _ in received] == list(range(1, DAY_STEPS + 1))
+    early = [(step, now_s - asked_s) for step, now_s in received if now_s < asked_s + step * STEP_WALL_S]
     assert early == []
     status = until(lambda: (s := bus.status("office")).state == "ended" and s, "the episode has ended")
     assert (status.mode, status.speed) == (Mode.PACED, FAST)
@@ -233,10 +233,10 @@ def test_paced_node__holds_the_last_command(bus: Bus, reference: list[Sample]) -
         held(link)
         with bus.listen("office") as samples:
             bus.pace("office", 10 * FAST)
-            came = rest(samples)
+            messages = rest(samples)
         index = [a.name for a in link.manifest.actuators].index(SETPOINT)
-        assert all(sample.sources[np.frombuffer(sample.source_index, "<u2")[index]] == link.name for sample in came)
-    assert trajectory(came) == trajectory(reference[1:])
+        assert all(sample.sources[np.frombuffer(sample.source_index, "<u2")[index]] == link.name for sample in messages)
+    assert trajectory(messages) == trajectory(reference[1:])
 
 
 @pytest.mark.slow
@@ -246,8 +246,8 @@ def test_an_impossible_speed_is_counted_and_loses_nothing(scratch: Path, referen
             held(link)
             with bus.listen("office") as samples:
                 bus.pace("office", 1e9)  # 0.9 us a timestep
-                came = rest(samples)
-        assert trajectory(came) == trajectory(reference[1:])
+                messages = rest(samples)
+        assert trajectory(messages) == trajectory(reference[1:])
         until(lambda: bus.status("office").state == "ended", "the episode has ended")
         round_trips(bus, 1)  # by the node's own thread, which has counted by then
         counts = bus.status("office").statistics
@@ -263,8 +263,8 @@ def test_free_node__gives_the_same_trajectory_as_lockstep(bus: Bus, reference: l
         held(link)
         with bus.listen("office") as samples:
             bus.pace("office", mode="free")
-            came = rest(samples)
-    assert trajectory(came) == trajectory(reference[1:])
+            messages = rest(samples)
+    assert trajectory(messages) == trajectory(reference[1:])
     assert bus.status("office").statistics.overruns == overruns
     assert bus.manifest("office").mode is Mode.FREE
 
@@ -301,8 +301,8 @@ def test_a_paused_node_stands_until_it_goes_on(year_bus: Bus, mode: str) -> None
         assert bus.status("office").step == [status.step[0] + 4]
         assert bus.status("office").statistics.overruns == overruns  # a step by hand has no schedule
         bus.resume("office")
-        came = arrivals(samples, 6)
-    assert [step for step, _ in came] == [status.step[0] + k for k in range(1, 7)]
+        received = arrivals(samples, 6)
+    assert [step for step, _ in received] == [status.step[0] + k for k in range(1, 7)]
     assert not bus.status("office").paused
 
 
@@ -365,10 +365,10 @@ def test_a_resumed_node_does_not_catch_up(bus: Bus) -> None:
         assert bus.status("office").step == [standing]
         asked_s = time.monotonic()
         bus.resume("office")
-        came = [(step, now_s) for step, now_s in arrivals(samples, standing + 14) if step > standing]
-    assert len(came) >= 10
+        received = [(step, now_s) for step, now_s in arrivals(samples, standing + 14) if step > standing]
+    assert len(received) >= 10
     # What was left of the timestep in which it was paused may be short; each after it has its length.
-    early = [step for step, now_s in came if now_s < asked_s + (step - standing - 1) * STEP_WALL_S]
+    early = [step for step, now_s in received if now_s < asked_s + (step - standing - 1) * STEP_WALL_S]
     assert early == []
 
 
@@ -379,8 +379,8 @@ def test_the_pace_changes_while_it_runs(bus: Bus) -> None:
         assert bus.status("office").step == [0]
         asked_s = time.monotonic()
         bus.pace("office", FAST)
-        came = arrivals(samples, 10)
-        assert all(now_s >= asked_s + (step - 1) * STEP_WALL_S for step, now_s in came)
+        received = arrivals(samples, 10)
+        assert all(now_s >= asked_s + (step - 1) * STEP_WALL_S for step, now_s in received)
         bus.pace("office", mode=Mode.LOCKSTEP)
         standing = bus.status("office").step
         round_trips(bus)
@@ -429,10 +429,10 @@ def test_node__publishes_its_changes_of_pace(bus: Bus) -> None:
         bus.pace("office", 60)
         bus.step("office", 1)
         bus.resume("office")
-        heard = [codec.decode(Event, events.recv().payload.to_bytes()) for _ in range(4)]
-    assert {event.kind for event in heard} == {EventKind.PACE}
-    assert [event.text for event in heard] == ["paused", "60 times the wall clock", "steps left: 1", "resumed"]
-    assert heard[0].source == "me"
+        received = [codec.decode(Event, events.recv().payload.to_bytes()) for _ in range(4)]
+    assert {event.kind for event in received} == {EventKind.PACE}
+    assert [event.text for event in received] == ["paused", "60 times the wall clock", "steps left: 1", "resumed"]
+    assert received[0].source == "me"
 
 
 @pytest.mark.parametrize(
@@ -517,21 +517,21 @@ def test_paced_node__reports_its_overruns_at_the_end(scratch: Path) -> None:
     options += ["--name", "office", "--listen", endpoint, "--affinity", "off", "--steps-per-hour", "4"]
     program = subprocess.Popen([*ZENOSTAT, "node", *options], stdout=subprocess.PIPE, text=True, cwd=scratch)
     try:
-        said = program.stdout.readline()
-        while "Ctrl-C" not in said:
-            said += program.stdout.readline()
+        output = program.stdout.readline()
+        while "Ctrl-C" not in output:
+            output += program.stdout.readline()
         with zenostat.connect(endpoint, affinity="off") as bus:
             until(lambda: bus.status("office").state == "ended", "the day is over")
             assert bus.status("office").faults == ["drop 1"]
             assert bus.manifest("office").faults_injected
     finally:
         program.send_signal(signal.SIGINT)
-        said, _ = program.communicate(timeout=60)
+        output, _ = program.communicate(timeout=60)
     assert program.returncode == 0
-    said = " ".join(said.split())
-    assert re.search(r"step │ 96 │ +[\d.e+]+", said)
+    output = " ".join(output.split())
+    assert re.search(r"step │ 96 │ +[\d.e+]+", output)
     counts = r"0 late, 0 rejected, 0 duplicate, 0 rate limited, 0 missed, 96 overruns \(at most [\d.]+ s behind"
-    assert re.search(counts, said)
+    assert re.search(counts, output)
 
 
 # A gateway

@@ -158,16 +158,16 @@ def own(module_folder: Path, tank: Path) -> Iterator[BuildingEnv]:
         patch.setenv("TMPDIR", str(module_folder))
         patch.setattr("tempfile.tempdir", None)
         with nothing_left(module_folder):
-            yield from made(f"{tank}:Tank")
+            yield from plant_env(f"{tank}:Tank")
 
 
 @pytest.fixture(scope="module")
 def forkable(own: BuildingEnv, tank: Path) -> Iterator[BuildingEnv]:
     """One whose plant is copied by a fork."""
-    yield from made(f"{tank}:Forkable")
+    yield from plant_env(f"{tank}:Forkable")
 
 
-def made(plant: str, **settings: Any) -> Iterator[BuildingEnv]:
+def plant_env(plant: str, **settings: Any) -> Iterator[BuildingEnv]:
     with gym.make("zenostat/Plant-v1", plant=plant, reward=None, affinity="off", **SOON | settings) as env:
         yield env.unwrapped
 
@@ -177,7 +177,7 @@ def action(heater: float = 0.0, valve: float = 0.25, deed: str = "") -> NDArray[
 
 
 def trajectory(env: BuildingEnv, steps: int = 10) -> list[bytes]:
-    """What the tank measures in some timesteps from here, with commands that depend on the step only."""
+    """Return the tank's measurements in the next timesteps, with commands that depend on the step only."""
     seen = []
     for _ in range(steps):
         step = env.sample.step
@@ -187,7 +187,7 @@ def trajectory(env: BuildingEnv, steps: int = 10) -> list[bytes]:
 
 
 def calculated(seed: int, steps: int, loss: float = 0.125) -> list[bytes]:
-    """The same without the product: the tank's own equations."""
+    """Return the tank's trajectory by its own equations, without the product."""
     draws = random.Random(seed)
     draws.random()
     temperature, seen = 20.0, []
@@ -336,7 +336,7 @@ def test_a_plant_that_computes_for_long_is_left_alone(own: BuildingEnv) -> None:
 def test_what_a_class_prints_appears_at_once_in_the_nodes_standard_error(
     own: BuildingEnv, capfd: pytest.CaptureFixture[str], tank: Path
 ) -> None:
-    for env in made(f"{tank}:Tank"):  # its standard error is the one that is captured here
+    for env in plant_env(f"{tank}:Tank"):  # its standard error is the one that is captured here
         env.reset(seed=1)
         env.step(action(deed="print"))
         seen = [""]
@@ -512,7 +512,7 @@ def stop(node: NodeProgram) -> None:
         bus.stop(node.name)
 
 
-TOLD: dict[str, Callable[[NodeProgram], object]] = {
+SHUTDOWNS: dict[str, Callable[[NodeProgram], object]] = {
     "SIGTERM": lambda node: node.process.send_signal(signal.SIGTERM),
     "SIGINT": lambda node: node.process.send_signal(signal.SIGINT),
     "stop": stop,
@@ -561,8 +561,8 @@ class Slow:
 
 
 @pytest.mark.variants
-@pytest.mark.parametrize(("deed", "told"), [("hang", "SIGTERM"), ("hang", "stop"), ("compute for ever", "SIGINT")])
-def test_a_node_ends_while_its_plant_steps(scratch: Path, tank: Path, told: str, deed: str) -> None:
+@pytest.mark.parametrize(("deed", "shutdown"), [("hang", "SIGTERM"), ("hang", "stop"), ("compute for ever", "SIGINT")])
+def test_a_node_ends_while_its_plant_steps(scratch: Path, tank: Path, shutdown: str, deed: str) -> None:
     with (
         NodeProgram(scratch / "node", plant=f"{tank}:Tank", slots=2, name="tank", **NEVER) as node,
         zenostat.connect(node.endpoint, affinity="off") as bus,
@@ -570,5 +570,5 @@ def test_a_node_ends_while_its_plant_steps(scratch: Path, tank: Path, told: str,
     ):
         link.current().send({"deed": float(DEEDS.index(deed))})
         until(lambda: bus.status("tank").state is State.RUNNING, "it steps")
-        TOLD[told](node)
+        SHUTDOWNS[shutdown](node)
         assert node.process.wait(ENDS_WITHIN_S) == 0

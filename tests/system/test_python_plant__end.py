@@ -97,11 +97,11 @@ def controlled(folder: Path, name: str, **settings: Any) -> Iterator[tuple[NodeP
 
 def children(folder: Path) -> list[psutil.Process]:
     """All processes that instances have started and that run."""
-    found = []
+    processes = []
     for path in folder.glob("child-*"):
         with suppress(psutil.NoSuchProcess):
-            found.append(psutil.Process(int(path.name.partition("-")[2])))
-    return [process for process in found if runs(process)]
+            processes.append(psutil.Process(int(path.name.partition("-")[2])))
+    return [process for process in processes if runs(process)]
 
 
 def instances(folder: Path, event: str) -> int:

@@ -58,7 +58,7 @@ def watched(module_scratch: Path) -> Any:
 
 
 def logged(path: Path) -> tuple[dict[tuple[str, str], dict[int, Any]], dict[tuple[str, str], Any]]:
-    """What a Rerun recording has: by entity and component, the value at each step, and the static ones."""
+    """Contents of a Rerun recording: by entity and component, the value at each step, and the static ones."""
     moving: dict[tuple[str, str], dict[int, Any]] = defaultdict(dict)
     static = {}
     for chunk in RrdReader(str(path)).stream():
@@ -95,20 +95,20 @@ def test_the_rerun_recording_is_what_the_monitor_saved(watched: Any, scratch: Pa
 
 def read(path: Path) -> dict[str, list[Any]]:
     """By topic: schema's name, channel's metadata, times and decoded message of each message."""
-    found = defaultdict(list)
+    messages = defaultdict(list)
     with path.open("rb") as file:
         for schema, channel, message, decoded in make_reader(
             file, decoder_factories=[DecoderFactory()]
         ).iter_decoded_messages(log_time_order=False):
-            found[channel.topic].append((schema, channel, message, decoded))
-    return found
+            messages[channel.topic].append((schema, channel, message, decoded))
+    return messages
 
 
 def test_each_sample_is_a_protobuf_message_with_named_fields(watched: Any, scratch: Path) -> None:
     target = scratch / "run.plot.mcap"
     result = run("export", str(watched.path), "--to", "mcap", "--out", str(target))
     assert result.returncode == 0, result.stderr
-    found, loaded = read(target), recording.load(watched.path)
+    messages, loaded = read(target), recording.load(watched.path)
     epoch = np.datetime64(0, "ns")
     previous = 0
     with target.open("rb") as file:
@@ -128,7 +128,7 @@ def test_each_sample_is_a_protobuf_message_with_named_fields(watched: Any, scrat
             "baseline_effective": (episode.actuators, episode.baseline_effective),
         }
         for topic, (fields, table) in tables.items():
-            rows = found[f"{root}/{topic}"]
+            rows = messages[f"{root}/{topic}"]
             decoded = np.array([[getattr(row[3], name) for name in fields] for row in rows])
             assert decoded.tobytes() == np.ascontiguousarray(table).tobytes(), topic
             assert all(row[3].HasField(name) for row in rows for name in fields)  # zeros are written as well
@@ -138,12 +138,12 @@ def test_each_sample_is_a_protobuf_message_with_named_fields(watched: Any, scrat
             assert [row[3].timestamp.ToNanoseconds() for row in rows] == [row[2].log_time for row in rows]
             walls = [epoch + np.timedelta64(row[3].wall_time.ToNanoseconds(), "ns") for row in rows]
             assert walls == list(episode.wall_time)
-        sources = [getattr(row[3], SETPOINT) for row in found[f"{root}/sources"]]
+        sources = [getattr(row[3], SETPOINT) for row in messages[f"{root}/sources"]]
         assert sources == episode.value_source(SETPOINT).tolist()
-    schema, channel, *_ = found["/office/episode_0001/slot_0/points"][0]
+    schema, channel, *_ = messages["/office/episode_0001/slot_0/points"][0]
     assert (schema.name, schema.encoding, channel.message_encoding) == ("zenostat.Points", "protobuf", "protobuf")
     assert channel.metadata[f"unit.{CORE}"] == units[CORE] == "degC"
-    events = found["/office/episode_0001/slot_0/events"]
+    events = messages["/office/episode_0001/slot_0/events"]
     assert events[0][0].name == "foxglove.Log"
     (write,) = [row for row in events if row[3].message.startswith("written")]
     assert (write[3].name, write[3].level) == ("plc7", 2)

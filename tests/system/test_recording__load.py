@@ -1,4 +1,4 @@
-"""What a recording contains is what a client on the bus saw: arrays, tables, the log, and the replay."""
+"""Contents of a recording, equal to what a client on the bus received: arrays, tables, the log, and the replay."""
 
 from __future__ import annotations
 
@@ -146,14 +146,14 @@ def test_the_log_has_senders_times_and_results(seen: Any) -> None:
 
 
 def test_the_log_command_selects_by_source(seen: Any) -> None:
-    said = run("log", str(seen.path), "--source", "plc7")
-    assert said.returncode == 0
-    assert len(said.stdout.splitlines()) == 1 + 3
+    done = run("log", str(seen.path), "--source", "plc7")
+    assert done.returncode == 0
+    assert len(done.stdout.splitlines()) == 1 + 3
     fields = json.loads(run("log", str(seen.path), "--source", "plc*", "--rejected", "--json").stdout)
     assert [f["source"] for f in fields] == ["plc8", "plc7"]
-    said = run("log", str(seen.path), "--source", "plc9")
-    assert said.returncode != 0
-    assert "did you mean" in said.stderr
+    done = run("log", str(seen.path), "--source", "plc9")
+    assert done.returncode != 0
+    assert "did you mean" in done.stderr
 
 
 def test_the_tables_have_exact_numbers(seen: Any, folder: Path) -> None:
@@ -172,12 +172,12 @@ def test_the_tables_have_exact_numbers(seen: Any, folder: Path) -> None:
     assert [row[f"{SETPOINT}.source"] for row in rows[1:32]] == seen.sources[:31]
     assert table[f"{SETPOINT}.source"].to_pylist() == [row[f"{SETPOINT}.source"] for row in rows]
     assert rows[1]["time"].startswith("2017-07-03T00:00:00")
-    said = run("export", str(seen.path), "--out", str(folder / "missing" / "run.parquet"))
-    assert "there is no folder" in said.stderr
+    done = run("export", str(seen.path), "--out", str(folder / "missing" / "run.parquet"))
+    assert "there is no folder" in done.stderr
 
 
 class Frame(dict[str, Any]):
-    """What is used of `pandas.DataFrame`."""
+    """Part of `pandas.DataFrame` that is used."""
 
     def set_index(self, name: str) -> tuple[Any, dict[str, Any]]:
         return self[name], {key: value for key, value in self.items() if key != name}
@@ -275,12 +275,12 @@ def test_a_part_is_replayed_under_another_name_at_its_pace(seen: Any, session: t
 
 def test_the_replay_command(seen: Any, folder: Path) -> None:
     endpoint = f"unixsock-stream/{folder}/bus"
-    said = run("replay", str(seen.path), "--speed", "1e9", "--listen", endpoint, "--name", "again")
-    assert said.returncode == 0, said.stderr
-    assert "again: replayed 38 samples" in said.stdout
-    said = run("replay", str(seen.path), "--from", "soon", "--listen", endpoint)
-    assert said.returncode != 0
-    assert "--from soon: expected a date and time" in said.stderr
+    done = run("replay", str(seen.path), "--speed", "1e9", "--listen", endpoint, "--name", "again")
+    assert done.returncode == 0, done.stderr
+    assert "again: replayed 38 samples" in done.stdout
+    done = run("replay", str(seen.path), "--from", "soon", "--listen", endpoint)
+    assert done.returncode != 0
+    assert "--from soon: expected a date and time" in done.stderr
 
 
 def test_loading_warns_of_nothing_where_nothing_is_wrong(seen: Any) -> None:

@@ -168,20 +168,20 @@ def test_what_was_changed_is_named(walk: Path, name: str) -> None:
 @pytest.mark.slow
 def test_the_command_says_identical_or_the_first_difference(walk: Path) -> None:
     plant = ("--plant", plant_of(walk))
-    said = run("verify", str(walk), *plant)
-    assert (said.returncode, said.stdout.splitlines()[-1]) == (0, "identical: 16 steps, 2 points, 1 actuators")
+    done = run("verify", str(walk), *plant)
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "identical: 16 steps, 2 points, 1 actuators")
     change = Change("Sample", lambda s: {"values": shifted(s["values"], PLACE, next_up)})
     changed = rewrite(walk, walk.with_name("changed.mcap"), change)
-    said = run("verify", str(changed), *plant, "--json")
-    fields = json.loads(said.stdout)
-    assert said.returncode == 1
+    done = run("verify", str(changed), *plant, "--json")
+    fields = json.loads(done.stdout)
+    assert done.returncode == 1
     assert (fields["passed"], fields["difference"]["point"], fields["difference"]["step"]) == (False, "place", 4)
-    said = run("verify", str(changed), *plant, "--tolerance", "1e-6")
-    assert said.returncode == 0
-    assert "all are within 1e-06" in said.stdout
-    said = run("verify", str(changed), *plant, "--tolerance", "0")
-    assert said.returncode == 1
-    assert "place" in said.stdout
+    done = run("verify", str(changed), *plant, "--tolerance", "1e-6")
+    assert done.returncode == 0
+    assert "all are within 1e-06" in done.stdout
+    done = run("verify", str(changed), *plant, "--tolerance", "0")
+    assert done.returncode == 1
+    assert "place" in done.stdout
 
 
 @pytest.mark.slow

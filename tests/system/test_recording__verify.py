@@ -159,10 +159,10 @@ def test_what_is_not_here_is_named_before_anything_is_simulated(eventful: Path, 
         path = rewrite(eventful, scratch / f"{number}.mcap", provenance={**provenance, **changes})
         with pytest.raises(InvalidRecording, match=text):
             verify(path)
-        said = run("verify", str(path), columns=500)
-        assert said.returncode != 0
-        assert "Traceback" not in said.stderr
-        assert len(said.stderr.strip().splitlines()) == 1
+        done = run("verify", str(path), columns=500)
+        assert done.returncode != 0
+        assert "Traceback" not in done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1
         assert len(load(path).episodes) == len(load(eventful).episodes)  # what can be read is read
 
 
@@ -191,9 +191,9 @@ def test_a_changed_model_is_a_regression_test(scratch: Path) -> None:
     assert result.difference is None
     assert result.greatest["outdoor_temperature"] == 0.0
     assert result.greatest["core_zn_air_temperature"] > 0.01
-    said = run("verify", str(path), "--tolerance", "0.01")
-    assert said.returncode == 1
-    assert "core_zn_air_temperature" in said.stdout
+    done = run("verify", str(path), "--tolerance", "0.01")
+    assert done.returncode == 1
+    assert "core_zn_air_temperature" in done.stdout
     assert run("verify", str(path), "--tolerance", "1e12").returncode == 0
     model.unlink()
     with pytest.raises(InvalidRecording, match=r"cannot be simulated here: no building file at .*office\.idf"):
@@ -334,18 +334,18 @@ def test_a_recording_that_cannot_begin_is_an_error_before_anything_starts(scratc
 
 def test_the_record_command_starts_and_ends_a_recording(shared_node: NodeProgram, scratch: Path) -> None:
     path, at = scratch / "command.mcap", ("--connect", shared_node.endpoint)
-    said = run("record", "office", "--out", str(path), "--now", *at)
-    assert said.stdout == f"office: recording to {path}\n"
-    said = run("status", *at, columns=300)
-    assert f"recording to {path}" in said.stdout
-    said = run("record", "office", "--stop", *at)
-    assert f"to {path}" in said.stdout
+    done = run("record", "office", "--out", str(path), "--now", *at)
+    assert done.stdout == f"office: recording to {path}\n"
+    done = run("status", *at, columns=300)
+    assert f"recording to {path}" in done.stdout
+    done = run("record", "office", "--stop", *at)
+    assert f"to {path}" in done.stdout
     with RecordingReader(path) as reader:
         assert list(reader.messages())
         assert reader.end.is_complete
-    said = run("record", "office", "--out", str(path), *at)
-    assert said.returncode != 0
-    assert "exists; choose another name" in said.stderr
+    done = run("record", "office", "--out", str(path), *at)
+    assert done.returncode != 0
+    assert "exists; choose another name" in done.stderr
     assert run("record", "office", "--out", str(path), "--overwrite", *at).returncode == 0
     assert run("record", "office", "--stop", *at).returncode == 0  # armed, not begun
     for words in ((), ("--out", str(path), "--stop")):

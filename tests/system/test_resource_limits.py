@@ -17,7 +17,7 @@ from zenostat.topics.errors import BusError
 
 
 class PanicException(BaseException):
-    """As pyo3 has it: no `Exception`."""
+    """Error of pyo3, which is no `Exception`."""
 
 
 @pytest.fixture

@@ -64,7 +64,7 @@ with zenostat.connect(sys.argv[1], keys=keys, affinity="off") as bus:
 
 @dataclass(frozen=True)
 class Place:
-    """Where a router listens to nodes and to controllers, and what a program is started with to be at either side."""
+    """Endpoints of a router for nodes and for controllers, and arguments of a program at either side."""
 
     to_nodes: str
     to_controllers: str
@@ -82,10 +82,10 @@ class FarNode(NodeProgram):
     """A node that only connects, perhaps in a namespace of its own."""
 
     def __init__(self, folder: Path, place: Place, **settings: Any) -> None:
-        given: dict[str, Any] = {"listen": [], "connect": [place.to_nodes], **SMALL, **settings}
+        arguments: dict[str, Any] = {"listen": [], "connect": [place.to_nodes], **SMALL, **settings}
         if place.keys:
-            given["keys"] = str(place.keys)
-        super().__init__(folder, before=place.at_node, **given)
+            arguments["keys"] = str(place.keys)
+        super().__init__(folder, before=place.at_node, **arguments)
         self.endpoint = place.to_controllers
 
 
@@ -199,19 +199,19 @@ def test_a_day_through_a_router(place: Place, scratch: Path) -> None:
     exposed = ["--expose"] * bool(place.at_router)
     with router(place, *exposed), FarNode(scratch / "node", place) as node, far_controller(place) as far:
 
-        def said() -> dict[str, Any]:
+        def next_line() -> dict[str, Any]:
             return json.loads(far.stdout.readline())
 
-        assert said() == {"nodes": ["office"]}
-        assert said() == {"state": "waiting", "step": [0]}
-        here = said()
-        assert here["controllers"] == [["office", here["name"]]]
-        day = said()
+        assert next_line() == {"nodes": ["office"]}
+        assert next_line() == {"state": "waiting", "step": [0]}
+        joined = next_line()
+        assert joined["controllers"] == [["office", joined["name"]]]
+        day = next_line()
         assert (day["heard"], day["step"], day["accepted"]) == (97, 96, 96)
         with pytest.raises(NameInUse, match="a node named 'office' is on this bus already"):
             FarNode(scratch / "second", place)
         node.kill()
-        lost = said()
+        lost = next_line()
         assert "node 'office' is gone" in lost["lost"]
         assert lost["nodes"] == []
         assert far.wait() == 0
@@ -219,7 +219,7 @@ def test_a_day_through_a_router(place: Place, scratch: Path) -> None:
 
 
 def straight(folder: Path) -> list[float]:
-    """The same day with no router between."""
+    """Day without a router."""
     with NodeProgram(folder / "straight", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
         link, values = bus.controller("office"), []
         sample = link.reset()
@@ -235,7 +235,7 @@ def test_two_machines_that_only_the_router_joins(scratch: Path) -> None:
     try:
         with machines() as at:
             reach = "import socket, sys; socket.create_connection((sys.argv[1], 1), 1)"
-            said = {
+            outputs = {
                 host: subprocess.run(
                     [*at["controller"], sys.executable, "-c", reach, host], capture_output=True, text=True
                 ).stderr
@@ -243,8 +243,8 @@ def test_two_machines_that_only_the_router_joins(scratch: Path) -> None:
             }
     except OSError as error:
         pytest.skip(f"network namespaces are not permitted here: {error}")
-    assert "ConnectionRefusedError" in said["10.77.2.1"]
-    assert "Network is unreachable" in said["10.77.1.2"]
+    assert "ConnectionRefusedError" in outputs["10.77.2.1"]
+    assert "Network is unreachable" in outputs["10.77.1.2"]
 
 
 @pytest.mark.variants

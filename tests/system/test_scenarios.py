@@ -43,8 +43,8 @@ OWN: dict[str, Any] = {
 }
 
 
-def make(name: str, **given: Any) -> BuildingEnv:
-    env = gym.make(name, **(DAY | given)).unwrapped
+def make(name: str, **arguments: Any) -> BuildingEnv:
+    env = gym.make(name, **(DAY | arguments)).unwrapped
     assert isinstance(env, BuildingEnv)
     return env
 
@@ -56,8 +56,8 @@ def written(folder: Path, **changed: Any) -> Path:
 
 
 def outdoors(env: BuildingEnv, column: str = "dry_bulb_temperature") -> np.ndarray:
-    found = env.weather([column])
-    return codec.floats(found.values, (len(found.values) // 8,), column)
+    series = env.weather([column])
+    return codec.floats(series.values, (len(series.values) // 8,), column)
 
 
 def play(env: BuildingEnv, seed: int | None) -> tuple[np.ndarray, dict[str, Any]]:
@@ -172,11 +172,11 @@ def test_forecasts__read_the_weather_that_is_simulated(scratch: Path) -> None:
     env = make(f"{SMALL}-continuous-stochastic-v1", aggregation="instant")
     rows, _ = play(env, 2)
     at, hour = env.observation_names.index("outdoor_temperature"), round(3600 / env.manifest.step_s)
-    simulated, told = rows[hour::hour, at], outdoors(env)[:24]
-    np.testing.assert_allclose(simulated, told, atol=1e-5)
+    simulated, forecast = rows[hour::hour, at], outdoors(env)[:24]
+    np.testing.assert_allclose(simulated, forecast, atol=1e-5)
     file = read(find_weather("USA_CO_Denver").path)
     first = next(i for i, row in enumerate(file.times.tolist()) if row[1:3] == [7, 3])
-    assert np.abs(file.column("dry_bulb_temperature")[first : first + 24] - told).max() > 0.1
+    assert np.abs(file.column("dry_bulb_temperature")[first : first + 24] - forecast).max() > 0.1
     env.close()
 
 
@@ -234,9 +234,9 @@ def test_model_that_works_against_its_actuators__warns(scratch: Path) -> None:
 def test_a_sinergym_configuration_of_a_users_own(scratch: Path) -> None:
     """A copy of the pack's, changed: another place, another timestep."""
     pack = packs.sinergym()
-    found = next(pack.rglob("5ZoneAutoDXVAV.yaml"))
-    text = found.read_text().replace("building_config: null", "building_config: {timesteps_per_hour: 2}")
-    assert text != found.read_text()
+    original = next(pack.rglob("5ZoneAutoDXVAV.yaml"))
+    text = original.read_text().replace("building_config: null", "building_config: {timesteps_per_hour: 2}")
+    assert text != original.read_text()
     (scratch / "mine.yaml").write_text(text)
     env = make("zenostat/Sinergym-v1", config=scratch / "mine.yaml", variant="cool-discrete")
     assert env.manifest.step_s == 1800.0

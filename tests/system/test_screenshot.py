@@ -201,7 +201,7 @@ def test_what_cannot_be_drawn_is_reported(scratch, samples, at, reason):
 @pytest.mark.slow
 @needs_vulkan
 def test_a_recording_without_its_end_is_drawn(scratch):
-    """As a killed monitor leaves it."""
+    """A killed monitor leaves such a file."""
     whole = _recording(scratch / "whole.rrd").read_bytes()
     path, picture = scratch / "run.rrd", scratch / "run.png"
     path.write_bytes(whole[: int(len(whole) * 0.9)])
@@ -273,7 +273,7 @@ def test_an_interrupted_screenshot_leaves_no_viewer(scratch, number):
     gone, _ = psutil.wait_procs(viewers, timeout=60)
     assert gone == viewers
     assert printed == ""
-    left = {made.name for made in scratch.iterdir()} - {"run.rrd"}
+    left = {path.name for path in scratch.iterdir()} - {"run.rrd"}
     if number == signal.SIGKILL:  # nobody is left to remove the viewer's folder
         (folder,) = left
         shutil.rmtree(scratch / folder)
@@ -298,4 +298,4 @@ def test_a_viewer_that_dies_is_reported(scratch):
 def test_a_page_shows_a_recording_until_it_is_closed(scratch):
     with web_viewer(_recording(scratch / "run.rrd")) as (page, url):
         assert url in page
-    assert [made.name for made in scratch.iterdir()] == ["run.rrd"]
+    assert [path.name for path in scratch.iterdir()] == ["run.rrd"]

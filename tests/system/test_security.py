@@ -106,19 +106,19 @@ def hearing(session: zenoh.Session, key: str) -> Iterator[zenoh.Subscriber]:
 
 
 def before_fence(bus: zenostat.Bus, inbox: zenoh.Subscriber, session: zenoh.Session | None = None) -> list[bytes]:
-    """What `inbox` has heard of until a write by `session` (the controller's, if none is given) is told as an event."""
+    """Return what `inbox` received until the event of a write by `session` (the controller's by default)."""
     source = f"fence-{next(_numbers)}"
     write = codec.encode(Write(value=None, source=source))
     (session or bus.session).put(keys.ACTUATOR.at("office", name=POINT), write)
-    heard: list[bytes] = []
+    payloads: list[bytes] = []
     while True:
         message = inbox.recv()
         payload = message.payload.to_bytes()
         if str(message.key_expr) == keys.EVENT.at("office") and payload != FORGED:
             event = codec.decode(Event, payload)
             if event.kind in (EventKind.WRITTEN, EventKind.REJECTED) and event.source == source:
-                return heard  # once the day is over, it is refused
-        heard.append(payload)
+                return payloads  # once the day is over, it is refused
+        payloads.append(payload)
 
 
 def ask(session: zenoh.Session, topic: keys.Topic, question: Any = None, name: str = "") -> list[bytes]:
@@ -168,8 +168,8 @@ def test_what_a_role_may_do(topic: keys.Topic) -> None:
 
 def test_the_page_tells_what_a_role_may_do() -> None:
     lines = (Path(__file__).parents[2] / "docs" / "security.md").read_text().splitlines()
-    told = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| `")]
-    assert told == [
+    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| `")]
+    assert rows == [
         [f"`{topic.key}`", *(", ".join(may(role, topic)) or "nothing" for role in ROLES)] for topic in TOPICS
     ]
 
@@ -190,10 +190,10 @@ def test_no_key_lies_outside_of_the_table() -> None:
 
 
 def test_zenoh_denies_what_no_rule_allows() -> None:
-    made = acl_config()
-    assert (made["enabled"], made["default_permission"]) == (True, "deny")
-    assert {rule["permission"] for rule in made["rules"]} == {"allow"}
-    assert {one["id"]: one["cert_common_names"] for one in made["subjects"]} == {
+    config = acl_config()
+    assert (config["enabled"], config["default_permission"]) == (True, "deny")
+    assert {rule["permission"] for rule in config["rules"]} == {"allow"}
+    assert {one["id"]: one["cert_common_names"] for one in config["subjects"]} == {
         role: [f"zenostat-{role}"] for role in ("node", "controller", "monitor")
     }
 
@@ -240,12 +240,12 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
         with hearing(watcher.session, keys.EVENT.at("office")) as events:
             assert ask(watcher.session, keys.STATUS), "the node knows of the subscription"
             assert day(link, attack) == quiet
-            told = [codec.decode(Event, payload) for payload in before_fence(bus, events)]
+            received = [codec.decode(Event, payload) for payload in before_fence(bus, events)]
         after = bus.status("office")
         assert replies == []
         fence = 1  # after the day's end
         assert (after.rejected - fence, after.late, after.duplicate) == (before.rejected, before.late, before.duplicate)
-        assert {event.kind for event in told} == {EventKind.STARTED, EventKind.ENDED}
+        assert {event.kind for event in received} == {EventKind.STARTED, EventKind.ENDED}
         assert [c.controller for c in after.controllers if c.state.is_connected] == [link.name]
 
 
@@ -257,10 +257,10 @@ def test_the_same_attacks_work_with_a_controller_s_certificate(node: NodeProgram
         session.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, source="thief")))
         codec.decode(Ack, ask(session, keys.WRITE_REQUEST, Write(value=28.0, source="thief"), POINT)[0])
         session.put(keys.COMMAND.at("office", name="thief"), b"not msgpack")
-        told = [codec.decode(Event, payload) for payload in before_fence(bus, events, session)]
-        assert EventKind.WRITTEN in {event.kind for event in told if event.source == "thief"}
-        while EventKind.REJECTED not in {event.kind for event in told}:  # commands have a way of their own
-            told.append(codec.decode(Event, events.recv().payload.to_bytes()))
+        received = [codec.decode(Event, payload) for payload in before_fence(bus, events, session)]
+        assert EventKind.WRITTEN in {event.kind for event in received if event.source == "thief"}
+        while EventKind.REJECTED not in {event.kind for event in received}:  # commands have a way of their own
+            received.append(codec.decode(Event, events.recv().payload.to_bytes()))
         assert bus.status("office").episode == episode
 
 
@@ -285,14 +285,14 @@ def test_a_monitor_reads(watcher: zenostat.Bus, bus: zenostat.Bus) -> None:
     with watcher.listen("office") as samples, bus.controller("office", name="shown") as link:
         sample = link.reset()
         until(lambda: watcher.controllers() == [("office", link.name)], "the controller is there")
-        heard = next(samples)
-        assert (heard.step, heard.message.values) == (0, sample.message.values)
+        view = next(samples)
+        assert (view.step, view.message.values) == (0, sample.message.values)
         assert watcher.latest("office") == sample.message
 
 
 def test_a_monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: zenostat.Bus) -> None:
     """Nor does another controller; a node, which passes them on, does."""
-    heard: dict[str, int] = {}
+    counts: dict[str, int] = {}
     for name in ("monitor", "second", "node"):
         with raw(node.endpoint, pki, name) as session, bus.controller("office") as link:
             link.reset()
@@ -307,9 +307,9 @@ def test_a_monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: zenostat
                 link.send()
                 link.receive()
                 samples.recv()
-                heard[name] = len(list(iter(commands.try_recv, None)))
-    assert heard["monitor"] == heard["second"] == 0
-    assert heard["node"] >= 1
+                counts[name] = len(list(iter(commands.try_recv, None)))
+    assert counts["monitor"] == counts["second"] == 0
+    assert counts["node"] >= 1
 
 
 # Posing as a node
@@ -337,8 +337,8 @@ def test_nobody_hears_what_a_controller_says_in_a_node_s_name(
         for topic in (keys.SAMPLE, keys.EVENT, keys.MANIFEST):
             forger.put(topic.at("office"), FORGED)
         forger.put(point, FORGED)
-        heard = before_fence(bus, inbox, forger)
-        assert heard.count(FORGED) == (3 if passes else 0)
+        payloads = before_fence(bus, inbox, forger)
+        assert payloads.count(FORGED) == (3 if passes else 0)
         assert (points.try_recv() is not None) == passes
     assert watcher.manifest("office").node == "office"
 
@@ -489,7 +489,7 @@ def test_a_taken_port(node: NodeProgram, pki: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("settings", "message"),
     [
         ({"connect": ["tcp/127.0.0.1:1"], "role": Role.NODE}, "tcp/127.0.0.1:1 takes no keys.*write tls/127.0.0.1:1"),
         ({"listen": ["unixsock-stream/x"], "role": Role.NODE}, "takes no keys, only TLS"),
@@ -501,16 +501,16 @@ def test_a_taken_port(node: NodeProgram, pki: Path) -> None:
         ({"role": Role.NODE}, "name an endpoint"),
     ],
 )
-def test_settings_that_cannot_be(pki: Path, given: dict[str, Any], said: str) -> None:
-    with pytest.raises(UsageError, match=said):
-        open_session(keys=pki, **given)
+def test_settings_that_cannot_be(pki: Path, settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(UsageError, match=message):
+        open_session(keys=pki, **settings)
 
 
 def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as raised:
         open_session(listen=["tcp/0.0.0.0:1"], connect=["here"], keys=tmp_path / "none", role=Role.NODE)
-    for said in ("'here' is not an endpoint", "write tls/0.0.0.0:1", "--expose", "zenostat keys init"):
-        assert said in str(raised.value)
+    for fault in ("'here' is not an endpoint", "write tls/0.0.0.0:1", "--expose", "zenostat keys init"):
+        assert fault in str(raised.value)
 
 
 def test_tls_without_keys() -> None:
@@ -537,8 +537,8 @@ def test_listening_to_all_without_keys_is_warned_of(pki: Path) -> None:
 
 def test_the_commands_take_keys(node: NodeProgram, pki: Path) -> None:
     def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
-        given = [*ZENOSTAT, *arguments, "--connect", node.endpoint, "--keys", str(pki)]
-        return subprocess.run(given, capture_output=True, text=True)
+        command = [*ZENOSTAT, *arguments, "--connect", node.endpoint, "--keys", str(pki)]
+        return subprocess.run(command, capture_output=True, text=True)
 
     ran = run_zenostat("run", "--node", "office", "--controller", "rbc", "--reset", "--certificate", "second")
     assert ran.returncode == 0, ran.stderr

@@ -74,10 +74,10 @@ def zones_own(gate: Gate) -> Any:
     return env
 
 
-@pytest.mark.parametrize("made", [single, vector, zones, zones_own])
-def test_who_comes_second_is_refused_and_who_came_first_goes_on(made: Callable[[Gate], Any]) -> None:
+@pytest.mark.parametrize("make_env", [single, vector, zones, zones_own])
+def test_who_comes_second_is_refused_and_who_came_first_goes_on(make_env: Callable[[Gate], Any]) -> None:
     gate = Gate()
-    env = made(gate)
+    env = make_env(gate)
     env.reset(seed=0)
     with in_thread(lambda: env.step(action_of(env))) as first:
         gate.is_in.wait()

@@ -50,14 +50,14 @@ def test_controller_that_starts_again_takes_its_identity_from_a_connection_that_
 def bare(endpoint: str, kind: bytes) -> socket.socket:
     """A connection that speaks ZMTP 3.0 (rfc.zeromq.org/spec/23) by itself, ready for messages."""
     host, port = re.fullmatch(r"tcp://(.+):(\d+)", endpoint).groups()
-    made = socket.create_connection((host, int(port)), timeout=60)
-    made.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32))
+    connection = socket.create_connection((host, int(port)), timeout=60)
+    connection.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x00" + b"NULL".ljust(20, b"\0") + bytes(32))
     ready = b"\x05READY\x0bSocket-Type" + struct.pack(">I", len(kind)) + kind
-    made.sendall(bytes([4, len(ready)]) + ready)
+    connection.sendall(bytes([4, len(ready)]) + ready)
     received = b""
     while b"READY" not in received:  # a message before it is a protocol error
-        received += made.recv(1)
-    return made
+        received += connection.recv(1)
+    return connection
 
 
 def ended(connection: socket.socket) -> bool:
@@ -93,9 +93,9 @@ def test_message_that_is_large_or_long_in_coming_is_read(gateway: GatewayProgram
         for _ in range(10):
             assert peer.ask("rpc/status")[0] == "Status"
         connection.sendall(bytes(4 * MIB))
-        came = b""
-        while b"ErrorReply" not in came:
-            came += (more := connection.recv(MIB))
+        received = b""
+        while b"ErrorReply" not in received:
+            received += (more := connection.recv(MIB))
             assert more, "the connection has ended"
 
 

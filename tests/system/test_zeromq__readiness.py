@@ -22,7 +22,7 @@ __all__ = ["gateway", "module_gateway"]
 
 
 class Ports:
-    """Where a gateway will listen."""
+    """Ports on which a gateway will listen."""
 
     def __init__(self) -> None:
         self.publish, self.command = (f"tcp://127.0.0.1:{free_port()}" for _ in range(2))
@@ -39,7 +39,7 @@ def test_sockets_older_than_the_gateway__receive_samples_and_answers(shared_node
         for _ in range(2):
             early.say("rpc/status")
             with GatewayProgram(shared_node.endpoint, *at) as gateway:
-                assert gateway.said.startswith("ready: all nodes of ")
+                assert gateway.first_line.startswith("ready: all nodes of ")
                 assert early.answer()[0] == "Status"
                 assert early.hear(Sample).step == [0]
                 assert early.ask("rpc/claim", controller="c")[0] == "Ack"
@@ -66,11 +66,11 @@ def test_requests__wait_for_the_manifest_of_their_node(shared_node, gateway):
         manifest = codec.encode(bus.manifest("office").model_copy(update={"node": "slow"}))
 
         def answer(topic: keys.Topic, payload: bytes) -> Callback:
-            said = zenoh.Encoding(codec.encoding(topic.reply))
+            encoding = zenoh.Encoding(codec.encoding(topic.reply))
 
             def on_query(query: zenoh.Query) -> None:
                 with query:
-                    query.reply(topic.at("slow"), payload, encoding=said)
+                    query.reply(topic.at("slow"), payload, encoding=encoding)
 
             return Callback(on_query, indirect=False)
 

@@ -329,8 +329,8 @@ def test_end_of_the_node__published_and_answered(scratch, node, own_gateway, end
             slow.say("rpc/reset")
             assert slow.ask("rpc/sing")[0] == "ErrorReply", "the gateway has taken both"
             node.kill()
-            said = sorted(slow.answer()[1]["error"] for _ in range(2))
-            assert said == ["NodeLost", "NodeLost"]
+            errors = sorted(slow.answer()[1]["error"] for _ in range(2))
+            assert errors == ["NodeLost", "NodeLost"]
             event = peer.event(EventKind.FAILED)
             assert (event.error, event.text) == ("NodeLost", "node 'office' is gone")
         else:
@@ -509,10 +509,10 @@ def test_c_example(gateway, scratch):
     program = scratch / "controller"
     options = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-o", str(program)]
     source = EXAMPLES / "zeromq_controller.c"
-    made = subprocess.run([compiler, *options, str(source), "-lzmq"], capture_output=True, text=True)
-    if "zmq.h" in made.stderr and "No such file" in made.stderr:
+    build = subprocess.run([compiler, *options, str(source), "-lzmq"], capture_output=True, text=True)
+    if "zmq.h" in build.stderr and "No such file" in build.stderr:
         pytest.skip("libzmq's header is not installed; on Debian: apt install libzmq3-dev")
-    assert made.returncode == 0, made.stderr
+    assert build.returncode == 0, build.stderr
     done = subprocess.run([program, gateway.publish, gateway.command], capture_output=True, text=True, timeout=90)
     assert (done.stdout, done.stderr) == ("96 timesteps to 2017-07-04T00:00:00\n", "")
     with Peer(gateway) as peer:

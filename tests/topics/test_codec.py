@@ -117,9 +117,9 @@ anything = st.recursive(
 )
 
 
-def refused(message: type[Message], payload: bytes, said: str = "") -> str:
+def refused(message: type[Message], payload: bytes, encoding: str = "") -> str:
     with pytest.raises(BadMessage) as raised:
-        codec.decode(message, payload, said)
+        codec.decode(message, payload, encoding)
     return str(raised.value)
 
 
@@ -217,9 +217,9 @@ def test_a_length_that_lies_is_refused(head: bytes) -> None:
 
 def test_an_oversized_payload_is_refused_unread() -> None:
     blank = bytes(codec.MAX_BYTES)
-    said = refused(Command, codec.encode(Command(episode=[0], step=[0], values=blank)))
-    assert str(codec.MAX_BYTES) in said
-    assert "Command" in said
+    message = refused(Command, codec.encode(Command(episode=[0], step=[0], values=blank)))
+    assert str(codec.MAX_BYTES) in message
+    assert "Command" in message
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
@@ -227,9 +227,9 @@ def test_an_oversized_payload_is_refused_unread() -> None:
 def test_a_number_that_is_not_finite_is_refused_by_its_path(where: str, bad: float) -> None:
     kind, fields, name = NUMBERS[where]
     codec.decode(kind, msgpack.packb(fields))
-    said = refused(kind, msgpack.packb(fields | {name: bad}))
-    assert f"{kind.__name__}: {name}: " in said
-    assert str(bad) in said
+    message = refused(kind, msgpack.packb(fields | {name: bad}))
+    assert f"{kind.__name__}: {name}: " in message
+    assert str(bad) in message
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
@@ -245,10 +245,10 @@ def test_a_wrong_type_deep_within_is_refused_by_its_path() -> None:
 
 
 def test_all_faults_are_named_at_once() -> None:
-    said = refused(Write, msgpack.packb({"value": "warm", "priority": 17, "duration_s": 0, "colour": "red"}))
-    assert all(f"{name}: " in said for name in ("value", "priority", "duration_s", "colour"))
-    assert "'warm'" in said
-    assert "17" in said
+    message = refused(Write, msgpack.packb({"value": "warm", "priority": 17, "duration_s": 0, "colour": "red"}))
+    assert all(f"{name}: " in message for name in ("value", "priority", "duration_s", "colour"))
+    assert "'warm'" in message
+    assert "17" in message
 
 
 def test_a_rule_on_several_fields_is_named_without_a_path_or_their_values() -> None:
@@ -273,22 +273,22 @@ def test_field_names_are_text(key: object) -> None:
 
 def test_another_version_is_refused_by_name() -> None:
     payload = codec.encode(Write(value=1.0))
-    said = refused(Write, payload, "application/msgpack;zenostat/1.Write")
-    assert "zenostat/2.Write" in said
-    assert "zenostat/1.Write" in said
+    message = refused(Write, payload, "application/msgpack;zenostat/1.Write")
+    assert "zenostat/2.Write" in message
+    assert "zenostat/1.Write" in message
 
 
 def test_another_class_is_refused_by_name() -> None:
-    said = refused(Write, codec.encode(Write(value=1.0)), codec.encoding(Command))
-    assert "zenostat/2.Write" in said
-    assert "zenostat/2.Command" in said
+    message = refused(Write, codec.encode(Write(value=1.0)), codec.encoding(Command))
+    assert "zenostat/2.Write" in message
+    assert "zenostat/2.Command" in message
 
 
 @pytest.mark.parametrize(
-    "said", ["text/plain", "application/json", "zenoh/string", "application/msgpack;other/1.Write"]
+    "encoding", ["text/plain", "application/json", "zenoh/string", "application/msgpack;other/1.Write"]
 )
-def test_an_encoding_that_is_no_msgpack_is_refused_by_name(said: str) -> None:
-    assert f"got {said!r}" in refused(Write, codec.encode(Write(value=1.0)), said)
+def test_an_encoding_that_is_no_msgpack_is_refused_by_name(encoding: str) -> None:
+    assert f"got {encoding!r}" in refused(Write, codec.encode(Write(value=1.0)), encoding)
 
 
 @pytest.mark.parametrize(
@@ -307,10 +307,10 @@ def test_a_text_is_read_of_what_else_is_wrong(payload: bytes, source: str) -> No
     assert codec.text_field(payload, "source", 128) == source
 
 
-@pytest.mark.parametrize("said", ["", "zenoh/bytes", "application/msgpack"])
-def test_a_stranger_that_names_no_version_is_checked_like_any_other(said: str) -> None:
-    assert codec.decode(Write, msgpack.packb({"value": 21}), said) == Write(value=21.0)
-    refused(Write, msgpack.packb({"value": 21, "priority": 0}), said)
+@pytest.mark.parametrize("encoding", ["", "zenoh/bytes", "application/msgpack"])
+def test_a_stranger_that_names_no_version_is_checked_like_any_other(encoding: str) -> None:
+    assert codec.decode(Write, msgpack.packb({"value": 21}), encoding) == Write(value=21.0)
+    refused(Write, msgpack.packb({"value": 21, "priority": 0}), encoding)
 
 
 # Arrays

@@ -27,8 +27,8 @@ def _tree(kind: type[Message]) -> Iterator[type[Message]]:
 KINDS = sorted(
     {kind for kind in _tree(Message) if kind.__module__.startswith("zenostat.topics.")}, key=lambda k: k.__name__
 )
-HEARD = (Claim, Command, Reset, Write, fault_plan.FaultPlan)
-"""What anybody may send to a node, of each form."""
+REQUESTS = (Claim, Command, Reset, Write, fault_plan.FaultPlan)
+"""Messages that anybody may send to a node, one class of each form."""
 
 SEEDS: dict[type[Message], dict[str, Any]] = {
     Claim: {"controller": "c-1", "priority": 9, "actuators": ["heat", "cool"], "required": True},
@@ -60,11 +60,11 @@ def check(kind: type[Message], payload: bytes) -> bool:
     try:
         message = codec.decode(kind, payload)
     except BadMessage as error:
-        said = str(error)
+        error_text = str(error)
     else:
-        said = ""
-    if said:
-        assert len(said) < 20_000
+        error_text = ""
+    if error_text:
+        assert len(error_text) < 20_000
         return False
     assert codec.decode(kind, codec.encode(message), codec.encoding(kind)) == message
     return True
@@ -108,7 +108,7 @@ def test_odd_maps(kind: type[Message], fields: dict[Any, Any]) -> None:
     check(kind, msgpack.packb(fields))
 
 
-@pytest.mark.parametrize("kind", HEARD)
+@pytest.mark.parametrize("kind", REQUESTS)
 @pytest.mark.parametrize(
     "bomb",
     [
@@ -134,7 +134,7 @@ def test_a_bomb_costs_no_memory(kind: type[Message], bomb: bytes, within: bool) 
         tracemalloc.stop()
 
 
-@pytest.mark.parametrize("kind", HEARD)
+@pytest.mark.parametrize("kind", REQUESTS)
 @pytest.mark.parametrize("entry", [b"\xc0", b"\x80", b"\xa1x", b"\x91\x90"])
 def test_a_list_of_a_million_is_refused_before_it_is_looked_at(kind: type[Message], entry: bytes) -> None:
     payload = b"\x81\xa7episode\xdd" + PLENTY.to_bytes(4, "big") + entry * PLENTY
@@ -148,9 +148,9 @@ def test_a_list_of_a_million_is_refused_before_it_is_looked_at(kind: type[Messag
 
 @given(st.integers(1, 60), st.integers(1, 200))
 def test_entries_are_counted_in_all_lists_together(outer: int, inner: int) -> None:
-    said = refused(Command, msgpack.packb({"episode": [[0] * inner] * outer, "step": [], "values": bytes(9000)}))
+    error_text = refused(Command, msgpack.packb({"episode": [[0] * inner] * outer, "step": [], "values": bytes(9000)}))
     # The map, the outer list, the inner ones.
-    assert ("entries" in said) == (3 + outer + outer * inner > codec.MAX_ENTRIES)
+    assert ("entries" in error_text) == (3 + outer + outer * inner > codec.MAX_ENTRIES)
 
 
 def test_as_many_entries_as_are_allowed_are_a_message() -> None:
@@ -162,10 +162,10 @@ def test_as_many_entries_as_are_allowed_are_a_message() -> None:
 
 
 def test_of_thousands_of_faults_the_first_are_named() -> None:
-    said = refused(Command, msgpack.packb({"episode": [-1] * 3000, "step": [0], "values": b""}))
-    assert "episode.0: " in said
-    assert "and 2990 more" in said
-    assert len(said) < 2000
+    error_text = refused(Command, msgpack.packb({"episode": [-1] * 3000, "step": [0], "values": b""}))
+    assert "episode.0: " in error_text
+    assert "and 2990 more" in error_text
+    assert len(error_text) < 2000
 
 
 def test_a_field_name_is_quoted_in_part() -> None:

@@ -30,7 +30,7 @@ from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.keys import TOPICS, Delivery, Role, Topic
 from zenostat.topics.messages import ErrorReply, Message
 
-MADE = document()
+CONTRACT = document()
 CLASSES = sorted(payload_classes(), key=lambda kind: kind.__name__)
 EVERY = sorted(
     (c for c in vars(messages).values() if isinstance(c, type) and issubclass(c, Message) and c is not Message),
@@ -53,19 +53,19 @@ def walk(value: Any) -> Iterator[dict[str, Any]]:
 
 
 def resolved(reference: str) -> Any:
-    """What a `$ref` refers to; KeyError if nothing."""
-    found: Any = MADE
+    """Resolve a `$ref`; KeyError if it refers to nothing."""
+    part_of_contract: Any = CONTRACT
     assert reference.startswith("#/")
     for part in reference[2:].split("/"):
-        found = found[part.replace("~1", "/").replace("~0", "~")]
-    return found
+        part_of_contract = part_of_contract[part.replace("~1", "/").replace("~0", "~")]
+    return part_of_contract
 
 
 # The document
 
 
 def test_it_has_the_form_of_asyncapi_3() -> None:
-    asyncapi_validators.schema_validator().validate(MADE)
+    asyncapi_validators.schema_validator().validate(CONTRACT)
 
 
 @pytest.mark.process
@@ -75,7 +75,7 @@ def test_the_parser_of_the_standard_has_nothing_against_it() -> None:
 
 
 def test_the_schema_of_the_specification_refuses_a_discriminator_of_openapi() -> None:
-    wrong = copy.deepcopy(MADE)
+    wrong = copy.deepcopy(CONTRACT)
     plan = wrong["components"]["schemas"]["FaultPlan"]["properties"]["faults"]["items"]
     plan["discriminator"] = {"propertyName": "kind"}
     worst = jsonschema.exceptions.best_match(asyncapi_validators.schema_validator().iter_errors(wrong))
@@ -84,7 +84,7 @@ def test_the_schema_of_the_specification_refuses_a_discriminator_of_openapi() ->
 
 def test_a_discriminator__is_a_required_property_and_each_alternative_has_its_value() -> None:
     # AsyncAPI 3.0, Schema Object: the property must be defined at this schema and be required.
-    schemas = [schema for schema in walk(MADE["components"]["schemas"]) if "discriminator" in schema]
+    schemas = [schema for schema in walk(CONTRACT["components"]["schemas"]) if "discriminator" in schema]
     assert schemas
     for schema in schemas:
         name = schema["discriminator"]
@@ -95,18 +95,18 @@ def test_a_discriminator__is_a_required_property_and_each_alternative_has_its_va
 
 def test_the_servers_are_the_endpoints_where_nodes_listen() -> None:
     locators = {}
-    for name, server in MADE["servers"].items():
+    for name, server in CONTRACT["servers"].items():
         defaults = {variable: row["default"] for variable, row in server["variables"].items()}
         locators[name] = server["x-zenoh"]["locator"].format(**defaults)
         assert set(re.findall(r"\{(\w+)\}", server["host"])) == defaults.keys()
     assert locators == {"node": session.DEFAULT_ENDPOINT, "secured": session.DEFAULT_TLS_ENDPOINT}
-    assert "security" not in MADE["servers"]["node"]
-    (needed,) = MADE["servers"]["secured"]["security"]
+    assert "security" not in CONTRACT["servers"]["node"]
+    (needed,) = CONTRACT["servers"]["secured"]["security"]
     assert resolved(needed["$ref"])["type"] == "X509"
 
 
 def test_all_references_lead_somewhere() -> None:
-    references = [found["$ref"] for found in walk(MADE) if isinstance(found.get("$ref"), str)]
+    references = [node["$ref"] for node in walk(CONTRACT) if isinstance(node.get("$ref"), str)]
     assert len(references) > len(TOPICS)
     for reference in references:
         resolved(reference)
@@ -114,7 +114,7 @@ def test_all_references_lead_somewhere() -> None:
 
 @rows
 def test_a_row_has_a_channel_at_its_key(topic: Topic) -> None:
-    channel = MADE["channels"][channel_name(topic)]
+    channel = CONTRACT["channels"][channel_name(topic)]
     address = channel["address"]
     assert address.format(node="office", name="one") == topic.at("office", name="one")
     assert set(channel["parameters"]) == set(re.findall(r"\{(\w+)\}", address))
@@ -124,8 +124,8 @@ def test_a_row_has_a_channel_at_its_key(topic: Topic) -> None:
 
 
 def test_no_two_rows_share_a_channel() -> None:
-    assert len(MADE["channels"]) == len(TOPICS)
-    assert len({channel["address"] for channel in MADE["channels"].values()}) == len(TOPICS)
+    assert len(CONTRACT["channels"]) == len(TOPICS)
+    assert len({channel["address"] for channel in CONTRACT["channels"].values()}) == len(TOPICS)
 
 
 def _named(references: list[dict[str, str]]) -> list[str]:
@@ -134,10 +134,10 @@ def _named(references: list[dict[str, str]]) -> list[str]:
 
 @rows
 def test_a_row_has_an_operation_with_its_messages_and_replies(topic: Topic) -> None:
-    operation = MADE["operations"][channel_name(topic)]
+    operation = CONTRACT["operations"][channel_name(topic)]
     assert operation["action"] == ("send" if topic.sender is Role.NODE else "receive")
     assert _named(operation["messages"]) == [topic.message.__name__ if topic.message else "Presence"]
-    asked = operation if topic.delivery is Delivery.QUERY else MADE["operations"].get(f"{channel_name(topic)}.get")
+    asked = operation if topic.delivery is Delivery.QUERY else CONTRACT["operations"].get(f"{channel_name(topic)}.get")
     assert (asked is not None) == (topic.reply is not None)
     if asked is not None and topic.reply is not None:
         assert asked["action"] == "receive"
@@ -146,7 +146,7 @@ def test_a_row_has_an_operation_with_its_messages_and_replies(topic: Topic) -> N
 
 def test_operations_speak_of_messages_of_their_own_channel() -> None:
     # The specification: an operation's messages, and its reply's, are references into the channel.
-    for operation in MADE["operations"].values():
+    for operation in CONTRACT["operations"].values():
         for side in (operation, operation.get("reply")):
             for reference in side["messages"] if side else ():
                 assert reference["$ref"].startswith(f"{side['channel']['$ref']}/messages/")
@@ -154,14 +154,14 @@ def test_operations_speak_of_messages_of_their_own_channel() -> None:
 
 @every_class
 def test_a_message_has_its_encoding_and_a_schema(kind: type[Message]) -> None:
-    message = MADE["components"]["messages"][kind.__name__]
+    message = CONTRACT["components"]["messages"][kind.__name__]
     assert message["contentType"] == codec.encoding(kind)
     assert resolved(message["payload"]["$ref"])["properties"].keys() == kind.model_fields.keys()
 
 
 @pytest.mark.parametrize("kind", EVERY, ids=lambda c: c.__name__)
 def test_every_class_has_a_schema_that_is_closed(kind: type[Message]) -> None:
-    schema = MADE["components"]["schemas"][kind.__name__]
+    schema = CONTRACT["components"]["schemas"][kind.__name__]
     jsonschema.Draft7Validator.check_schema(schema)
     assert schema["additionalProperties"] is False
 
@@ -169,12 +169,12 @@ def test_every_class_has_a_schema_that_is_closed(kind: type[Message]) -> None:
 def test_schemas_need_nothing_that_is_newer_than_draft_7() -> None:
     # Schemas of AsyncAPI 3.0 that name no other format are a superset of JSON Schema draft 7.
     newer = {"$defs", "prefixItems", "unevaluatedProperties", "dependentRequired", "dependentSchemas", "minContains"}
-    for schema in walk(MADE["components"]["schemas"]):
+    for schema in walk(CONTRACT["components"]["schemas"]):
         assert not newer & {key for key, value in schema.items() if not isinstance(value, dict) or "type" not in value}
 
 
 def test_every_error_is_named() -> None:
-    named = MADE["components"]["messages"]["ErrorReply"]["x-errors"]
+    named = CONTRACT["components"]["messages"]["ErrorReply"]["x-errors"]
     assert {"ZenostatError", "RequestRejected", "UnknownName", "NodeLost"} <= named.keys()
     assert all(issubclass(getattr(sys.modules["zenostat.topics.errors"], name), ZenostatError) for name in named)
 
@@ -199,55 +199,55 @@ def example(annotation: Any, name: str = "", *, full: bool) -> Any:
     if annotation is Any:
         return 1.5
     if issubclass(annotation, Message):
-        return made(annotation, full=full)
+        return build_message(annotation, full=full)
     if issubclass(annotation, enum.Enum):
         return next(iter(annotation)).value
     return {bool: True, int: 2, float: 2.5, str: "name", bytes: struct.pack("<d", 2.5)}[annotation]
 
 
-def made(kind: type[Message], *, full: bool) -> Message:
+def build_message(kind: type[Message], *, full: bool) -> Message:
     """A message of a class: with every field given, or with those alone that it wants."""
     if kind is FaultPlan and full:
         return read_plan(
             Path(__file__).parents[2] / "examples" / "faults.yaml"
         )  # its times and shares are no numbers at will
-    given = {
+    fields = {
         name: example(field.annotation, name, full=full)
         for name, field in kind.model_fields.items()
         if full or (field.default is PydanticUndefined and field.default_factory is None)
     }
-    return kind.model_validate(given)
+    return kind.model_validate(fields)
 
 
 def validator(kind: type[Message]) -> jsonschema.Draft7Validator:
-    """Of a class, where msgpack's `bin` is what the schema calls a string of the format `binary`."""
+    """Validator of a class, where msgpack's `bin` is what the schema calls a string of the format `binary`."""
     types_ = jsonschema.Draft7Validator.TYPE_CHECKER.redefine("string", lambda _, value: isinstance(value, str | bytes))
     checks = jsonschema.FormatChecker(formats=())
     checks.checks("binary")(lambda value: isinstance(value, bytes))
     strict = jsonschema.validators.extend(jsonschema.Draft7Validator, type_checker=types_)
-    schema = {"$ref": f"#/components/schemas/{kind.__name__}", "components": MADE["components"]}
+    schema = {"$ref": f"#/components/schemas/{kind.__name__}", "components": CONTRACT["components"]}
     return strict(schema, format_checker=checks)
 
 
 def fields_of(message: Message) -> dict[str, Any]:
-    """What a stranger reads from the bytes."""
+    """Decode the fields as a stranger does, from the bytes."""
     return msgpack.unpackb(codec.encode(message))
 
 
 @pytest.mark.parametrize("full", [True, False], ids=["full", "bare"])
 @every_class
 def test_a_real_message_fits_its_schema(kind: type[Message], full: bool) -> None:
-    message = made(kind, full=full)
+    message = build_message(kind, full=full)
     assert codec.decode(kind, codec.encode(message)) == message
     validator(kind).validate(fields_of(message))
 
 
 @every_class
 def test_what_a_node_would_refuse_does_not_fit(kind: type[Message]) -> None:
-    fields = fields_of(made(kind, full=True))
+    fields = fields_of(build_message(kind, full=True))
     assert not validator(kind).is_valid({**fields, "colour": "red"})
     required = [name for name, field in kind.model_fields.items() if field.is_required()]
-    assert MADE["components"]["schemas"][kind.__name__].get("required", []) == required
+    assert CONTRACT["components"]["schemas"][kind.__name__].get("required", []) == required
     for name in required:
         assert not validator(kind).is_valid({k: v for k, v in fields.items() if k != name})
     for name, value in fields.items():
@@ -257,7 +257,7 @@ def test_what_a_node_would_refuse_does_not_fit(kind: type[Message]) -> None:
 
 
 def test_raw_arrays_tell_their_elements() -> None:
-    schemas = MADE["components"]["schemas"]
+    schemas = CONTRACT["components"]["schemas"]
     assert schemas["Sample"]["properties"]["values"]["x-items"] == "float64"
     assert schemas["Sample"]["properties"]["source_index"]["x-items"] == "uint16"
     mask = next(form for form in schemas["Command"]["properties"]["operations"]["anyOf"] if form["type"] == "string")
@@ -277,15 +277,15 @@ def test_the_file_is_what_the_command_gives(tmp_path: Path) -> None:
     )
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     text = (tmp_path / "asyncapi.yaml").read_text(encoding="utf-8")
-    assert yaml.safe_load(text) == MADE
-    assert yaml12.parse(text, "the document") == MADE
+    assert yaml.safe_load(text) == CONTRACT
+    assert yaml12.parse(text, "the document") == CONTRACT
     assert DOCUMENT.read_text(encoding="utf-8") == text, "python tests/support/contract_page.py writes it again"
 
 
 def test_the_command_prints_it_and_names_a_folder_that_is_not_there() -> None:
     command = [sys.executable, "-P", "-m", "zenostat.cli.main", "asyncapi"]
     printed = subprocess.run(command, capture_output=True, text=True)
-    assert yaml.safe_load(printed.stdout) == MADE
+    assert yaml.safe_load(printed.stdout) == CONTRACT
     missing = subprocess.run([*command, "--output", "nowhere/a.yaml"], capture_output=True, text=True)
     assert (missing.returncode, missing.stdout) == (2, "")
     assert "there is no folder" in missing.stderr
@@ -298,8 +298,10 @@ def test_the_page_is_what_the_code_gives() -> None:
 
 
 def test_the_page_names_every_array() -> None:
-    told = set(re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:float|u?int)\d+ \|$", PAGE.read_text(encoding="utf-8"), re.M))
-    assert told == {
+    documented = set(
+        re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:float|u?int)\d+ \|$", PAGE.read_text(encoding="utf-8"), re.M)
+    )
+    assert documented == {
         (kind.__name__, name)
         for kind in CLASSES
         for name, field in kind.model_fields.items()
@@ -336,6 +338,6 @@ def test_the_command_on_the_page_is_one_that_a_node_knows_by_its_first_bytes() -
 
 
 def test_keys_on_the_page_are_the_table() -> None:
-    told = re.findall(r"^\| `zenostat/v2/\{node\}/(\S+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
-    assert told == [topic.key for topic in TOPICS]
+    documented = re.findall(r"^\| `zenostat/v2/\{node\}/(\S+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
+    assert documented == [topic.key for topic in TOPICS]
     assert keys.PREFIX == "zenostat/v2"

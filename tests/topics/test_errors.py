@@ -61,11 +61,11 @@ def test_a_strangers_exception_keeps_its_types_name() -> None:
 
 
 @pytest.mark.parametrize(
-    ("said", "text"),
+    ("fields", "text"),
     [({}, "no reason given"), ({"error": "Later", "message": "of a later version"}, "of a later version")],
 )
-def test_what_is_not_known_arrives_as_the_root(said: dict[str, str], text: str) -> None:
-    arrived = from_wire(said)
+def test_what_is_not_known_arrives_as_the_root(fields: dict[str, str], text: str) -> None:
+    arrived = from_wire(fields)
     assert type(arrived) is ZenostatError
     assert str(arrived) == text
 
@@ -85,9 +85,9 @@ SETPOINTS = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "attic_cool
 
 
 def test_names_that_contain_the_text_come_first() -> None:
-    said = did_you_mean("cooling", [*SETPOINTS, "coolings", "coling"])
-    assert said.startswith("did you mean 'core_zn_cooling_setpoint', 'attic_cooling_setpoint', 'coolings'")
-    assert said.endswith(" or 'coling'?")
+    suggestion = did_you_mean("cooling", [*SETPOINTS, "coolings", "coling"])
+    assert suggestion.startswith("did you mean 'core_zn_cooling_setpoint', 'attic_cooling_setpoint', 'coolings'")
+    assert suggestion.endswith(" or 'coling'?")
 
 
 def test_names_that_are_spelled_alike_are_near() -> None:
@@ -134,12 +134,12 @@ def test_where_there_is_nothing_it_says_so() -> None:
 
 @given(st.text(max_size=8), st.lists(st.text(max_size=8), max_size=12), st.integers(1, 5))
 def test_only_known_names_are_offered_and_never_too_many(name: str, known: list[str], most: int) -> None:
-    said = did_you_mean(name, iter(known), limit=most)
+    suggestion = did_you_mean(name, iter(known), limit=most)
     if not known:
-        assert said == "there are none"
+        assert suggestion == "there are none"
         return
-    prefix = next(prefix for prefix in ("did you mean ", "there are: ") if said.startswith(prefix))
-    rest = said.removeprefix(prefix)
+    prefix = next(prefix for prefix in ("did you mean ", "there are: ") if suggestion.startswith(prefix))
+    rest = suggestion.removeprefix(prefix)
     if prefix == "did you mean ":
         assert rest.endswith("?")
         rest = rest[:-1]

@@ -28,14 +28,14 @@ rows = pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
 
 def nested_in(message: type[Message]) -> set[type[Message]]:
     """Message classes that are fields of `message`, at any depth."""
-    found: set[type[Message]] = set()
+    kinds: set[type[Message]] = set()
     waiting = [field.annotation for field in message.model_fields.values()]
     while waiting:
         kind = waiting.pop()
         waiting.extend(get_args(kind))
-        if isinstance(kind, type) and issubclass(kind, Message) and kind not in found:
-            found |= {kind} | nested_in(kind)
-    return found
+        if isinstance(kind, type) and issubclass(kind, Message) and kind not in kinds:
+            kinds |= {kind} | nested_in(kind)
+    return kinds
 
 
 def all_messages() -> set[type[Message]]:
@@ -130,9 +130,9 @@ def test_what_is_put_can_also_be_asked_and_is_then_acknowledged(put: Topic, requ
 
 @pytest.mark.parametrize("message", sorted(all_messages(), key=lambda m: m.__name__), ids=lambda m: m.__name__)
 def test_an_encoding_names_the_class_and_the_version_and_survives_zenoh(message: type[Message]) -> None:
-    said = codec.encoding(message)
-    assert said == f"application/msgpack;zenostat/2.{message.__name__}"
-    assert str(zenoh.Encoding(said)) == said
+    encoding = codec.encoding(message)
+    assert encoding == f"application/msgpack;zenostat/2.{message.__name__}"
+    assert str(zenoh.Encoding(encoding)) == encoding
 
 
 def test_every_message_that_travels_is_in_the_table() -> None:

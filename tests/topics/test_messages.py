@@ -117,8 +117,8 @@ def test_the_values_of_a_command_stand_last() -> None:
 
 
 def test_a_manifest_names_the_sensors_and_then_the_meters() -> None:
-    made = manifest(sensors=[sensor("b"), sensor("a")], meters=[meter("0")], actuators=[actuator("heat")])
-    assert made.names == ("b", "a", "0")
+    built = manifest(sensors=[sensor("b"), sensor("a")], meters=[meter("0")], actuators=[actuator("heat")])
+    assert built.names == ("b", "a", "0")
 
 
 @pytest.mark.parametrize("step_s", [0.0, -1.0, float("nan"), float("inf")])
@@ -129,8 +129,8 @@ def test_a_timestep_is_positive_and_finite(step_s: float) -> None:
 
 
 def test_a_timestep_may_have_any_length() -> None:
-    made = manifest().model_copy(update={"step_s": 0.5})
-    assert made.timestep == timedelta(milliseconds=500)
+    built = manifest().model_copy(update={"step_s": 0.5})
+    assert built.timestep == timedelta(milliseconds=500)
 
 
 def test_kinds_and_flags_travel_as_plain_text_and_numbers() -> None:

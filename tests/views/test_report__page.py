@@ -242,16 +242,18 @@ def test_drawings_of_a_comparison_are_made_once(comparison: Comparison) -> None:
 
 
 @pytest.mark.parametrize(
-    ("path", "says"),
+    ("path", "message"),
     [
         ("report.txt", "expected an .html file"),
         ("nowhere/report.html", "there is no folder"),
         ("d.html", "is a folder"),
     ],
 )
-def test_a_path_that_cannot_be_written_is_named(path: str, says: str, comparison: Comparison, tmp_path: Path) -> None:
+def test_a_path_that_cannot_be_written_is_named(
+    path: str, message: str, comparison: Comparison, tmp_path: Path
+) -> None:
     (tmp_path / "d.html").mkdir()
-    with pytest.raises(InvalidConfig, match=says):
+    with pytest.raises(InvalidConfig, match=message):
         write_report(comparison, tmp_path / path)
 
 

@@ -1,4 +1,4 @@
-"""What one node's messages become in a recording."""
+"""Recording of one node's messages."""
 
 from __future__ import annotations
 

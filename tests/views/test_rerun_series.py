@@ -93,9 +93,9 @@ def test_a_node_without_end_uses_has_its_other_fuels_beside_its_electric_power()
 
 def test_commands_are_drawn_apart_from_effective_values_with_gaps_where_they_were_relinquished() -> None:
     manifest = office()
-    made = samples(manifest, rows(2), effective=(20.0, 25.0), commanded=(21.0, float("nan")))
-    made.append(samples(manifest, rows(1), first=2)[0])  # a node that does not report its commands
-    block = BlockReader(manifest, default_comfort(manifest)).block(made)
+    messages = samples(manifest, rows(2), effective=(20.0, 25.0), commanded=(21.0, float("nan")))
+    messages.append(samples(manifest, rows(1), first=2)[0])  # a node that does not report its commands
+    block = BlockReader(manifest, default_comfort(manifest)).block(messages)
     plots, totals = _plots(manifest), Totals(manifest, roles(manifest)).add(block)
     nan = float("nan")
     heating, cooling = [[21], [21], [nan]], [[nan]] * 3

@@ -1,4 +1,4 @@
-"""Who sets each actuator, by column."""
+"""Sources of each actuator's value, by column."""
 
 from __future__ import annotations
 
