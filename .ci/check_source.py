@@ -1,16 +1,19 @@
-"""Check what the linters cannot: names that say nothing, imports against the layers, import cycles."""
+"""Check names, openings of docstrings, imports against the layers, and import cycles, as no linter does."""
 
 from __future__ import annotations
 
 import ast
-import io
+import re
 import sys
-import tokenize
+from collections.abc import Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
-VAGUE = frozenset({"said", "told", "given", "found", "made", "here", "there", "who", "_told", "_said"})
+VAGUE = re.compile(r"_*(said|says|told|given|found|made|here|there|who|came|went|stood|heard|ruled)_*", re.IGNORECASE)
+OPENING = re.compile(r"(What|Who|Whose|Where|When|How|Has|Is|Does|As|Of|The same)\b")
+# These have names and docstrings as well, and import what they like.
+BESIDE = ("tests", "bench", "examples", ".ci")
 # A package imports only from these, and from itself; in functions and for types as well.
 LAYERS = {
     "topics": set(),
@@ -30,14 +33,29 @@ PUBLIC = {"cli"}
 SIMULATORS = {"pyenergyplus": {"models", "eplus_node"}}
 
 
-def vague_names(path: Path, text: str) -> list[str]:
-    """Identifiers that name nothing."""
-    tokens = tokenize.generate_tokens(io.StringIO(text).readline)
-    return [
-        f"{path}:{token.start[0]}: {token.string!r} says nothing; name the thing"
-        for token in tokens
-        if token.type == tokenize.NAME and token.string in VAGUE
-    ]
+def names(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Lines and names of what a module defines: variables, attributes, parameters, functions, classes."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()) | ast.arg(arg=name):
+                yield node.lineno, name
+            case ast.FunctionDef(name=name) | ast.AsyncFunctionDef(name=name) | ast.ClassDef(name=name):
+                yield node.lineno, name
+            case ast.ExceptHandler(name=str(name)) | ast.alias(asname=str(name)):
+                yield node.lineno, name
+
+
+def style_errors(tree: ast.Module) -> list[tuple[int, str]]:
+    """Lines and texts of names that say nothing, and of docstrings that do not open with a verb or a noun phrase."""
+    vague = [(line, name) for line, name in names(tree) if VAGUE.fullmatch(name)]
+    errors = [(line, f"{name!r} says nothing; name the thing") for line, name in vague]
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        if opening := OPENING.match(ast.get_docstring(node) or ""):
+            text = f"docstring opens with {opening[0]!r}; open with an imperative verb or a noun phrase"
+            errors.append((node.body[0].lineno, text))
+    return errors
 
 
 def imported(tree: ast.Module) -> list[tuple[int, str]]:
@@ -73,11 +91,13 @@ def main(root: Path = ROOT) -> int:
         ".".join(("zenostat", *path.relative_to(root).with_suffix("").parts)).removesuffix(".__init__"): path
         for path in paths
     }
+    beside = [path for folder in BESIDE for path in sorted((root / folder).rglob("*.py"))]
+    trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in [*paths, *beside]}
+    for path, tree in trees.items():
+        faults += [f"{path.relative_to(root)}:{line}: {text}" for line, text in style_errors(tree)]
     for module, path in modules.items():
-        text = path.read_text(encoding="utf-8")
-        faults += vague_names(path.relative_to(root), text)
         package, needs = layer(module), set()
-        for line, name in imported(ast.parse(text)):
+        for line, name in imported(trees[path]):
             if not may_import(package, layer(name)):
                 faults.append(f"{path.relative_to(root)}:{line}: {package} must not import {name}")
             if name in modules and name != module:
@@ -88,7 +108,7 @@ def main(root: Path = ROOT) -> int:
         TopologicalSorter(graph).prepare()
     except CycleError as error:
         faults.append(f"import cycle: {' -> '.join(error.args[1])}")
-    print("\n".join(dict.fromkeys(faults)) or "names and imports: all checks passed")
+    print("\n".join(dict.fromkeys(faults)) or "names, docstrings and imports: all checks passed")
     return bool(faults)
 
 

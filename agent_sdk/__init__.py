@@ -1,1 +1,1 @@
-"""What an agent needs: the client of the bus, environments, rewards, wrappers, controllers, evaluation and training."""
+"""Tools for agents: the client of the bus, environments, rewards, wrappers, controllers, evaluation and training."""

@@ -1,4 +1,4 @@
-"""What operators decide on the alarms of a running node: acknowledge, shelve, remove from service."""
+"""Commands for the alarms of a running node: acknowledge, shelve, remove from service."""
 
 from __future__ import annotations
 

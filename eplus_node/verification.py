@@ -89,7 +89,7 @@ class _Provenance(BaseModel):
 
 
 class _RecordedPlant:
-    """What a recording says of its plant, none of which is trusted.
+    """Description of the plant in a recording, none of which is trusted.
 
     Args:
         reader: of the recording.

@@ -64,13 +64,13 @@ class BusSide:
             self._tokens.popitem()[1].undeclare()  # type: ignore[no-untyped-call]
 
     def listen(
-        self, node: str, heard: Callable[[BusMessage], None], presence: Callable[[str, str, bool], None]
+        self, node: str, deliver: Callable[[BusMessage], None], presence: Callable[[str, str, bool], None]
     ) -> None:
         """Subscribe to the stream and the liveliness tokens of a node (`*`: all)."""
 
         def on_message(sample: zenoh.Sample) -> None:
             message = BusMessage(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
-            self._post(lambda: heard(message))
+            self._post(lambda: deliver(message))
 
         def on_token(token: zenoh.Sample) -> None:
             key, is_connected = str(token.key_expr), token.kind == zenoh.SampleKind.PUT

@@ -1,4 +1,4 @@
-"""What a gateway's client of a node counts, and whom it calls."""
+"""Counters and callbacks of a gateway's client of a node."""
 
 from __future__ import annotations
 

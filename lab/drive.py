@@ -33,7 +33,7 @@ Progress = Callable[[str, int], None]
 
 @dataclass(frozen=True, slots=True)
 class DriveResult:
-    """What was driven: numbers of timesteps and of episodes, and what was left out, and why."""
+    """Result of a drive: numbers of timesteps and of episodes, and what was left out, and why."""
 
     steps: int
     episodes: int

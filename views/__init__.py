@@ -1,1 +1,1 @@
-"""What people look at: the live monitor, reports, rendered frames of environments."""
+"""Views for people: the live monitor, reports, rendered frames of environments."""

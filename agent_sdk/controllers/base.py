@@ -36,7 +36,7 @@ class PlanBranch(Protocol):
 
 
 class Planner(Protocol):
-    """What a planning controller needs of its environment; a `BuildingEnv` has it."""
+    """Interface of an environment to a planning controller; a `BuildingEnv` has it."""
 
     action_space: Any
 

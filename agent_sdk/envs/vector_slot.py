@@ -22,7 +22,7 @@ _SHARED = (
 
 
 class SlotHost(Protocol):
-    """What a vector environment has for its slots."""
+    """Interface of a vector environment to its slots."""
 
     single_observation_space: Space[Any]
     single_action_space: Space[Any]

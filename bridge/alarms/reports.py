@@ -1,4 +1,4 @@
-"""What operators learn of alarms: the texts of events, the state of each alarm, and why a request has no effect."""
+"""Reports of alarms to operators: the texts of events, the state of each alarm, and why a request has no effect."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ VALUE_TRANSITIONS = (AlarmTransition.TO_OFFNORMAL, AlarmTransition.TO_FAULT, Ala
 
 @dataclass(slots=True)
 class Record:
-    """What happened to an alarm in this episode; see `AlarmStatus`. Steps are -1 before the first time."""
+    """Record of an alarm in this episode; see `AlarmStatus`. Steps are -1 before the first time."""
 
     raised: int = -1
     changed: int = -1

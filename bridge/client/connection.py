@@ -60,7 +60,7 @@ _CLOSED = "this bus is closed; connect to it again"
 
 
 class Link(Protocol):
-    """What ends with the connection, such as a `ControllerLink`."""
+    """Object that ends with the connection, such as a `ControllerLink`."""
 
     def close(self) -> None:
         """Close it; idempotent."""

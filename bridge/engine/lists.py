@@ -9,11 +9,11 @@ from zenostat.bridge.engine.spec import EngineSpec
 
 
 class Engine(Protocol):
-    """What an `EngineClient` has to end its engine."""
+    """Interface of an `EngineClient` to end its engine."""
 
     @property
     def spec(self) -> EngineSpec:
-        """What it simulates."""
+        """Settings of its simulation."""
 
     def order_close(self) -> bool:
         """Order the engine to end; return whether it has something to finish."""

@@ -1,4 +1,4 @@
-"""When the next timestep of a node server may begin: pace, pauses, single steps and deadlines."""
+"""Times at which a node server's next timestep may begin: pace, pauses, single steps and deadlines."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the parts of a node server use of it: they read its state, and change it only through its methods."""
+"""Interface of a node server to its parts: they read its state, and change it only through its methods."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class ServedNode(Protocol):
 
     @property
     def plant(self) -> RunningPlant:
-        """What it simulates."""
+        """Plant that it simulates."""
 
     @property
     def exchange(self) -> StepExchange:
@@ -53,7 +53,7 @@ class ServedNode(Protocol):
 
     @property
     def pacing(self) -> PaceStatus:
-        """When timesteps begin."""
+        """Pacing of its timesteps."""
 
     @property
     def subscriptions(self) -> Subscriptions:

@@ -12,7 +12,7 @@ COV_INTERVAL_S = 0.25
 
 
 class CovCriteria(COVDetection):
-    """What the subscribers of one object know of it; see ASHRAE 135, clause 13.1.
+    """State of an object that its subscribers know; see ASHRAE 135, clause 13.1.
 
     bacpypes3 compares at each assignment to a property. The gateway's objects have no assignments: they read the node's
     state. So `is_due` is asked after the node has changed, as often as `COV_INTERVAL_S` allows.

@@ -1,4 +1,4 @@
-"""The same building under the baseline control, simulated ahead of a test.
+"""Twin of the building under the baseline control, simulated ahead of a test.
 
 It is a branch from the sample at which a test begins. It provides the setpoints and occupants of the coming hours,
 which are the test's comfort band and its forecasts, and the values beside which a controller is compared.

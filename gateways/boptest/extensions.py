@@ -1,4 +1,4 @@
-"""What this service has beyond BOPTEST: snapshots, branches, and the building under the baseline control."""
+"""Functions of this service beyond BOPTEST: snapshots, branches, and the building under the baseline control."""
 
 from __future__ import annotations
 

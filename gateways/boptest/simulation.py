@@ -185,7 +185,7 @@ class Building:
 
     @property
     def end(self) -> str:
-        """How the node's process ended; empty while it runs."""
+        """Description of how the node's process ended; empty while it runs."""
         return self._node.end
 
     def close(self) -> None:

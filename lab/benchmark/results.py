@@ -51,7 +51,7 @@ class Row:
 
     @property
     def key(self) -> tuple[str, str, str, str, int]:
-        """What identifies a row among the results."""
+        """Identity of a row among the results."""
         return (self.controller, self.building, self.season, self.weather, self.seed)
 
 

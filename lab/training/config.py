@@ -39,7 +39,7 @@ FIELDS, FIELDS_OR_FALSE = Tag("@fields"), Discriminator(_switch)
 
 
 class Normalization(_Part):
-    """What `VecNormalize` and `RescaleAction` scale.
+    """Settings of `VecNormalize` and `RescaleAction`.
 
     Attributes:
         observations: to mean 0 and variance 1, by running statistics.

@@ -1,4 +1,4 @@
-"""The layers: `bridge` imports neither models nor a simulator, and the source check would notice."""
+"""The source check, which this source passes: names, docstrings, and imports against the layers."""
 
 from __future__ import annotations
 
@@ -47,9 +47,17 @@ def test_this_source_passes(check: dict[str, Any]) -> None:
             "if True:\n    import zenostat.bridge.node\n",
             "2: topics must not import zenostat.bridge.node",
         ),
+        ("tests/a.py", "def f(told):\n    pass\n", "1: 'told' says nothing; name the thing"),
+        ("bench/a.py", "x = [\n    y for _found in z]\n", "2: '_found' says nothing; name the thing"),
+        ("examples/a.py", "class A:\n    SAID: int\n", "2: 'SAID' says nothing; name the thing"),
+        (
+            "tests/a.py",
+            'def f():\n    """The same."""\n',
+            "2: docstring opens with 'The same'; open with an imperative verb or a noun phrase",
+        ),
     ],
 )
-def test_an_import_against_the_layers_is_a_fault(
+def test_source_check__prints_file_and_line_of_an_error(
     check: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], path: str, text: str, fault: str
 ) -> None:
     (tmp_path / path).parent.mkdir(parents=True)

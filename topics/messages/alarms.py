@@ -17,7 +17,7 @@ Duration = Annotated[float, Field(gt=0, le=MAX_DURATION_S, strict=True)]
 
 
 class EventState(StrEnum):
-    """What a monitored value is, as BACnet's property Event_State: within its limits, beyond one, or missing."""
+    """State of a monitored value, as BACnet's property Event_State: within its limits, beyond one, or missing."""
 
     NORMAL = "normal"
     HIGH_LIMIT = "high_limit"
@@ -44,7 +44,7 @@ class AlarmState(StrEnum):
 
 
 class AlarmTransition(StrEnum):
-    """What changes the state of an alarm.
+    """Cause of a change of an alarm's state.
 
     The first three are BACnet's, caused by the value. Operators request `ACKNOWLEDGE`, `SHELVE`, `UNSHELVE`,
     `REMOVE_FROM_SERVICE` and `RETURN_TO_SERVICE`. `EXPIRE`: the time for which it was shelved or out of service is
@@ -157,7 +157,7 @@ class AlarmList(Message):
 
 
 class AlarmRequest(Message):
-    """What all requests of operators have. One is rejected if it changes nothing: no alarm that it names allows it.
+    """Fields of all requests of operators. One is rejected if it changes nothing: no alarm that it names allows it.
 
     `alarm`: the name of an alarm, or of a rule for all of its points; `*` stands for any characters. `slot`: None means
     all slots.

@@ -1,4 +1,4 @@
-"""Who sets each actuator over time: controllers, devices, or nobody."""
+"""Sources of each actuator's value over time: controllers, devices, or nobody."""
 
 from __future__ import annotations
 
