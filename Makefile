@@ -1,4 +1,5 @@
-# The whole interface: make demo, make test, make test-fast, make test-all, make check, make bench, make chaos, make docs.
+# The whole interface: make demo, make test, make test-fast, make test-all, make matrix, make check, make bench, make chaos,
+# make docs.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -7,7 +8,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 WORKERS ?= 2
 SECONDS ?= 120
 
-.PHONY: demo test test-all test-fast test-lowest test-ray check bench chaos docs clean
+.PHONY: demo test test-all test-fast test-lowest test-ray matrix check bench chaos docs clean
 
 $(VENV):
 	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "Zenostat needs Python 3.11 or newer")'
@@ -63,6 +64,24 @@ $(RAY)/.ready: pyproject.toml constraints-ray.txt
 test-ray: $(RAY)/.ready  ## RLlib, Tune, a cluster of two raylets, and TorchRL's checks, in an environment of their own
 	$(RAY)/bin/python -m pytest -q $(RAY_TESTS)
 
+MATRIX := 3.11 3.12 3.13
+
+# An interpreter is looked for on the path, and among those of pyenv.
+matrix: $(MATRIX:%=matrix-%)  ## The rules with each version of Python that is on the machine, in environments without torch
+
+matrix-%:
+	@for python in python$* $$(ls -d $${PYENV_ROOT:-$$HOME/.pyenv}/versions/$*.*/bin/python 2> /dev/null); do \
+		if $$python -c "" 2> /dev/null; then \
+			$(MAKE) .venv-$*/.ready PYTHON=$$python && \
+			.venv-$*/bin/python -m pytest -n $(WORKERS) --dist worksteal -m "not slow and not process"; exit; \
+		fi; \
+	done; echo "Python $* is not on this machine: skipped."
+
+.venv-3.%/.ready: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv-3.$*
+	.venv-3.$*/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	touch $@
+
 check: $(READY)-dev  ## Format, lint, types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
@@ -80,4 +99,4 @@ docs: $(READY)-dev  ## The documentation as a web site, in site/; any warning is
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 clean:  ## Removes what the others made
-	rm -rf $(VENV) $(LOWEST) $(RAY) demo bench/results site .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
+	rm -rf $(VENV) $(LOWEST) $(RAY) $(MATRIX:%=.venv-%) demo bench/results site .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
