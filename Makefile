@@ -1,5 +1,5 @@
 # The whole interface: make demo, make test, make test-fast, make test-all, make matrix, make check, make bench, make chaos,
-# make docs.
+# make docs, make release.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -8,7 +8,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c c
 WORKERS ?= 2
 SECONDS ?= 120
 
-.PHONY: demo test test-all test-fast test-lowest test-ray matrix check bench chaos docs clean
+.PHONY: demo test test-all test-fast test-lowest test-ray matrix check bench chaos docs release clean
 
 $(VENV):
 	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "Zenostat needs Python 3.11 or newer")'
@@ -98,5 +98,9 @@ chaos: $(READY)-dev  ## A building troubled at random for SECONDS, then recorded
 docs: $(READY)-dev  ## The documentation as a web site, in site/; any warning is an error
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
+release: $(READY)  ## The files to publish, in dist/, built twice and checked; prints how to upload them
+	$(INSTALL) -e '.[release]'
+	.ci/release
+
 clean:  ## Removes what the others made
-	rm -rf $(VENV) $(LOWEST) $(RAY) $(MATRIX:%=.venv-%) demo bench/results site .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
+	rm -rf $(VENV) $(LOWEST) $(RAY) $(MATRIX:%=.venv-%) demo dist bench/results site .mypy_cache .ruff_cache .pytest_cache .hypothesis *.egg-info
