@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import out
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.write import Node, Source, person, seconds
 
 if TYPE_CHECKING:
@@ -24,14 +22,13 @@ Comment = Annotated[str, typer.Option(help="For the record.")]
 Slot = Annotated[int | None, typer.Option(min=0, help="Slot of a node with several engines. Default: all.")]
 
 
+@on_bus
 def acknowledge(
     node: Node,
     alarm: Alarm,
     comment: Comment = "",
     slot: Slot = None,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     source: Source = None,
 ) -> None:
     """Acknowledge alarms that are active, or that returned to normal before anybody acknowledged them.
@@ -40,22 +37,19 @@ def acknowledge(
     """
     _send(
         node,
+        options,
         lambda bus: bus.acknowledge(node, alarm, slot=slot, source=source or person(), comment=comment),
-        connect,
-        keys,
-        certificate,
     )
 
 
+@on_bus
 def shelve(
     node: Node,
     alarm: Alarm,
     duration: Annotated[str, typer.Option(metavar="TIME", help="Simulated time: 90s, 15min, 2h, 1d.")],
     comment: Comment = "",
     slot: Slot = None,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     source: Source = None,
 ) -> None:
     """Shelve alarms: for a time they alert nobody. A new time replaces the present one.
@@ -65,21 +59,18 @@ def shelve(
     duration_s = seconds(duration)
     _send(
         node,
+        options,
         lambda bus: bus.shelve(node, alarm, duration_s, slot=slot, source=source or person(), comment=comment),
-        connect,
-        keys,
-        certificate,
     )
 
 
+@on_bus
 def unshelve(
     node: Node,
     alarm: Alarm,
     comment: Comment = "",
     slot: Slot = None,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     source: Source = None,
 ) -> None:
     """End the shelving of alarms; those whose value is beyond a limit become active.
@@ -88,13 +79,12 @@ def unshelve(
     """
     _send(
         node,
+        options,
         lambda bus: bus.unshelve(node, alarm, slot=slot, source=source or person(), comment=comment),
-        connect,
-        keys,
-        certificate,
     )
 
 
+@on_bus
 def remove_from_service(
     node: Node,
     alarm: Alarm,
@@ -103,9 +93,7 @@ def remove_from_service(
     ] = None,
     comment: Comment = "",
     slot: Slot = None,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     source: Source = None,
 ) -> None:
     """Remove alarms from service: they alert nobody until they are returned, or `--duration` has passed.
@@ -115,23 +103,20 @@ def remove_from_service(
     duration_s = None if duration is None else seconds(duration)
     _send(
         node,
+        options,
         lambda bus: bus.remove_from_service(
             node, alarm, duration_s, slot=slot, source=source or person(), comment=comment
         ),
-        connect,
-        keys,
-        certificate,
     )
 
 
+@on_bus
 def return_to_service(
     node: Node,
     alarm: Alarm,
     comment: Comment = "",
     slot: Slot = None,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     source: Source = None,
 ) -> None:
     """Return alarms to service; those whose value is beyond a limit become active.
@@ -140,20 +125,14 @@ def return_to_service(
     """
     _send(
         node,
+        options,
         lambda bus: bus.return_to_service(node, alarm, slot=slot, source=source or person(), comment=comment),
-        connect,
-        keys,
-        certificate,
     )
 
 
-def _send(
-    node: str, request: Callable[[Bus], Ack], connect: str | None, keys: Path | None, certificate: str | None
-) -> None:
+def _send(node: str, options: BusOptions, request: Callable[[Bus], Ack]) -> None:
     """Send a request and print what it changed, a line for each alarm."""
-    from zenostat import connect as connect_bus
-
-    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
+    with options.open_bus() as bus:
         ack = request(bus)
     for text in ack.text.splitlines():
         out.print(f"{node}: {text}", markup=False, soft_wrap=True)

@@ -12,9 +12,8 @@ from typing import Annotated, Any
 import typer
 from rich.live import Live
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import err, out
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.tables import fitted, show, show_json
 from zenostat.topics.errors import NodeNotFound
 from zenostat.topics.keys import Role
@@ -29,14 +28,13 @@ _WRAPPED = ("alarm", "state")
 _COLUMNS = ("state", "priority", "alarm", "value", "limit", "since")
 
 
+@on_bus
 def alarms(
     node: Annotated[str, typer.Argument(help="Name of the node.")],
     show_all: Annotated[bool, typer.Option("--all", help="Also list alarms that are normal.")] = False,
     follow: Annotated[bool, typer.Option("--follow", help="Show changes until Ctrl-C.")] = False,
     slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON; with --follow, a line per change.")] = False,
 ) -> None:
     """List the alarms of a node that are not normal, the most urgent first, and those that are set aside.
@@ -45,10 +43,7 @@ def alarms(
 
     Example: `zenostat alarms office --all`
     """
-    from zenostat import connect as connect_bus
-
-    endpoint = connect or default_endpoint(keys)
-    with connect_bus(endpoint, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
+    with options.open_bus(Role.MONITOR) as bus:
         if follow:
             _follow(lambda: bus.alarms(node, slot=slot), node, show_all=show_all, as_json=as_json)
             return

@@ -8,19 +8,16 @@ import time
 from collections.abc import Awaitable, Callable, Mapping
 from contextlib import AbstractAsyncContextManager, AsyncExitStack
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.boptest import boptest
 from zenostat.cli.console import err, out
-from zenostat.cli.options import CertificateName, Connect, Keys, Wait
+from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
 from zenostat.topics.extras import install_command
-from zenostat.topics.keys import Role
 
 if TYPE_CHECKING:
     import zenoh
@@ -46,10 +43,9 @@ app.command()(boptest)
 
 
 @app.command()
+@on_bus
 def zeromq(
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     node: Annotated[str, typer.Option(help="Serve only this node. Default: all.")] = "*",
     publish: Annotated[
         str, typer.Option(help="Address that publishes samples, events and manifests.")
@@ -67,22 +63,20 @@ def zeromq(
     """
     if importlib.util.find_spec("zmq") is None:
         raise InvalidConfig(f"pyzmq is not installed: {install_command('zeromq')}")
-    from zenostat.bridge.transport.session import open_session
     from zenostat.gateways.zeromq import Gateway
 
-    endpoint = connect or default_endpoint(keys)
     served = "all nodes" if node == "*" else f"node {node}"
 
     waiting = _Waiting(wait)
     while True:
         try:
             with (
-                open_session(connect=[endpoint], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session,
+                options.open_session() as session,
                 Gateway(session, node, publish=publish, command=command, lease_s=lease, expose=expose) as running,
                 override_signals(lambda *_: running.stop(), *TERMINATION_SIGNALS),
             ):
                 addresses = f"samples on {running.publish}, requests on {running.command}"
-                out.print(f"ready: {served} of {endpoint}; {addresses}; press Ctrl-C to stop", soft_wrap=True)
+                out.print(f"ready: {served} of {options.endpoint}; {addresses}; press Ctrl-C to stop", soft_wrap=True)
                 running.run()
             break
         except NodeNotFound as error:
@@ -126,9 +120,7 @@ def serve(
     gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
     *,
     source: str,
-    connect: str | None,
-    keys: Path | None,
-    certificate: str | None,
+    options: BusOptions,
     wait: bool,
     exclusive: Mapping[str, str] | None = None,
 ) -> None:
@@ -140,9 +132,7 @@ def serve(
         node: name of the node.
         gateway: creates the gateway in the running loop.
         source: name of the gateway among the sources of values and events.
-        connect: endpoint of the bus.
-        keys: folder of keys; with it, the gateway uses the controller role.
-        certificate: name of another certificate of that role.
+        options: the bus; with keys, the gateway uses the controller role.
         wait: wait for the bus and the node instead of failing.
         exclusive: further names that no other gateway of the node may have, with what to do if one has.
 
@@ -163,9 +153,7 @@ def serve(
         gateway=gateway,
         source=source,
         names=names,
-        connect=connect or default_endpoint(keys),
-        keys=keys,
-        certificate=certificate,
+        options=options,
     )
     number = asyncio.run(_until_served(attempt, wait=wait))
     if number:
@@ -201,14 +189,10 @@ async def _serve(
     gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
     source: str,
     names: Mapping[str, str],
-    connect: str,
-    keys: Path | None,
-    certificate: str | None,
+    options: BusOptions,
 ) -> int:
     """Return the number of the signal that arrived before the gateway was ready; 0 if it was ready."""
-    from zenostat.bridge.transport.session import open_session
-
-    with open_session(connect=[connect], keys=keys, role=Role.CONTROLLER, certificate=certificate) as session:
+    with options.open_session() as session:
         async with AsyncExitStack() as stack:
             starting = asyncio.create_task(_start(stack, session, node, gateway, source, names))
             if not await _ends_before(starting, stopped):

@@ -8,24 +8,21 @@ from typing import Annotated
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import err, out
 from zenostat.cli.gateway import serve
-from zenostat.cli.options import CertificateName, Connect, Keys, Wait
+from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.gateways.addresses import parse_address
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
-from zenostat.topics.keys import Role
 
 _MAX_INSTANCE = 4_194_302
 _MAX_SOURCE = 100  # a source has at most 128 characters, with the client's address
 
 
+@on_bus
 def bacnet(
     node: Annotated[str, typer.Argument(help="Name of the node.")],
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     wait: Wait = False,
     address: Annotated[
         str, typer.Option(help="IPv4 address of the network interface, with UDP port.")
@@ -53,7 +50,7 @@ def bacnet(
         raise InvalidConfig(f"--source has {len(source)} characters; the most are {_MAX_SOURCE}")
     number = instance_number(node) if instance is None else instance
     if objects is not None:
-        _write_objects(node, number, objects, connect or default_endpoint(keys), keys, certificate)
+        _write_objects(node, number, objects, options)
         return
     interface = find_interface(*parse_address(address, "BACnet/IP", expose=expose, default_port=DEFAULT_PORT))
     err.print(
@@ -69,28 +66,23 @@ def bacnet(
             notify=lambda text: err.print(text, markup=False, soft_wrap=True),
         ),
         source=source,
-        connect=connect,
-        keys=keys,
-        certificate=certificate,
+        options=options,
         wait=wait,
         exclusive={f"BACnet device {number}": "choose another number with --instance"},
     )
 
 
-def _write_objects(
-    node: str, number: int, file: Path, connect: str, keys: Path | None, certificate: str | None
-) -> None:
+def _write_objects(node: str, number: int, file: Path, options: BusOptions) -> None:
     """Write all objects of a node's device, whose number is `number`: type, instance, name, units, bounds, description.
 
     Raises:
         InvalidConfig: the file cannot be written.
     """
-    from zenostat import connect as connect_bus
     from zenostat.gateways.bacnet.fixed_objects import fixed_objects
     from zenostat.gateways.bacnet.points import point_specs
     from zenostat.gateways.bacnet.units import bacnet_unit
 
-    with connect_bus(connect, keys=keys, role=Role.CONTROLLER, certificate=certificate) as bus:
+    with options.open_bus() as bus:
         manifest = bus.manifest(node)
     fixed, points = fixed_objects(manifest, number), point_specs(manifest)
     try:

@@ -7,16 +7,15 @@ from typing import Annotated
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import err, out
 from zenostat.cli.gateway import serve
-from zenostat.cli.options import CertificateName, Connect, Keys, Wait
+from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.keys import Role
 
 DEFAULT_PORT = 1502
 
 
+@on_bus
 def modbus(
     node: Annotated[str, typer.Argument(help="Name of the node.")],
     address: Annotated[
@@ -33,9 +32,7 @@ def modbus(
     map_file: Annotated[
         Path | None, typer.Option("--map", help="Write the map of registers to FILE.csv or FILE.md, and end.")
     ] = None,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
 ) -> None:
@@ -49,7 +46,7 @@ def modbus(
     if word_order not in ("big", "little"):
         raise InvalidConfig(f"--word-order {word_order}: expected big or little")
     if map_file is not None:
-        _write_map(node, map_file, connect or default_endpoint(keys), keys, certificate)
+        _write_map(node, map_file, options)
         return
     host, port = parse_address(address, "Modbus TCP", expose=expose, default_port=DEFAULT_PORT)
     serve(
@@ -63,25 +60,22 @@ def modbus(
             notify=lambda text: err.print(text, markup=False, soft_wrap=True),
         ),
         source=source,
-        connect=connect,
-        keys=keys,
-        certificate=certificate,
+        options=options,
         wait=wait,
     )
 
 
-def _write_map(node: str, file: Path, connect: str, keys: Path | None, certificate: str | None) -> None:
+def _write_map(node: str, file: Path, options: BusOptions) -> None:
     """Write the register map of a node as CSV or Markdown.
 
     Raises:
         InvalidConfig: another suffix, or the file cannot be written.
     """
-    from zenostat import connect as connect_bus
     from zenostat.gateways.modbus.register_map import RegisterMap
 
     if file.suffix not in (".csv", ".md"):
         raise InvalidConfig(f"--map {file}: expected a file with the suffix .csv or .md")
-    with connect_bus(connect, keys=keys, role=Role.CONTROLLER, certificate=certificate) as bus:
+    with options.open_bus() as bus:
         registers = RegisterMap(bus.manifest(node))
     try:
         file.write_text(registers.csv() if file.suffix == ".csv" else registers.markdown(), encoding="utf-8")

@@ -12,13 +12,14 @@ import typer
 
 from zenostat.cli.console import err
 from zenostat.cli.gateway import serve
-from zenostat.cli.options import CertificateName, Connect, Keys, Wait
+from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 
 _FORM = re.compile(r"(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+)(:(?P<port>\d{1,5}))?")
 
 
+@on_bus
 def mqtt(
     node: Annotated[str, typer.Argument(help="Name of the node.")],
     broker: Annotated[str, typer.Option(help="HOST:PORT of the broker; port 1883, with --tls 8883, by default.")] = (
@@ -44,9 +45,7 @@ def mqtt(
     broker_certificate: Annotated[Path | None, typer.Option(help="Certificate to present to the broker (PEM).")] = None,
     broker_key: Annotated[Path | None, typer.Option(help="Private key of --broker-certificate (PEM).")] = None,
     mqtt_version: Annotated[str, typer.Option(metavar="5|3.1.1", help="Version of the protocol.")] = "5",
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow a broker on another machine without --tls.")] = False,
 ) -> None:
@@ -86,7 +85,7 @@ def mqtt(
             client, at, root=root, priority=priority, home_assistant=prefix,
             notify=lambda text: err.print(text, markup=False, soft_wrap=True),
         ),
-        source=source, connect=connect, keys=keys, certificate=certificate, wait=wait,
+        source=source, options=options, wait=wait,
         exclusive={f"{root} on {at}": "choose another topic with --topic"},
     )  # fmt: skip
 

@@ -6,28 +6,25 @@ from typing import Annotated
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import out
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.write import Node, person
 from zenostat.topics.errors import NodeLost
 
 
+@on_bus
 def reset(
     node: Node,
     seed: Annotated[int | None, typer.Option(min=0, metavar="N", help="Seed of the episode.")] = None,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
 ) -> None:
     """Start a new episode on a node; connected controllers are notified.
 
     Example: `zenostat reset office --seed 1`
     """
-    from zenostat import connect as connect_bus
     from zenostat.topics.messages import Reset
 
-    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
+    with options.open_bus() as bus:
         steps = bus.manifest(node).steps
         ack = bus.reset(node, Reset(controller=person(), seed=seed))
     weathers = dict.fromkeys(start.weather for start in ack.episode_starts if start.weather)
@@ -35,15 +32,14 @@ def reset(
     out.print(text, markup=False, soft_wrap=True)
 
 
-def stop(node: Node, connect: Connect = None, keys: Keys = None, certificate: CertificateName = None) -> None:
+@on_bus
+def stop(node: Node, options: BusOptions = DEFAULTS) -> None:
     """Stop a node, and wait until it has left the bus.
 
     Example: `zenostat stop office`
     """
-    from zenostat import connect as connect_bus
-
     with (
-        connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus,
+        options.open_bus() as bus,
         bus.listen(node) as samples,
     ):
         bus.stop(node)

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, default_endpoint
+from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
 from zenostat.cli.console import out, until_signal
-from zenostat.cli.options import CertificateName, Keys
+from zenostat.cli.options import BusOptions, CertificateName, Keys
 from zenostat.cli.view import At, Size, Tab, screenshot_request
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, ViewerError, did_you_mean
 from zenostat.topics.keys import Role
@@ -55,7 +55,7 @@ def monitor(
         recording = save
         if request is not None and recording is None:
             recording = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="zenostat-"))) / "run.rrd"
-        samples = _stream(node, connect or default_endpoint(keys), keys, certificate, recording, web=web, once=once)
+        samples = _stream(node, BusOptions(connect, keys, certificate), recording, web=web, once=once)
         if save is not None and samples is not None:
             out.print(f"recording: {save}; open it with: {how_to_open(save)}", soft_wrap=True, markup=False)
         if request is not None and recording is not None and samples:
@@ -65,33 +65,21 @@ def monitor(
             raise ViewerError(f"no screenshot was written to {request.path}: the monitor received no samples")
 
 
-def _stream(
-    node: str,
-    connect: str,
-    keys: Path | None,
-    certificate: str | None,
-    recording: Path | None,
-    *,
-    web: bool,
-    once: bool,
-) -> int | None:
+def _stream(node: str, options: BusOptions, recording: Path | None, *, web: bool, once: bool) -> int | None:
     """Log samples until Ctrl-C, or until a node leaves the bus; return their number, None if there was no bus."""
     from zenostat.bridge.runtime import affinity
-    from zenostat.bridge.transport.session import open_session
     from zenostat.cli.monitor_stream import open_stream
 
     with ExitStack() as stack:
         sinks = _sinks(stack, recording, web)
         stop = stack.enter_context(until_signal())
-        if not _wait_for_bus(connect, stop, keys=keys, role=Role.MONITOR, certificate=certificate):
+        if not _wait_for_bus(options, stop):
             return None
-        session = stack.enter_context(
-            open_session(connect=[connect], wait=True, keys=keys, role=Role.MONITOR, certificate=certificate)
-        )
+        session = stack.enter_context(options.open_session(Role.MONITOR, wait=True))
         affinity.lower_priority()
         with open_stream(session, node, sinks, is_live=recording is None or len(sinks) > 1) as stream:
             out.print(
-                f"connected to {connect}{_missing_note(session, node)}; press Ctrl-C to stop",
+                f"connected to {options.endpoint}{_missing_note(session, node)}; press Ctrl-C to stop",
                 soft_wrap=True,
                 markup=False,
             )
@@ -112,14 +100,12 @@ def _missing_note(session: zenoh.Session, node: str) -> str:
     return f"; waiting for node {node!r}, which is not on this bus ({did_you_mean(node, nodes)})"
 
 
-def _wait_for_bus(connect: str, stop: threading.Event, **credentials: Any) -> bool:
+def _wait_for_bus(options: BusOptions, stop: threading.Event) -> bool:
     """Wait until the endpoint accepts connections; return False if `stop` is set first."""
-    from zenostat.bridge.transport.session import open_session
-
     is_announced = False
     while not stop.is_set():
         try:
-            with open_session(connect=[connect], **credentials):
+            with options.open_session(Role.MONITOR):
                 return True
         except NodeNotFound as error:
             if not is_announced:

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
+from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, OpenSession, default_endpoint, open_session
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import Role
+
+if TYPE_CHECKING:
+    from zenostat import Bus
 
 Connect = Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)]
 Keys = Annotated[
@@ -36,6 +43,56 @@ Emissions = Annotated[
         help="Emission factor of a fuel in kg CO2 per kWh, for the KPI of emissions; as for --price.",
     ),
 ]
+
+
+@dataclass(frozen=True, slots=True)
+class BusOptions:
+    """The options of a command that connects to a bus."""
+
+    connect: Connect = None
+    keys: Keys = None
+    certificate: CertificateName = None
+
+    @property
+    def endpoint(self) -> str:
+        """The endpoint of the bus: the default one if none is named."""
+        return self.connect or default_endpoint(self.keys)
+
+    def open_bus(self, role: Role = Role.CONTROLLER) -> Bus:
+        """Connect to the bus; with keys, by the certificate of this role.
+
+        Raises:
+            NodeNotFound: No process listens at the endpoint.
+            InvalidConfig: The endpoint is malformed, or the keys cannot be used.
+        """
+        from zenostat import connect
+
+        return connect(self.endpoint, keys=self.keys, role=role, certificate=self.certificate)
+
+    def open_session(self, role: Role = Role.CONTROLLER, *, wait: bool = False) -> OpenSession:
+        """Open a Zenoh session instead, for programs without requests; arguments and errors as of `open_bus`."""
+        return open_session(connect=[self.endpoint], wait=wait, keys=self.keys, role=role, certificate=self.certificate)
+
+
+DEFAULTS = BusOptions()
+_FIELDS = tuple(inspect.signature(BusOptions, eval_str=True).parameters.values())
+
+
+def on_bus(command: Callable[..., None]) -> Callable[..., None]:
+    """Give a command the options of a bus, in place of its parameter `options`, which receives them."""
+    signature = inspect.signature(command, eval_str=True)
+    parameters: list[inspect.Parameter] = []
+    for parameter in signature.parameters.values():
+        parameters += _FIELDS if parameter.name == "options" else (parameter,)
+
+    @wraps(command)
+    def run(**arguments: Any) -> None:
+        options = BusOptions(*(arguments.pop(field.name) for field in _FIELDS))
+        command(options=options, **arguments)
+
+    run.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
+    run.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
+    return run
 
 
 def read_rates(option: str, texts: Sequence[str] | None) -> dict[str, float | str]:

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import out
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.write import Node, person
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Mode, State, Status
@@ -24,43 +23,43 @@ _STALLED_S = 2.0
 """A lockstep node that stays at one sample for this long is waiting for its controllers."""
 
 
+@on_bus
 def pace(
     node: Node,
     speed: Annotated[str, typer.Argument(help="Simulated seconds per second, lockstep, or free.")],
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
 ) -> None:
     """Pace a node by the wall clock at a given speed, by its controllers (lockstep), or not at all (free).
 
     Example: `zenostat pace office 60`
     """
     mode, number = read_pace(speed)
-    _ask(node, connect, keys, certificate, lambda bus: bus.pace(node, number, mode=mode, source=person()))
+    _ask(node, options, lambda bus: bus.pace(node, number, mode=mode, source=person()))
 
 
-def pause(node: Node, connect: Connect = None, keys: Keys = None, certificate: CertificateName = None) -> None:
+@on_bus
+def pause(node: Node, options: BusOptions = DEFAULTS) -> None:
     """Pause a node, in any mode.
 
     Example: `zenostat pause office`
     """
-    _ask(node, connect, keys, certificate, lambda bus: bus.pause(node, source=person()))
+    _ask(node, options, lambda bus: bus.pause(node, source=person()))
 
 
-def resume(node: Node, connect: Connect = None, keys: Keys = None, certificate: CertificateName = None) -> None:
+@on_bus
+def resume(node: Node, options: BusOptions = DEFAULTS) -> None:
     """Resume a paused node; a paced node continues without catching up.
 
     Example: `zenostat resume office`
     """
-    _ask(node, connect, keys, certificate, lambda bus: bus.resume(node, source=person()))
+    _ask(node, options, lambda bus: bus.resume(node, source=person()))
 
 
+@on_bus
 def step(
     node: Node,
     steps: Annotated[int, typer.Argument(min=1, max=1_000_000, help="Number of timesteps.")] = 1,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
 ) -> None:
     """Advance a paused node by some timesteps; in lockstep, each timestep still waits for its commands.
 
@@ -74,16 +73,15 @@ def step(
         bus.step(node, steps, source=person())
         return _after_steps(bus, before, steps)
 
-    _ask(node, connect, keys, certificate, advance)
+    _ask(node, options, advance)
 
 
+@on_bus
 def faults(
     node: Node,
     file: Annotated[Path | None, typer.Argument(help="Fault plan (YAML); see docs/faults.md.")] = None,
     clear: Annotated[bool, typer.Option("--clear", help="Remove all faults.")] = False,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
 ) -> None:
     """Replace the fault plan of a running node.
 
@@ -91,7 +89,7 @@ def faults(
     """
     if (file is None) is not clear:
         raise InvalidConfig("expected either a file with a fault plan, or --clear to remove all faults")
-    _ask(node, connect, keys, certificate, lambda bus: bus.faults(node, file))
+    _ask(node, options, lambda bus: bus.faults(node, file))
 
 
 def read_pace(text: str) -> tuple[Mode, float | None]:
@@ -110,13 +108,9 @@ def read_pace(text: str) -> tuple[Mode, float | None]:
         ) from None
 
 
-def _ask(
-    node: str, connect: str | None, keys: Path | None, certificate: str | None, request: Callable[[Bus], str | None]
-) -> None:
+def _ask(node: str, options: BusOptions, request: Callable[[Bus], str | None]) -> None:
     """Send a request to a node, and print the node's status afterwards."""
-    from zenostat import connect as connect_bus
-
-    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
+    with options.open_bus() as bus:
         note = request(bus)
         now = bus.status(node)
     pace = f"paced, {now.speed:g} times the wall clock" if now.mode is Mode.PACED else str(now.mode)

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import out
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.read import check_points
 from zenostat.cli.tables import show_json
 from zenostat.topics.errors import InvalidConfig
@@ -26,6 +25,7 @@ _SAMPLES_PER_COLUMN = 8
 """More samples per character would not be visible."""
 
 
+@on_bus
 def plot(
     node: Annotated[str, typer.Argument(help="Name of the node.")],
     points: Annotated[list[str], typer.Argument(help="Names of sensors, meters and actuators.")],
@@ -35,9 +35,7 @@ def plot(
     end: Annotated[str | None, typer.Option("--to", metavar="TIME", help="Simulated time of the last sample.")] = None,
     slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
     height: Annotated[int, typer.Option(min=3, max=200, help="Lines of each chart.")] = 10,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     as_json: Annotated[bool, typer.Option("--json", help="Print all samples as JSON.")] = False,
 ) -> None:
     """Plot points over the present episode, as far back as the node keeps samples.
@@ -47,11 +45,9 @@ def plot(
 
     Example: `zenostat plot office core_zn_air_temperature core_zn_cooling_setpoint`
     """
-    from zenostat import connect as connect_bus
-
     names = list(dict.fromkeys(points))
     limit = None if as_json else _SAMPLES_PER_COLUMN * out.width
-    with connect_bus(connect or default_endpoint(keys), keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
+    with options.open_bus(Role.MONITOR) as bus:
         check_points(bus.manifest(node), names)
         try:
             history = bus.history(node, names, slot=slot, start=start, end=end, max_samples=limit, extremes=not as_json)

@@ -6,21 +6,19 @@ from typing import Annotated
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.tables import show, show_json
 from zenostat.topics.keys import Role
 from zenostat.topics.points import actuator_index
 from zenostat.topics.units import unit_label
 
 
+@on_bus
 def priorities(
     node: Annotated[str, typer.Argument(help="Name of the node.")],
     actuators: Annotated[list[str] | None, typer.Argument(help="Names of actuators. Default: all in use.")] = None,
     slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show who has commanded which actuator at which priority; the first line of an actuator is in effect.
@@ -29,10 +27,7 @@ def priorities(
 
     Example: `zenostat priorities office core_zn_cooling_setpoint`
     """
-    from zenostat import connect as connect_bus
-
-    connect = connect or default_endpoint(keys)
-    with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
+    with options.open_bus(Role.MONITOR) as bus:
         manifest = bus.manifest(node)
         actuator_index(manifest.actuators).require(actuators or [])
         arrays = bus.priorities(node, slot=slot)

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.tables import show, show_json
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import Manifest, Meter, Sensor
@@ -38,13 +37,12 @@ class Row:
     value_source: str | None = None
 
 
+@on_bus
 def read(
     node: Annotated[str, typer.Argument(help="Name of the node.")],
     points: Annotated[list[str] | None, typer.Argument(help="Names of points. Default: all.")] = None,
     slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Show the latest sample of a node: values with units, and each actuator's effective value and source.
@@ -53,10 +51,7 @@ def read(
 
     Example: `zenostat read office core_zn_air_temperature core_zn_cooling_setpoint`
     """
-    from zenostat import connect as connect_bus
-
-    connect = connect or default_endpoint(keys)
-    with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
+    with options.open_bus(Role.MONITOR) as bus:
         sample = bus.read(node, slot=slot)
     check_points(sample.manifest, points or [])
     listed = rows(sample, points or [])

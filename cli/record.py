@@ -8,15 +8,15 @@ from typing import Annotated
 import typer
 
 from zenostat.bridge.runtime.affinity import host
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import out
 from zenostat.cli.node_options import RecordOnFull
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.write import Node, person
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import OnFull, RecordingState, RecordingStatus
 
 
+@on_bus
 def record(
     node: Node,
     file: Annotated[
@@ -29,19 +29,15 @@ def record(
     stop: Annotated[bool, typer.Option("--stop", help="End the recording, and complete its file.")] = False,
     on_full: RecordOnFull = OnFull.WAIT,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the file if it is a recording.")] = False,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
 ) -> None:
     """Record a running node, from its next reset until the node ends or `--stop`; the node writes the file.
 
     Example: `zenostat record office --out run.mcap`
     """
-    from zenostat import connect as connect_bus
-
     if (file is not None) is stop:
         raise InvalidConfig("expected either --out FILE.mcap, or --stop")
-    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
+    with options.open_bus() as bus:
         if file is None:
             status = bus.stop_recording(node, source=person())
         else:

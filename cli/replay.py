@@ -13,7 +13,7 @@ from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import out, progress, until_signal
 from zenostat.cli.node_options import Connect as Peers
 from zenostat.cli.node_options import Expose, Listen, NoListen
-from zenostat.cli.options import CertificateName, Keys
+from zenostat.cli.options import BusOptions, CertificateName, Keys
 from zenostat.cli.verify import File
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 
@@ -69,8 +69,8 @@ def replay(
                 f"{', '.join(refused) or 'several --connect'}: --only-commands connects to one bus, as a controller, "
                 "and replays whole episodes"
             )
-        endpoint = connect[0] if connect else default_endpoint(keys)
-        _drive(file, node, endpoint, name or "replay", priority, speed, keys, certificate)
+        options = BusOptions(connect[0] if connect else None, keys, certificate)
+        _drive(file, node, options, name or "replay", priority, speed)
         return
     if node is not None or priority is not None:
         raise InvalidConfig("--node and --priority need --only-commands")
@@ -105,21 +105,11 @@ def replay(
     out.print(f"{replayed.manifest.node}: replayed {count:,} samples", markup=False, soft_wrap=True)
 
 
-def _drive(
-    file: Path,
-    node: str,
-    endpoint: str,
-    name: str,
-    priority: int | None,
-    speed: float | None,
-    keys: Path | None,
-    certificate: str | None,
-) -> None:
-    from zenostat import connect as connect_bus
+def _drive(file: Path, node: str, options: BusOptions, name: str, priority: int | None, speed: float | None) -> None:
     from zenostat.cli.console import err
     from zenostat.lab.drive import drive
 
-    with connect_bus(endpoint, keys=keys, certificate=certificate) as bus, progress() as bars:
+    with options.open_bus() as bus, progress() as bars:
         task = bars.add_task(f"{node}: commands of {file.name}", total=None, rate="")
         result = drive(
             file, bus, node, name=name, priority=priority or 10, speed=speed,

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import out, progress
-from zenostat.cli.options import CertificateName, Connect, Emissions, Keys, Price, read_rates
+from zenostat.cli.options import DEFAULTS, BusOptions, Emissions, Price, on_bus, read_rates
 from zenostat.cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
 from zenostat.cli.results import show_results
 from zenostat.topics.errors import InvalidConfig
@@ -29,6 +28,7 @@ if TYPE_CHECKING:
 _WORDS = {"true": True, "false": False}
 
 
+@on_bus
 def run(
     node: Annotated[str, typer.Option(help="Name of the node.")],
     controller: Annotated[
@@ -47,9 +47,7 @@ def run(
             min=0, metavar="N", help="Seed of the controller, and of the first episode that this command starts."
         ),
     ] = None,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     priority: Annotated[
         int, typer.Option(min=1, max=16, metavar="1-16", help="Priority of the commands; 1 is the highest.")
     ] = 10,
@@ -67,7 +65,6 @@ def run(
     Example: `zenostat run --node office --controller rbc --set margin=0.5`
     """
     outputs = ReportOutputs(report, figures)
-    from zenostat import connect as connect_bus
     from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
     from zenostat.metrics.episode_metrics import MetricsAccumulator
     from zenostat.metrics.tariffs import read_emissions, read_prices
@@ -77,7 +74,7 @@ def run(
     starts_episode = reset or episodes > 1
     arguments = _with_seed(factory, read_parameters(parameters or []), seed, starts_episode, controller)
     name = safe_name(controller.rpartition(":")[2])
-    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
+    with options.open_bus() as bus:
         agent = Agent(make_controller(factory, bus.manifest(node), arguments))
         results: dict[str, tuple[EpisodeMetrics, float]] = {}
         trace = _trace(bus, node, controller, rates) if outputs.wanted else None

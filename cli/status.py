@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import out
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.record import describe_recording
 from zenostat.cli.statistics import milliseconds
 from zenostat.cli.tables import show
@@ -15,25 +14,21 @@ from zenostat.topics.keys import Role
 from zenostat.topics.messages import Mode, Status
 
 
+@on_bus
 def status(
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
 ) -> None:
     """List the nodes and controllers on a bus. With keys, it uses the monitor role.
 
     Example: `zenostat status`
     """
-    from zenostat import connect as connect_bus
-
-    connect = connect or default_endpoint(keys)
-    with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
+    with options.open_bus(Role.MONITOR) as bus:
         nodes = []
         for name in bus.nodes():
             with suppress(NodeNotFound):  # a branch may end meanwhile
                 nodes.append(bus.status(name, memory=True))
     if not nodes:
-        out.print(f"no nodes on {connect}")
+        out.print(f"no nodes on {options.endpoint}")
     for node in nodes:
         _print_node(node)
     _print_controllers(nodes)

@@ -13,9 +13,8 @@ import typer
 from rich.console import RenderableType
 from rich.live import Live
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import err, out
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.read import Row, check_points, format_source, format_value, sample_id
 from zenostat.cli.read import rows as rows_of
 from zenostat.cli.tables import fitted
@@ -30,14 +29,13 @@ if TYPE_CHECKING:
 _REFRESHES_PER_SECOND = 10
 
 
+@on_bus
 def watch(
     node: Annotated[str, typer.Argument(help="Name of the node.")],
     points: Annotated[list[str] | None, typer.Argument(help="Names of points. Default: all.")] = None,
     steps: Annotated[int | None, typer.Option(min=1, help="Stop after this many samples.")] = None,
     slot: Annotated[int, typer.Option(min=0, help="Slot of a node with several engines.")] = 0,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     as_json: Annotated[bool, typer.Option("--json", help="Print one line of JSON per sample.")] = False,
 ) -> None:
     """Show a node's points as they change, with their extremes, until Ctrl-C or until the node stops.
@@ -46,13 +44,10 @@ def watch(
 
     Example: `zenostat watch office core_zn_air_temperature core_zn_cooling_setpoint`
     """
-    from zenostat import connect as connect_bus
-
-    connect = connect or default_endpoint(keys)
     names = points or []
     table = _Extremes()
     try:
-        with connect_bus(connect, keys=keys, role=Role.MONITOR, certificate=certificate) as bus:
+        with options.open_bus(Role.MONITOR) as bus:
             check_points(bus.manifest(node), names)
             live = Live(console=out, get_renderable=table.render, refresh_per_second=_REFRESHES_PER_SECOND)
             with nullcontext() if as_json else live:

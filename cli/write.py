@@ -9,9 +9,8 @@ from typing import Annotated
 
 import typer
 
-from zenostat.bridge.transport.session import default_endpoint
 from zenostat.cli.console import out
-from zenostat.cli.options import CertificateName, Connect, Keys
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.topics.errors import InvalidConfig
 
 _UNIT_S = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
@@ -25,6 +24,7 @@ Priority = Annotated[
 Source = Annotated[str | None, typer.Option(help="Value source. Default: user@host.")]
 
 
+@on_bus
 def write(
     node: Node,
     point: Point,
@@ -33,39 +33,32 @@ def write(
     duration: Annotated[
         str | None, typer.Option(metavar="TIME", help="Simulated time until it is relinquished: 90s, 15min, 2h, 1d.")
     ] = None,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     source: Source = None,
 ) -> None:
     """Set an actuator by hand, from the next timestep until it is relinquished or `--duration` has passed.
 
     Example: `zenostat write office core_zn_cooling_setpoint 26 --priority 8 --duration 2h`
     """
-    from zenostat import connect as connect_bus
-
     duration_s = None if duration is None else seconds(duration)
-    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
+    with options.open_bus() as bus:
         ack = bus.write(node, point, value, priority=priority, duration_s=duration_s, source=source or person())
     out.print(f"{node}: {ack.text}" + (f" for {duration}" if duration else ""), markup=False, soft_wrap=True)
 
 
+@on_bus
 def relinquish(
     node: Node,
     point: Point,
     priority: Priority = 8,
-    connect: Connect = None,
-    keys: Keys = None,
-    certificate: CertificateName = None,
+    options: BusOptions = DEFAULTS,
     source: Source = None,
 ) -> None:
     """Relinquish an actuator that was set by hand: the next lower priority takes effect, or baseline control.
 
     Example: `zenostat relinquish office core_zn_cooling_setpoint --priority 8`
     """
-    from zenostat import connect as connect_bus
-
-    with connect_bus(connect or default_endpoint(keys), keys=keys, certificate=certificate) as bus:
+    with options.open_bus() as bus:
         ack = bus.write(node, point, None, priority=priority, source=source or person())
     out.print(f"{node}: {ack.text}", markup=False, soft_wrap=True)
 
