@@ -33,6 +33,7 @@ from pydantic import (
 
 from zenostat.topics.calendar import WEEKDAYS, Weekday, check_hours, hour_of_leap_year, in_hours
 from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.user_file import user_file
 
 __all__ = [
     "Constant",
@@ -219,12 +220,9 @@ class HourlyFile(TimeSeries):
 
     def _rows(self) -> list[tuple[int, list[str]]]:
         """Return rows with their line numbers, from 1."""
-        try:
-            with self.csv.expanduser().open(encoding="utf-8-sig", newline="") as file:
-                reader = csv.reader(file, delimiter=self.delimiter)
-                return [(reader.line_num, row) for row in reader]
-        except (OSError, RuntimeError, UnicodeDecodeError, csv.Error) as error:
-            raise InvalidConfig(f"cannot read the time series {self.csv}: {error}") from None
+        with user_file(self.csv), self.csv.expanduser().open(encoding="utf-8-sig", newline="") as file:
+            reader = csv.reader(file, delimiter=self.delimiter)
+            return [(reader.line_num, row) for row in reader]
 
     def _column_index(self, header: list[str]) -> int:
         """Return the column's position in a row."""

@@ -15,6 +15,7 @@ from zenostat.cli.gateway import serve
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
+from zenostat.topics.user_file import user_file
 
 _FORM = re.compile(r"(?P<host>\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+)(:(?P<port>\d{1,5}))?")
 
@@ -108,10 +109,8 @@ def _password(username: str | None, file: Path | None) -> str | None:
     if file is None:
         password = os.environ.get("MQTT_PASSWORD")
     else:
-        try:
+        with user_file(file):
             password = file.read_text(encoding="utf-8").rstrip("\r\n")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InvalidConfig(f"--password-file {file}: {error}") from None
     if file is not None and username is None:
         raise InvalidConfig("--password-file needs --username")
     return password if username is not None else None

@@ -18,6 +18,7 @@ from zenostat.metrics.energy_sources import FUELS
 from zenostat.topics import yaml12
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.user_file import user_file
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,11 +114,8 @@ def _file(path: Path, unit: str) -> TimeSeries:
     """Return the time series in a YAML file, or the last column of a CSV file, with or without a header line."""
     if path.suffix in (".yaml", ".yml"):
         return _yaml_file(path, unit)
-    try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            first = next(csv.reader(file), [])
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise InvalidConfig(f"cannot read the time series {path}: {error}") from None
+    with user_file(path), path.open(encoding="utf-8-sig", newline="") as file:
+        first = next(csv.reader(file), [])
     try:
         float(first[-1]) if first else 0.0
         header_row = 0
@@ -128,10 +126,7 @@ def _file(path: Path, unit: str) -> TimeSeries:
 
 def _yaml_file(path: Path, unit: str) -> TimeSeries:
     """Return the time series that a YAML file describes; a CSV file in it is relative to its folder."""
-    try:
-        spec = yaml12.parse(yaml12.read_text(path), str(path))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidConfig(f"cannot read the time series {path}: {error}") from None
+    spec = yaml12.read_mapping(path)
     if "csv" in spec:
         spec["csv"] = path.parent / str(spec["csv"])
     return _SIGNAL.validate_python({"unit": unit, **spec})

@@ -18,7 +18,8 @@ import yaml
 from pydantic import BaseModel, ValidationError
 
 from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, UsageError
+from zenostat.topics.user_file import user_file
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -186,18 +187,29 @@ def parse(text: str, what: str) -> dict[str, Any]:
     return mapping
 
 
+def read_mapping(path: Path, error: type[UsageError] = InvalidConfig) -> dict[str, Any]:
+    """Read a YAML file that contains a mapping.
+
+    Raises:
+        UsageError: the file cannot be read; of the class `error`.
+        InvalidConfig: as of `parse`.
+    """
+    with user_file(path, error, "a YAML file"):
+        text = read_text(path)
+    return parse(text, str(path))
+
+
 def read_model(path: Path, model: type[M]) -> M:
     """Read a file into a pydantic model.
 
     Raises:
         InvalidConfig: the file cannot be read, or is not valid; the text lists all errors.
     """
+    with user_file(path):
+        path = path.expanduser()
+    mapping = read_mapping(path)
     try:
-        text = read_text(path.expanduser())
-    except (OSError, RuntimeError, UnicodeDecodeError) as error:
-        raise InvalidConfig(f"{path} cannot be read: {error}") from None
-    try:
-        return model.model_validate(parse(text, str(path)))
+        return model.model_validate(mapping)
     except ValidationError as error:
         raise InvalidConfig(f"{path}: {describe_validation_errors(error, model.model_fields)}") from None
 

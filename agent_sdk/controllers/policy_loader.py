@@ -76,7 +76,7 @@ def _read_chain(model: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]
     file = model.with_suffix(".wrappers.yaml")
     if not file.is_file():
         return [], []
-    content = yaml12.parse(yaml12.read_text(file), str(file))
+    content = yaml12.read_mapping(file)
     return list(content.get("chain", [])), list(content.get("wrappers", []))
 
 

@@ -34,7 +34,7 @@ def read_training_fields(folder: Path) -> dict[str, Any]:
             f"{folder} was written by Zenostat {saved.get('zenostat', '(unknown)')} in format {saved.get('format')}; "
             f"this is Zenostat {VERSION}, which reads format {FORMAT}: train again, or use that version"
         )
-    return _read(folder / TRAINING)
+    return yaml12.read_mapping(folder / TRAINING)
 
 
 def read_versions(folder: Path) -> dict[str, Any]:
@@ -74,11 +74,6 @@ def read_wrappers(folder: Path, model: Path) -> tuple[list[dict[str, Any]], list
         InvalidConfig: a file is damaged.
     """
     state_file = model.with_suffix(".wrappers.yaml")
-    states = _read(state_file)["wrappers"] if state_file.is_file() else []
+    states = yaml12.read_mapping(state_file)["wrappers"] if state_file.is_file() else []
     # Those of the slots of a vector environment are around the vector: a single environment has the same.
-    return _read(folder / WRAPPERS)["wrappers"], states
-
-
-def _read(path: Path) -> dict[str, Any]:
-    fields: dict[str, Any] = yaml12.parse(yaml12.read_text(path), str(path))
-    return fields
+    return yaml12.read_mapping(folder / WRAPPERS)["wrappers"], states

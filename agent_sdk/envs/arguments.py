@@ -171,6 +171,6 @@ def _fields_of_file(scenario: str | Path) -> dict[str, Any]:
     if Path(scenario).suffix not in (".yaml", ".yml"):
         return {}
     try:
-        return dict(yaml12.parse(yaml12.read_text(Path(scenario)), str(scenario)))
-    except (OSError, ValueError, InvalidConfig):
+        return yaml12.read_mapping(Path(scenario))
+    except InvalidConfig:
         return {}

@@ -66,10 +66,7 @@ def restore_wrappers(env: Any, path: str | Path) -> None:
         InvalidConfig: the file cannot be read, has another form, or is of another chain of wrappers; nothing was
             changed.
     """
-    try:
-        states = yaml12.parse(yaml12.read_text(Path(path)), str(path)).get("wrappers")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidConfig(f"{path} cannot be read: {error}") from None
+    states = yaml12.read_mapping(Path(path)).get("wrappers")
     if not isinstance(states, list) or not all(isinstance(state, dict) and "wrapper" in state for state in states):
         raise InvalidConfig(f"{path} was not written by save_wrappers")
     set_wrapper_states(env, states, str(path))

@@ -15,6 +15,7 @@ from zenostat.lab.benchmark.definition import SETS, VERSION, Task, digest_of
 from zenostat.topics import VERSION as PRODUCT_VERSION
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.user_file import user_file
 
 _LIBRARIES = ("gymnasium", "numpy", "pyenergyplus-lbnl", "scipy", "stable-baselines3", "torch")
 _TITLE = "zenostat benchmark"
@@ -120,15 +121,15 @@ def load_results(path: str | Path) -> Results:
     """Read results that `zenostat benchmark` wrote.
 
     Raises:
-        UnknownName: there is no such file.
+        UnknownName: there is no such file, or it cannot be read.
         InvalidConfig: it has no results, those of another version of the benchmark, or edited rows.
     """
     path = Path(path)
+    with user_file(path, UnknownName):
+        text = path.read_text(encoding="utf-8")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise UnknownName(f"there is no file {path.absolute()}") from None
-    except (OSError, UnicodeDecodeError, ValueError) as error:
+        content = json.loads(text)
+    except ValueError as error:
         raise InvalidConfig(f"{path} has no results of a benchmark: {error}") from None
     if not isinstance(content, dict) or content.get("format") != _TITLE:
         raise InvalidConfig(f"{path} has no results of a benchmark: a file that `zenostat benchmark` wrote expected")

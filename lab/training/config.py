@@ -168,14 +168,7 @@ def read_file(path: str | Path, kind: FileKind = FileKind.TRAINING) -> dict[str,
         InvalidConfig: it is not YAML, or a file of another kind.
     """
     path = Path(path)
-    try:
-        fields = yaml12.parse(yaml12.read_text(path), str(path))
-    except FileNotFoundError:
-        raise UnknownName(f"there is no file {path.absolute()}") from None
-    except IsADirectoryError:
-        raise UnknownName(f"{path.absolute()} is a folder; expected a YAML file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UnknownName(f"cannot read {path.absolute()}: {error}") from None
+    fields = yaml12.read_mapping(path, UnknownName)
     check_file_kind(fields, kind, str(path))
     return fields
 

@@ -209,18 +209,12 @@ def load_yaml(path: Path) -> dict[str, Any]:
     """Read a YAML file that contains a mapping.
 
     Raises:
-        UnknownName: there is no such file.
+        UnknownName: there is no such file, or it cannot be read.
         InvalidConfig: the file is not YAML, or not a mapping.
     """
     from zenostat.topics import yaml12  # slow to import, and only files need it
 
-    try:
-        text = yaml12.read_text(path)
-    except FileNotFoundError:
-        raise UnknownName(f"there is no file {path.absolute()}") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise UnknownName(f"cannot read {path.absolute()}: {error}") from None
-    return yaml12.parse(text, str(path))
+    return yaml12.read_mapping(path, UnknownName)
 
 
 def load_scenario(path: Path, errors: ErrorCollector | None = None) -> Scenario:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.user_file import user_file
 
 _MAX_CHARACTERS = 200_000
 _MAX_LEVELS = 100
@@ -80,10 +81,8 @@ def parse(text: str, what: str) -> ast.Module:
 
 def text_of(path: Path) -> str:
     """Read a Python source file as text."""
-    try:
+    with user_file(path, UnknownName):
         return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise UnknownName(f"cannot read {path}: {error}") from None
 
 
 def read_space(text: str) -> Space:

@@ -737,10 +737,10 @@ def test_a_file_of_prices_is_read_when_the_reward_is_bound(tmp_path: Path) -> No
     reward = reward_config(
         "energy_cost", price={"csv": str(tmp_path / "none.csv"), "column": "value", "unit": "EUR/MWh"}
     )
-    with pytest.raises(InvalidConfig, match=r"cannot read the time series .*none.csv"):
+    with pytest.raises(InvalidConfig, match=r"there is no file .*none.csv"):
         reward.bind(NODE)
     carbon = reward_config("carbon", intensity={"csv": str(tmp_path / "none.csv"), "column": "value", "unit": "g/kWh"})
-    with pytest.raises(InvalidConfig, match=r"cannot read the time series .*none.csv"):
+    with pytest.raises(InvalidConfig, match=r"there is no file .*none.csv"):
         carbon.bind(NODE)
 
 

@@ -244,8 +244,14 @@ def test_a_file_that_is_no_year_of_numbers(tmp_path: Path, rows: list[str], how:
 def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
     latin = tmp_path / "latin.csv"
     latin.write_bytes("hour;value\n0;Término\n".encode("latin-1"))
-    for path in (tmp_path / "none.csv", tmp_path, latin, Path("~nobody_of_that_name/x.csv")):
-        with pytest.raises(InvalidConfig, match="cannot read the time series"):
+    errors = {
+        tmp_path / "none.csv": "^there is no file .*/none.csv$",
+        tmp_path: f"^{tmp_path} is a folder; expected a file$",
+        latin: "^cannot read .*/latin.csv: 'utf-8' codec can't decode byte",
+        Path("~nobody_of_that_name/x.csv"): "^cannot read .*x.csv: Could not determine home directory",
+    }
+    for path, text in errors.items():
+        with pytest.raises(InvalidConfig, match=text):
             HourlyFile(csv=path, column="value", unit="EUR/MWh").load()
 
 

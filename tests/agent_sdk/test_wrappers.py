@@ -952,7 +952,7 @@ def test_a_state_of_another_chain_changes_nothing(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig, match="does not fit: not a state of PreviousObservation"):
         w.restore_wrappers(two, path)
     assert two.return_rms.count < 1, "what had been taken over was given back"
-    with pytest.raises(InvalidConfig, match="cannot be read"):
+    with pytest.raises(InvalidConfig, match="there is no file"):
         w.restore_wrappers(few, tmp_path / "none.yaml")
 
 

@@ -263,7 +263,7 @@ def test_forms_of_a_rate(tmp_path: Path) -> None:
         ({"gas": [0.1] * 8759}, "gas: .*8760 or 8784 hours expected, got 8759"),
         ({"gas": {"value": 0.1, "unit": "EUR"}}, "gas: a unit per energy expected"),
         ({"gas": {"price": 0.1}}, "gas: .*a time series expected"),
-        ({"gas": "no.csv"}, r"gas: cannot read the time series no\.csv"),
+        ({"gas": "no.csv"}, r"gas: there is no file .*/no\.csv"),
         ({"gas": "SHORT"}, "gas: .*a year has 8760 hours.*the file has 24"),
         ({"gas": "TEXT"}, "gas: .*has no number in line 3"),
         (0.3, "a mapping from fuels to numbers or time series expected, got 0.3"),

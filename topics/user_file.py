@@ -1,0 +1,32 @@
+"""Errors of reading a file that the user has named: one sentence for each reason."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from zenostat.topics.errors import InvalidConfig, UsageError
+
+
+@contextmanager
+def user_file(path: Path, error: type[UsageError] = InvalidConfig, expected: str = "a file") -> Iterator[None]:
+    """Turn the errors of reading a user's file into one sentence.
+
+    Args:
+        path: the file.
+        error: class of the error to raise.
+        expected: what a folder is not, such as "a YAML file".
+
+    Raises:
+        UsageError: the file does not exist, is a folder, cannot be read, or is not UTF-8 or not CSV.
+    """
+    try:
+        yield
+    except FileNotFoundError:
+        raise error(f"there is no file {path.absolute()}") from None
+    except IsADirectoryError:
+        raise error(f"{path.absolute()} is a folder; expected {expected}") from None
+    except (OSError, RuntimeError, UnicodeDecodeError, csv.Error) as reason:  # RuntimeError: ~name of an unknown user
+        raise error(f"cannot read {path.absolute()}: {getattr(reason, 'strerror', None) or reason}") from None
