@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from zenostat.bridge.exchange.actuator_commands import ActuatorCommands
+from zenostat.bridge.exchange.answers import Answers
 from zenostat.bridge.exchange.claims import Claims
 from zenostat.bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger
 from zenostat.topics import codec
@@ -55,6 +56,10 @@ class ExchangeState:
         commanded: the command in effect for each actuator; float64, NaN: relinquished, (slots, actuators).
         source_index: of each effective value, the index of its source in `source_names`; uint16, (slots, actuators).
         fallback_active: whether the running or the latest timestep lacks a required controller's command.
+        answers: the answers to the current sample.
+        step_starts: episodes and steps of the latest timesteps, and the wall times at which they began.
+        all_slots: the `active_slots` of a timestep of all slots.
+        all_modified: `modified` after such a timestep.
     """
 
     actuators: tuple[Actuator, ...]
@@ -74,28 +79,20 @@ class ExchangeState:
     commanded: bytes = field(init=False)
     source_index: bytes = field(init=False)
     fallback_active: bool = False
-    _needs_fallback: bool = False
-    _opened_s: float = 0.0
-    _deadline_passed_s: float | None = None
-    _step_starts: deque[tuple[list[int], list[int], float]] = field(
+    answers: Answers = field(default_factory=Answers)
+    step_starts: deque[tuple[list[int], list[int], float]] = field(
         default_factory=lambda: deque(maxlen=_STEP_TIMES_KEPT)
     )
-    _message_counts: dict[str, int] = field(default_factory=dict)
-    _answered_slots: set[int] = field(default_factory=set)
-    _pending: set[str] = field(default_factory=set)
-    _answered: set[str] = field(default_factory=set)
-    _head: bytes = b""
-    _heads: codec.CommandHead = field(init=False)
-    _all_slots: range = field(init=False)
-    _all_modified: list[bool] = field(init=False)
+    all_slots: Sequence[int] = field(init=False)
+    all_modified: list[bool] = field(init=False)
 
     def __post_init__(self) -> None:
         self.episode = self.episode or [0] * self.slots
         self.step = self.step or [0] * self.slots
         self.modified = [False] * self.slots
         self.done = [False] * self.slots
-        self.active_slots = self._all_slots = range(self.slots)
-        self._all_modified = [True] * self.slots
+        self.active_slots = self.all_slots = range(self.slots)
+        self.all_modified = [True] * self.slots
         self.clear_commanded()
         self.commands = ActuatorCommands(self.actuators, self.slots)
         self.claims = Claims(self.actuators, self.commands.array)
@@ -128,7 +125,7 @@ class ExchangeState:
 
     def awaiting(self) -> list[str]:
         """Return the required controllers that have not answered the current sample."""
-        return sorted(self._pending)
+        return sorted(self.answers.pending)
 
     def rejected(self, text: str, source: str) -> Event:
         """Count a rejected message and return its event."""

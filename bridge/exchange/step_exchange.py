@@ -24,12 +24,12 @@ arrives after the deadline still answers the current step; it is accepted and re
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from zenostat.bridge.exchange.actuator_commands import CommandSnapshot
 from zenostat.bridge.exchange.disconnection import FallbackRules
 from zenostat.bridge.exchange.intake import MAX_MESSAGES_PER_STEP, Intake
-from zenostat.bridge.exchange.state import MAX_SOURCE_NAME
+from zenostat.bridge.exchange.state import MAX_SOURCE_NAME, ExchangeState
 from zenostat.bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger
 from zenostat.topics import codec
 from zenostat.topics.messages import Claim, ControllerState, ControllerStatus, Event, EventKind, Mode, State
@@ -49,8 +49,21 @@ _BYPASSED = ControllerState.BYPASSED
 
 
 @dataclass(slots=True)
-class StepExchange(Intake, FallbackRules):
-    """The step exchange of one node; see the module and `ExchangeState` for its attributes."""
+class StepExchange(ExchangeState):
+    """The step exchange of one node; see the module, and `ExchangeState` for the other attributes.
+
+    Attributes:
+        intake: accepts or rejects commands and writes.
+        fallback: applies the fallback policy.
+    """
+
+    intake: Intake = field(init=False, repr=False, compare=False)
+    fallback: FallbackRules = field(init=False, repr=False, compare=False)
+    _heads: codec.CommandHead = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        ExchangeState.__post_init__(self)  # `super()` needs the class that `slots=True` replaces
+        self.intake, self.fallback = Intake(self), FallbackRules(self)
 
     def ready(
         self, now_s: float, starts: Mapping[int, int] | None = None, commands: CommandSnapshot | None = None
@@ -68,12 +81,13 @@ class StepExchange(Intake, FallbackRules):
             self.commanded, self.source_index = commands.commanded, commands.source_index
             self.claims.begin_episode()
         self.step, self.modified, self.done = [*self.step], [*self.modified], [*self.done]
-        for slot, step in (starts if starts is not None else dict.fromkeys(self._all_slots, 0)).items():
+        for slot, step in (starts if starts is not None else dict.fromkeys(self.all_slots, 0)).items():
             self.step[slot] = step
             self.modified[slot] = step > 0
             self.done[slot] = False
         self._heads = codec.CommandHead(self.episode, self.commands.size)
-        self._open_intake(now_s)
+        head = b"" if True in self.done else self._heads.at(self.step)
+        self.answers.open(self.claims.required, self.deadline_s, head, now_s)
 
     def finish_step(self, last: Sequence[bool], now_s: float) -> None:
         """Finish a timestep, and open the intake of answers to its sample.
@@ -85,7 +99,7 @@ class StepExchange(Intake, FallbackRules):
             last: of each active slot, whether it was its last timestep.
             now_s: wall time, from which response times count.
         """
-        if self.active_slots is self._all_slots:
+        if self.active_slots is self.all_slots:
             steps, done = [step + 1 for step in self.step], [*last]
         else:
             steps, done = [*self.step], [*self.done]
@@ -95,22 +109,8 @@ class StepExchange(Intake, FallbackRules):
         self.transition(_SAMPLED if False in done else _OVER)
         self.step, self.done = steps, done
         self.commands.timesteps += 1
-        self._open_intake(now_s)
-
-    def _open_intake(self, now_s: float) -> None:
-        """Prepare for answers to the current sample."""
-        required = self.claims.required
-        self._pending = {claimant.name for claimant in required if claimant.state is not _BYPASSED}
-        self._needs_fallback = len(self._pending) < len(required)
-        if not self._pending and self.deadline_s is not None:
-            # No required controller is connected: the deadline sets the pace.
-            self._pending = {claimant.name for claimant in required}
-        self._opened_s, self._deadline_passed_s = now_s, None
-        if self._message_counts:
-            self._message_counts = {}
-        self._answered = set()
-        self._answered_slots = set()
-        self._head = b"" if True in self.done else self._heads.at(self.step)
+        head = b"" if True in done else self._heads.at(steps)
+        self.answers.open(self.claims.required, self.deadline_s, head, now_s)
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
         """Begin a new episode in all slots or in some, and relinquish everything there.
@@ -138,28 +138,27 @@ class StepExchange(Intake, FallbackRules):
             return False
         if self.mode is not _LOCKSTEP:
             return True
-        return not self._pending and bool(self.claims.required)
+        return not self.answers.pending and bool(self.claims.required)
 
     def begin_step(self, now_s: float) -> bytes:
         """Begin a timestep; return its commands (float64, NaN: baseline control)."""
         self.transition(_GO)
-        self.fallback_active = self._needs_fallback and self._count_missed()
-        self._step_starts.append((self.episode, self.step, now_s))
-        if not self._answered_slots or len(self._answered_slots) == self.slots or self.mode is not _LOCKSTEP:
-            self.active_slots = self._all_slots
-        else:
-            self.active_slots = sorted(self._answered_slots)
-        if True in self.done:
-            self.active_slots = [slot for slot in self.active_slots if not self.done[slot]]
-        if self.active_slots is self._all_slots:
-            self.modified = self._all_modified
-        else:
-            self.modified = [was or slot in self.active_slots for slot, was in enumerate(self.modified)]
+        answers, done, all_slots = self.answers, self.done, self.all_slots
+        self.fallback_active = answers.needs_fallback and self._count_missed()
+        self.step_starts.append((self.episode, self.step, now_s))
+        active = all_slots
+        if answers.slots and len(answers.slots) < self.slots and self.mode is _LOCKSTEP:
+            active = sorted(answers.slots)
+        if True in done:
+            active = [slot for slot in active if not done[slot]]
+        self.active_slots = active
         values, source_index = self.commands.array.resolve()
-        if self.active_slots is self._all_slots:
+        if active is all_slots:
+            self.modified = self.all_modified
             self.commanded, self.source_index = values, source_index
         else:
-            self._merge(values, source_index, self.active_slots)
+            self.modified = [was or slot in active for slot, was in enumerate(self.modified)]
+            self._merge(values, source_index, active)
         return values
 
     def _merge(self, commanded: bytes, source_index: bytes, slots: Sequence[int]) -> None:
@@ -171,7 +170,9 @@ class StepExchange(Intake, FallbackRules):
         """Count the required controllers without a command for this timestep; return whether there are any."""
         is_lockstep = self.mode is _LOCKSTEP
         missed = [
-            c for c in self.claims.required if (c.name not in self._answered if is_lockstep else c.state is _BYPASSED)
+            c
+            for c in self.claims.required
+            if (c.name not in self.answers.controllers if is_lockstep else c.state is _BYPASSED)
         ]
         for claimant in missed:
             claimant.stats.missed += 1
@@ -189,12 +190,13 @@ class StepExchange(Intake, FallbackRules):
         claimant, replaced = self.claims.claim(claim, now_s)
         self.commands.drop_superseded_expiries(claimant)
         for name in (*replaced, claim.controller):
-            self._pending.discard(name)
-            self._answered.discard(name)
+            self.answers.forget(name)
         if claim.required and self.state is State.WAITING:
             # Bypassed controllers were pending only so that the deadline set the pace.
-            self._pending -= {holder.name for holder in self.claims.by_name.values() if holder.state is _BYPASSED}
-            self._pending.add(claim.controller)
+            self.answers.pending -= {
+                holder.name for holder in self.claims.by_name.values() if holder.state is _BYPASSED
+            }
+            self.answers.pending.add(claim.controller)
         priority = "again" if is_renewal else f"at priority {claim.priority}"
         return [
             *(

@@ -267,7 +267,7 @@ class BranchManager:
                 server.subscriptions.request(topic, kind, self._reject)
             server.subscriptions.watch_presence(
                 keys.CONTROLLER_TOKEN,
-                lambda controller: server.publish_events(exchange.on_disconnect(controller, monotonic())),
+                lambda controller: server.publish_events(exchange.fallback.on_disconnect(controller, monotonic())),
             )
             server.publish()
             server.announce()

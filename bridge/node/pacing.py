@@ -111,7 +111,7 @@ class Pacing:
         if self._is_stopped or server.exchange.mode is not Mode.LOCKSTEP or now_s < self._deadline_at_s:
             return
         try:
-            server.publish_events(server.exchange.on_deadline(now_s))
+            server.publish_events(server.exchange.fallback.on_deadline(now_s))
         except EpisodeAborted as error:
             server.fail(error)
 

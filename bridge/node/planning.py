@@ -98,7 +98,7 @@ class PlanSimulation:
         return Command(episode=exchange.episode, step=step, operations=operations, values=values)
 
     def _accept(self, controller: str, command: tuple[bytes, bytes | None]) -> None:
-        event: Event | None = self._server.exchange.command(controller, self._command(*command), monotonic())
+        event: Event | None = self._server.exchange.intake.command(controller, self._command(*command), monotonic())
         if event is not None:
             self._server.event(event)
         if not self._server.exchange.ready_to_step():
@@ -129,7 +129,7 @@ class PlanSimulation:
                 heads.append(SampleHead.of(exchange))
             self._accept(controller, command)
             if exchange.commands.has_expiries:
-                server.publish_events(exchange.expire(server.elapsed_s))
+                server.publish_events(exchange.intake.expire(server.elapsed_s))
             orders.append(exchange.begin_step(monotonic()))
         samples: list[bytes] = []
         try:

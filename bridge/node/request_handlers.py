@@ -107,8 +107,8 @@ class RequestHandlers:
     def _command(self, request: Request) -> Ack:
         server, exchange, controller, now_s = self._server, self._server.exchange, request.name, monotonic()
         event = None
-        if not exchange.accept_fast(controller, request.payload, now_s, request.encoding):
-            if exchange.is_rate_limited(controller):
+        if not exchange.intake.accept_fast(controller, request.payload, now_s, request.encoding):
+            if exchange.intake.is_rate_limited(controller):
                 raise RequestRejected(
                     f"more than {MAX_MESSAGES_PER_STEP} messages in one step; this one was not processed"
                 )
@@ -117,7 +117,7 @@ class RequestHandlers:
             except BadMessage as error:
                 server.event(exchange.rejected(str(error), controller))
                 raise
-            event = exchange.command(controller, command, now_s)
+            event = exchange.intake.command(controller, command, now_s)
         reply = self._ack(event)
         server.subscriptions.end_turn()  # what came after the command may refer to the step that it completes
         return reply
@@ -154,7 +154,7 @@ class RequestHandlers:
             rejected = server.exchange.rejected(f"{name}: {error}", source)
             server.event(rejected)
             raise BadMessage(rejected.text) from None
-        return server.exchange.write(name, write, server.elapsed_s)
+        return server.exchange.intake.write(name, write, server.elapsed_s)
 
     # Other requests
 

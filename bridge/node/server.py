@@ -165,12 +165,12 @@ class NodeServer:
             self._recorder.received(keys.COMMAND, controller, payload, encoding)
         if self.injection is not None and self.injection.link.disturbs_commands:
             self.deliver(controller, lambda: self._receive_command(controller, payload, encoding))
-        elif not self.exchange.accept_fast(controller, payload, monotonic(), encoding):
+        elif not self.exchange.intake.accept_fast(controller, payload, monotonic(), encoding):
             self._receive_command(controller, payload, encoding)
         return True
 
     def _receive_command(self, controller: str, payload: bytes, encoding: str) -> None:
-        event = self.exchange.receive_command(controller, payload, monotonic(), encoding)
+        event = self.exchange.intake.receive_command(controller, payload, monotonic(), encoding)
         if event is not None:
             self.event(event)
 
@@ -209,7 +209,7 @@ class NodeServer:
         self.pacing.step_started()
         began_s = monotonic()
         if exchange.commands.has_expiries:
-            self.publish_events(exchange.expire(self.elapsed_s))
+            self.publish_events(exchange.intake.expire(self.elapsed_s))
         commands = exchange.begin_step(began_s)
         if self.injection is not None:
             commands = self.injection.apply_to_commands(commands, exchange.step)
@@ -340,7 +340,7 @@ class NodeServer:
 
     def on_disconnect(self, controller: str) -> None:
         """Record that a controller has left; the fallback policy applies after the grace period."""
-        events = self.exchange.on_disconnect(controller, monotonic())
+        events = self.exchange.fallback.on_disconnect(controller, monotonic())
         self.publish_events(events)
         if events:
             grace_s = self.manifest.grace_s
@@ -348,7 +348,7 @@ class NodeServer:
 
     def _bypass(self, controller: str) -> None:
         try:
-            self.publish_events(self.exchange.bypass(controller, monotonic(), self.manifest.grace_s))
+            self.publish_events(self.exchange.fallback.bypass(controller, monotonic(), self.manifest.grace_s))
         except EpisodeAborted as error:
             self.fail(error)
 

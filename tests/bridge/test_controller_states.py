@@ -100,15 +100,15 @@ class Schedule:
 
     def misses_the_deadline(self) -> list[EventKind]:
         answer(self.exchange, "guard", [16.0, 29.0])
-        events = self.exchange.on_deadline(0.0)
+        events = self.exchange.fallback.on_deadline(0.0)
         self.goes_on()
         return [event.kind for event in events]
 
     def disconnects(self) -> list[EventKind]:
-        return [event.kind for event in self.exchange.on_disconnect("agent", 0.0)]
+        return [event.kind for event in self.exchange.fallback.on_disconnect("agent", 0.0)]
 
     def is_gone_for_the_grace_period(self) -> list[EventKind]:
-        return [event.kind for event in self.exchange.bypass("agent", GRACE_S, GRACE_S)]
+        return [event.kind for event in self.exchange.fallback.bypass("agent", GRACE_S, GRACE_S)]
 
     def claims_again(self) -> list[EventKind]:
         return [event.kind for event in claim(self.exchange, "agent")]
@@ -201,7 +201,7 @@ def test_in_each_state_the_node_waits_for_it_or_does_not(state: ControllerState)
 def test_the_fast_path_serves_connected_controllers_and_the_other_path_all(state: ControllerState) -> None:
     at = in_state(state)
     payload = wire(command([20.0, 25.0], step=at.exchange.step, episode=at.exchange.episode))
-    assert at.exchange.accept_fast("agent", payload, 0.0) == (state is CONNECTED)
+    assert at.exchange.intake.accept_fast("agent", payload, 0.0) == (state is CONNECTED)
     if state is not CONNECTED:
-        at.exchange.receive_command("agent", payload, 0.0)
+        at.exchange.intake.receive_command("agent", payload, 0.0)
     assert at.exchange.counts.accepted == 1 + (state in (UNRESPONSIVE, ABSENT))  # the guard's answer before

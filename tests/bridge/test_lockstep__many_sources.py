@@ -18,7 +18,7 @@ def test_a_write_is_told_by_its_own_source_although_300_have_claimed() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 100.0) for i in range(IDLE)))
     for number in range(IDLE):
         claim(at, f"idle{number}", actuators=[f"a{number}"], required=False)
-    assert at.write("a1", Write(value=7.0, source="panel"), 0.0).kind is EventKind.WRITTEN
+    assert at.intake.write("a1", Write(value=7.0, source="panel"), 0.0).kind is EventKind.WRITTEN
     assert ruling(at)[1][:3] == ["", "panel", ""]
 
 
@@ -28,8 +28,8 @@ def test_300_controllers_of_300_actuators_are_each_told_by_name() -> None:
         claim(at, f"c{number}", 10, actuators=[f"a{number}"])
     for number in range(IDLE):
         mask = [CommandOp.SET if i == number else CommandOp.KEEP for i in range(IDLE)]
-        assert at.command(f"c{number}", command(np.full(IDLE, float(number)), operations=mask), 0.0) is None
-    assert at.write("a7", Write(value=70.0, source="panel"), 0.0).kind is EventKind.WRITTEN
+        assert at.intake.command(f"c{number}", command(np.full(IDLE, float(number)), operations=mask), 0.0) is None
+    assert at.intake.write("a7", Write(value=70.0, source="panel"), 0.0).kind is EventKind.WRITTEN
     values, sources = advance(at)
     expected = [f"c{number}" for number in range(IDLE)]
     expected[7] = "panel"
@@ -46,7 +46,7 @@ def test_too_many_claims_are_refused_until_some_have_gone() -> None:
         claim(at, "another", actuators=[f"a{MAX_CLAIMS}"])
     assert "another" not in at.claims.by_name
     claim(at, "c5", actuators=["a5"])  # again
-    at.on_disconnect("c6", 0.0)
+    at.fallback.on_disconnect("c6", 0.0)
     at.reset()
     claim(at, "another", actuators=[f"a{MAX_CLAIMS}"])
 
@@ -54,13 +54,13 @@ def test_too_many_claims_are_refused_until_some_have_gone() -> None:
 def test_too_many_sources_are_refused_by_name_and_releasing_makes_place() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 1.0) for i in range(MAX_SOURCES)))
     for number in range(1, MAX_SOURCES):
-        assert at.write(f"a{number}", Write(value=1.0, source=f"w{number}"), 0.0).kind is EventKind.WRITTEN
-    over = at.write("a0", Write(value=1.0, source="panel"), 0.0)
+        assert at.intake.write(f"a{number}", Write(value=1.0, source=f"w{number}"), 0.0).kind is EventKind.WRITTEN
+    over = at.intake.write("a0", Write(value=1.0, source="panel"), 0.0)
     assert (over.kind, over.source) == (EventKind.REJECTED, "panel")
     assert f"{MAX_SOURCES} sources command actuators, which is the maximum" in over.text
-    assert at.write("a0", Write(value=0.5, source="w9"), 0.0).kind is EventKind.WRITTEN
-    assert at.write("a3", Write(value=None, source="panel"), 0.0).kind is EventKind.WRITTEN
-    assert at.write("a3", Write(value=0.5, source="panel"), 0.0).kind is EventKind.WRITTEN
+    assert at.intake.write("a0", Write(value=0.5, source="w9"), 0.0).kind is EventKind.WRITTEN
+    assert at.intake.write("a3", Write(value=None, source="panel"), 0.0).kind is EventKind.WRITTEN
+    assert at.intake.write("a3", Write(value=0.5, source="panel"), 0.0).kind is EventKind.WRITTEN
     _, sources = ruling(at)
     assert sources[3] == "panel"
     assert sources[9] == "w9" == sources[0]

@@ -95,7 +95,7 @@ def test_the_table_is_that_of_the_drawing() -> None:
 
 def test_an_illegal_call_changes_nothing() -> None:
     at, other = exchange(), exchange()
-    other.write("heat", Write(value=20.0), 0.0)
+    other.intake.write("heat", Write(value=20.0), 0.0)
     captured = other.capture()
     for call in (lambda: at.finish_step([False], 0.0), lambda: at.ready(0.0), lambda: at.ready(0.0, commands=captured)):
         with pytest.raises(IllegalTransition):
@@ -201,12 +201,13 @@ def test_what_a_mask_does_not_set_is_not_looked_at() -> None:
 def test_slots_are_commanded_apart() -> None:
     at = exchange(slots=2)
     claim(at, "agent")
-    assert at.command("agent", command([16.0, 23.0, 17.0, 24.0], step=[0, 0], episode=[0, 0]), 0.0) is None
+    assert at.intake.command("agent", command([16.0, 23.0, 17.0, 24.0], step=[0, 0], episode=[0, 0]), 0.0) is None
     assert advance(at) == ([16.0, 23.0, 17.0, 24.0], ["agent"] * 4)
     assert at.step == [1, 1]
     operations = [KEEP, KEEP, RELEASE, SET]
     assert (
-        at.command("agent", command([0, 0, 0, 28.0], step=[1, 1], episode=[0, 0], operations=operations), 0.0) is None
+        at.intake.command("agent", command([0, 0, 0, 28.0], step=[1, 1], episode=[0, 0], operations=operations), 0.0)
+        is None
     )
     values, sources = advance(at)
     assert same(values, [16.0, 23.0, NAN, 28.0])
@@ -239,7 +240,7 @@ def running() -> StepExchange:
 @pytest.mark.parametrize("step", [0, 1])
 def test_an_answer_to_a_step_that_is_over_is_late(step: int) -> None:
     at = running()
-    event = unchanged(at, lambda: at.command("agent", command([21.0, 26.0], step=step), 0.0), count="late")
+    event = unchanged(at, lambda: at.intake.command("agent", command([21.0, 26.0], step=step), 0.0), count="late")
     check_event(event, EventKind.LATE, f"[{step}]", "[2]")
     assert (event.source, event.episode, event.step) == ("agent", 0, 2)
 
@@ -248,7 +249,9 @@ def test_an_answer_to_an_episode_that_is_over_is_late() -> None:
     at = running()
     at.reset()
     at.ready(0.0)
-    event = unchanged(at, lambda: at.command("agent", command([21.0, 26.0], step=2, episode=0), 0.0), count="late")
+    event = unchanged(
+        at, lambda: at.intake.command("agent", command([21.0, 26.0], step=2, episode=0), 0.0), count="late"
+    )
     check_event(event, EventKind.LATE, "episode [0] step [2]", "episode [1] step [0]")
 
 
@@ -307,7 +310,7 @@ WRONG = {
 @pytest.mark.parametrize(("controller", "sent", "words"), WRONG.values(), ids=WRONG)
 def test_a_wrong_command_is_rejected_in_words(controller: str, sent: Command, words: list[str]) -> None:
     at = running()
-    event = unchanged(at, lambda: at.command(controller, sent, 0.0), count="rejected")
+    event = unchanged(at, lambda: at.intake.command(controller, sent, 0.0), count="rejected")
     check_event(event, EventKind.REJECTED, *words)
     assert event.source == controller
     assert answer(at, "agent", [20.0, 25.0]) is None  # the right answer is still taken
@@ -317,15 +320,17 @@ def test_a_wrong_command_is_rejected_in_words(controller: str, sent: Command, wo
 @pytest.mark.parametrize("payload", [b"", b"\xc1", b"\x80", wire(command([20.0, 25.0], step=2))[:-1]])
 def test_bytes_that_are_no_command_are_rejected(payload: bytes) -> None:
     at = running()
-    assert unchanged(at, lambda: at.accept_fast("agent", payload, 0.0), count="") is False
-    check_event(unchanged(at, lambda: at.receive_command("agent", payload, 0.0), count="rejected"), EventKind.REJECTED)
+    assert unchanged(at, lambda: at.intake.accept_fast("agent", payload, 0.0), count="") is False
+    check_event(
+        unchanged(at, lambda: at.intake.receive_command("agent", payload, 0.0), count="rejected"), EventKind.REJECTED
+    )
 
 
 def test_a_command_of_another_version_is_rejected_by_name() -> None:
     at = running()
     payload, other = wire(command([20.0, 25.0], step=2)), "application/msgpack;zenostat/1.Command"
-    assert unchanged(at, lambda: at.accept_fast("agent", payload, 0.0, other), count="") is False
-    event = unchanged(at, lambda: at.receive_command("agent", payload, 0.0, other), count="rejected")
+    assert unchanged(at, lambda: at.intake.accept_fast("agent", payload, 0.0, other), count="") is False
+    event = unchanged(at, lambda: at.intake.receive_command("agent", payload, 0.0, other), count="rejected")
     check_event(event, EventKind.REJECTED, "zenostat/1.Command", "zenostat/2.Command")
 
 
@@ -336,7 +341,7 @@ def test_every_message_is_counted_once() -> None:
     sent = [*([command([20.0, 25.0], step=2)] * 3), *([command([20.0, 25.0], step=1)] * 2)]
     sent += [command([20.0, NAN], step=2)] * 4
     for one in sent:
-        at.command("agent", one, 0.0)
+        at.intake.command("agent", one, 0.0)
     counts = at.counts
     # After its answer, whatever else the agent says of this step is a duplicate, right or wrong.
     assert (counts.accepted - before, counts.duplicate, counts.late, counts.rejected) == (1, 6, 2, 0)
@@ -384,12 +389,12 @@ def both_paths_agree(bounds: str, controller: str, sent: Command, *, times: int)
     advance(at)
     payload, slow, before = wire(sent), copy.deepcopy(at), state_text(at)
     for _ in range(times):
-        expected = slow.receive_command(controller, payload, 0.0)
-        if at.accept_fast(controller, payload, 0.0):
+        expected = slow.intake.receive_command(controller, payload, 0.0)
+        if at.intake.accept_fast(controller, payload, 0.0):
             event = None
         else:
             assert state_text(at) == before  # a no of the fast path changes nothing
-            event = at.receive_command(controller, payload, 0.0)
+            event = at.intake.receive_command(controller, payload, 0.0)
         assert event == expected
         assert state_text(at) == state_text(slow)
         before = state_text(at)
@@ -440,7 +445,7 @@ def test_a_usual_command_takes_the_fast_path(count: int) -> None:
         payload = (
             codec.CommandHead(at.episode, 8 * count * at.slots).at(at.step) + np.full(count * at.slots, 0.5).tobytes()
         )
-        assert at.accept_fast("agent", payload, 0.0)
+        assert at.intake.accept_fast("agent", payload, 0.0)
         values, sources = advance(at)
         assert values == [0.5] * count * at.slots
         assert sources == ["agent"] * count * at.slots
@@ -450,9 +455,9 @@ def test_a_usual_command_takes_the_fast_path(count: int) -> None:
 def test_the_fast_path_sets_the_level_that_was_claimed() -> None:
     at = exchange()
     claim(at, "agent", 10)
-    assert at.accept_fast("agent", wire(command([20.0, 25.0])), 0.0)
-    at.write("cool", Write(value=28.0, priority=11, source="below"), 0.0)
-    at.write("heat", Write(value=16.0, priority=9, source="above"), 0.0)
+    assert at.intake.accept_fast("agent", wire(command([20.0, 25.0])), 0.0)
+    at.intake.write("cool", Write(value=28.0, priority=11, source="below"), 0.0)
+    at.intake.write("heat", Write(value=16.0, priority=9, source="above"), 0.0)
     assert advance(at) == ([16.0, 25.0], ["above", "agent"])
 
 
@@ -477,10 +482,10 @@ def test_the_fast_path_is_closed_during_a_timestep_and_open_at_its_end() -> None
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     at.begin_step(0.0)
-    assert not any(at.accept_fast("agent", wire(command([20.0, 25.0], step=step)), 0.0) for step in (0, 1))
+    assert not any(at.intake.accept_fast("agent", wire(command([20.0, 25.0], step=step)), 0.0) for step in (0, 1))
     at.finish_step([False], 0.0)
-    assert not any(at.accept_fast("agent", wire(command([20.0, 25.0], step=step)), 0.0) for step in (0, 2))
-    assert at.accept_fast("agent", wire(command([20.0, 25.0], step=1)), 0.0)
+    assert not any(at.intake.accept_fast("agent", wire(command([20.0, 25.0], step=step)), 0.0) for step in (0, 2))
+    assert at.intake.accept_fast("agent", wire(command([20.0, 25.0], step=1)), 0.0)
     assert at.ready_to_step()
 
 
@@ -492,7 +497,7 @@ def test_a_sample_is_awaited_and_open_for_answers_from_the_end_of_its_timestep()
     at.begin_step(1.0)
     at.finish_step([False], 2.0)
     assert (at.awaiting(), at.ready_to_step()) == (["agent"], False)
-    assert at.accept_fast("agent", wire(command([20.0, 25.0], step=3)), 2.5)
+    assert at.intake.accept_fast("agent", wire(command([20.0, 25.0], step=3)), 2.5)
     assert at.controllers()[0].response.max_ms == 500.0
 
 
@@ -543,12 +548,12 @@ def test_one_that_has_gone_is_waited_for_until_it_is_back() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     advance(at)
-    (event,) = at.on_disconnect("agent", 0.0)
+    (event,) = at.fallback.on_disconnect("agent", 0.0)
     check_event(event, EventKind.DISCONNECTED, "agent", "waits")
     assert not at.ready_to_step()
     assert at.awaiting() == ["agent"]
     assert [c.state for c in at.controllers()] == [ControllerState.DISCONNECTED]
-    assert at.on_disconnect("agent", 0.0) == []
+    assert at.fallback.on_disconnect("agent", 0.0) == []
     claim(at, "agent")
     assert [(c.state, c.accepted) for c in at.controllers()] == [(ControllerState.CONNECTED, 1)]
     assert not at.ready_to_step()
@@ -558,7 +563,7 @@ def test_one_that_has_gone_is_waited_for_until_it_is_back() -> None:
 
 def test_one_that_was_never_there_cannot_leave() -> None:
     at = exchange()
-    assert at.on_disconnect("nobody", 0.0) == []
+    assert at.fallback.on_disconnect("nobody", 0.0) == []
 
 
 def test_one_that_has_gone_is_replaced_at_its_level() -> None:
@@ -567,7 +572,7 @@ def test_one_that_has_gone_is_replaced_at_its_level() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     advance(at)
-    at.on_disconnect("agent", 0.0)
+    at.fallback.on_disconnect("agent", 0.0)
     gone, joined = claim(at, "other")
     check_event(gone, EventKind.DISCONNECTED, "other takes over from agent")
     check_event(joined, EventKind.CONNECTED, "other")
@@ -582,7 +587,7 @@ def test_one_that_has_gone_is_replaced_at_its_level() -> None:
 def test_one_that_has_gone_at_another_level_is_not_replaced() -> None:
     at = exchange()
     claim(at, "agent", 10)
-    at.on_disconnect("agent", 0.0)
+    at.fallback.on_disconnect("agent", 0.0)
     claim(at, "other", 11)
     answer(at, "other", [16.0, 29.0])
     assert at.awaiting() == ["agent"]
@@ -595,7 +600,7 @@ def test_what_one_set_that_was_replaced_does_not_outlive_it() -> None:
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     advance(at)
-    at.on_disconnect("agent", 0.0)
+    at.fallback.on_disconnect("agent", 0.0)
     claim(at, "other", actuators=["heat"])
     answer(at, "other", [16.0, 0.0], [SET, KEEP])
     values, sources = advance(at)
@@ -653,14 +658,20 @@ def test_a_write_rules_over_a_controller_until_it_is_released() -> None:
     claim(at, "agent", 10)
     answer(at, "agent", [20.0, 25.0])
     check_event(
-        at.write("cool", Write(value=28.0, source="wall"), 0.0), EventKind.WRITTEN, "cool = 28 degC", "priority 8"
+        at.intake.write("cool", Write(value=28.0, source="wall"), 0.0),
+        EventKind.WRITTEN,
+        "cool = 28 degC",
+        "priority 8",
     )
     assert advance(at) == ([20.0, 28.0], ["agent", "wall"])
     answer(at, "agent", [20.0, 24.0])
     assert advance(at) == ([20.0, 28.0], ["agent", "wall"])
     answer(at, "agent", [20.0, 24.0])
     check_event(
-        at.write("cool", Write(value=None, source="wall"), 1800.0), EventKind.WRITTEN, "relinquished", "priority 8"
+        at.intake.write("cool", Write(value=None, source="wall"), 1800.0),
+        EventKind.WRITTEN,
+        "relinquished",
+        "priority 8",
     )
     assert advance(at) == ([20.0, 24.0], ["agent", "agent"])
 
@@ -669,7 +680,7 @@ def test_a_write_below_a_controller_waits_for_its_turn() -> None:
     at = exchange()
     claim(at, "agent", 10)
     answer(at, "agent", [20.0, 25.0])
-    at.write("cool", Write(value=28.0, priority=16, source="plan"), 0.0)
+    at.intake.write("cool", Write(value=28.0, priority=16, source="plan"), 0.0)
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
     answer(at, "agent", [0.0, 0.0], [KEEP, RELEASE])
     assert advance(at) == ([20.0, 28.0], ["agent", "plan"])
@@ -678,13 +689,13 @@ def test_a_write_below_a_controller_waits_for_its_turn() -> None:
 def test_a_write_answers_nothing() -> None:
     at = exchange()
     claim(at, "agent")
-    at.write("cool", Write(value=28.0), 0.0)
+    at.intake.write("cool", Write(value=28.0), 0.0)
     assert not at.ready_to_step()
 
 
 def test_a_write_reaches_all_slots() -> None:
     at = exchange(slots=2, mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, source="wall"), 0.0)
+    at.intake.write("cool", Write(value=28.0, source="wall"), 0.0)
     values, sources = advance(at)
     assert same(values, [NAN, 28.0, NAN, 28.0])
     assert sources == ["", "wall", "", "wall"]
@@ -693,10 +704,10 @@ def test_a_write_reaches_all_slots() -> None:
 @pytest.mark.parametrize("priority", [8, 12])
 def test_a_write_for_1800_s_rules_two_timesteps_of_900_s(priority: int) -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, duration_s=1800.0, priority=priority, source="wall"), 0.0)
+    at.intake.write("cool", Write(value=28.0, duration_s=1800.0, priority=priority, source="wall"), 0.0)
     sources, told_of = [], []
     for k in range(4):
-        told_of += [(k, e.kind, e.source) for e in at.expire(k * 900.0)]
+        told_of += [(k, e.kind, e.source) for e in at.intake.expire(k * 900.0)]
         sources.append(advance(at)[1])
     assert sources == [["", "wall"], ["", "wall"], ["", ""], ["", ""]]
     assert told_of == [(2, EventKind.EXPIRED, "wall")]
@@ -707,7 +718,7 @@ def test_a_write_once_the_episode_is_over_is_refused() -> None:
     at = exchange(mode=Mode.FREE)
     at.begin_step(0.0)
     at.finish_step([True], 0.0)
-    event = at.write("cool", Write(value=28.0, source="wall"), 900.0)
+    event = at.intake.write("cool", Write(value=28.0, source="wall"), 900.0)
     assert (event.kind, event.source) == (EventKind.REJECTED, "wall")
     assert "the episode is over" in event.text
     at.reset()
@@ -718,18 +729,18 @@ def test_a_write_once_the_episode_is_over_is_refused() -> None:
 @pytest.mark.parametrize("duration_s", [600.0, 2700.0], ids=["shorter", "longer"])
 def test_a_later_write_has_its_own_time(duration_s: float) -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, duration_s=1800.0), 0.0)
-    at.write("cool", Write(value=27.0, duration_s=duration_s), 0.0)
-    over = [k for k in range(5) if at.expire(k * 900.0)]
+    at.intake.write("cool", Write(value=28.0, duration_s=1800.0), 0.0)
+    at.intake.write("cool", Write(value=27.0, duration_s=duration_s), 0.0)
+    over = [k for k in range(5) if at.intake.expire(k * 900.0)]
     assert over == [math.ceil(duration_s / 900.0)]
 
 
 def test_each_write_has_a_time_of_its_own() -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
-    at.write("heat", Write(value=16.0, duration_s=1800.0), 0.0)
-    at.write("cool", Write(value=27.0, duration_s=2700.0, priority=9), 0.0)
-    assert [(k, e.text) for k in range(5) for e in at.expire(k * 900.0)] == [
+    at.intake.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
+    at.intake.write("heat", Write(value=16.0, duration_s=1800.0), 0.0)
+    at.intake.write("cool", Write(value=27.0, duration_s=2700.0, priority=9), 0.0)
+    assert [(k, e.text) for k in range(5) for e in at.intake.expire(k * 900.0)] == [
         (1, "cool relinquished at priority 8"),
         (2, "heat relinquished at priority 8"),
         (3, "cool relinquished at priority 9"),
@@ -738,29 +749,29 @@ def test_each_write_has_a_time_of_its_own() -> None:
 
 def test_a_write_without_a_time_after_one_with_a_time_stays() -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
-    at.write("cool", Write(value=27.0, source="wall"), 0.0)
-    assert at.expire(1e9) == []
+    at.intake.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
+    at.intake.write("cool", Write(value=27.0, source="wall"), 0.0)
+    assert at.intake.expire(1e9) == []
     assert ruling(at)[1] == ["", "wall"]
 
 
 def test_a_release_takes_the_expiry_with_it() -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
-    at.write("cool", Write(value=None), 0.0)
+    at.intake.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
+    at.intake.write("cool", Write(value=None), 0.0)
     assert not at.commands.has_expiries
-    assert at.expire(1e9) == []
+    assert at.intake.expire(1e9) == []
 
 
 def test_an_expiry_releases_what_was_written_and_nothing_else() -> None:
     # The wall writes at 10 for half an hour, then an agent claims that very level.
     at = exchange()
-    at.write("cool", Write(value=28.0, duration_s=1800.0, priority=10, source="wall"), 0.0)
+    at.intake.write("cool", Write(value=28.0, duration_s=1800.0, priority=10, source="wall"), 0.0)
     claim(at, "agent", 10)
     answer(at, "agent", [20.0, 25.0])
     advance(at)
     answer(at, "agent", [0.0, 0.0], [KEEP, KEEP])
-    at.expire(1800.0)
+    at.intake.expire(1800.0)
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
 
 
@@ -776,12 +787,12 @@ REFUSED_WRITES = {
 @pytest.mark.parametrize(("name", "write", "words"), REFUSED_WRITES.values(), ids=REFUSED_WRITES)
 def test_a_wrong_write_is_rejected_in_words(name: str, write: Write, words: list[str]) -> None:
     at = running()
-    check_event(unchanged(at, lambda: at.write(name, write, 0.0), count="rejected"), EventKind.REJECTED, *words)
+    check_event(unchanged(at, lambda: at.intake.write(name, write, 0.0), count="rejected"), EventKind.REJECTED, *words)
 
 
 def test_a_level_is_claimed_only_on_the_actuators_that_were_claimed() -> None:
     at = running()  # `helper` holds level 9 of `cool`
-    check_event(at.write("heat", Write(value=20.0, priority=9), 0.0), EventKind.WRITTEN)
+    check_event(at.intake.write("heat", Write(value=20.0, priority=9), 0.0), EventKind.WRITTEN)
 
 
 # Free mode
@@ -797,7 +808,7 @@ def test_in_free_mode_nobody_is_waited_for() -> None:
     assert answer(at, "agent", [20.0, 25.0]) is None
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])  # held
-    check_event(at.command("agent", command([21.0, 26.0], step=1), 0.0), EventKind.LATE)
+    check_event(at.intake.command("agent", command([21.0, 26.0], step=1), 0.0), EventKind.LATE)
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
 
 
@@ -814,7 +825,7 @@ def test_in_free_mode_the_end_is_the_end() -> None:
 def test_a_reset_releases_everything_and_keeps_the_claims(ended: bool) -> None:
     at = exchange()
     claim(at, "agent")
-    at.write("cool", Write(value=28.0, duration_s=3600.0, source="wall"), 0.0)
+    at.intake.write("cool", Write(value=28.0, duration_s=3600.0, source="wall"), 0.0)
     answer(at, "agent", [20.0, 25.0])
     assert advance(at, last=ended)[1] == ["agent", "wall"]
     at.reset()
@@ -833,7 +844,7 @@ def test_a_reset_releases_everything_and_keeps_the_claims(ended: bool) -> None:
 
 def test_the_names_are_right_after_a_reset() -> None:
     at = exchange()
-    at.write("cool", Write(value=28.0, source="wall"), 0.0)  # the first name of this episode, not of the next
+    at.intake.write("cool", Write(value=28.0, source="wall"), 0.0)  # the first name of this episode, not of the next
     claim(at, "agent", 10)
     claim(at, "guard", 5)
     at.reset()
@@ -845,8 +856,8 @@ def test_the_names_are_right_after_a_reset() -> None:
 
 def test_counts_are_of_the_nodes_life() -> None:
     at = running()
-    at.command("agent", command([20.0, 25.0], step=0), 0.0)
-    at.command("agent", command([20.0, NAN], step=2), 0.0)
+    at.intake.command("agent", command([20.0, 25.0], step=0), 0.0)
+    at.intake.command("agent", command([20.0, NAN], step=2), 0.0)
     at.reset()
     at.ready(0.0)
     assert (at.counts.accepted, at.counts.late, at.counts.rejected) == (2, 1, 1)
@@ -866,11 +877,11 @@ def test_touched_tells_whether_sample_0_is_still_that_of_a_fresh_start() -> None
 
 def test_a_write_that_names_nobody_is_of_somebody() -> None:
     at = exchange(mode=Mode.FREE)
-    at.write("cool", Write(value=28.0, source=""), 0.0)
+    at.intake.write("cool", Write(value=28.0, source=""), 0.0)
     assert advance(at)[1] == ["", "anonymous"]
 
 
 def test_a_write_after_a_failure_is_refused() -> None:
     at = exchange(mode=Mode.FREE)
     at.transition(Trigger.FAIL)
-    assert at.write("cool", Write(value=28.0, source="wall"), 0.0).kind is EventKind.REJECTED
+    assert at.intake.write("cool", Write(value=28.0, source="wall"), 0.0).kind is EventKind.REJECTED

@@ -80,12 +80,12 @@ def check_ruled(at: StepExchange, expected: tuple[list[float], list[str]], *, no
 def test_the_policy_begins_when_the_time_of_grace_is_over(policy: Policy) -> None:
     """agent@0 → node@1 → agent gone at 2 s → 5 s of grace → policy"""
     at = with_agent(policy)
-    (event,) = at.on_disconnect("agent", 2.0)
+    (event,) = at.fallback.on_disconnect("agent", 2.0)
     assert event.kind is EventKind.DISCONNECTED
     assert ("waits for it" in event.text) == (policy is Policy.WAIT)
-    assert at.bypass("agent", 6.9, 5.0) == []
+    assert at.fallback.bypass("agent", 6.9, 5.0) == []
     assert not at.ready_to_step()
-    events = at.bypass("agent", 7.0, 5.0)
+    events = at.fallback.bypass("agent", 7.0, 5.0)
     if policy is Policy.WAIT:
         assert events == []
         assert not at.ready_to_step()
@@ -98,23 +98,23 @@ def test_the_policy_begins_when_the_time_of_grace_is_over(policy: Policy) -> Non
     for _ in range(3):
         check_ruled(at, expected_under(policy), now_s=7.0)
         assert at.fallback_active
-    assert at.bypass("agent", 7.0, 5.0) == []
+    assert at.fallback.bypass("agent", 7.0, 5.0) == []
 
 
 def test_abort_raises_when_the_time_of_grace_is_over() -> None:
     at = with_agent(Policy.ABORT)
-    at.on_disconnect("agent", 2.0)
-    assert at.bypass("agent", 6.0, 5.0) == []
+    at.fallback.on_disconnect("agent", 2.0)
+    assert at.fallback.bypass("agent", 6.0, 5.0) == []
     with pytest.raises(EpisodeAborted, match="agent disconnected"):
-        at.bypass("agent", 7.0, 5.0)
+        at.fallback.bypass("agent", 7.0, 5.0)
 
 
 @pytest.mark.parametrize("policy", Policy)
 def test_one_that_is_back_within_the_time_of_grace_goes_on_as_if_nothing_was(policy: Policy) -> None:
     at = with_agent(policy)
-    at.on_disconnect("agent", 2.0)
+    at.fallback.on_disconnect("agent", 2.0)
     assert kinds_and_sources(claim(at, "agent", now_s=4.0)) == [(EventKind.CONNECTED, "agent")]
-    assert at.bypass("agent", 7.0, 5.0) == []
+    assert at.fallback.bypass("agent", 7.0, 5.0) == []
     assert at.awaiting() == ["agent"]
     assert answer(at, "agent", [21.0, 26.0], now_s=7.0) is None
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), now_s=7.0)
@@ -126,24 +126,24 @@ def test_one_that_is_back_within_the_time_of_grace_goes_on_as_if_nothing_was(pol
 def test_one_that_leaves_again_has_its_time_of_grace_again(policy: Policy) -> None:
     """gone at 2 s → back at 4 s → gone at 6 s → the first grace ends at 7 s, the second at 11 s"""
     at = with_agent(policy)
-    at.on_disconnect("agent", 2.0)
+    at.fallback.on_disconnect("agent", 2.0)
     claim(at, "agent", now_s=4.0)
-    at.on_disconnect("agent", 6.0)
-    assert at.bypass("agent", 7.0, 5.0) == []
+    at.fallback.on_disconnect("agent", 6.0)
+    assert at.fallback.bypass("agent", 7.0, 5.0) == []
     assert not at.ready_to_step()
     if policy is Policy.ABORT:
         with pytest.raises(EpisodeAborted):
-            at.bypass("agent", 11.0, 5.0)
+            at.fallback.bypass("agent", 11.0, 5.0)
     else:
-        assert kinds_and_sources(at.bypass("agent", 11.0, 5.0)) == [(EventKind.FALLBACK, "agent")]
+        assert kinds_and_sources(at.fallback.bypass("agent", 11.0, 5.0)) == [(EventKind.FALLBACK, "agent")]
 
 
 @pytest.mark.parametrize("policy", GO_ON)
 def test_one_that_is_back_later_resumes_at_the_present_step(policy: Policy) -> None:
     """agent@0 → node@1 → gone → node@2 → node@3 → agent is back → agent@3 → node@4"""
     at = with_agent(policy)
-    at.on_disconnect("agent", 1.0)
-    at.bypass("agent", 1.0)
+    at.fallback.on_disconnect("agent", 1.0)
+    at.fallback.bypass("agent", 1.0)
     flags = [at.fallback_active]
     for _ in range(2):
         check_ruled(at, expected_under(policy))
@@ -162,8 +162,8 @@ def test_one_that_is_back_later_resumes_at_the_present_step(policy: Policy) -> N
 def test_one_that_is_back_before_the_step_goes_on_has_missed_nothing(policy: Policy) -> None:
     """heater gone and waived at sample 1, while the cooler still thinks; the heater is back and answers sample 1"""
     at = with_two(policy)
-    at.on_disconnect("heater", 1.0)
-    at.bypass("heater", 1.0)
+    at.fallback.on_disconnect("heater", 1.0)
+    at.fallback.bypass("heater", 1.0)
     assert at.awaiting() == ["cooler"]
     claim(at, "heater", actuators=["heat"])
     both(at, 21.0, 26.0)
@@ -177,8 +177,8 @@ def test_one_that_leaves_after_its_answer(policy: Policy) -> None:
     """Held, its answer rules the timestep that it was for, which is no fallback; released, it does not."""
     at = with_two(policy)
     answer(at, "heater", [21.0, 0.0], [SET, KEEP])
-    at.on_disconnect("heater", 1.0)
-    at.bypass("heater", 1.0)
+    at.fallback.on_disconnect("heater", 1.0)
+    at.fallback.bypass("heater", 1.0)
     answer(at, "cooler", [0.0, 26.0], [KEEP, SET])
     if policy is Policy.HOLD:
         check_ruled(at, ([21.0, 26.0], ["heater", "cooler"]))
@@ -200,8 +200,8 @@ def test_released_falls_to_the_next_level() -> None:
     answer(at, "agent", [20.0, 25.0])
     answer(at, "guard", [16.0, 29.0])
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
-    at.on_disconnect("agent", 0.0)
-    at.bypass("agent", 0.0)
+    at.fallback.on_disconnect("agent", 0.0)
+    at.fallback.bypass("agent", 0.0)
     answer(at, "guard", [16.0, 29.0])
     check_ruled(at, ([16.0, 29.0], ["guard", "guard"]))
 
@@ -211,17 +211,17 @@ def test_the_others_are_not_held_up_by_one_that_is_waived(deadline_s: float | No
     """The cooler has answered already when the heater is waived: the step goes on at once."""
     at = with_two(Policy.HOLD, deadline_s)
     answer(at, "cooler", [0.0, 26.0], [KEEP, SET])
-    at.on_disconnect("heater", 1.0)
+    at.fallback.on_disconnect("heater", 1.0)
     assert not at.ready_to_step()
-    at.bypass("heater", 1.0)
+    at.fallback.bypass("heater", 1.0)
     check_ruled(at, ([20.0, 26.0], ["heater", "cooler"]))
     assert at.awaiting() == ["cooler"]
 
 
 def test_with_nobody_there_and_no_deadline_the_episode_runs_through() -> None:
     at = with_agent(Policy.HOLD)
-    at.on_disconnect("agent", 1.0)
-    at.bypass("agent", 1.0)
+    at.fallback.on_disconnect("agent", 1.0)
+    at.fallback.bypass("agent", 1.0)
     for _ in range(20):
         check_ruled(at, expected_under(Policy.HOLD))
     assert at.counts.missed == status(at, "agent").missed == 20
@@ -230,11 +230,11 @@ def test_with_nobody_there_and_no_deadline_the_episode_runs_through() -> None:
 @pytest.mark.parametrize("policy", GO_ON)
 def test_with_nobody_there_the_deadline_sets_the_pace(policy: Policy) -> None:
     at = with_agent(policy, 2.0)
-    at.on_disconnect("agent", 1.0)
-    at.bypass("agent", 1.0)
+    at.fallback.on_disconnect("agent", 1.0)
+    at.fallback.bypass("agent", 1.0)
     for k in range(1, 4):
         assert not at.ready_to_step(), f"at sample {k}"
-        assert at.on_deadline(1.0) == []  # it was told that the agent has gone
+        assert at.fallback.on_deadline(1.0) == []  # it was told that the agent has gone
         check_ruled(at, expected_under(policy))
         assert at.fallback_active
     assert at.counts.missed == status(at, "agent").missed == 3
@@ -243,10 +243,10 @@ def test_with_nobody_there_the_deadline_sets_the_pace(policy: Policy) -> None:
 def test_with_two_gone_the_deadline_sets_the_pace() -> None:
     at = with_two(Policy.HOLD, 2.0)
     for name in ("heater", "cooler"):
-        at.on_disconnect(name, 1.0)
-        at.bypass(name, 1.0)
+        at.fallback.on_disconnect(name, 1.0)
+        at.fallback.bypass(name, 1.0)
     assert not at.ready_to_step()
-    at.on_deadline(1.0)
+    at.fallback.on_deadline(1.0)
     check_ruled(at, ([20.0, 25.0], ["heater", "cooler"]))
     assert (at.counts.missed, status(at, "heater").missed, status(at, "cooler").missed) == (1, 1, 1)
 
@@ -254,7 +254,7 @@ def test_with_two_gone_the_deadline_sets_the_pace() -> None:
 @pytest.mark.parametrize("policy", Policy)
 def test_nothing_goes_on_where_nobody_ever_claimed(policy: Policy) -> None:
     at = node(policy, 2.0)
-    assert at.on_deadline(0.0) == []
+    assert at.fallback.on_deadline(0.0) == []
     assert not at.ready_to_step()
 
 
@@ -263,24 +263,24 @@ def test_who_leaves_after_the_end_is_no_fallback(policy: Policy) -> None:
     at = with_agent(policy)
     answer(at, "agent", [20.0, 25.0])
     advance(at, last=True)
-    at.on_disconnect("agent", 1.0)
-    assert at.bypass("agent", 1.0) == []
+    at.fallback.on_disconnect("agent", 1.0)
+    assert at.fallback.bypass("agent", 1.0) == []
 
 
 def test_who_leaves_after_the_end_aborts_nothing() -> None:
     at = with_agent(Policy.ABORT)
     answer(at, "agent", [20.0, 25.0])
     advance(at, last=True)
-    at.on_disconnect("agent", 1.0)
-    assert at.bypass("agent", 1.0) == []
+    at.fallback.on_disconnect("agent", 1.0)
+    assert at.fallback.bypass("agent", 1.0) == []
     assert at.state is State.ENDED
 
 
 def test_a_new_episode_forgets_who_was_waived_and_who_was_silent() -> None:
     at = with_two(Policy.HOLD, 2.0)
-    at.on_disconnect("heater", 1.0)
-    at.bypass("heater", 1.0)
-    at.on_deadline(1.0)
+    at.fallback.on_disconnect("heater", 1.0)
+    at.fallback.bypass("heater", 1.0)
+    at.fallback.on_deadline(1.0)
     advance(at)
     assert state(at, "cooler") is ControllerState.UNRESPONSIVE
     at.reset()
@@ -295,7 +295,7 @@ def test_after_an_abort_a_reset_begins_anew() -> None:
     at = with_two(Policy.ABORT, 2.0)
     answer(at, "cooler", [0.0, 26.0], [KEEP, SET])
     with pytest.raises(EpisodeAborted, match=r"^heater sent no command within 2 s$"):
-        at.on_deadline(1.0)
+        at.fallback.on_deadline(1.0)
     at.transition(Trigger.FAIL)
     late = answer(at, "heater", [21.0, 0.0], [SET, KEEP])
     assert late is not None
@@ -314,14 +314,14 @@ def test_after_an_abort_a_reset_begins_anew() -> None:
 def test_one_that_is_silent_beyond_the_deadline(policy: Policy) -> None:
     """node@1 at 1 s → silent → 3 s: policy → node@2 → silent → 5 s → node@3: told once, missed twice"""
     at = with_agent(policy, 2.0)
-    events = at.on_deadline(3.0)
+    events = at.fallback.on_deadline(3.0)
     assert kinds_and_sources(events) == [(EventKind.FALLBACK, "agent")]
     assert "no command within 2 s" in events[0].text
     assert state(at, "agent") is ControllerState.UNRESPONSIVE
     check_ruled(at, expected_under(policy), now_s=3.0)
     assert at.fallback_active
     assert not at.ready_to_step()
-    assert at.on_deadline(5.0) == []
+    assert at.fallback.on_deadline(5.0) == []
     check_ruled(at, expected_under(policy), now_s=5.0)
     assert (at.counts.missed, status(at, "agent").missed, at.counts.late) == (2, 2, 0)
 
@@ -329,24 +329,24 @@ def test_one_that_is_silent_beyond_the_deadline(policy: Policy) -> None:
 @pytest.mark.parametrize("policy", GO_ON)
 def test_one_that_was_silent_and_answers_again(policy: Policy) -> None:
     at = with_agent(policy, 2.0)
-    at.on_deadline(3.0)
+    at.fallback.on_deadline(3.0)
     advance(at, now_s=3.0)
     payload = wire(command([21.0, 26.0], step=2))
-    assert not at.accept_fast("agent", payload, 4.0)  # its return is told
-    event = at.receive_command("agent", payload, 4.0)
+    assert not at.intake.accept_fast("agent", payload, 4.0)  # its return is told
+    event = at.intake.receive_command("agent", payload, 4.0)
     assert event is not None
     assert (event.kind, event.source, event.late_s) == (EventKind.CONNECTED, "agent", None)
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), now_s=4.0)
     assert not at.fallback_active
     assert state(at, "agent") is ControllerState.CONNECTED
-    assert at.accept_fast("agent", wire(command([21.5, 26.5], step=3)), 4.0)
+    assert at.intake.accept_fast("agent", wire(command([21.5, 26.5], step=3)), 4.0)
 
 
 @pytest.mark.parametrize("policy", Policy)
 def test_one_that_answers_in_time_meets_no_policy(policy: Policy) -> None:
     at = with_agent(policy, 2.0)
-    assert at.accept_fast("agent", wire(command([21.0, 26.0], step=1)), 1.0)
-    assert at.on_deadline(1.0) == []
+    assert at.intake.accept_fast("agent", wire(command([21.0, 26.0], step=1)), 1.0)
+    assert at.fallback.on_deadline(1.0) == []
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]))
     assert not at.fallback_active
     assert at.counts.late == at.counts.missed == 0
@@ -355,11 +355,11 @@ def test_one_that_answers_in_time_meets_no_policy(policy: Policy) -> None:
 def test_waiting_takes_a_late_command_and_says_how_late() -> None:
     """node@1 at 1 s → 3 s: deadline → agent@1 at 4.5 s: taken, 1.5 s late"""
     at = with_agent(Policy.WAIT, 2.0)
-    assert at.on_deadline(3.0) == []
+    assert at.fallback.on_deadline(3.0) == []
     assert not at.ready_to_step()
     payload = wire(command([21.0, 26.0], step=1))
-    assert not at.accept_fast("agent", payload, 4.5)
-    event = at.receive_command("agent", payload, 4.5)
+    assert not at.intake.accept_fast("agent", payload, 4.5)
+    event = at.intake.receive_command("agent", payload, 4.5)
     assert event is not None
     assert (event.kind, event.late_s) == (EventKind.ACCEPTED_LATE, 1.5)
     assert "accepted after the deadline" in event.text
@@ -368,12 +368,12 @@ def test_waiting_takes_a_late_command_and_says_how_late() -> None:
     agent = status(at, "agent")
     assert (agent.accepted, agent.accepted_late, agent.late, agent.missed) == (2, 1, 0, 0)
     assert (at.counts.accepted_late, at.counts.late) == (1, 0)
-    assert at.accept_fast("agent", wire(command([21.0, 26.0], step=2)), 4.5)  # the next one is usual again
+    assert at.intake.accept_fast("agent", wire(command([21.0, 26.0], step=2)), 4.5)  # the next one is usual again
 
 
 def test_who_joins_after_the_deadline_is_not_late() -> None:
     at = with_agent(Policy.WAIT, 2.0)
-    at.on_deadline(3.0)
+    at.fallback.on_deadline(3.0)
     claim(at, "guard", 5, now_s=9.0)
     assert answer(at, "guard", [16.0, 29.0], now_s=9.5) is None
     assert status(at, "guard").accepted_late == 0
@@ -386,9 +386,9 @@ def test_of_two_the_one_that_answered_is_not_blamed(policy: Policy) -> None:
     answer(at, "cooler", [0.0, 26.0], [KEEP, SET])
     if policy is Policy.ABORT:
         with pytest.raises(EpisodeAborted, match=r"^heater sent no command within 2 s$"):
-            at.on_deadline(3.0)
+            at.fallback.on_deadline(3.0)
         return
-    assert kinds_and_sources(at.on_deadline(3.0)) == [(EventKind.FALLBACK, "heater")]
+    assert kinds_and_sources(at.fallback.on_deadline(3.0)) == [(EventKind.FALLBACK, "heater")]
     held = policy is Policy.HOLD
     check_ruled(at, ([20.0 if held else NAN, 26.0], ["heater" if held else "", "cooler"]), now_s=3.0)
     assert at.fallback_active
@@ -405,16 +405,16 @@ def test_of_two_the_one_that_answered_is_not_blamed(policy: Policy) -> None:
 def test_a_late_command_says_how_late_and_rules_nothing() -> None:
     """node@1 at 1 s → deadline: node@2 at 3 s → agent@1 at 7.5 s: 4.5 s late → 8 s: deadline: node@3"""
     at = with_agent(Policy.HOLD, 2.0)
-    at.on_deadline(3.0)
+    at.fallback.on_deadline(3.0)
     advance(at, now_s=3.0)
-    event = at.receive_command("agent", wire(command([22.0, 29.0], step=1)), 7.5)
+    event = at.intake.receive_command("agent", wire(command([22.0, 29.0], step=1)), 7.5)
     assert event is not None
     assert (event.kind, event.source, event.step, event.late_s) == (EventKind.LATE, "agent", 2, 4.5)
     assert "step [1]" in event.text
     assert at.awaiting() == ["agent"]  # it has not answered sample 2 by that
     assert (at.counts.late, status(at, "agent").late) == (1, 1)
     assert state(at, "agent") is ControllerState.UNRESPONSIVE
-    at.on_deadline(7.5)
+    at.fallback.on_deadline(7.5)
     check_ruled(at, expected_under(Policy.HOLD), now_s=7.5)
 
 
@@ -422,9 +422,9 @@ def test_lateness_is_counted_from_the_step_that_the_command_answers() -> None:
     """Steps 1, 2, 3 went on at 3, 5 and 7 s; the commands for them all come at 10 s."""
     at = with_agent(Policy.HOLD, 2.0)
     for now_s in (3.0, 5.0, 7.0):
-        at.on_deadline(now_s)
+        at.fallback.on_deadline(now_s)
         advance(at, now_s=now_s)
-    late = [at.receive_command("agent", wire(command([22.0, 29.0], step=step)), 10.0) for step in (1, 2, 3)]
+    late = [at.intake.receive_command("agent", wire(command([22.0, 29.0], step=step)), 10.0) for step in (1, 2, 3)]
     assert [event.late_s for event in late if event is not None] == [7.0, 5.0, 3.0]
 
 
@@ -438,12 +438,12 @@ def test_of_several_slots_the_one_that_was_answered_says_how_late() -> None:
         if still is not None:
             step[still] = None
         sent = command(values, step=at.step, episode=at.episode).model_copy(update={"step": step})
-        assert at.command("agent", sent, now_s) is None
+        assert at.intake.command("agent", sent, now_s) is None
         advance(at, now_s=now_s)
     assert at.step == [2, 3]
     sent = command(values, step=[0, 1], episode=[0, 0])
-    slot_1 = at.command("agent", sent.model_copy(update={"step": [None, 1]}), 10.0)
-    slot_0 = at.command("agent", sent.model_copy(update={"step": [1, None]}), 10.0)
+    slot_1 = at.intake.command("agent", sent.model_copy(update={"step": [None, 1]}), 10.0)
+    slot_0 = at.intake.command("agent", sent.model_copy(update={"step": [1, None]}), 10.0)
     assert slot_1 is not None
     assert slot_0 is not None
     assert (slot_1.late_s, slot_0.late_s) == (6.0, 4.0)  # slot 0 stood at sample 1 until 6 s
@@ -451,12 +451,12 @@ def test_of_several_slots_the_one_that_was_answered_says_how_late() -> None:
 
 def test_how_late_is_not_invented_once_it_is_forgotten() -> None:
     at = with_agent(Policy.HOLD)
-    at.on_disconnect("agent", 1.0)
-    at.bypass("agent", 1.0)
+    at.fallback.on_disconnect("agent", 1.0)
+    at.fallback.bypass("agent", 1.0)
     for _ in range(1000):
         advance(at)
     claim(at, "agent")
-    event = at.receive_command("agent", wire(command([22.0, 29.0], step=1)), 1.0)
+    event = at.intake.receive_command("agent", wire(command([22.0, 29.0], step=1)), 1.0)
     assert event is not None
     assert (event.kind, event.late_s) == (EventKind.LATE, None)
 
@@ -469,12 +469,12 @@ def test_how_late_is_not_invented_once_it_is_forgotten() -> None:
 def test_another_program_takes_over_within_the_time_of_grace(policy: Policy, deadline_s: float | None) -> None:
     """agent@0 → node@1 → agent gone → other claims → other@1 → node@2: no timestep without a ruler"""
     at = with_agent(policy, deadline_s)
-    at.on_disconnect("agent", 1.5)
+    at.fallback.on_disconnect("agent", 1.5)
     assert kinds_and_sources(claim(at, "other", now_s=1.5)) == [
         (EventKind.DISCONNECTED, "agent"),
         (EventKind.CONNECTED, "other"),
     ]
-    assert at.bypass("agent", 2.0, 0.1) == []
+    assert at.fallback.bypass("agent", 2.0, 0.1) == []
     assert not at.ready_to_step()
     assert answer(at, "other", [21.0, 26.0], now_s=2.0) is None
     check_ruled(at, ([21.0, 26.0], ["other", "other"]), now_s=2.0)
@@ -485,12 +485,12 @@ def test_another_program_takes_over_within_the_time_of_grace(policy: Policy, dea
 def test_another_program_takes_over_from_one_that_is_waived() -> None:
     """The first one's command holds until the other's first answer, also if that misses a deadline."""
     at = with_agent(Policy.HOLD, 2.0)
-    at.on_disconnect("agent", 1.0)
-    at.bypass("agent", 1.0)
-    at.on_deadline(1.0)
+    at.fallback.on_disconnect("agent", 1.0)
+    at.fallback.bypass("agent", 1.0)
+    at.fallback.on_deadline(1.0)
     check_ruled(at, expected_under(Policy.HOLD))
     claim(at, "other")
-    assert kinds_and_sources(at.on_deadline(1.0)) == [(EventKind.FALLBACK, "other")]
+    assert kinds_and_sources(at.fallback.on_deadline(1.0)) == [(EventKind.FALLBACK, "other")]
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
     answer(at, "other", [21.0, 26.0])
     check_ruled(at, ([21.0, 26.0], ["other", "other"]))
@@ -499,15 +499,15 @@ def test_another_program_takes_over_from_one_that_is_waived() -> None:
 
 def test_one_that_was_replaced_is_not_counted_any_more() -> None:
     at = with_agent(Policy.HOLD)
-    at.on_disconnect("agent", 1.0)
-    at.bypass("agent", 1.0)
+    at.fallback.on_disconnect("agent", 1.0)
+    at.fallback.bypass("agent", 1.0)
     advance(at)
     claim(at, "other")
     answer(at, "other", [21.0, 26.0])
     advance(at)
     assert at.counts.missed == 1
     assert [c.controller for c in at.controllers()] == ["other"]
-    assert at.on_disconnect("agent", 1.0) == at.bypass("agent", 1.0) == []
+    assert at.fallback.on_disconnect("agent", 1.0) == at.fallback.bypass("agent", 1.0) == []
 
 
 # Controllers that are not waited for
@@ -521,9 +521,9 @@ def test_one_that_is_not_required_stops_nothing_by_leaving(policy: Policy) -> No
     answer(at, "helper", [0.0, 28.0], [KEEP, SET])
     answer(at, "agent", [20.0, 25.0])
     check_ruled(at, ([20.0, 28.0], ["agent", "helper"]))
-    (left,) = at.on_disconnect("helper", 0.0)
+    (left,) = at.fallback.on_disconnect("helper", 0.0)
     assert "waits" not in left.text
-    events = at.bypass("helper", 0.0)
+    events = at.fallback.bypass("helper", 0.0)
     assert kinds_and_sources(events) == ([] if policy is Policy.WAIT else [(EventKind.FALLBACK, "helper")])
     answer(at, "agent", [20.0, 25.0])
     relinquished = policy is Policy.RELINQUISH
@@ -538,7 +538,7 @@ def test_one_that_is_not_required_has_no_deadline(policy: Policy) -> None:
     claim(at, "agent", 10)
     claim(at, "helper", 9, required=False)
     answer(at, "agent", [20.0, 25.0])
-    assert at.on_deadline(0.0) == []
+    assert at.fallback.on_deadline(0.0) == []
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
     assert not at.fallback_active
 
@@ -552,10 +552,10 @@ def test_where_time_runs_by_itself_the_policy_says_what_becomes_of_commands(poli
     at = with_agent(policy, mode=mode)
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))  # not answered in time, and there: no fallback
     assert not at.fallback_active
-    at.on_disconnect("agent", 1.0)
+    at.fallback.on_disconnect("agent", 1.0)
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
     assert not at.fallback_active
-    assert kinds_and_sources(at.bypass("agent", 1.0)) == [(EventKind.FALLBACK, "agent")]
+    assert kinds_and_sources(at.fallback.bypass("agent", 1.0)) == [(EventKind.FALLBACK, "agent")]
     check_ruled(at, expected_under(policy))
     assert at.fallback_active
     claim(at, "agent")
@@ -570,8 +570,8 @@ def test_where_time_runs_by_itself_one_that_is_there_misses_nothing(mode: Mode) 
     """The heater has gone; the cooler is there and lets what it commanded hold."""
     at = with_two(Policy.HOLD)
     at.mode = mode
-    at.on_disconnect("heater", 1.0)
-    at.bypass("heater", 1.0)
+    at.fallback.on_disconnect("heater", 1.0)
+    at.fallback.bypass("heater", 1.0)
     check_ruled(at, ([20.0, 25.0], ["heater", "cooler"]))
     assert (status(at, "heater").missed, status(at, "cooler").missed, at.counts.missed) == (1, 0, 1)
 
@@ -579,9 +579,9 @@ def test_where_time_runs_by_itself_one_that_is_there_misses_nothing(mode: Mode) 
 @pytest.mark.parametrize("mode", [Mode.FREE, Mode.PACED])
 def test_where_time_runs_by_itself_abort_ends_the_episode_of_one_that_has_gone(mode: Mode) -> None:
     at = with_agent(Policy.ABORT, mode=mode)
-    at.on_disconnect("agent", 1.0)
+    at.fallback.on_disconnect("agent", 1.0)
     with pytest.raises(EpisodeAborted):
-        at.bypass("agent", 1.0)
+        at.fallback.bypass("agent", 1.0)
 
 
 @pytest.mark.parametrize("mode", [Mode.FREE, Mode.PACED])
@@ -589,7 +589,7 @@ def test_where_time_runs_by_itself_a_late_command_says_how_late(mode: Mode) -> N
     """node@2 at 4 s; agent@1 comes at 4.25 s"""
     at = with_agent(Policy.WAIT, mode=mode)
     advance(at, now_s=4.0)
-    event = at.receive_command("agent", wire(command([22.0, 29.0], step=1)), 4.25)
+    event = at.intake.receive_command("agent", wire(command([22.0, 29.0], step=1)), 4.25)
     assert event is not None
     assert (event.kind, event.late_s) == (EventKind.LATE, 0.25)
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]), now_s=4.25)
@@ -603,9 +603,9 @@ def test_all_slots_go_on_without_one_that_is_silent(policy: Policy) -> None:
     at = node(policy, 2.0, slots=2)
     claim(at, "agent")
     values = [20.0, 25.0, 21.0, 26.0]
-    assert at.command("agent", command(values, step=at.step, episode=at.episode), 0.0) is None
+    assert at.intake.command("agent", command(values, step=at.step, episode=at.episode), 0.0) is None
     check_ruled(at, (values, ["agent"] * 4))
-    at.on_deadline(0.0)
+    at.fallback.on_deadline(0.0)
     held = policy is Policy.HOLD
     check_ruled(at, (values if held else [NAN] * 4, ["agent" if held else ""] * 4))
     assert at.step == [2, 2]
@@ -615,10 +615,10 @@ def test_all_slots_go_on_without_one_that_is_silent(policy: Policy) -> None:
 def test_a_slot_that_is_over_stays_so_while_the_policy_goes_on() -> None:
     at = node(Policy.HOLD, 2.0, slots=2)
     claim(at, "agent")
-    at.command("agent", command([20.0, 25.0] * 2, step=at.step, episode=at.episode), 0.0)
+    at.intake.command("agent", command([20.0, 25.0] * 2, step=at.step, episode=at.episode), 0.0)
     at.begin_step(0.0)
     at.finish_step([True, False], 0.0)
-    at.on_deadline(0.0)
+    at.fallback.on_deadline(0.0)
     at.begin_step(0.0)
     assert [*at.active_slots] == [1]
     at.finish_step([False], 0.0)
@@ -631,7 +631,7 @@ def test_a_slot_that_is_over_stays_so_while_the_policy_goes_on() -> None:
 def test_a_flood_is_passed_over_and_the_others_are_served() -> None:
     at = with_two(Policy.WAIT)
     wrong = wire(command([99.0, 0.0], step=1, operations=[SET, KEEP]))
-    events = [at.receive_command("heater", wrong, 1.0) for _ in range(MAX_MESSAGES_PER_STEP + 50)]
+    events = [at.intake.receive_command("heater", wrong, 1.0) for _ in range(MAX_MESSAGES_PER_STEP + 50)]
     assert sum(event is not None for event in events) == MAX_MESSAGES_PER_STEP
     assert events[MAX_MESSAGES_PER_STEP:] == [None] * 50
     assert (at.counts.rate_limited, at.counts.rejected, status(at, "heater").rejected) == (
@@ -639,28 +639,28 @@ def test_a_flood_is_passed_over_and_the_others_are_served() -> None:
         MAX_MESSAGES_PER_STEP,
         MAX_MESSAGES_PER_STEP,
     )
-    assert at.receive_command("cooler", wire(command([0.0, 26.0], step=1, operations=[KEEP, SET])), 1.0) is None
+    assert at.intake.receive_command("cooler", wire(command([0.0, 26.0], step=1, operations=[KEEP, SET])), 1.0) is None
     assert at.awaiting() == ["heater"]  # its own right command is passed over as well, until the next step
-    assert at.receive_command("heater", wire(command([21.0, 0.0], step=1, operations=[SET, KEEP])), 1.0) is None
+    assert at.intake.receive_command("heater", wire(command([21.0, 0.0], step=1, operations=[SET, KEEP])), 1.0) is None
     assert at.awaiting() == ["heater"]
 
 
 def test_a_flood_does_not_stop_a_usual_command_and_ends_with_the_step() -> None:
     at = with_agent(Policy.WAIT)
     for _ in range(MAX_MESSAGES_PER_STEP + 1):
-        at.receive_command("agent", b"", 1.0)
-    assert at.accept_fast("agent", wire(command([21.0, 26.0], step=1)), 1.0)
+        at.intake.receive_command("agent", b"", 1.0)
+    assert at.intake.accept_fast("agent", wire(command([21.0, 26.0], step=1)), 1.0)
     advance(at)
-    assert at.receive_command("agent", b"", 1.0) is not None
+    assert at.intake.receive_command("agent", b"", 1.0) is not None
     assert at.counts.rate_limited == 1
 
 
 def test_strangers_of_many_names_are_one_flood() -> None:
     at = with_agent(Policy.WAIT)
-    events = [at.receive_command(f"stranger-{k}", b"", 1.0) for k in range(MAX_MESSAGES_PER_STEP + 900)]
+    events = [at.intake.receive_command(f"stranger-{k}", b"", 1.0) for k in range(MAX_MESSAGES_PER_STEP + 900)]
     assert sum(event is not None for event in events) == MAX_MESSAGES_PER_STEP
     assert at.counts.rate_limited == 900
-    assert at.receive_command("agent", wire(command([21.0, 26.0], step=1)), 1.0) is None
+    assert at.intake.receive_command("agent", wire(command([21.0, 26.0], step=1)), 1.0) is None
     assert at.ready_to_step()
 
 
@@ -673,18 +673,18 @@ def test_responses_are_counted_from_the_sample_or_from_the_claim() -> None:
     claim(at, "agent", now_s=100.0)
     answer(at, "agent", [20.0, 25.0], now_s=100.25)
     advance(at, now_s=101.0)
-    assert at.accept_fast("agent", wire(command([20.0, 25.0], step=1)), 101.5)
+    assert at.intake.accept_fast("agent", wire(command([20.0, 25.0], step=1)), 101.5)
     response = status(at, "agent").response
     assert (response.count, response.median_ms, response.max_ms) == (2, 250.0, 500.0)
 
 
 def test_a_controller_that_is_back_keeps_its_counts() -> None:
     at = with_agent(Policy.HOLD, 2.0)
-    at.receive_command("agent", b"", 1.0)
-    at.on_deadline(1.0)
+    at.intake.receive_command("agent", b"", 1.0)
+    at.fallback.on_deadline(1.0)
     advance(at)
-    at.receive_command("agent", wire(command([22.0, 29.0], step=1)), 1.0)
-    at.on_disconnect("agent", 1.0)
+    at.intake.receive_command("agent", wire(command([22.0, 29.0], step=1)), 1.0)
+    at.fallback.on_disconnect("agent", 1.0)
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
     answer(at, "agent", [20.0, 25.0])
@@ -723,12 +723,12 @@ def test_whatever_happens_a_command_rules_its_own_step_and_every_message_is_coun
             case "claim":
                 claim(at, name, actuators=["heat" if name == "a" else "cool"], now_s=now_s)
             case "disconnected":
-                at.on_disconnect(name, now_s)
+                at.fallback.on_disconnect(name, now_s)
             case "waive":
-                at.bypass(name, now_s)
+                at.fallback.bypass(name, now_s)
             case "overdue":
                 if has_deadline:
-                    at.on_deadline(now_s)
+                    at.fallback.on_deadline(now_s)
             case "go":
                 if at.ready_to_step():
                     missed += goes_on(at, policy, taken, now_s)
@@ -749,7 +749,7 @@ def send_random(at: StepExchange, name: str, step: int, taken: dict[str, list[in
     """A controller answers a step; notes whether it was taken, and gives whether that was after the deadline."""
     before, own = at.counts.accepted, value(name, step)
     operations = [SET, KEEP] if name == "a" else [KEEP, SET]
-    event = at.receive_command(name, wire(command([own, own], step=step, operations=operations)), now_s)
+    event = at.intake.receive_command(name, wire(command([own, own], step=step, operations=operations)), now_s)
     if at.counts.accepted == before:
         assert event is not None
         return False
@@ -778,8 +778,8 @@ def test_who_comes_does_not_wait_for_one_that_has_gone(policy: Policy) -> None:
     at = exchange()
     at.policy, at.deadline_s = policy, 5.0
     claim(at, "gone", 10)
-    at.on_disconnect("gone", 0.0)
-    at.bypass("gone", 0.0)
+    at.fallback.on_disconnect("gone", 0.0)
+    at.fallback.bypass("gone", 0.0)
     answer(at, "gone", [20.0, 25.0])
     advance(at)
     assert at.awaiting() == ["gone"], "nobody else is there: the deadline sets the pace"

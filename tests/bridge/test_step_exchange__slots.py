@@ -19,7 +19,7 @@ def answers(at: StepExchange, controller: str, slots: dict[int, tuple[float, flo
     """The controller answers these slots and leaves the others out."""
     values = [v for slot in range(at.slots) for v in slots.get(slot, (0.0, 0.0))]
     steps = [step if slot in slots else None for slot, step in enumerate(at.step)]
-    return at.command(
+    return at.intake.command(
         controller,
         Command(episode=at.episode, step=steps, operations=None, values=np.array(values, "<f8").tobytes()),
         0.0,
@@ -62,7 +62,10 @@ def test_a_value_for_a_slot_that_stands_still_is_not_looked_at() -> None:
     """Not even whether it is within its bounds; in a slot that moves it is."""
     at = three()
     steps, values = [0, None, 0], np.array([20.0, 25.0, 1e9, NAN, 20.0, 25.0])
-    assert at.command("agent", Command(episode=[0] * 3, step=steps, values=values.astype("<f8").tobytes()), 0.0) is None
+    assert (
+        at.intake.command("agent", Command(episode=[0] * 3, step=steps, values=values.astype("<f8").tobytes()), 0.0)
+        is None
+    )
     assert go(at)[0] == [0, 2]
     event = answers(at, "agent", {1: (20.0, 99.0)})
     assert event is not None
@@ -89,13 +92,17 @@ def test_the_slots_that_any_required_controller_answers_move() -> None:
     operations = bytes([KEEP, KEEP, SET, KEEP, SET, KEEP])
     both = np.array([0.0, 0.0, 21.0, 0.0, 22.0, 0.0]).tobytes()
     assert (
-        at.command("second", Command(episode=[0] * 3, step=[None, 0, None], operations=operations, values=both), 0.0)
+        at.intake.command(
+            "second", Command(episode=[0] * 3, step=[None, 0, None], operations=operations, values=both), 0.0
+        )
         is None
     )
     at2 = at.ready_to_step()
     assert at2
     assert (
-        at.command("helper", Command(episode=[0] * 3, step=[None, None, 0], operations=operations, values=both), 0.0)
+        at.intake.command(
+            "helper", Command(episode=[0] * 3, step=[None, None, 0], operations=operations, values=both), 0.0
+        )
         is None
     )
     moving, values = go(at)
@@ -111,10 +118,10 @@ def test_only_the_slots_that_are_answered_are_compared_with_the_present(wrong: t
     go(at)
     step, episode = wrong
     command = Command(episode=[0, 7, 0], step=[1, None, 0], values=np.array([20.0, 25.0] * 3).tobytes())
-    assert at.command("agent", command, 0.0) is None
+    assert at.intake.command("agent", command, 0.0) is None
     go(at)
     command = Command(episode=[0, episode, 0], step=[None, step, 1], values=np.array([20.0, 25.0] * 3).tobytes())
-    event = at.command("agent", command, 0.0)
+    event = at.intake.command("agent", command, 0.0)
     assert event is not None
     assert event.kind is EventKind.REJECTED
     assert at.step == [2, 0, 1]
@@ -126,10 +133,10 @@ def test_a_slot_that_was_left_behind_is_late_only_where_all_are() -> None:
     go(at)
     answers(at, "agent", {0: (20.0, 25.0)})
     go(at)
-    late = at.command("agent", command([20.0, 25.0] * 3, step=[1, 1, 1], episode=[0] * 3), 0.0)
+    late = at.intake.command("agent", command([20.0, 25.0] * 3, step=[1, 1, 1], episode=[0] * 3), 0.0)
     assert late is not None
     assert late.kind is EventKind.LATE
-    mixed = at.command("agent", command([20.0, 25.0] * 3, step=[1, 2, 1], episode=[0] * 3), 0.0)
+    mixed = at.intake.command("agent", command([20.0, 25.0] * 3, step=[1, 2, 1], episode=[0] * 3), 0.0)
     assert mixed is not None
     assert mixed.kind is EventKind.REJECTED
     assert (at.counts.late, at.counts.rejected) == (1, 1)
@@ -187,7 +194,7 @@ def test_an_answer_from_before_another_slot_began_anew_is_given_again() -> None:
     at.reset([1])
     at.ready(0.0, {1: 0})
     assert not at.ready_to_step()
-    event = at.command("agent", command([20.0, 25.0] * 3, step=[0, 0, 0], episode=[0, 0, 0]), 0.0)
+    event = at.intake.command("agent", command([20.0, 25.0] * 3, step=[0, 0, 0], episode=[0, 0, 0]), 0.0)
     assert event is not None
     assert at.awaiting() == ["agent"]
     assert answers(at, "agent", {2: (20.0, 25.0)}) is None
@@ -211,9 +218,9 @@ def test_when_all_are_over_one_may_begin_anew() -> None:
 def test_all_slots_begin_anew_by_any_name_of_them(slots: list[int] | None) -> None:
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
-    at.write("heat", Write(value=18.0, priority=8, duration_s=1e6), 0.0)
+    at.intake.write("heat", Write(value=18.0, priority=8, duration_s=1e6), 0.0)
     go(at)
-    at.on_disconnect("agent", 0.0)
+    at.fallback.on_disconnect("agent", 0.0)
     at.reset(slots)
     at.ready(0.0)
     assert (at.episode, at.step, at.commands.has_expiries, at.controllers()) == ([1] * 3, [0] * 3, False, [])
@@ -223,7 +230,7 @@ def test_all_slots_begin_anew_by_any_name_of_them(slots: list[int] | None) -> No
 def test_a_written_value_outlives_the_beginning_of_one_slot_elsewhere() -> None:
     at = exchange(slots=2)
     claim(at, "agent")
-    at.write("heat", Write(value=18.0, priority=8), 0.0)
+    at.intake.write("heat", Write(value=18.0, priority=8), 0.0)
     at.reset([0])
     at.ready(0.0, {0: 0})
     np.testing.assert_array_equal(ruling(at)[0], [NAN, NAN, 18.0, NAN])
@@ -237,7 +244,7 @@ def held() -> StepExchange:
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
     go(at)
-    at.write("cool", Write(value=29.0, priority=8, duration_s=1800.0, source="person"), 900.0)
+    at.intake.write("cool", Write(value=29.0, priority=8, duration_s=1800.0, source="person"), 900.0)
     answers(at, "agent", {1: (21.0, 26.0)})
     go(at)
     return at
@@ -247,8 +254,8 @@ def test_what_held_holds_again_and_what_came_later_does_not() -> None:
     at = held()
     kept, before = at.capture(), ruling(at)
     answer(at, "agent", [22.0, 30.0] * 3)
-    at.write("heat", Write(value=15.0, priority=1, source="late"), 1800.0)
-    at.write("cool", Write(value=None, priority=8, source="person"), 1800.0)
+    at.intake.write("heat", Write(value=15.0, priority=1, source="late"), 1800.0)
+    at.intake.write("cool", Write(value=None, priority=8, source="person"), 1800.0)
     go(at)
     assert not at.commands.has_expiries
     for _ in range(2):
@@ -257,7 +264,7 @@ def test_what_held_holds_again_and_what_came_later_does_not() -> None:
         assert str(ruling(at)) == str(before)
         assert at.commands.has_expiries
         assert at.modified == [True] * 3
-        assert [event.kind for event in at.expire(2700.0)] == [EventKind.EXPIRED]
+        assert [event.kind for event in at.intake.expire(2700.0)] == [EventKind.EXPIRED]
         assert ruling(at)[0] == [20.0, 25.0, 21.0, 26.0, 20.0, 25.0]
         answer(at, "agent", [22.0, 30.0] * 3)
         go(at)
@@ -317,7 +324,7 @@ def test_what_held_in_one_slot_goes_along_to_as_many_as_are_wanted() -> None:
         assert ruling(branch) == (expected * 2, ["agent", "person"] * 2)
         claim(branch, "other")
         answer(branch, "other", [15.5, 22.5] * 2)
-        branch.expire(2700.0)
+        branch.intake.expire(2700.0)
         assert ruling(branch) == ([15.5, 22.5] * 2, ["other"] * 4)
     assert ruling(at)[0] == [20.0, 29.0, 21.0, 29.0, 20.0, 29.0]
 
@@ -328,21 +335,25 @@ def test_what_is_written_for_a_time_holds_so_long_whichever_slot_begins_anew_or_
     for _ in range(4):
         answer(at, "agent", [20.0, 25.0] * 3)
         go(at)
-    at.write("cool", Write(value=29.0, priority=8, duration_s=1800.0, source="person"), 900.0 * at.commands.timesteps)
+    at.intake.write(
+        "cool", Write(value=29.0, priority=8, duration_s=1800.0, source="person"), 900.0 * at.commands.timesteps
+    )
     at.reset([0])
     at.ready(0.0, {0: 0})
     kept = at.capture()
     for _ in range(2):
-        assert at.expire(900.0 * at.commands.timesteps) == []
+        assert at.intake.expire(900.0 * at.commands.timesteps) == []
         answer(at, "agent", [20.0, 25.0] * 3)
         go(at)
-    assert [event.kind for event in at.expire(900.0 * at.commands.timesteps)] == [EventKind.EXPIRED]
+    assert [event.kind for event in at.intake.expire(900.0 * at.commands.timesteps)] == [EventKind.EXPIRED]
     for branch, slot in ((exchange(slots=3), None), (exchange(slots=1), 1)):
         branch.reset()
         branch.ready(0.0, commands=kept if slot is None else kept.of_slot(slot, 1))
-        assert branch.expire(900.0 * branch.commands.timesteps) == []
+        assert branch.intake.expire(900.0 * branch.commands.timesteps) == []
         assert branch.commands.has_expiries
-        assert [event.kind for event in branch.expire(900.0 * (branch.commands.timesteps + 2))] == [EventKind.EXPIRED]
+        assert [event.kind for event in branch.intake.expire(900.0 * (branch.commands.timesteps + 2))] == [
+            EventKind.EXPIRED
+        ]
     at.reset()
     assert at.commands.timesteps == 0
 

@@ -99,9 +99,9 @@ def test_ten_thousand_actuators_are_ruled_as_two_are() -> None:
     claim(at, "high", 5, actuators=[f"a{i}" for i in range(0, MANY, 2)])
     values = np.arange(MANY) % 100
     mask = [CommandOp.SET if i % 2 == 0 else CommandOp.KEEP for i in range(MANY)]
-    assert at.command("low", command(values), now_s=0.0) is None
-    assert at.command("high", command(np.full(MANY, 50.0), operations=mask), now_s=0.0) is None
-    assert at.write("a1", Write(value=7.0, source="somebody"), 0.0).kind is EventKind.WRITTEN
+    assert at.intake.command("low", command(values), now_s=0.0) is None
+    assert at.intake.command("high", command(np.full(MANY, 50.0), operations=mask), now_s=0.0) is None
+    assert at.intake.write("a1", Write(value=7.0, source="somebody"), 0.0).kind is EventKind.WRITTEN
     ruling, sources = advance(at)
     expected = np.where(np.arange(MANY) % 2 == 0, 50.0, values)
     expected[1] = 7.0
@@ -114,7 +114,7 @@ def test_one_bad_value_among_ten_thousand_is_named_and_changes_nothing() -> None
     claim(at, "c")
     values = np.full(MANY, 50.0)
     values[4321] = np.nan
-    event = at.command("c", command(values), now_s=0.0)
+    event = at.intake.command("c", command(values), now_s=0.0)
     assert event.kind is EventKind.REJECTED
     assert "a4321 = nan" in event.text
     assert not at.ready_to_step()

@@ -133,7 +133,9 @@ def answer(
     now_s: float = 0.0,
 ) -> Event | None:
     """The controller answers the present sample."""
-    return at.command(controller, command(values, step=at.step, episode=at.episode, operations=operations), now_s)
+    return at.intake.command(
+        controller, command(values, step=at.step, episode=at.episode, operations=operations), now_s
+    )
 
 
 def advance(at: StepExchange, *, last: bool = False, now_s: float = 0.0) -> tuple[list[float], list[str]]:
