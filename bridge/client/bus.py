@@ -7,18 +7,38 @@ with zenostat.connect("tcp/127.0.0.1:7447") as bus:
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
+from datetime import datetime
 from pathlib import Path
 
-from zenostat.bridge.client.connection import Connection
+from zenostat.bridge.client.connection import Connection, build
 from zenostat.bridge.client.controller_link import ControllerLink, open_link
+from zenostat.bridge.client.history import History, first_step, join_replies, last_step, row_count
 from zenostat.bridge.client.listener import listen
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, open_session
+from zenostat.topics import keys
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig, RequestRejected
 from zenostat.topics.keys import Role
+from zenostat.topics.messages import (
+    Ack,
+    Acknowledge,
+    AlarmList,
+    AlarmQuery,
+    HistoryQuery,
+    HistorySeries,
+    OnFull,
+    RecordingStatus,
+    RemoveFromService,
+    ReturnToService,
+    Shelve,
+    StartRecording,
+    StopRecording,
+    Unshelve,
+)
 
 
 def connect(
@@ -94,6 +114,209 @@ class Bus(Connection):
             RequestRejected: Another controller holds one of the actuators at that priority.
         """
         return open_link(self, node, name=name, priority=priority, actuators=actuators, required=required)
+
+    # History
+
+    def history(
+        self,
+        node: str,
+        points: Sequence[str] | None = None,
+        *,
+        slot: int = 0,
+        start: datetime | str | None = None,
+        end: datetime | str | None = None,
+        max_samples: int | None = None,
+        extremes: bool = False,
+    ) -> History:
+        """Return the values of points in a slot's present episode, as far as the node keeps them.
+
+        The manifest has the number of samples that it keeps (`history_samples`).
+
+        Args:
+            node: The node's name.
+            points: Names of sensors, meters and actuators; None is all of them.
+            slot: Number of the slot.
+            start: Simulated time, such as `07-03T06:00`, of the first sample; None is the earliest that is kept.
+            end: Simulated time of the last sample; None is the latest.
+            max_samples: At most this many (2 or more); of more, only every k-th is returned, the last one included,
+                and `History.stride` is k. A reply of 4 MiB may limit them further.
+            extremes: Also return the smallest and the largest value of the samples between those that are returned.
+
+        Raises:
+            NodeNotFound: No such node.
+            UnknownName: No such point; the text lists similar names.
+            InvalidConfig: A time has another form, or `max_samples` is out of range.
+            RequestRejected: The node keeps no history, or has no sample in that range.
+            EpisodeChanged: A new episode began while the history was read.
+        """
+        manifest = self.manifest(node)
+        names = [*manifest.names, *(a.name for a in manifest.actuators)] if points is None else list(points)
+        if isinstance(points, str):
+            raise InvalidConfig(f"points: a list of names expected, such as [{points!r}]")
+        query = build(
+            HistoryQuery,
+            points=names,
+            slot=slot,
+            from_step=first_step(manifest, start),
+            to_step=last_step(manifest, end),
+            max_samples=max_samples,
+            extremes=extremes,
+        )
+        replies = [self.ask(keys.HISTORY, node, query, HistorySeries)]
+        while replies[-1].remaining:
+            last, following = replies[-1], replies[-1].first_step + row_count(replies[-1])
+            query = query.model_copy(update={"from_step": following, "to_step": following + last.remaining - 1})
+            reply = self.ask(keys.HISTORY, node, query, HistorySeries)
+            if reply.episode != last.episode:
+                raise EpisodeChanged(f"node {node!r} began a new episode while its history was read")
+            if reply.first_step != following:
+                raise RequestRejected(f"node {node!r} replaced samples while they were read; request fewer points")
+            replies.append(reply)
+        return join_replies(manifest, slot, replies)
+
+    # Recordings
+
+    def record(
+        self,
+        node: str,
+        path: str | Path,
+        *,
+        now: bool = False,
+        overwrite: bool = False,
+        on_full: OnFull | str = OnFull.WAIT,
+        source: str = "",
+    ) -> RecordingStatus:
+        """Let a node record everything to a file on its machine, from the next reset of all slots; return its state.
+
+        Args:
+            node: The node's name.
+            path: Absolute path of a file with the suffix `.mcap`, or of a folder, on the node's machine.
+            now: Begin at once; what is before the next reset cannot be verified.
+            overwrite: Replace a recording at that path.
+            on_full: If the disk is slower than the node, `wait` for it, or `stop` the recording.
+            source: Name of the requester, for the event that reports it.
+
+        Raises:
+            InvalidConfig: The file exists or cannot be created, or `on_full` is neither.
+            RequestRejected: The node is recording already, or the path is relative.
+        """
+        request = build(StartRecording, path=str(path), now=now, overwrite=overwrite, on_full=on_full, source=source)
+        return self.ask(keys.RECORD, node, request, RecordingStatus)
+
+    def stop_recording(self, node: str, *, source: str = "") -> RecordingStatus:
+        """End a node's recording; return its state once the file is complete.
+
+        Raises:
+            RequestRejected: The node is not recording.
+        """
+        return self.ask(keys.STOP_RECORDING, node, StopRecording(source=source), RecordingStatus)
+
+    # Alarms
+
+    def alarms(self, node: str, *, slot: int = 0) -> AlarmList:
+        """Return all alarms of a slot with their states, in the order of the rules; without rules there are none."""
+        return self.ask(keys.ALARMS, node, build(AlarmQuery, slot=slot), AlarmList)
+
+    def acknowledge(
+        self, node: str, alarm: str, *, slot: int | None = None, source: str = "", comment: str = ""
+    ) -> Ack:
+        """Acknowledge alarms; the text of the reply has a line for each.
+
+        Args:
+            node: The node's name.
+            alarm: Name of an alarm, or of a rule for all of its points; `*` stands for any characters.
+            slot: Number of the slot; None is all of them.
+            source: Name of who acknowledges, at most 128 characters.
+            comment: For the record, at most 500 characters.
+
+        Raises:
+            NodeNotFound: No such node.
+            UnknownName: No such alarm; the text lists similar names.
+            RequestRejected: None of these alarms awaits an acknowledgment.
+        """
+        request = build(Acknowledge, alarm=alarm, slot=slot, source=source, comment=comment)
+        return self.ask(keys.ACKNOWLEDGE, node, request, Ack)
+
+    def shelve(
+        self,
+        node: str,
+        alarm: str,
+        duration_s: float,
+        *,
+        slot: int | None = None,
+        source: str = "",
+        comment: str = "",
+    ) -> Ack:
+        """Shelve alarms: for a time they alert nobody. For a shelved alarm, the time begins anew.
+
+        Args:
+            node: The node's name.
+            alarm: Name of an alarm, or of a rule for all of its points; `*` stands for any characters.
+            duration_s: Simulated seconds, rounded up to whole timesteps; at most the `max_shelve_s` of the rule.
+            slot: Number of the slot; None is all of them.
+            source: Name of who shelves, at most 128 characters.
+            comment: For the record, at most 500 characters.
+
+        Raises:
+            NodeNotFound: No such node.
+            UnknownName: No such alarm; the text lists similar names.
+            RequestRejected: The time is too long, or these alarms are out of service.
+        """
+        request = build(Shelve, alarm=alarm, duration_s=duration_s, slot=slot, source=source, comment=comment)
+        return self.ask(keys.SHELVE, node, request, Ack)
+
+    def unshelve(self, node: str, alarm: str, *, slot: int | None = None, source: str = "", comment: str = "") -> Ack:
+        """End the shelving of alarms; those that are off-normal become active. Arguments: see `acknowledge`.
+
+        Raises:
+            NodeNotFound: No such node.
+            UnknownName: No such alarm; the text lists similar names.
+            RequestRejected: None of these alarms is shelved.
+        """
+        request = build(Unshelve, alarm=alarm, slot=slot, source=source, comment=comment)
+        return self.ask(keys.UNSHELVE, node, request, Ack)
+
+    def remove_from_service(
+        self,
+        node: str,
+        alarm: str,
+        duration_s: float | None = None,
+        *,
+        slot: int | None = None,
+        source: str = "",
+        comment: str = "",
+    ) -> Ack:
+        """Remove alarms from service, for example while a sensor is repaired: they alert nobody until returned.
+
+        Args:
+            node: The node's name.
+            alarm: Name of an alarm, or of a rule for all of its points; `*` stands for any characters.
+            duration_s: Simulated seconds after which they are returned, at most a year; None is no limit.
+            slot: Number of the slot; None is all of them.
+            source: Name of who removes them, at most 128 characters.
+            comment: For the record, at most 500 characters.
+
+        Raises:
+            NodeNotFound: No such node.
+            UnknownName: No such alarm; the text lists similar names.
+        """
+        request = build(
+            RemoveFromService, alarm=alarm, duration_s=duration_s, slot=slot, source=source, comment=comment
+        )
+        return self.ask(keys.REMOVE_FROM_SERVICE, node, request, Ack)
+
+    def return_to_service(
+        self, node: str, alarm: str, *, slot: int | None = None, source: str = "", comment: str = ""
+    ) -> Ack:
+        """Return alarms to service; those that are off-normal become active. Arguments: see `acknowledge`.
+
+        Raises:
+            NodeNotFound: No such node.
+            UnknownName: No such alarm; the text lists similar names.
+            RequestRejected: None of these alarms is out of service.
+        """
+        request = build(ReturnToService, alarm=alarm, slot=slot, source=source, comment=comment)
+        return self.ask(keys.RETURN_TO_SERVICE, node, request, Ack)
 
 
 def _thread_placement(placement: Affinity, core: int | None) -> AbstractContextManager[None]:

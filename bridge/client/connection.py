@@ -1,8 +1,8 @@
-"""The requests that a program makes over one Zenoh session, and the links that end with it."""
+"""A connection to the bus: the requests to its nodes over one Zenoh session, and the links that end with it."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Protocol, Self, cast
@@ -12,18 +12,12 @@ from pydantic import ValidationError
 from zenoh import QueryTarget
 
 from zenostat.bridge.client import fork_guard
-from zenostat.bridge.client.alarm_requests import AlarmRequests
-from zenostat.bridge.client.branch_requests import BranchRequests
-from zenostat.bridge.client.pace_requests import PaceRequests
-from zenostat.bridge.client.priorities import PriorityRequests
-from zenostat.bridge.client.recording_requests import RecordingRequests
-from zenostat.bridge.client.requests import M, build
+from zenostat.bridge.client.priorities import PriorityValue, decode_priorities
 from zenostat.bridge.client.sample import SampleView
-from zenostat.bridge.client.series_requests import SeriesRequests
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.bridge.transport.access_control import Permission, may
-from zenostat.bridge.transport.request import ask
+from zenostat.bridge.transport.request import M, ask
 from zenostat.bridge.transport.session import FORKED, OpenSession
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import (
@@ -41,16 +35,31 @@ from zenostat.topics.keys import Role
 from zenostat.topics.messages import (
     ANONYMOUS,
     Ack,
+    BranchCreated,
     Claim,
+    CreateBranch,
+    DropSnapshot,
     Geometry,
     Manifest,
     Message,
+    Mode,
+    Pause,
+    PlanSimulated,
+    PriorityArrays,
     Query,
     Reset,
+    Resume,
     Sample,
     ScenarioText,
+    SetPace,
+    SimulatePlan,
+    SnapshotTaken,
     Status,
+    StepRequest,
     Stop,
+    TakeSnapshot,
+    WeatherQuery,
+    WeatherSeries,
     Write,
 )
 from zenostat.topics.points import actuator_index, value_index
@@ -69,7 +78,7 @@ class Link(Protocol):
         """Disown it in a forked process."""
 
 
-class Connection(BranchRequests, PaceRequests, PriorityRequests, RecordingRequests, SeriesRequests, AlarmRequests):
+class Connection:
     """Requests to all nodes that are reachable through one endpoint.
 
     Attributes:
@@ -111,6 +120,48 @@ class Connection(BranchRequests, PaceRequests, PriorityRequests, RecordingReques
             link.forked(BusError(FORKED), self.session)
         self._links = set()
 
+    def adopt(self, link: Link) -> None:
+        """Close a link with this connection."""
+        self._links.add(link)
+
+    def forget(self, link: Link) -> None:
+        """Remove a link that has been closed."""
+        self._links.discard(link)
+
+    # Requests
+
+    def ask(self, topic: keys.Topic, node: str, request: Message | None, reply_type: type[M], *, name: str = "") -> M:
+        """Send a request to a node and return its reply.
+
+        Args:
+            topic: The request's topic.
+            node: The node's name.
+            request: None for a topic whose requests are empty.
+            reply_type: The class of the reply.
+            name: The topic's name, if it has one.
+
+        Raises:
+            NodeNotFound: No such node, or it does not know the topic.
+            InvalidConfig: The role of this connection may not query the topic.
+            BusError: This connection is closed.
+            ZenostatError: The error that the node replied with.
+        """
+        if self.role is not None and Permission.ASK not in may(self.role, topic):
+            raise InvalidConfig(
+                f"a {self.role} may not query {topic.key}; connect with the certificate of another role"
+            )
+        try:
+            reply = ask(self.session, topic, node, request, reply_type, name=name, timeout_s=_REQUEST_TIMEOUT_S)
+        except zenoh.ZError:
+            if not self._closed:
+                raise
+            raise BusError(_CLOSED) from None
+        if reply is not None:
+            return reply
+        if self._closed:
+            raise BusError(_CLOSED)
+        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, self.nodes())}")
+
     def nodes(self) -> list[str]:
         """Return the names of all nodes on the bus, sorted."""
         # Not through liveliness tokens: one time in ten, Zenoh 1.10 omits those that this session is subscribed to.
@@ -125,7 +176,7 @@ class Connection(BranchRequests, PaceRequests, PriorityRequests, RecordingReques
 
     def manifest(self, node: str) -> Manifest:
         """Return a node's manifest; `NodeNotFound` if it is not on the bus."""
-        return self._ask(keys.MANIFEST, node, None, Manifest)
+        return self.ask(keys.MANIFEST, node, None, Manifest)
 
     def status(self, node: str, *, memory: bool = False) -> Status:
         """Return a node's status; `NodeNotFound` if it is not on the bus.
@@ -134,11 +185,11 @@ class Connection(BranchRequests, PaceRequests, PriorityRequests, RecordingReques
             node: The node's name.
             memory: Include each engine's private memory, which takes a few milliseconds per engine.
         """
-        return self._ask(keys.STATUS, node, Query(memory=memory), Status)
+        return self.ask(keys.STATUS, node, Query(memory=memory), Status)
 
     def stop(self, node: str) -> None:
         """Stop a node."""
-        self._ask(keys.STOP, node, Stop(), Ack)
+        self.ask(keys.STOP, node, Stop(), Ack)
 
     def faults(self, node: str, plan: FaultPlan | Mapping[str, Any] | Path | None) -> None:
         """Replace the faults that a node injects; None stops all injection.
@@ -156,19 +207,19 @@ class Connection(BranchRequests, PaceRequests, PriorityRequests, RecordingReques
             plan = read_plan(plan)
         if not isinstance(plan, FaultPlan):
             plan = build(FaultPlan, **(plan or {}))
-        self._ask(keys.FAULTS, node, plan, Ack)
+        self.ask(keys.FAULTS, node, plan, Ack)
 
     def latest(self, node: str) -> Sample:
         """Return a node's latest sample."""
-        return self._ask(keys.SAMPLE, node, None, Sample)
+        return self.ask(keys.SAMPLE, node, None, Sample)
 
     def claim(self, node: str, claim: Claim) -> Ack:
         """Claim actuators of a node; `RequestRejected` names the controllers that hold them."""
-        return self._ask(keys.CLAIM, node, claim, Ack)
+        return self.ask(keys.CLAIM, node, claim, Ack)
 
     def reset(self, node: str, reset: Reset) -> Ack:
         """Start a new episode of a node."""
-        return self._ask(keys.RESET, node, reset, Ack)
+        return self.ask(keys.RESET, node, reset, Ack)
 
     def geometry(self, node: str) -> Geometry:
         """Return a node's zones and surfaces; `zenostat.views.display.surfaces` decodes them.
@@ -177,14 +228,18 @@ class Connection(BranchRequests, PaceRequests, PriorityRequests, RecordingReques
             RequestRejected: Its plant has no geometry, or its version of Zenostat does not send it.
         """
         try:
-            return self._ask(keys.GEOMETRY, node, Query(), Geometry)
+            return self.ask(keys.GEOMETRY, node, Query(), Geometry)
         except NodeNotFound:
             version = self.manifest(node).versions.zenostat
             raise RequestRejected(f"node {node!r} is of Zenostat {version}, which does not send a geometry") from None
 
     def scenario(self, node: str) -> str:
         """Return the scenario that a node simulates, as the text of a scenario file (YAML)."""
-        return self._ask(keys.SCENARIO, node, Query(), ScenarioText).text
+        return self.ask(keys.SCENARIO, node, Query(), ScenarioText).text
+
+    def weather(self, node: str, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
+        """Return weather of a slot's current episode, noise included; `UnknownName` lists the columns."""
+        return self.ask(keys.WEATHER, node, WeatherQuery(columns=list(columns), slot=slot), WeatherSeries)
 
     def read(self, node: str, *, slot: int = 0) -> SampleView:
         """Return a slot's current sample without controlling the node; `UnknownName` if there is no such slot."""
@@ -227,33 +282,95 @@ class Connection(BranchRequests, PaceRequests, PriorityRequests, RecordingReques
         except ValidationError as error:
             raise InvalidAction(f"{point}: {codec.describe_validation_errors(error)}") from None
         try:
-            return self._ask(keys.WRITE_REQUEST, node, write, Ack, name=point)
+            return self.ask(keys.WRITE_REQUEST, node, write, Ack, name=point)
         except NodeNotFound:
             raise NodeLost(f"node {node!r} is gone") from None
         except RequestRejected as error:
             raise RequestRejected(f"node {node!r} rejected the write: {error}") from None
 
-    def _ask(self, topic: keys.Topic, node: str, request: Message | None, reply_type: type[M], *, name: str = "") -> M:
-        if self.role is not None and Permission.ASK not in may(self.role, topic):
-            raise InvalidConfig(
-                f"a {self.role} may not query {topic.key}; connect with the certificate of another role"
-            )
-        try:
-            reply = ask(self.session, topic, node, request, reply_type, name=name, timeout_s=_REQUEST_TIMEOUT_S)
-        except zenoh.ZError:
-            if not self._closed:
-                raise
-            raise BusError(_CLOSED) from None
-        if reply is not None:
-            return reply
-        if self._closed:
-            raise BusError(_CLOSED)
-        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, self.nodes())}")
+    def priorities(self, node: str, *, slot: int = 0) -> dict[str, list[PriorityValue]]:
+        """Return each actuator's priority array by its name: 16 entries, that of priority 1 first.
 
-    def adopt(self, link: Link) -> None:
-        """Close a link with this connection."""
-        self._links.add(link)
+        The arrays are those before the next timestep: a command or a write that was accepted is in them at once.
 
-    def forget(self, link: Link) -> None:
-        """Remove a link that has been closed."""
-        self._links.discard(link)
+        Raises:
+            UnknownName: There is no such slot.
+        """
+        manifest = self.manifest(node)
+        if not 0 <= slot < manifest.slots:
+            raise UnknownName(f"node {node!r} has no slot {slot}; it has 0 to {manifest.slots - 1}")
+        return decode_priorities(self.ask(keys.PRIORITIES, node, Query(), PriorityArrays), manifest, slot)
+
+    # Pace
+
+    def pace(self, node: str, speed: float | None = None, *, mode: Mode | str = Mode.PACED, source: str = "") -> None:
+        """Set a node's mode: what decides when it simulates the next timestep.
+
+        Args:
+            node: The node's name.
+            speed: Simulated seconds per second, above 0 and at most 1e9; only with `paced`.
+            mode: `lockstep` (required controllers), `paced` (the wall clock) or `free` (nothing; full speed).
+            source: Name of the requester, for the event that reports the change.
+
+        Raises:
+            InvalidConfig: Unknown mode, or speed out of range.
+            RequestRejected: `paced` without a speed, or another mode with one.
+        """
+        self.ask(keys.PACE, node, build(SetPace, mode=mode, speed=speed, source=source), Ack)
+
+    def pause(self, node: str, *, source: str = "") -> None:
+        """Pause a node, in any mode; return once it is paused."""
+        self.ask(keys.PAUSE, node, build(Pause, source=source), Ack)
+
+    def resume(self, node: str, *, source: str = "") -> None:
+        """Resume a paused node from its current timestep; it does not catch up."""
+        self.ask(keys.RESUME, node, build(Resume, source=source), Ack)
+
+    def step(self, node: str, steps: int = 1, *, source: str = "") -> None:
+        """Let a paused node simulate some timesteps: in lockstep as soon as they are answered, else at once.
+
+        Raises:
+            InvalidConfig: `steps` is not from 1 to 1,000,000.
+            RequestRejected: The node is not paused.
+        """
+        self.ask(keys.STEP, node, build(StepRequest, steps=steps, source=source), Ack)
+
+    # Snapshots, branches and plans
+
+    def snapshot(self, node: str, controller: str = "") -> SnapshotTaken:
+        """Take a snapshot of a node, to return to with a `Reset`; the node drops it when `controller` disconnects.
+
+        Raises:
+            RequestRejected: No episode is running, or the node has its maximum of snapshots and branches.
+            ForkFailed: The system cannot fork the engine.
+        """
+        return self.ask(keys.SNAPSHOT, node, TakeSnapshot(controller=controller), SnapshotTaken)
+
+    def drop(self, node: str, snapshot: str) -> None:
+        """Drop a snapshot and free its memory; `RequestRejected` if the node has none of that name."""
+        self.ask(keys.DROP, node, DropSnapshot(snapshot=snapshot), Ack)
+
+    def branch(self, node: str, branch: CreateBranch) -> str:
+        """Create a branch of a node and return the branch's name; a branch is a node like any other.
+
+        Raises:
+            RequestRejected, ForkFailed: As for `snapshot`; a branch cannot have branches.
+        """
+        return self.ask(keys.BRANCH, node, branch, BranchCreated).node
+
+    def plan(self, branch: str, plan: SimulatePlan) -> PlanSimulated:
+        """Let a branch simulate several timesteps, and return their samples.
+
+        Raises:
+            RequestRejected: It is not a branch in lockstep, or a command is not valid; nothing was simulated.
+            SimulatorError: The simulator failed.
+        """
+        return self.ask(keys.PLAN, branch, plan, PlanSimulated)
+
+
+def build(message_type: type[M], **fields: Any) -> M:
+    """Build a message; `InvalidConfig` lists all invalid fields."""
+    try:
+        return message_type(**fields)
+    except ValidationError as error:
+        raise InvalidConfig(codec.describe_validation_errors(error, message_type.model_fields)) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from math import ceil, floor
@@ -9,9 +10,10 @@ from math import ceil, floor
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.topics import codec
 from zenostat.topics.calendar import parse_moment
-from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
-from zenostat.topics.messages import Manifest
+from zenostat.topics.errors import BadMessage, InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.messages import HistorySeries, Manifest
 
 _ROUNDING = 1e-6
 """Part of a timestep by which a time may miss a sample: decimal fractions of seconds are not exact."""
@@ -92,3 +94,34 @@ def _steps(manifest: Manifest, moment: datetime | str, what: str) -> float:
         except ValueError as error:
             raise InvalidConfig(f"{what} {moment!r}: {error}") from None
     return (moment - begin) / timedelta(seconds=manifest.step_s)
+
+
+def row_count(reply: HistorySeries) -> int:
+    """Return the number of samples in a reply."""
+    return len(reply.values) // (codec.FLOAT.itemsize * len(reply.points))
+
+
+def join_replies(manifest: Manifest, slot: int, replies: Sequence[HistorySeries]) -> History:
+    """Return the content of consecutive replies."""
+    first = replies[0]
+
+    def table(name: str) -> NDArray[np.float64]:
+        rows = [codec.floats(getattr(r, name), (row_count(r), len(first.points)), name) for r in replies]
+        return rows[0] if len(rows) == 1 else np.concatenate(rows)
+
+    values = table("values")
+    if not len(values):
+        raise BadMessage("a history without samples")
+    return History(
+        manifest=manifest,
+        episode=first.episode,
+        slot=slot,
+        points=tuple(first.points),
+        units=tuple(first.units),
+        stride=first.stride,
+        oldest_step=first.oldest_step,
+        step=first.first_step + first.stride * np.arange(len(values), dtype=np.int64),
+        values=values,
+        lows=table("lows") if first.lows else None,
+        highs=table("highs") if first.highs else None,
+    )

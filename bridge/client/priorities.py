@@ -6,10 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from zenostat.bridge.client.requests import Requests
-from zenostat.topics import codec, keys
-from zenostat.topics.errors import UnknownName
-from zenostat.topics.messages import Manifest, PriorityArrays, Query
+from zenostat.topics import codec
+from zenostat.topics.messages import Manifest, PriorityArrays
 
 
 class PriorityValue(NamedTuple):
@@ -17,23 +15,6 @@ class PriorityValue(NamedTuple):
 
     value: float | None
     source: str | None
-
-
-class PriorityRequests(Requests):
-    """Base class of `Bus`: requests about the priorities of commands."""
-
-    def priorities(self, node: str, *, slot: int = 0) -> dict[str, list[PriorityValue]]:
-        """Return each actuator's priority array by its name: 16 entries, that of priority 1 first.
-
-        The arrays are those before the next timestep: a command or a write that was accepted is in them at once.
-
-        Raises:
-            UnknownName: There is no such slot.
-        """
-        manifest = self.manifest(node)
-        if not 0 <= slot < manifest.slots:
-            raise UnknownName(f"node {node!r} has no slot {slot}; it has 0 to {manifest.slots - 1}")
-        return decode_priorities(self._ask(keys.PRIORITIES, node, Query(), PriorityArrays), manifest, slot)
 
 
 def decode_priorities(message: PriorityArrays, manifest: Manifest, slot: int = 0) -> dict[str, list[PriorityValue]]:

@@ -247,9 +247,9 @@ class Chaos:
             case Disturbance.RESET:
                 self._reset()
             case Disturbance.PAUSE:
-                self._bus._ask(keys.PAUSE, self.node.name, Pause(source="chaos"), Ack)
+                self._bus.ask(keys.PAUSE, self.node.name, Pause(source="chaos"), Ack)
                 threading.Event().wait(0.5 * step.amount)
-                self._bus._ask(keys.RESUME, self.node.name, Resume(source="chaos"), Ack)
+                self._bus.ask(keys.RESUME, self.node.name, Resume(source="chaos"), Ack)
             case Disturbance.FREEZE_NODE:
                 self._freeze(self.node.pid, 0.8 * step.amount)
             case _:
@@ -304,7 +304,7 @@ class Chaos:
         self.flooder.process.stdin.close()
         self._expect(self.flooder, "the flooder", 0)
         until(lambda: self._all_answer(began_s), "all controllers answer again")
-        self._bus._ask(keys.PAUSE, self.node.name, Pause(source="chaos"), Ack)
+        self._bus.ask(keys.PAUSE, self.node.name, Pause(source="chaos"), Ack)
         self.outcome.status = self._settled()
         self._bus.stop(self.node.name)
         if self.node.process.wait(60) != 0:

@@ -110,7 +110,7 @@ def test_history__of_all_points_and_of_a_range(bus: zenostat.Bus) -> None:
 
 def test_a_history_larger_than_a_reply__is_read_in_parts(bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     temperatures = heat(bus, *[200.0] * 7)
-    ask, asked = bus._ask, []
+    ask, asked = bus.ask, []
 
     def limited(topic: keys.Topic, node: str, request: object, *more: object, **names: object) -> object:
         """Reply as a node whose replies have at most three samples."""
@@ -122,13 +122,13 @@ def test_a_history_larger_than_a_reply__is_read_in_parts(bus: zenostat.Bus, monk
             return reply.model_copy(update=update)
         return reply
 
-    monkeypatch.setattr(bus, "_ask", limited)
+    monkeypatch.setattr(bus, "ask", limited)
     assert bus.history("oven", ["temperature"])["temperature"].tolist() == temperatures
     assert len(asked) == 3
     number = iter(range(9))
     monkeypatch.setattr(
         bus,
-        "_ask",
+        "ask",
         lambda *words, **names: (
             reply.model_copy(update={"episode": next(number)})
             if isinstance(reply := limited(*words, **names), HistorySeries)
