@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from zenostat import Bus
     from zenostat.metrics.episode_metrics import EpisodeMetrics
-    from zenostat.metrics.trace import EpisodeTrace
+    from zenostat.metrics.trajectory import Trajectory
     from zenostat.views.report import Comparison, Run
 
 NODE = "office"
@@ -48,7 +48,7 @@ def demo(
     from zenostat import connect
     from zenostat.bridge.client.local_node import LocalNode
     from zenostat.bridge.runtime.affinity import Affinity
-    from zenostat.metrics.trace import episode_weather
+    from zenostat.metrics.episode_weather import query_weather
     from zenostat.views.live.viewer import NO_VULKAN, has_vulkan
     from zenostat.views.report import Comparison, Run
 
@@ -69,10 +69,12 @@ def demo(
         stack.callback(monitor.terminate)
         bus = stack.enter_context(connect(local_node.endpoint, core=local_node.core))
         for controller, title in (("baseline", "baseline control"), ("rbc", "rule-based control")):
-            metrics, trace, rate = _episode(bus, local_node.endpoint, controller, title, bars)
+            metrics, trajectory, rate = _episode(bus, local_node.endpoint, controller, title, bars)
             results[title] = (metrics, rate)
-            weathers = (episode_weather(bus, trace.manifest),)
-            runs.append(Run(title, (metrics,), trace, weather_names=(trace.manifest.weather,), weathers=weathers))
+            weathers = (query_weather(bus, trajectory.manifest),)
+            runs.append(
+                Run(title, (metrics,), trajectory, weather_names=(trajectory.manifest.weather,), weathers=weathers)
+            )
         scenario = bus.scenario(NODE)
         bus.stop(NODE)
         local_node.close()
@@ -121,14 +123,14 @@ def _remaining_lines(process: subprocess.Popen[str]) -> list[str]:
 
 def _episode(
     bus: Bus, endpoint: str, controller: str, title: str, bars: Progress
-) -> tuple[EpisodeMetrics, EpisodeTrace, float]:
+) -> tuple[EpisodeMetrics, Trajectory, float]:
     """Run one episode with a controller in its own process; return metrics, samples and timesteps per second."""
     from zenostat.metrics.episode_metrics import MetricsAccumulator
-    from zenostat.metrics.trace import TraceRecorder
+    from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 
     manifest = bus.manifest(NODE)
     metrics, bar = MetricsAccumulator(manifest), bars.add_task(title, total=manifest.steps, rate="")
-    recorder, start = TraceRecorder(manifest), 0.0
+    recorder, start = TrajectoryRecorder(manifest), 0.0
     with bus.listen(NODE) as samples:
         if (first := bus.read(NODE)).step == 0:  # published before: the node waits at it
             recorder.add(first)
@@ -145,4 +147,4 @@ def _episode(
                 break
     steps_per_s = (manifest.steps - 1) / (time.monotonic() - start)
     process.communicate(timeout=60)
-    return metrics.result(), recorder.trace({controller: title}), steps_per_s
+    return metrics.result(), recorder.trajectory({controller: title}), steps_per_s

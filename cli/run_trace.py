@@ -1,4 +1,4 @@
-"""Trace of a controller on the bus, for the report of `zenostat run`."""
+"""Samples of a controller on the bus, for the report of `zenostat run`."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from collections.abc import Mapping
 
 from zenostat import Bus, ControllerLink, SampleView
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.metrics.episode_weather import EpisodeWeather, query_weather
 from zenostat.metrics.tariffs import Rate
-from zenostat.metrics.trace import TraceRecorder, WeatherTrace, episode_weather
+from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.points import value_index
 from zenostat.views.report import Comparison, Run
 
@@ -28,29 +29,25 @@ class RunTrace:
     ) -> None:
         self._bus, self._node, self._title = bus, node, title
         self._manifest = bus.manifest(node)
-        self._own = TraceRecorder(self._manifest)
-        self._baseline = TraceRecorder(self._manifest)
+        self._recorder = TrajectoryRecorder(self._manifest)
         self._baseline_metrics = MetricsAccumulator(self._manifest, None, prices, emissions)
         self._name = ""
         self._results: list[EpisodeMetrics] = []
         self._baseline_results: list[EpisodeMetrics] = []
         self._seeds: list[int | None] = []
-        self._weathers: list[tuple[str, WeatherTrace | None]] = []
+        self._weathers: list[tuple[str, EpisodeWeather | None]] = []
         self._is_first = True
 
     def add(self, sample: SampleView) -> None:
         """Add a sample; the samples of the first episode are drawn."""
-        is_first_episode = not self._results
-        if is_first_episode:
-            self._own.add(sample)
+        if not self._results:
+            self._recorder.add(sample)
         if self._manifest.baseline:
             view = _baseline_view(sample)
             if self._is_first:
                 self._baseline_metrics.begin(view)
             else:
                 self._baseline_metrics.add(view)
-            if is_first_episode:
-                self._baseline.add(view)
         self._is_first = False
 
     def end_episode(self, link: ControllerLink, result: EpisodeMetrics, seed: int | None) -> None:
@@ -61,20 +58,16 @@ class RunTrace:
         self._seeds.append(seed)
         starts = getattr(getattr(link, "accepted", None), "episode_starts", ())
         name = starts[0].weather if starts else self._manifest.weather
-        self._weathers.append((name, episode_weather(self._bus, self._manifest)))
+        self._weathers.append((name, query_weather(self._bus, self._manifest)))
 
     def comparison(self, command: str) -> Comparison:
         """Return the content of the report."""
+        trajectory = self._recorder.trajectory({self._name: self._title})
         names, weathers = zip(*self._weathers, strict=True)
-        runs = [
-            Run(
-                self._title, tuple(self._results), self._own.trace({self._name: self._title}), tuple(self._seeds),
-                names, weathers,
-            )
-        ]  # fmt: skip
+        runs = [Run(self._title, tuple(self._results), trajectory, tuple(self._seeds), names, weathers)]
         if self._manifest.baseline:
             results = tuple(self._baseline_results)
-            baseline = Run("baseline", results, self._baseline.trace(), tuple(self._seeds), names, weathers)
+            baseline = Run("baseline", results, trajectory.under_baseline(), tuple(self._seeds), names, weathers)
             runs.insert(0, baseline)
         sources = self._baseline_metrics.sources
         options = " --baseline" if self._manifest.baseline else ""

@@ -22,12 +22,15 @@ from zenostat.agent_sdk.controllers import (
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.envs.arguments import of_scenario
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.rewards import Reward
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.metrics.episode_weather import EpisodeWeather, query_weather
 from zenostat.metrics.statistics import MetricSummary, summarize
 from zenostat.metrics.tariffs import Rate, read_emissions, read_prices
-from zenostat.metrics.trace import ControllerTrace, TraceRecorder, WeatherTrace, episode_weather
+from zenostat.metrics.trajectory import Trajectory
+from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
 from zenostat.topics.keys import safe_name
 from zenostat.topics.messages import Manifest
@@ -100,6 +103,21 @@ class EpisodeRecord:
     result: EpisodeMetrics
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ControllerTrace:
+    """Samples and weather of a controller's episodes, besides their metrics.
+
+    Attributes:
+        trajectory: samples of the first episode.
+        weathers: weather of each episode; None where there is no weather file.
+        reward: the environment's reward; None without one.
+    """
+
+    trajectory: Trajectory
+    weathers: tuple[EpisodeWeather | None, ...] = ()
+    reward: Reward | None = None
+
+
 @dataclass(frozen=True, slots=True)
 class Evaluation:
     """Episodes of several controllers in the same scenario and weather.
@@ -148,7 +166,7 @@ class Evaluation:
                 Run(
                     name=name,
                     results=tuple(row.result for row in rows),
-                    trace=traced.trace,
+                    trajectory=traced.trajectory,
                     seeds=tuple(row.seed for row in rows),
                     weather_names=tuple(row.weather for row in rows),
                     weathers=traced.weathers,
@@ -247,12 +265,13 @@ def evaluate(
                 created |= _create_controllers(alike, env.manifest, arguments, unfit)
             if name not in unfit:
                 try:
-                    seeds, recorder = range(seed, seed + episodes), TraceRecorder(env.manifest) if trace else None
+                    seeds = range(seed, seed + episodes)
+                    recorder = TrajectoryRecorder(env.manifest) if trace else None
                     run = partial(run_episode, env, prices=prices, emissions=emissions)
                     rows[name], weathers = _run_episodes(name, created[name], run, env, seeds, progress, recorder)
                     if recorder is not None:
                         source_names = {getattr(env.link, "name", ""): name}
-                        traces[name] = ControllerTrace(recorder.trace(source_names), weathers, env.reward)
+                        traces[name] = ControllerTrace(recorder.trajectory(source_names), weathers, env.reward)
                         text = _scenario_text(env) if not (text and is_baseline) else text
                 except InvalidAction as error:
                     unfit[name] = error
@@ -302,9 +321,9 @@ def _run_episodes(
     env: BuildingEnv,
     seeds: Sequence[int],
     progress: Progress | None,
-    recorder: TraceRecorder | None,
-) -> tuple[list[EpisodeRecord], tuple[WeatherTrace | None, ...]]:
-    """Run the episodes of a controller; trace the samples of the first one, and the weather of all."""
+    recorder: TrajectoryRecorder | None,
+) -> tuple[list[EpisodeRecord], tuple[EpisodeWeather | None, ...]]:
+    """Run the episodes of a controller; record the samples of the first one, and the weather of all."""
     agent, steps = Agent(controller, env), env.manifest.steps
     rows, weathers = [], []
     for number, seed in enumerate(seeds):
@@ -317,7 +336,7 @@ def _run_episodes(
         )
         rows.append(EpisodeRecord(name, number, seed, weather, result))
         if recorder is not None:
-            weathers.append(episode_weather(_bus(env), env.manifest))
+            weathers.append(query_weather(_bus(env), env.manifest))
     return rows, tuple(weathers)
 
 

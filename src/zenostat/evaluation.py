@@ -3,14 +3,14 @@
 from zenostat.lab.evaluate import Evaluation, evaluate, run_episode
 from zenostat.lab.probe import ProbeReport, probe
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
-from zenostat.metrics.trace import TraceRecorder
+from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 
 __all__ = [
     "EpisodeMetrics",
     "Evaluation",
     "MetricsAccumulator",
     "ProbeReport",
-    "TraceRecorder",
+    "TrajectoryRecorder",
     "evaluate",
     "probe",
     "run_episode",

@@ -49,7 +49,7 @@ def test_the_numbers_are_those_of_the_evaluation_to_the_bit(evaluated: Any) -> N
         assert (
             (ours.seeds, ours.weather_names) == (theirs.seeds, theirs.weather_names) == ((4, 5), ("USA_CO_Denver",) * 2)
         )
-        a, b = ours.trace, theirs.trace
+        a, b = ours.trajectory, theirs.trajectory
         assert (a.begin, a.steps, a.sources) == (b.begin, 96, b.sources)
         for name in ("values", "effective", "source_index"):
             assert getattr(a, name).tobytes() == getattr(b, name).tobytes(), name
@@ -111,12 +111,12 @@ def test_only_complete_episodes_are_compared_with_the_parallel_baseline(interrup
         outside = table[:, episode.manifest.names.index(LIMIT["points"][0])] > LIMIT["high"]
         after = np.flatnonzero(outside[1:-1] & outside[2:])
         end = int(after[0]) + 2 if len(after) else 96
-        assert ours.results[0].steps == ours.trace.steps == end
+        assert ours.results[0].steps == ours.trajectory.steps == end
         assert ours.results[0].terminated == bool(len(after))
-        assert ours.trace.values.tobytes() == table[: end + 1].tobytes()
+        assert ours.trajectory.values.tobytes() == table[: end + 1].tobytes()
     assert controlled.results[0].terminated
-    assert controlled.trace.sources == ("", "rbc")  # without the numbers that make a name unique on the bus
-    assert not baseline.trace.source_index.any()
+    assert controlled.trajectory.sources == ("", "rbc")  # without the numbers that make a name unique on the bus
+    assert not baseline.trajectory.source_index.any()
 
 
 def test_an_episode_in_part_is_reported_where_no_episode_is_complete(interrupted: Path, tmp_path: Path) -> None:

@@ -12,7 +12,8 @@ import pytest
 from support.nodes import WEATHER, NodeProgram
 
 import zenostat
-from zenostat.metrics.trace import EpisodeTrace, TraceRecorder
+from zenostat.metrics.trajectory import Trajectory
+from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.models import catalog
 from zenostat.models.building.model import read_building
 from zenostat.views.report.figures import months
@@ -39,7 +40,7 @@ pytestmark = [pytest.mark.process, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")
-def episode(tmp_path_factory: pytest.TempPathFactory) -> tuple[EpisodeTrace, Path]:
+def episode(tmp_path_factory: pytest.TempPathFactory) -> tuple[Trajectory, Path]:
     """An episode without commands, and the folder of EnergyPlus's output."""
     folder = tmp_path_factory.mktemp("tables")
     own = read_building(catalog.find_building(BUILDING)).objects
@@ -50,11 +51,11 @@ def episode(tmp_path_factory: pytest.TempPathFactory) -> tuple[EpisodeTrace, Pat
         zenostat.connect(node.endpoint, affinity="off") as bus,
         bus.controller("office") as link,
     ):
-        recorder = TraceRecorder(link.manifest)
+        recorder = TrajectoryRecorder(link.manifest)
         for sample in link:
             recorder.add(sample)
             sample.send()
-        return recorder.trace({}), folder / "output"
+        return recorder.trajectory({}), folder / "output"
 
 
 def rows(folder: Path, report: str) -> list[tuple[str, str, str]]:
@@ -67,15 +68,15 @@ def rows(folder: Path, report: str) -> list[tuple[str, str, str]]:
         ]
 
 
-def test_energy_of_each_month_and_end_use__equals_energyplus(episode: tuple[EpisodeTrace, Path]) -> None:
-    trace, folder = episode
-    quantities = Quantities(trace)
+def test_energy_of_each_month_and_end_use__equals_energyplus(episode: tuple[Trajectory, Path]) -> None:
+    trajectory, folder = episode
+    quantities = Quantities(trajectory)
     figure = months.end_uses_by_period([Curve("own", 0, quantities)])
     assert figure is not None
     assert list(figure.data["month"]) == ["2017-03", "2017-04", "2017-05"]
-    meters = {(use.label, use.fuel): use.index - len(trace.manifest.sensors) for use in quantities.roles.end_uses}
+    meters = {(use.label, use.fuel): use.index - len(trajectory.manifest.sensors) for use in quantities.roles.end_uses}
     shown = {
-        trace.manifest.meters[meters[use.label, use.fuel]].meter.upper(): column
+        trajectory.manifest.meters[meters[use.label, use.fuel]].meter.upper(): column
         for use, column in zip(quantities.end_uses, list(figure.data.values())[1:], strict=True)
     }
     tables = {}
@@ -93,15 +94,15 @@ def test_energy_of_each_month_and_end_use__equals_energyplus(episode: tuple[Epis
         assert list(column) == pytest.approx(own, abs=ROUNDING_KWH), meter
 
 
-def test_peaks_and_their_times__equal_energyplus(episode: tuple[EpisodeTrace, Path]) -> None:
-    trace, folder = episode
-    quantities = Quantities(trace)
+def test_peaks_and_their_times__equal_energyplus(episode: tuple[Trajectory, Path]) -> None:
+    trajectory, folder = episode
+    quantities = Quantities(trajectory)
     peaks = {fuel: int(quantities.energy_kwh[fuel].argmax()) for fuel in ("electricity", "natural gas")}
-    begins = {fuel: trace.begin + place * trace.manifest.timestep for fuel, place in peaks.items()}
-    assert quantities.peak_time == begins["electricity"] + trace.manifest.timestep
+    begins = {fuel: trajectory.begin + place * trajectory.manifest.timestep for fuel, place in peaks.items()}
+    assert quantities.peak_time == begins["electricity"] + trajectory.manifest.timestep
     for fuel, column in (("electricity", "Electricity [W]"), ("natural gas", "Natural Gas [W]")):
         table = {row: value for row, name, value in rows(folder, REPORTS[0]) if name == column}
-        assert label_in_table(begins[fuel], trace.manifest.timestep) == table["Time of Peak"]
+        assert label_in_table(begins[fuel], trajectory.manifest.timestep) == table["Time of Peak"]
         watts = quantities.energy_kwh[fuel][peaks[fuel]] / quantities.step_h * 1e3
         assert watts == pytest.approx(float(table["Total End Uses"]), abs=0.011)
 

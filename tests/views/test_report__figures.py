@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
 import pytest
-from support.traces import J_PER_KWH, SHARES, office, office_comparison, run
+from support.trajectories import J_PER_KWH, SHARES, office, office_comparison, run
 
-from zenostat.metrics.trace import WeatherTrace
+from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.views.report.figures import actuators, carpets, comfort, energy, months, reward, weather
 from zenostat.views.report.figures.base import Curve
 from zenostat.views.report.quantities import by_hour, by_period, load_duration
@@ -76,7 +77,7 @@ def test_end_uses_add_up_to_the_electricity() -> None:
 def test_what_the_meter_counts_beyond_the_end_uses_is_shown_as_other() -> None:
     of = office(("core",), steps=4)
     part = run("rbc", of, [10.0] * 4, [[24.0] * 4], [[0.0] * 4])
-    part.trace.values[:, -3:] *= 0.5  # half of all end uses is not metered
+    part.trajectory.values[:, -3:] *= 0.5  # half of all end uses is not metered
     figure = energy.end_uses([Curve("rbc", 0, part.quantities)])
     assert figure is not None
     assert figure.data["end use"][-1] == "other electricity"
@@ -203,7 +204,7 @@ def test_episodes_with_the_same_weather_are_drawn_once() -> None:
 
 @pytest.mark.parametrize("names", [("USA_NY_New.York-J.F.Kennedy.Intl.AP",), tuple("ab"), ("x" * 90,)])
 def test_weather__axes_keep_their_width_with_many_stochastic_episodes(names: tuple[str, ...]) -> None:
-    traces = [WeatherTrace(3600.0, np.linspace(k, 20.0 + k, 48), np.linspace(0.0, 900.0, 48)) for k in range(6)]
+    traces = [EpisodeWeather(3600.0, np.linspace(k, 20.0 + k, 48), np.linspace(0.0, 900.0, 48)) for k in range(6)]
     labels = [f"episode {place + 1}, {names[place % len(names)]}" for place in range(6)]
     figure = weather.weather(list(zip(labels, traces, strict=True)), MIDNIGHT)
     assert figure is not None
@@ -223,8 +224,11 @@ def test_weather__axes_keep_their_width_with_many_stochastic_episodes(names: tup
 def test_without_points_there_are_no_figures() -> None:
     of = office(("core",), steps=4).model_copy(update={"sensors": (), "meters": (), "actuators": ()})
     nothing = run("rbc", office(("core",), steps=4), [1.0] * 4, [[24.0] * 4], [[0.0] * 4])
-    trace = nothing.trace
-    empty = type(trace)(of, trace.begin, trace.values[:, :0], trace.effective[:, :0], trace.source_index, ("",), {})
+    trajectory = nothing.trajectory
+    empty = replace(
+        trajectory, manifest=of, values=trajectory.values[:, :0], fault_free_values=trajectory.values[:, :0],
+        effective=trajectory.effective[:, :0], sources=("",), terms={},
+    )  # fmt: skip
     curves = [Curve("rbc", 0, type(nothing.quantities)(empty))]
     assert energy.end_uses(curves) is energy.duration(curves) is energy.periods(curves) is None
     assert carpets.electricity(curves) is comfort.degree_hours(curves) is actuators.timeline(curves) is None
@@ -234,4 +238,4 @@ def test_without_points_there_are_no_figures() -> None:
 def test_joules_of_the_made_up_office_are_its_power() -> None:
     part = run("rbc", office(("core",), steps=4), [10.0] * 4, [[24.0] * 4], [[0.0] * 4])
     assert part.results[0].energy_kwh["electricity"] == pytest.approx(10.0)
-    assert part.trace.values[1, 2] == pytest.approx(2.5 * J_PER_KWH)
+    assert part.trajectory.values[1, 2] == pytest.approx(2.5 * J_PER_KWH)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from datetime import datetime
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
@@ -12,10 +11,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.traces import SHARES, office, office_comparison, run
+from support.trajectories import SHARES, office, office_comparison, run
 
 from zenostat.lab.evaluate import Evaluation
-from zenostat.metrics.trace import EpisodeTrace, WeatherTrace
+from zenostat.metrics.episode_weather import EpisodeWeather
+from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics.errors import InvalidConfig
 from zenostat.views.display.colors import contrast
 from zenostat.views.report import Comparison, Run, write_figures, write_report
@@ -162,8 +162,8 @@ def test_the_same_input_gives_the_same_bytes(comparison: Comparison, text: str) 
 def test_what_is_not_measured_is_named() -> None:
     of = office(("core",), steps=8).model_copy(update={"meters": ()})
     whole = run("rbc", office(("core",), steps=8), [1.0] * 8, [[24.0] * 8], [[1.0] * 8])
-    trace = whole.trace
-    object.__setattr__(trace, "manifest", of)
+    trajectory = whole.trajectory
+    object.__setattr__(trajectory, "manifest", of)
     text = page(Comparison((whole,)))
     assert "Not measured: electricity, electricity of the HVAC, end uses, reward, cost (no price) and emissions" in text
     assert 'id="end-use"' not in text
@@ -195,10 +195,11 @@ def test_a_year_of_two_controllers_is_below_a_megabyte_though_nothing_repeats() 
     runs = []
     for name, factor in (("baseline", 1.0), ("rbc", 0.99)):
         terms = {"energy": -random.random(35040), "comfort": -random.random(35040)}
-        begin = datetime.fromisoformat(of.begin)
-        trace = EpisodeTrace(of, begin, values * factor, effective * factor, source, ("", name), terms)
-        weather = WeatherTrace(3600.0, random.normal(10.0, 9.0, 8760), random.uniform(0.0, 900.0, 8760))
-        runs.append(Run(name, short.results, trace, (0,), ("Denver",), (weather,)))
+        trajectory = Trajectory(
+            of, np.arange(35041), values * factor, effective * factor, source, ("", name), terms=terms
+        )
+        weather = EpisodeWeather(3600.0, random.normal(10.0, 9.0, 8760), random.uniform(0.0, 900.0, 8760))
+        runs.append(Run(name, short.results, trajectory, (0,), ("Denver",), (weather,)))
     assert len(page(Comparison(tuple(runs))).encode()) < 1_000_000
 
 

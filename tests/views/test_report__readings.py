@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.traces import office_comparison
+from support.trajectories import office_comparison
 
 from zenostat.views.report.figures.base import draw
 from zenostat.views.report.page import page

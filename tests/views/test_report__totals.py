@@ -6,7 +6,7 @@ import re
 from dataclasses import replace
 
 import pytest
-from support.traces import office_comparison
+from support.trajectories import office_comparison
 
 from zenostat.metrics.episode_metrics import EpisodeMetrics
 from zenostat.views.report import Comparison, Run

@@ -76,21 +76,21 @@ def _css() -> str:
 
 
 def _title(comparison: Comparison) -> str:
-    manifest = comparison.reference.trace.manifest
+    manifest = comparison.reference.trajectory.manifest
     return f"{manifest.building}: {' and '.join(run.label for run in comparison.runs)}"
 
 
 def _heading(comparison: Comparison) -> str:
     reference = comparison.reference
-    trace, manifest = reference.trace, reference.trace.manifest
+    trajectory, manifest = reference.trajectory, reference.trajectory.manifest
     weathers = list(dict.fromkeys(name for name in reference.weather_names if name)) or [manifest.weather]
     place = f"{manifest.location} ({names(weathers)})" if manifest.location else names(weathers)
     comfort = reference.quantities.comfort
-    steps = f"{trace.steps:,} timesteps of {_duration(manifest.step_s)}"
+    steps = f"{trajectory.steps:,} timesteps of {_duration(manifest.step_s)}"
     versions = manifest.versions
     rows = [
         ("Weather", place),
-        ("Run period", f"{trace.begin:%Y-%m-%d %H:%M} to {trace.end:%Y-%m-%d %H:%M}, {steps}"),
+        ("Run period", f"{trajectory.begin:%Y-%m-%d %H:%M} to {trajectory.end:%Y-%m-%d %H:%M}, {steps}"),
         ("Comfort band", _band(reference) if comfort is not None else "none"),
         ("Controllers", names([_full_name(run) for run in comparison.runs])),
         ("Episodes", _episodes(comparison)),
@@ -189,7 +189,7 @@ def _cell(place: int, value: Any) -> str:
 
 
 def _origin(comparison: Comparison) -> str:
-    manifest = comparison.reference.trace.manifest
+    manifest = comparison.reference.trajectory.manifest
     versions = [("Zenostat", manifest.versions.zenostat), ("EnergyPlus", manifest.versions.energyplus)]
     versions += [("Python", ".".join(map(str, sys.version_info[:3])))]
     versions += [(name, installed) for name in _PACKAGES if (installed := _version(name))]

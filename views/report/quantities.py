@@ -1,4 +1,4 @@
-"""Time series that a report shows, derived from the trace of an episode.
+"""Time series that a report shows, derived from the trajectory of an episode.
 
 Energy and comfort come from the same points as the metrics of `zenostat.metrics.episode_metrics`, so that the
 figures of a report add up to its totals.
@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.metrics.comfort import deviations
+from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.metrics.reward_comfort import comfort, display_comfort
 from zenostat.metrics.roles import EndUse, PointRoles, PowerSource, roles
-from zenostat.metrics.trace import EpisodeTrace, WeatherTrace
+from zenostat.metrics.trajectory import Trajectory
 
 Floats = NDArray[np.float64]
 Times = NDArray[Any]
@@ -67,31 +68,31 @@ class Quantities:
     """Quantities of one recorded episode.
 
     Args:
-        trace: samples of the episode.
+        trajectory: samples of the episode.
         reward: reward with the comfort band; None: that of the scenario.
         weather: weather of the episode, if known.
     """
 
-    def __init__(self, trace: EpisodeTrace, reward: Any = None, weather: WeatherTrace | None = None) -> None:
-        self.trace, self._reward, self._weather = trace, reward, weather
-        self.roles: PointRoles = roles(trace.manifest)
+    def __init__(self, trajectory: Trajectory, reward: Any = None, weather: EpisodeWeather | None = None) -> None:
+        self.trajectory, self._reward, self._weather = trajectory, reward, weather
+        self.roles: PointRoles = roles(trajectory.manifest)
 
     @property
     def step_h(self) -> float:
         """Length of a timestep in hours."""
-        return self.trace.step_h
+        return self.trajectory.step_h
 
     @cached_property
     def begins(self) -> Times:
         """Time at which each timestep begins, in seconds, shape (steps,)."""
-        offsets = np.rint(np.arange(self.trace.steps) * self.trace.manifest.step_s).astype("timedelta64[s]")
-        begins: Times = np.datetime64(self.trace.begin, "s") + offsets
+        offsets = np.rint(np.arange(self.trajectory.steps) * self.trajectory.manifest.step_s).astype("timedelta64[s]")
+        begins: Times = np.datetime64(self.trajectory.begin, "s") + offsets
         return begins
 
     @cached_property
     def energy_kwh(self) -> dict[str, Floats]:
         """Energy in each timestep by fuel, and of the HVAC as `hvac_electricity`, kWh, each of shape (steps,)."""
-        values, points = self.trace.values[1:], self.roles
+        values, points = self.trajectory.fault_free_values[1:], self.roles
         sources: dict[str, PowerSource | EndUse | None] = {
             "electricity": points.facility_power,
             "hvac_electricity": points.hvac_power,
@@ -118,7 +119,7 @@ class Quantities:
         power = self.power_kw
         if power is None or not np.isfinite(power).any():
             return None
-        return self.trace.begin + (int(np.nanargmax(power)) + 1) * self.trace.manifest.timestep
+        return self.trajectory.begin + (int(np.nanargmax(power)) + 1) * self.trajectory.manifest.timestep
 
     @property
     def power_label(self) -> str:
@@ -130,7 +131,7 @@ class Quantities:
         """End uses with any energy in the episode."""
         uses = []
         for use in self.roles.end_uses:
-            kwh = self.trace.values[1:, use.index] * use.to_kw * self.step_h
+            kwh = self.trajectory.fault_free_values[1:, use.index] * use.to_kw * self.step_h
             if np.nansum(np.abs(kwh)) > 0.0:
                 uses.append(EndUseEnergy(use.label, use.fuel, kwh))
         return tuple(uses)
@@ -138,16 +139,16 @@ class Quantities:
     @cached_property
     def comfort(self) -> ZoneComfort | None:
         """Comfort of the zones that the reward rates, else of all; None without zone temperatures."""
-        manifest = self.trace.manifest
+        manifest = self.trajectory.manifest
         band = comfort(manifest, self._reward)
         is_rated = band is not None
         band = band or display_comfort(manifest, self._reward)
         if band is None:
             return None
-        values = self.trace.values[1:]
+        values = self.trajectory.fault_free_values[1:]
         labels = {zone.temperature: zone.label for zone in self.roles.zones}
-        names = self.trace.manifest.names
-        low, high = band.limits_of_samples(values, self.trace.begins())
+        names = self.trajectory.manifest.names
+        low, high = band.limits_of_samples(values, self.trajectory.begins())
         return ZoneComfort(
             tuple(labels.get(int(zone), names[int(zone)]) for zone in band.zones),
             values[:, band.zones], low, high, band.is_occupied(values), band.source,
@@ -163,13 +164,13 @@ class Quantities:
         return np.maximum(deviation, 0.0).sum(axis=0), np.maximum(-deviation, 0.0).sum(axis=0)
 
     @cached_property
-    def weather(self) -> WeatherTrace | None:
+    def weather(self) -> EpisodeWeather | None:
         """Weather of the episode; without a weather file, the outdoor temperature that a sensor measures."""
         index = self.roles.outdoor_temperature
         if self._weather is not None or index is None:
             return self._weather
-        temperature = self.trace.values[1:, index]
-        return WeatherTrace(self.trace.manifest.step_s, temperature, np.full(len(temperature), np.nan))
+        temperature = self.trajectory.fault_free_values[1:, index]
+        return EpisodeWeather(self.trajectory.manifest.step_s, temperature, np.full(len(temperature), np.nan))
 
 
 def by_hour(values: Floats, begins: Times, step_s: float) -> tuple[Times, Floats]:

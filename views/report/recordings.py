@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,12 +15,14 @@ from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
 from zenostat.agent_sdk.rewards.read import CUSTOM
 from zenostat.bridge.client.sample import SampleView
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.metrics.episode_weather import EpisodeWeather, read_weather
 from zenostat.metrics.tariffs import Rate, read_emissions, read_prices
-from zenostat.metrics.trace import EpisodeTrace, TraceRecorder, WeatherTrace, weather_trace
+from zenostat.metrics.trajectory import Trajectory
+from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics import codec
 from zenostat.topics.errors import BadMessage, InvalidConfig, InvalidRecording
 from zenostat.topics.extras import requires_extra
-from zenostat.topics.messages import Manifest, Sample, WeatherSeries
+from zenostat.topics.messages import Manifest, Sample
 from zenostat.topics.points import PointIndex, value_index
 from zenostat.topics.recording import RecordedEpisode, RecordedWeather
 from zenostat.views.report.runs import Comparison, Run
@@ -85,7 +87,7 @@ def compare_recordings(
     names = _names(results)
     sources: dict[str, str] = {}
     for result in results:
-        sources = MetricsAccumulator(result.trace.manifest, result.reward, *rates).sources | sources
+        sources = MetricsAccumulator(result.trajectory.manifest, result.reward, *rates).sources | sources
     runs = tuple(result.run(name) for name, result in zip(names, results, strict=True))
     return Comparison(runs, scenario, command, sources=sources)
 
@@ -97,16 +99,16 @@ class _Result:
     path: Path
     is_parallel: bool
     reward: Reward | None
-    trace: EpisodeTrace
+    trajectory: Trajectory
     metrics: list[EpisodeMetrics] = field(default_factory=list)
     seeds: list[int | None] = field(default_factory=list)
     weather_names: list[str] = field(default_factory=list)
-    weathers: list[WeatherTrace | None] = field(default_factory=list)
+    weathers: list[EpisodeWeather | None] = field(default_factory=list)
 
     @property
     def has_controller(self) -> bool:
         """Whether anything but baseline control has set a value."""
-        return bool(self.trace.source_index.any())
+        return bool(self.trajectory.source_index.any())
 
     def run(self, name: str) -> Run:
         def label(source: str) -> str:
@@ -114,31 +116,27 @@ class _Result:
             plain = match[1] if match else source
             return name if match and plain == _ENVIRONMENT else plain
 
-        old = self.trace
-        trace = EpisodeTrace(
-            old.manifest, old.begin, old.values, old.effective, old.source_index, tuple(map(label, old.sources)),
-            old.terms,
-        )  # fmt: skip
+        trajectory = replace(self.trajectory, sources=tuple(map(label, self.trajectory.sources)))
         return Run(
-            name, tuple(self.metrics), trace, tuple(self.seeds), tuple(self.weather_names), tuple(self.weathers),
+            name, tuple(self.metrics), trajectory, tuple(self.seeds), tuple(self.weather_names), tuple(self.weathers),
             self.reward,
         )  # fmt: skip
 
 
 def _names(results: Sequence[_Result]) -> list[str]:
     """Name each run after its node; where nodes have the same name, after its file."""
-    nodes = [result.trace.manifest.node for result in results if not result.is_parallel]
+    nodes = [result.trajectory.manifest.node for result in results if not result.is_parallel]
     stems = [result.path.stem for result in results if not result.is_parallel]
     names = []
     for result in results:
-        node, stem = result.trace.manifest.node, result.path.stem
+        node, stem = result.trajectory.manifest.node, result.path.stem
         name = node if nodes.count(node) == 1 else stem if stems.count(stem) == 1 else str(result.path)
         names.append(_BASELINE if result.is_parallel else name)
     return names
 
 
 def _check_period(first: _Result, file: Path, manifest: Manifest) -> None:
-    reference = first.trace.manifest
+    reference = first.trajectory.manifest
     period, other = ((m.begin, m.end, m.step_s) for m in (reference, manifest))
     if period != other:
         texts = (f"{p} simulates {b} to {e} in steps of {s:g} s" for p, (b, e, s) in (
@@ -148,7 +146,7 @@ def _check_period(first: _Result, file: Path, manifest: Manifest) -> None:
 
 
 class _Episode:
-    """Metrics and trace of an episode in one slot, from its samples.
+    """Metrics and trajectory of an episode in one slot, from its samples.
 
     Args:
         first: its first sample.
@@ -159,7 +157,7 @@ class _Episode:
     def __init__(self, first: SampleView, reward: Reward | None, rates: Any) -> None:
         manifest = first.manifest
         self.number, self.slot, self.first_step, self.step = first.episode, first.slot, first.step, first.step
-        self._metrics, self._recorder = MetricsAccumulator(manifest, reward, *rates), TraceRecorder(manifest)
+        self._metrics, self._recorder = MetricsAccumulator(manifest, reward, *rates), TrajectoryRecorder(manifest)
         self._reward = None if reward is None else reward.bind(manifest)
         self._limits = TerminationLimits(manifest) if manifest.task.terminate else None
         self._timestep = manifest.timestep
@@ -184,18 +182,18 @@ class _Episode:
     def metrics(self) -> EpisodeMetrics:
         return self._metrics.result(terminated=self.terminated)
 
-    def trace(self) -> EpisodeTrace:
-        return self._recorder.trace()
+    def trajectory(self) -> Trajectory:
+        return self._recorder.trajectory()
 
 
 class _Episodes:
-    """Divides samples into the episodes of each slot; keeps the trace of the first complete one."""
+    """Divides samples into the episodes of each slot; keeps the trajectory of the first complete one."""
 
     def __init__(self, reward: Reward | None, rates: Any) -> None:
         self._reward, self._rates = reward, rates
         self._running: dict[int, _Episode] = {}
         self.ended: list[tuple[_Episode, EpisodeMetrics]] = []
-        self._traces: dict[bool, EpisodeTrace] = {}
+        self._traces: dict[bool, Trajectory] = {}
 
     def add(self, sample: SampleView) -> None:
         running = self._running.get(sample.slot)
@@ -209,10 +207,10 @@ class _Episodes:
         if episode is not None and episode.step > episode.first_step:
             self.ended.append((episode, episode.metrics()))
             if episode.is_complete not in self._traces:
-                self._traces[episode.is_complete] = episode.trace()
+                self._traces[episode.is_complete] = episode.trajectory()
 
-    def finish(self) -> tuple[list[tuple[_Episode, EpisodeMetrics]], EpisodeTrace | None, list[_Episode]]:
-        """Return the episodes to report, in order, the trace of the first, and the episodes that are left out."""
+    def finish(self) -> tuple[list[tuple[_Episode, EpisodeMetrics]], Trajectory | None, list[_Episode]]:
+        """Return the episodes to report, in order, the trajectory of the first, and the episodes that are left out."""
         for episode in self._running.values():
             self._end(episode)
         self._running.clear()
@@ -229,7 +227,7 @@ def _results(reader: RecordingReader, reward: AnyReward | None, rates: Any) -> l
     recorded = _Episodes(bound, rates)
     baseline = _Episodes(bound, rates) if manifest.baseline else None
     starts: dict[tuple[int, int], tuple[int | None, str]] = {}
-    weathers: dict[tuple[int, int], WeatherTrace] = {}
+    weathers: dict[tuple[int, int], EpisodeWeather] = {}
     span = manifest.steps * manifest.timestep
     for item in reader.messages(_SCHEMAS):
         try:
@@ -246,8 +244,7 @@ def _results(reader: RecordingReader, reward: AnyReward | None, rates: Any) -> l
                     starts[number, slot] = seed, name
             else:
                 weather = codec.decode(RecordedWeather, item.payload)
-                fields = {name: getattr(weather, name) for name in ("episode", "columns", "units", "step_s", "values")}
-                weathers[weather.episode, weather.slot] = weather_trace(WeatherSeries(**fields), span)
+                weathers[weather.episode, weather.slot] = read_weather(weather, span)
         except BadMessage as error:
             raise InvalidRecording(f"{reader.path} is damaged: {item.topic}: {error}") from None
     if reader.end.text:
@@ -291,12 +288,12 @@ def _result(
     episodes: _Episodes,
     reward: Reward | None,
     starts: Mapping[tuple[int, int], tuple[int | None, str]],
-    weathers: Mapping[tuple[int, int], WeatherTrace],
+    weathers: Mapping[tuple[int, int], EpisodeWeather],
     *,
     is_parallel: bool,
 ) -> _Result:
-    chosen, trace, left_out = episodes.finish()
-    if trace is None:
+    chosen, trajectory, left_out = episodes.finish()
+    if trajectory is None:
         raise InvalidRecording(f"{reader.path} has no timestep; there is nothing to report")
     if not is_parallel:
         for episode in left_out or [entry[0] for entry in chosen if not entry[0].is_complete]:
@@ -306,7 +303,7 @@ def _result(
                 f"of {reader.manifest.steps}",
                 stacklevel=4,
             )
-    result = _Result(reader.path, is_parallel, reward, trace)
+    result = _Result(reader.path, is_parallel, reward, trajectory)
     for episode, metrics in chosen:
         seed, name = starts.get((episode.number, episode.slot), (None, reader.manifest.weather))
         result.metrics.append(metrics)

@@ -8,7 +8,8 @@ from functools import cached_property
 from typing import Any
 
 from zenostat.metrics.episode_metrics import EpisodeMetrics
-from zenostat.metrics.trace import EpisodeTrace, WeatherTrace
+from zenostat.metrics.episode_weather import EpisodeWeather
+from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics.errors import InvalidConfig
 from zenostat.views.report.figures.base import Curve
 from zenostat.views.report.quantities import Quantities
@@ -24,7 +25,7 @@ class Run:
     Attributes:
         name: name of the controller.
         results: metrics of each episode.
-        trace: samples of the first episode.
+        trajectory: samples of the first episode.
         seeds: seed of each episode; None where it is not known.
         weather_names: name of the weather of each episode.
         weathers: weather of each episode; None where it is not known.
@@ -34,10 +35,10 @@ class Run:
 
     name: str
     results: tuple[EpisodeMetrics, ...]
-    trace: EpisodeTrace
+    trajectory: Trajectory
     seeds: tuple[int | None, ...] = ()
     weather_names: tuple[str, ...] = ()
-    weathers: tuple[WeatherTrace | None, ...] = ()
+    weathers: tuple[EpisodeWeather | None, ...] = ()
     reward: Any = None
     short_name: str = ""
 
@@ -49,7 +50,7 @@ class Run:
     @cached_property
     def quantities(self) -> Quantities:
         """Quantities of the first episode."""
-        return Quantities(self.trace, self.reward, self.weathers[0] if self.weathers else None)
+        return Quantities(self.trajectory, self.reward, self.weathers[0] if self.weathers else None)
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from zenostat.metrics.trace import WeatherTrace
+from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.views.report.figures import actuators, carpets, comfort, energy, months, reward, weather
 from zenostat.views.report.figures.base import Figure
 from zenostat.views.report.runs import Comparison
@@ -61,7 +61,7 @@ def _draw(comparison: Comparison) -> list[Section]:
     return kept
 
 
-def _weathers(comparison: Comparison) -> list[tuple[str, WeatherTrace]]:
+def _weathers(comparison: Comparison) -> list[tuple[str, EpisodeWeather]]:
     """Return the weather of each episode; all controllers have the same."""
     reference = comparison.reference
     series = reference.weathers or (reference.quantities.weather,)
@@ -73,7 +73,7 @@ def _weathers(comparison: Comparison) -> list[tuple[str, WeatherTrace]]:
         f"episode {place + 1}" + (f", {names[place]}" if several and place < len(names) else "")
         for place in range(len(known))
     ]
-    return [(label, trace) for label, trace in zip(labels, known, strict=True) if trace is not None]
+    return [(label, weather) for label, weather in zip(labels, known, strict=True) if weather is not None]
 
 
 def _has_kpi(comparison: Comparison, name: str) -> bool:
@@ -90,7 +90,7 @@ def not_measured(comparison: Comparison) -> list[str]:
         "zone temperatures": any(quantities.comfort is not None for quantities in every),
         "occupants": any(zone.occupants is not None for quantities in every for zone in quantities.roles.zones),
         "weather": any(quantities.weather is not None for quantities in every),
-        "reward": any(quantities.trace.terms for quantities in every),
+        "reward": any(quantities.trajectory.terms for quantities in every),
         "cost (no price)": _has_kpi(comparison, "cost_tot"),
         "emissions (no factor)": _has_kpi(comparison, "emis_tot"),
     }

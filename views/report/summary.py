@@ -150,7 +150,7 @@ def _alone(run: Run) -> str:
 
 def _irregular(run: Run) -> list[str]:
     """Return sentences on episodes that ended early and on commands that were not accepted."""
-    planned = run.trace.manifest.steps
+    planned = run.trajectory.manifest.steps
     early = [result for result in run.results if result.terminated]
     texts = []
     if early:

@@ -88,7 +88,7 @@ def metrics(comparison: Comparison) -> list[Metric]:
 
 def _is_year(comparison: Comparison) -> bool:
     """Whether all episodes are a year long, so that energy per floor area is an energy use intensity."""
-    return all(364.0 <= run.trace.steps * run.trace.step_h / 24.0 <= 366.0 for run in comparison.runs)
+    return all(364.0 <= run.trajectory.steps * run.trajectory.step_h / 24.0 <= 366.0 for run in comparison.runs)
 
 
 def _energies(comparison: Comparison) -> list[Metric]:

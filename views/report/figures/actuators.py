@@ -81,7 +81,7 @@ def _columns(curves: Sequence[Curve], groups: Sequence[_Groups]) -> dict[str, Se
 
 def _groups(curve: Curve) -> _Groups:
     """Return the values of set-points and of the other actuators, which are grouped by their kind."""
-    trace, roles = curve.quantities.trace, curve.quantities.roles
+    trajectory, roles = curve.quantities.trajectory, curve.quantities.roles
     groups: _Groups = {}
     thermostats = set()
     for title, kind in (("Cooling set-points", "cooling"), ("Heating set-points", "heating")):
@@ -91,19 +91,19 @@ def _groups(curve: Curve) -> _Groups:
             if actuator is not None:
                 thermostats.add(actuator)
             if sensor is not None:
-                columns.append(trace.values[1:, sensor])
+                columns.append(trajectory.fault_free_values[1:, sensor])
             elif actuator is not None:
-                columns.append(trace.effective[1:, actuator])
+                columns.append(trajectory.effective[1:, actuator])
         if columns:
             groups[title, "degC"] = _known(columns)
     others: dict[tuple[str, str], list[Floats]] = {}
-    for place, actuator in enumerate(trace.manifest.actuators):
+    for place, actuator in enumerate(trajectory.manifest.actuators):
         if place in thermostats:
             continue
         is_kind = actuator.component_type and actuator.component_type != THERMOSTAT
-        alike = [a for a in trace.manifest.actuators if a.control_type == actuator.control_type]
+        alike = [a for a in trajectory.manifest.actuators if a.control_type == actuator.control_type]
         title = label(actuator.control_type) if is_kind and len(alike) > 1 else label(actuator.name)
-        others.setdefault((title, actuator.unit), []).append(trace.effective[1:, place])
+        others.setdefault((title, actuator.unit), []).append(trajectory.effective[1:, place])
     groups |= {key: _known(columns) for key, columns in others.items()}
     return {key: values for key, values in groups.items() if values.size}
 
@@ -139,11 +139,13 @@ def _line(axis: Any, curve: Curve, values: Floats, edges: Floats, *, is_long: bo
 
 def source_shares(curve: Curve) -> dict[str, Floats]:
     """Return the share of the actuators that each source set in each timestep; the baseline control is `""`."""
-    trace = curve.quantities.trace
-    if not trace.manifest.actuators:
-        return {"": np.ones(trace.steps)}
-    index = trace.source_index[1:]
-    return {name: (index == place).mean(axis=1) for place, name in enumerate(trace.sources) if (index == place).any()}
+    trajectory = curve.quantities.trajectory
+    if not trajectory.manifest.actuators:
+        return {"": np.ones(trajectory.steps)}
+    index = trajectory.source_index[1:]
+    return {
+        name: (index == place).mean(axis=1) for place, name in enumerate(trajectory.sources) if (index == place).any()
+    }
 
 
 def _strips(figure: Any, axis: Any, curves: Sequence[Curve], first: np.datetime64, *, is_long: bool) -> None:

@@ -28,7 +28,7 @@ def electricity(curves: Sequence[Curve]) -> Figure | None:
     for curve in curves:
         power = curve.quantities.power_kw
         if power is not None:
-            grids.append((curve, *by_hour(power, curve.quantities.begins, curve.quantities.trace.manifest.step_s)))
+            grids.append((curve, *by_hour(power, curve.quantities.begins, curve.quantities.trajectory.manifest.step_s)))
     if not grids:
         return None
     top = max(float(np.nanmax(grid)) for _, _, grid in grids) or 1.0
@@ -58,7 +58,7 @@ def zone(curves: Sequence[Curve], label: str, number: int) -> Figure | None:
         if comfort is None or label not in comfort.labels:
             continue
         place = comfort.labels.index(label)
-        begins, step_s = curve.quantities.begins, curve.quantities.trace.manifest.step_s
+        begins, step_s = curve.quantities.begins, curve.quantities.trajectory.manifest.step_s
         days, deviation = by_hour(comfort.deviation[:, place], begins, step_s)
         _, occupied = by_hour(comfort.occupied[:, place].astype(float), begins, step_s)
         rgba = tint(deviation)

@@ -17,12 +17,12 @@ _MAX_CURVE_POINTS = 400
 
 def reward(curves: Sequence[Curve]) -> Figure | None:
     """Cumulative reward and terms; None if no reward was recorded."""
-    curves = [curve for curve in curves if curve.quantities.trace.terms]
+    curves = [curve for curve in curves if curve.quantities.trajectory.terms]
     if not curves:
         return None
     sums = []
     for curve in curves:
-        terms = {name: np.nancumsum(term) for name, term in curve.quantities.trace.terms.items()}
+        terms = {name: np.nancumsum(term) for name, term in curve.quantities.trajectory.terms.items()}
         total = {"reward": np.sum(list(terms.values()), axis=0)}
         sums.append(total | (terms if len(terms) > 1 else {}))
     names = list(dict.fromkeys(name for entry in sums for name in entry))

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from zenostat.metrics.trace import WeatherTrace
+from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.views.report.figures.base import (
     LEGEND_ROW_PT,
     LONG_DAYS,
@@ -26,7 +26,7 @@ _MAX_EPISODES = 6
 _MAX_LABELS = 3
 
 
-def weather(episodes: Sequence[tuple[str, WeatherTrace]], begin: np.datetime64) -> Figure | None:
+def weather(episodes: Sequence[tuple[str, EpisodeWeather]], begin: np.datetime64) -> Figure | None:
     """Outdoor temperature and solar radiation; episodes with the same weather are drawn once.
 
     Args:
@@ -37,19 +37,19 @@ def weather(episodes: Sequence[tuple[str, WeatherTrace]], begin: np.datetime64) 
     if not distinct:
         return None
     shown = distinct[:_MAX_EPISODES]
-    days = max(len(trace.temperature) * trace.step_s / 86400.0 for _, trace in shown)
+    days = max(len(series.temperature) * series.step_s / 86400.0 for _, series in shown)
     offset = float((begin - begin.astype("datetime64[D]").astype("datetime64[s]")) / np.timedelta64(1, "s")) / 86400.0
-    has_solar = any(np.isfinite(trace.solar).any() for _, trace in shown)
+    has_solar = any(np.isfinite(series.solar).any() for _, series in shown)
     is_long = days > LONG_DAYS
 
     def fill(figure: Any) -> None:
         axes = figure.subplots(1 + has_solar, 1, sharex=True, squeeze=False, height_ratios=[1.5, 1.0][: 1 + has_solar])
-        for place, (label, trace) in enumerate(shown):
-            where: Any = offset + (np.arange(len(trace.temperature)) + 1) * trace.step_s / 86400.0
+        for place, (label, series) in enumerate(shown):
+            where: Any = offset + (np.arange(len(series.temperature)) + 1) * series.step_s / 86400.0
             text = label if len(shown) > 1 else None
-            _temperature(axes[0, 0], trace.temperature, where, place, text, is_long=is_long, is_alone=len(shown) == 1)
+            _temperature(axes[0, 0], series.temperature, where, place, text, is_long=is_long, is_alone=len(shown) == 1)
             if has_solar:
-                _solar(axes[1, 0], trace, where, place, len(shown), is_long=is_long)
+                _solar(axes[1, 0], series, where, place, len(shown), is_long=is_long)
         axes[0, 0].set_ylabel("°C")
         labels = [label for label, _ in shown] if len(shown) > 1 else ["daily mean" if is_long else ""]
         read_lines(axes[0, 0], "°C", begin, labels)
@@ -64,13 +64,13 @@ def weather(episodes: Sequence[tuple[str, WeatherTrace]], begin: np.datetime64) 
         mark_days(axes[-1, 0], begin, offset + days)
 
     data: dict[str, Sequence[Any]] = {}
-    for label, trace in distinct:
-        data[f"{label}: outdoor temperature (degC)"] = trace.temperature.tolist()
-        data[f"{label}: global horizontal radiation (W/m2)"] = trace.solar.tolist()
+    for label, series in distinct:
+        data[f"{label}: outdoor temperature (degC)"] = series.temperature.tolist()
+        data[f"{label}: global horizontal radiation (W/m2)"] = series.solar.tolist()
     caption = "Daily mean and range of the temperature." if is_long else "As drawn, noise included."
     if len(distinct) > len(shown):
         caption += f" The first {len(shown)} of {len(distinct)} different weathers are drawn."
-    temperatures = np.concatenate([trace.temperature for _, trace in shown])
+    temperatures = np.concatenate([series.temperature for _, series in shown])
     alt = f"Outdoor temperature from {np.nanmin(temperatures):.1f} to {np.nanmax(temperatures):.1f} °C"
     solar = " and solar radiation" if has_solar else ""
     if not has_solar:
@@ -83,12 +83,12 @@ def weather(episodes: Sequence[tuple[str, WeatherTrace]], begin: np.datetime64) 
     )  # fmt: skip
 
 
-def _distinct(episodes: Sequence[tuple[str, WeatherTrace]]) -> list[tuple[str, WeatherTrace]]:
-    groups: dict[bytes, tuple[list[str], WeatherTrace]] = {}
-    for label, trace in episodes:
-        key = trace.temperature.tobytes() + trace.solar.tobytes()
-        groups.setdefault(key, ([], trace))[0].append(label)
-    return [(_label(labels), trace) for labels, trace in groups.values()]
+def _distinct(episodes: Sequence[tuple[str, EpisodeWeather]]) -> list[tuple[str, EpisodeWeather]]:
+    groups: dict[bytes, tuple[list[str], EpisodeWeather]] = {}
+    for label, series in episodes:
+        key = series.temperature.tobytes() + series.solar.tobytes()
+        groups.setdefault(key, ([], series))[0].append(label)
+    return [(_label(labels), series) for labels, series in groups.values()]
 
 
 def _label(labels: Sequence[str]) -> str:
@@ -110,14 +110,14 @@ def _temperature(
         axis.fill_between(middle, low, high, color=color, alpha=0.2, linewidth=0)
 
 
-def _solar(axis: Any, trace: WeatherTrace, where: Days, place: int, count: int, *, is_long: bool) -> None:
-    step_days = trace.step_s / 86400.0
+def _solar(axis: Any, series: EpisodeWeather, where: Days, place: int, count: int, *, is_long: bool) -> None:
+    step_days = series.step_s / 86400.0
     color = LIGHT["solar"] if count == 1 else series_color(place)
     if is_long:
-        middle, _, mean, _ = daily(trace.solar, where - 1e-6)
+        middle, _, mean, _ = daily(series.solar, where - 1e-6)
         where, values = middle, mean * 24.0 / 1e3
     else:
-        where, values = where - step_days / 2, trace.solar
+        where, values = where - step_days / 2, series.solar
     if count == 1:
         axis.fill_between(where, 0.0, values, color=color, alpha=0.3, linewidth=0)
     axis.plot(where, values, color=color, linestyle=series_dashes(place), linewidth=1.0)

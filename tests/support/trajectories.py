@@ -11,7 +11,9 @@ import numpy as np
 from support.builders import actuator, manifest, meter, own_action, sensor
 from zenostat.bridge.client.sample import SampleView
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
-from zenostat.metrics.trace import EpisodeTrace, TraceRecorder, WeatherTrace
+from zenostat.metrics.episode_weather import EpisodeWeather
+from zenostat.metrics.trajectory import Trajectory
+from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.messages import Manifest, Sample, Task
 from zenostat.topics.points import value_index
 from zenostat.views.report import Comparison, Run
@@ -67,9 +69,9 @@ def recorded(
     *,
     terms: Mapping[str, float] | None = None,
     source: int = 0,
-) -> tuple[EpisodeTrace, EpisodeMetrics]:
+) -> tuple[Trajectory, EpisodeMetrics]:
     """Record an episode: power of the facility in kW; temperatures and occupants of each zone."""
-    recorder, metrics = TraceRecorder(of), MetricsAccumulator(of)
+    recorder, metrics = TrajectoryRecorder(of), MetricsAccumulator(of)
     joules = np.asarray(kw) * of.step_s / 3600.0 * J_PER_KWH
     meters = np.column_stack([joules, 0.7 * joules, *(share * joules for share in SHARES)])
     table = np.column_stack([*temperatures, *occupants, meters])
@@ -78,15 +80,15 @@ def recorded(
         view = sample(of, step, row.tolist(), source=source)
         recorder.add(view, terms if step else None)
         metrics.add(view, terms if step else None)
-    return recorder.trace({"env-1": "rbc"}), metrics.result()
+    return recorder.trajectory({"env-1": "rbc"}), metrics.result()
 
 
 def run(name: str, of: Manifest, *recording: Any, episodes: int = 1, **options: Any) -> Run:
     """A run of equal episodes; see `recorded`."""
-    trace, metrics = recorded(of, *recording, **options)
-    weather = WeatherTrace(3600.0, np.linspace(10.0, 30.0, 24), np.linspace(0.0, 900.0, 24))
+    trajectory, metrics = recorded(of, *recording, **options)
+    weather = EpisodeWeather(3600.0, np.linspace(10.0, 30.0, 24), np.linspace(0.0, 900.0, 24))
     return Run(
-        name, (metrics,) * episodes, trace, tuple(range(episodes)), ("Denver",) * episodes, (weather,) * episodes
+        name, (metrics,) * episodes, trajectory, tuple(range(episodes)), ("Denver",) * episodes, (weather,) * episodes
     )  # fmt: skip
 
 
