@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import timedelta
+from datetime import datetime, timedelta
 
 import numpy as np
+from numpy.typing import NDArray
 
 from zenostat.agent_sdk.rewards import Reward
 from zenostat.bridge.client.sample import SampleView
@@ -14,8 +15,11 @@ from zenostat.metrics.energy_sources import facility_sources, hvac_sources
 from zenostat.metrics.kpis import KPIS, KpiAccumulator
 from zenostat.metrics.reward_comfort import comfort
 from zenostat.metrics.tariffs import Rate, read_emissions, read_prices
+from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.unmet_hours import UnmetHours
 from zenostat.topics.messages import Manifest
+
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,9 +157,7 @@ class MetricsAccumulator:
 
     def begin(self, sample: SampleView) -> None:
         """Start from `sample`, at any step: the timestep that it closes does not count."""
-        self._reset()
-        self._kpis.begin(sample.fault_free_values)
-        self._initially_not_accepted = self._not_accepted = (sample.message.late, sample.message.rejected)
+        self._begin(sample.fault_free_values, (sample.message.late, sample.message.rejected))
 
     def add(self, sample: SampleView, terms: Mapping[str, float] | None = None) -> None:
         """Add the timestep that `sample` closes, with the terms of its reward; sample 0 starts a new episode."""
@@ -163,7 +165,25 @@ class MetricsAccumulator:
             self.begin(sample)
             return
         not_accepted = (sample.message.late, sample.message.rejected)
-        values, begin = sample.fault_free_values, sample.time - self._step
+        self._add(sample.fault_free_values, sample.time - self._step, not_accepted, terms or {})
+
+    def measure(self, trajectory: Trajectory, *, terminated: bool = False) -> EpisodeMetrics:
+        """Return the totals of a trajectory; what was added before does not count."""
+        values, not_accepted = trajectory.fault_free_values, [(0, 0)] * len(trajectory)
+        if trajectory.not_accepted is not None:
+            not_accepted = [(late, rejected) for late, rejected in trajectory.not_accepted.tolist()]
+        self._begin(values[0], not_accepted[0])
+        for step, begin in enumerate(trajectory.begins()):
+            terms = {name: term[step] for name, term in trajectory.terms.items()}
+            self._add(values[step + 1], begin, not_accepted[step + 1], terms)
+        return self.result(terminated=terminated)
+
+    def _begin(self, values: Floats, not_accepted: tuple[int, int]) -> None:
+        self._reset()
+        self._kpis.begin(values)
+        self._initially_not_accepted = self._not_accepted = not_accepted
+
+    def _add(self, values: Floats, begin: datetime, not_accepted: tuple[int, int], terms: Mapping[str, float]) -> None:
         kwh = values[self._indices] * self._to_kwh
         self._kwh += kwh
         if self._electric is not None:
@@ -175,7 +195,7 @@ class MetricsAccumulator:
             self._steps_outside += bool((outside > 0.0).any())
         self._kpis.add(values, begin)
         self._unmet.add(values)
-        for name, term in (terms or {}).items():
+        for name, term in terms.items():
             self._terms = self._terms or {}
             self._terms[name] = self._terms.get(name, 0.0) + float(term)
         self._steps += 1

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.bridge.client.history import first_step, last_step
+from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.messages import Manifest
 
@@ -47,6 +48,7 @@ class Trajectory:
         actions: Of the agent, shape (steps, actions), or (steps,) for a single discrete action.
         rewards: Shape (steps,).
         terms: Terms of the reward by name, each of shape (steps,).
+        outdoor: Outdoor temperature and solar radiation, for the whole episode.
         number: Number of the episode on its node.
         slot: Number of the slot.
         seed: Of the reset; None if it had none, or if the episode began before the recording.
@@ -70,6 +72,7 @@ class Trajectory:
     actions: NDArray[Any] | None = field(default=None, repr=False)
     rewards: Floats | None = field(default=None, repr=False)
     terms: Mapping[str, Floats] = field(default_factory=dict, repr=False)
+    outdoor: EpisodeWeather | None = field(default=None, repr=False)
     number: int = 0
     slot: int = 0
     seed: int | None = None

@@ -6,16 +6,17 @@ recording.episodes[0]["core_zn_air_temperature"]
 
 from __future__ import annotations
 
-from zenostat.metrics.recording.data import Episode, Recording
+from zenostat.metrics.recording.data import Recording
 from zenostat.metrics.recording.export import write_csv, write_parquet
 from zenostat.metrics.recording.load import load
 from zenostat.metrics.recording.log import LogEntry
 from zenostat.metrics.recording.mcap_export import write_mcap
+from zenostat.metrics.trajectory import Trajectory
 
 __all__ = [
-    "Episode",
     "LogEntry",
     "Recording",
+    "Trajectory",
     "load",
     "write_csv",
     "write_mcap",

@@ -3,22 +3,31 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.metrics.recording.data import Episode, Recording
+from zenostat.metrics.episode_weather import EpisodeWeather, read_weather
+from zenostat.metrics.recording.data import Recording
 from zenostat.metrics.recording.log import LogBuilder
+from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics import codec
 from zenostat.topics.errors import BadMessage, InvalidRecording
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.messages import Event, Manifest
 from zenostat.topics.printable import replace_controls
-from zenostat.topics.recording import RecordedEpisode
+from zenostat.topics.recording import RecordedEpisode, RecordedWeather
+
+if TYPE_CHECKING:
+    from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
+
+_SCHEMAS = frozenset(("Sample", "RecordedOrder", "RecordedEpisode", "RecordedWeather"))
 
 
 def load(path: str | Path) -> Recording:
@@ -36,29 +45,19 @@ def load(path: str | Path) -> Recording:
     """
     with requires_extra("recording", "a recording", "mcap and zstandard"):
         from zenostat.bridge.recording.reader import RecordingReader
+    events: list[tuple[datetime, Event]] = []
+    log = LogBuilder()
+
+    def add(item: RecordedItem, simulated: str) -> None:
+        if item.schema == "Event":
+            event = codec.decode(Event, item.payload)
+            events.append((datetime.fromtimestamp(item.time_ns / 1e9, UTC), event))
+            log.add_event(event, item.time_ns)
+        else:
+            log.add(item, simulated)
+
     with RecordingReader(path) as reader:
-        samples, log = _Samples(reader.manifest), LogBuilder()
-        events: list[tuple[datetime, Event]] = []
-        starts: dict[tuple[int, int], tuple[RecordedEpisode, int]] = {}
-        try:
-            for item in reader.messages():
-                if item.schema == "Sample":
-                    samples.add(item.time_ns, msgpack.unpackb(item.payload))
-                elif item.schema == "RecordedOrder":
-                    samples.order = msgpack.unpackb(item.payload)["values"]
-                elif item.schema == "RecordedEpisode":
-                    record = codec.decode(RecordedEpisode, item.payload)
-                    for index, slot in enumerate(record.slots):
-                        starts[record.episode[index], slot] = record, index
-                elif item.schema == "Event":
-                    event = codec.decode(Event, item.payload)
-                    events.append((datetime.fromtimestamp(item.time_ns / 1e9, UTC), event))
-                    log.add_event(event, item.time_ns)
-                else:
-                    log.add(item, samples.time)
-            episodes = samples.episodes(starts)
-        except (BadMessage, KeyError, ValueError) as error:
-            raise InvalidRecording(f"{path} is damaged: a message cannot be read ({error})") from None
+        episodes = sorted(read_trajectories(reader, add), key=lambda episode: (episode.number, episode.slot))
         end = reader.end
         if end.text:
             warnings.warn(f"{path}: {end.text}", stacklevel=2)
@@ -67,7 +66,7 @@ def load(path: str | Path) -> Recording:
             manifest=reader.manifest,
             scenario=reader.scenario,
             provenance=reader.provenance,
-            episodes=episodes,
+            episodes=_of_one_table(episodes),
             events=tuple(events),
             log=log.finish(),
             is_complete=end.is_complete,
@@ -75,105 +74,157 @@ def load(path: str | Path) -> Recording:
         )
 
 
-class _Samples:
-    """Collects the fields of samples, and divides them into episodes.
+def _of_one_table(episodes: list[Trajectory]) -> tuple[Trajectory, ...]:
+    """Return the episodes with the same sources, and with fault-free values if any of them has some."""
+    sources = max((episode.sources for episode in episodes), key=len, default=())
+    has_faults = any(episode.fault_free_values is not episode.values for episode in episodes)
+    return tuple(
+        replace(
+            episode, sources=sources,
+            fault_free_values=episode.fault_free_values[:] if has_faults else episode.values,
+        )
+        for episode in episodes
+    )  # fmt: skip
+
+
+def read_trajectories(
+    reader: RecordingReader, add: Callable[[RecordedItem, str], None] | None = None
+) -> Iterator[Trajectory]:
+    """Iterate over the episodes of each slot, as soon as their last sample has been read.
+
+    `sources` of an episode are those of the recording up to its end.
+
+    Args:
+        reader: Of the recording.
+        add: Called with each message that is not part of a trajectory, and the simulated time of the latest sample.
+
+    Raises:
+        InvalidRecording: The recording is damaged.
+    """
+    division = _Division(reader.manifest)
+    try:
+        for item in reader.messages(_SCHEMAS if add is None else None):
+            if item.schema in _SCHEMAS:
+                yield from division.add(item)
+            elif add is not None:
+                add(item, division.time)
+        yield from division.finish()
+    except (BadMessage, LookupError, TypeError, ValueError) as error:
+        raise InvalidRecording(f"{reader.path} is damaged: a message cannot be read ({error})") from None
+
+
+class _Division:
+    """Divides samples into the episodes of each slot.
 
     Attributes:
-        order: the values that the plant received since the latest sample; None if it received none.
-        time: simulated time of the latest sample, slot 0.
+        time: Simulated time of the latest sample, slot 0.
     """
 
     def __init__(self, manifest: Manifest) -> None:
-        self._manifest = manifest
-        self.order: bytes | None = None
-        self.time = ""
-        self._relinquished = np.full((manifest.slots, len(manifest.actuators)), np.nan).tobytes()
-        self._wall_ns: list[int] = []
-        self._lists: dict[str, list[list[int]]] = {"episode": [], "step": [], "flags": []}
-        self._raw: dict[str, list[bytes]] = {
-            name: []
-            for name in ("values", "fault_free_values", "effective", "orders", "baseline", "baseline_effective")
-        }
-        self._has_faults = False
-        self._sources: dict[str, int] = {}
-        self._source_rows: list[NDArray[np.intp]] = []
-        self._mapping: tuple[list[str], NDArray[np.intp]] = ([], np.empty(0, np.intp))
+        self._manifest, self.time = manifest, ""
+        points, actuators = len(manifest.names), len(manifest.actuators)
+        self._widths = {"values": points, "effective": actuators}
+        if manifest.baseline:
+            self._widths |= {"baseline": points, "baseline_effective": actuators}
+        self._relinquished = np.full((manifest.slots, actuators), np.nan).tobytes()
+        self._order: bytes | None = None
+        self._sources: dict[str, int] = {"": 0}
+        self._mapping: tuple[list[str], NDArray[np.uint16]] = ([], np.empty(0, np.uint16))
+        self._starts: dict[tuple[int, int], dict[str, Any]] = {}
+        self._weathers: dict[tuple[int, int], EpisodeWeather] = {}
+        self._running: dict[int, _Episode] = {}
 
-    def add(self, time_ns: int, sample: dict[str, Any]) -> None:
-        self._wall_ns.append(time_ns)
-        for name, rows in self._lists.items():
-            rows.append(sample[name])
-        raw, values = self._raw, sample["values"]
-        fault_free = sample["fault_free_values"]
-        self._has_faults |= bool(fault_free)
-        raw["values"].append(values)
-        raw["fault_free_values"].append(fault_free or values)
-        raw["effective"].append(sample["effective"])
-        raw["orders"].append(self.order or self._relinquished)
-        raw["baseline"].append(sample["baseline"])
-        raw["baseline_effective"].append(sample["baseline_effective"])
-        self.order = None
+    def add(self, item: RecordedItem) -> Iterator[Trajectory]:
+        """Add a message; return the episodes that ended before it."""
+        if item.schema == "Sample":
+            yield from self._add_sample(item.time_ns, msgpack.unpackb(item.payload))
+        elif item.schema == "RecordedOrder":
+            self._order = msgpack.unpackb(item.payload)["values"]
+        elif item.schema == "RecordedEpisode":
+            record = codec.decode(RecordedEpisode, item.payload)
+            for slot, number, seed, weather in zip(
+                record.slots, record.episode, record.seeds, record.weather, strict=True
+            ):
+                self._starts[number, slot] = {"seed": seed, "weather": weather, "snapshot": record.snapshot}
+        else:
+            recorded = codec.decode(RecordedWeather, item.payload)
+            span = self._manifest.steps * self._manifest.timestep
+            self._weathers[recorded.episode, recorded.slot] = read_weather(recorded, span)
+
+    def _add_sample(self, time_ns: int, sample: dict[str, Any]) -> Iterator[Trajectory]:
+        slots = self._manifest.slots
+        tables = [(name, sample[name], width) for name, width in self._widths.items()]
+        tables.append(("orders", self._order or self._relinquished, self._widths["effective"]))
+        tables.append(("fault_free_values", sample["fault_free_values"] or sample["values"], self._widths["values"]))
+        has_faults, self._order = bool(sample["fault_free_values"]), None
         self.time = replace_controls(sample["time"][0])
         if sample["sources"] != self._mapping[0]:
             names = map(replace_controls, sample["sources"])
             indices = [self._sources.setdefault(name, len(self._sources)) for name in names]
-            self._mapping = sample["sources"], np.array(indices, np.intp)
-        self._source_rows.append(self._mapping[1][np.frombuffer(sample["source_index"], "<u2")])
+            self._mapping = sample["sources"], np.array(indices, np.uint16)
+        source_index = self._mapping[1][np.frombuffer(sample["source_index"], "<u2")].reshape(slots, -1)
+        for slot in range(slots):
+            number, step = sample["episode"][slot], sample["step"][slot]
+            running = self._running.get(slot)
+            if running is None or running.number != number:
+                yield from self._end(running)
+                running = self._running[slot] = _Episode(number, slot)
+            elif step == running.step[-1]:  # repeated while other slots begin an episode or step
+                continue
+            running.step.append(step)
+            running.wall_ns.append(time_ns)
+            running.flags.append(sample["flags"][slot])
+            running.not_accepted.append((sample["late"], sample["rejected"]))
+            running.source_index.append(source_index[slot])
+            running.has_faults |= has_faults
+            for name, raw, width in tables:
+                if len(raw) != 8 * width * slots:
+                    raise BadMessage(f"{name} has {len(raw)} bytes; {8 * width * slots} expected")
+                running.tables.setdefault(name, []).append(raw[8 * width * slot : 8 * width * (slot + 1)])
 
-    def _array(self, name: str, width: int) -> NDArray[np.float64]:
-        raw = b"".join(self._raw[name])
-        return np.frombuffer(raw).reshape(len(self._wall_ns), self._manifest.slots, width)
+    def finish(self) -> Iterator[Trajectory]:
+        """Return the episodes that were running at the end."""
+        for episode in self._running.values():
+            yield from self._end(episode)
 
-    def episodes(self, starts: dict[tuple[int, int], tuple[RecordedEpisode, int]]) -> tuple[Episode, ...]:
-        """Return the episodes by number, then by slot."""
-        if not self._wall_ns:
-            return ()
-        manifest = self._manifest
-        points, actuators = len(manifest.names), len(manifest.actuators)
-        lists = {name: np.array(rows, np.int64) for name, rows in self._lists.items()}
-        arrays = {
-            "values": self._array("values", points),
-            "effective": self._array("effective", actuators),
-            "orders": self._array("orders", actuators),
+    def _end(self, episode: _Episode | None) -> Iterator[Trajectory]:
+        if episode is None:
+            return
+        key, count = (episode.number, episode.slot), len(episode.step)
+        arrays: dict[str, Any] = {
+            name: np.frombuffer(bytearray().join(rows)).reshape(count, -1) if rows[0] else np.empty((count, 0))
+            for name, rows in episode.tables.items()
         }
-        if self._has_faults:
-            arrays["fault_free_values"] = self._array("fault_free_values", points)
-        if manifest.baseline:
-            arrays["baseline"] = self._array("baseline", points)
-            arrays["baseline_effective"] = self._array("baseline_effective", actuators)
-        wall = np.array(self._wall_ns, "datetime64[ns]")
-        source_index = np.stack(self._source_rows).reshape(len(wall), manifest.slots, actuators)
-        begin, step_us = np.datetime64(manifest.begin, "us"), round(manifest.step_s * 1e6)
-        episodes = []
-        for slot in range(manifest.slots):
-            episode, step = lists["episode"][:, slot], lists["step"][:, slot]
-            # While other slots begin an episode or step, a slot's sample is published again.
-            is_new = np.ones(len(step), bool)
-            is_new[1:] = (np.diff(episode) != 0) | (np.diff(step) != 0)
-            for number in np.unique(episode):
-                rows = np.flatnonzero(is_new & (episode == number))
-                record, index = starts.get((int(number), slot), (None, 0))
-                of_slot = {name: array[rows, slot] for name, array in arrays.items()}
-                episodes.append(
-                    Episode(
-                        manifest=manifest,
-                        number=int(number),
-                        slot=slot,
-                        seed=None if record is None else record.seeds[index],
-                        weather="" if record is None else record.weather[index],
-                        snapshot="" if record is None else record.snapshot,
-                        step=step[rows],
-                        time=begin + step[rows] * np.timedelta64(step_us, "us"),
-                        wall_time=wall[rows],
-                        values=of_slot["values"],
-                        fault_free_values=of_slot.get("fault_free_values", of_slot["values"]),
-                        effective=of_slot["effective"],
-                        orders=of_slot["orders"],
-                        source_index=source_index[rows, slot],
-                        sources=tuple(self._sources),
-                        flags=lists["flags"][rows, slot],
-                        baseline=of_slot.get("baseline"),
-                        baseline_effective=of_slot.get("baseline_effective"),
-                    )
-                )
-        return tuple(sorted(episodes, key=lambda episode: (episode.number, episode.slot)))
+        if not episode.has_faults:
+            del arrays["fault_free_values"]
+        yield Trajectory(
+            self._manifest,
+            np.array(episode.step, np.int64),
+            source_index=np.stack(episode.source_index),
+            sources=tuple(self._sources),
+            wall_time=np.array(episode.wall_ns, "datetime64[ns]"),
+            flags=np.array(episode.flags, np.int64),
+            not_accepted=np.array(episode.not_accepted, np.int64),
+            outdoor=self._weathers.pop(key, None),
+            number=episode.number,
+            slot=episode.slot,
+            **arrays,
+            **self._starts.pop(key, {}),
+        )
+
+
+class _Episode:
+    """Fields of the samples of an episode in one slot."""
+
+    __slots__ = (
+        "flags", "has_faults", "not_accepted", "number", "slot", "source_index", "step", "tables", "wall_ns",
+    )  # fmt: skip
+
+    def __init__(self, number: int, slot: int) -> None:
+        self.number, self.slot, self.has_faults = number, slot, False
+        self.step: list[int] = []
+        self.wall_ns: list[int] = []
+        self.flags: list[int] = []
+        self.not_accepted: list[tuple[int, int]] = []
+        self.source_index: list[NDArray[np.uint16]] = []
+        self.tables: dict[str, list[bytes]] = {}

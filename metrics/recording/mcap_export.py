@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.metrics.recording.data import Episode, Recording
+from zenostat.metrics.recording.data import Recording
+from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics import VERSION
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidRecording
@@ -99,6 +100,7 @@ def _topics(recording: Recording, writer: Any, messages: _Messages) -> Iterator[
     for episode in recording.episodes:
         root = f"/{manifest.node}/episode_{episode.number:04}" + (f"/slot_{episode.slot}" if manifest.slots > 1 else "")
         times_ns = episode.time.astype("datetime64[ns]").astype(np.int64)
+        assert episode.wall_time is not None
         wall_ns = episode.wall_time.astype("datetime64[ns]").astype(np.int64)
 
         def topic(
@@ -123,7 +125,7 @@ def _topics(recording: Recording, writer: Any, messages: _Messages) -> Iterator[
                 yield _Topic(log.channel(f"{root}/events"), at_ns, _log_rows(log.message, at_ns, events))
 
 
-def _point_tables(episode: Episode) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def _point_tables(episode: Trajectory) -> Iterator[tuple[str, NDArray[np.float64]]]:
     yield "points", episode.values
     if episode.fault_free_values is not episode.values:
         yield "fault_free", episode.fault_free_values
@@ -131,9 +133,10 @@ def _point_tables(episode: Episode) -> Iterator[tuple[str, NDArray[np.float64]]]
         yield "baseline", episode.baseline
 
 
-def _actuator_tables(episode: Episode) -> Iterator[tuple[str, NDArray[np.float64]]]:
+def _actuator_tables(episode: Trajectory) -> Iterator[tuple[str, NDArray[np.float64]]]:
     yield "effective", episode.effective
-    yield "orders", episode.orders
+    if episode.orders is not None:
+        yield "orders", episode.orders
     if episode.baseline_effective is not None:
         yield "baseline_effective", episode.baseline_effective
 

@@ -1,13 +1,14 @@
 """Recordings: as NumPy arrays by name, as tables, as a log of requests, and repeated on another node."""
 
 from zenostat.lab.drive import DriveResult, drive
-from zenostat.metrics.recording import Episode, LogEntry, Recording, load, write_csv, write_mcap, write_parquet
+from zenostat.metrics.recording import LogEntry, Recording, load, write_csv, write_mcap, write_parquet
+from zenostat.metrics.trajectory import Trajectory
 
 __all__ = [
     "DriveResult",
-    "Episode",
     "LogEntry",
     "Recording",
+    "Trajectory",
     "drive",
     "load",
     "write_csv",

@@ -20,7 +20,7 @@ from support.run_cli import ZENOSTAT
 
 import zenostat
 from zenostat.metrics.recording import load
-from zenostat.metrics.recording.data import Episode
+from zenostat.metrics.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "hardware-in-the-loop.md").read_text()
@@ -123,7 +123,7 @@ def clock(time: datetime | str) -> timedelta:
     return time - datetime(time.year, 7, 3)
 
 
-def between(episode: Episode, begin: timedelta, end: timedelta) -> np.ndarray:
+def between(episode: Trajectory, begin: timedelta, end: timedelta) -> np.ndarray:
     """Which timesteps lie between two times; the values of each sample are those at its end."""
     step = timedelta(seconds=episode.manifest.step_s)
     times = [clock(time) for time in episode.time.tolist()]
@@ -169,7 +169,7 @@ def test_the_page_shows_what_it_says(scratch: Path) -> None:
     _check(load(scratch / "hil.mcap").episodes[0], plc, pre_cooling, dashboard, run.own)
 
 
-def _check(episode: Episode, plc: Path, pre_cooling: Path, dashboard: Path, own: str) -> None:
+def _check(episode: Trajectory, plc: Path, pre_cooling: Path, dashboard: Path, own: str) -> None:
     """Check the table of the page, from what was recorded and printed."""
     hour = timedelta(hours=1)
     sources, effective = episode.value_source(SETPOINT), episode[SETPOINT]
