@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import gymnasium as gym
@@ -11,31 +11,45 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.agent_sdk.controllers import Agent
+from zenostat.metrics.trajectory import Trajectory
+from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 
 
 @dataclass(frozen=True, slots=True)
-class Episode:
-    """One episode of T timesteps.
+class AgentEpisode:
+    """One episode of T timesteps, with what its agent knew.
 
     Attributes:
-        seed: the seed of its reset.
-        weather: the name of its weather file.
+        trajectory: with actions and rewards of the environment's spaces, its seed and its weather.
         observations: shape (T + 1, observations); row t is what the controller knew when it chose action t.
-        actions: as of the environment's space, shape (T, actions), or (T,) for a single discrete action.
-        rewards: shape (T,).
-        terminations, truncations: shape (T,); only the last of either is true.
-        infos: arrays of T + 1 rows by name, nested as the environment's infos are. Row t + 1 belongs to step t; row 0
-            is the state after the reset, where terms of the reward are NaN.
+        is_random: whether each action was a random one, shape (T,).
+        terminated, truncated: how the episode ended.
+        metrics: metrics of the reward by name, each with T + 1 rows as `infos` has them.
     """
 
-    seed: int
-    weather: str
+    trajectory: Trajectory
     observations: NDArray[np.float32]
-    actions: NDArray[Any]
-    rewards: NDArray[np.float64]
-    terminations: NDArray[np.bool_]
-    truncations: NDArray[np.bool_]
-    infos: dict[str, Any]
+    is_random: NDArray[np.bool_]
+    terminated: bool
+    truncated: bool
+    metrics: dict[str, NDArray[Any]]
+
+    def infos(self) -> dict[str, Any]:
+        """Return arrays of T + 1 rows by name, nested as the environment's infos are.
+
+        Row t + 1 belongs to step t; row 0 is the state after the reset, where terms of the reward are NaN.
+        """
+        run = self.trajectory
+        tables = {
+            "effective": dict(zip(run.actuators, run.effective.T, strict=True)),
+            "reward_terms": {name: np.append(np.nan, term) for name, term in run.terms.items()},
+            "reward_metrics": self.metrics,
+        }
+        return {
+            "time": [time.isoformat() for time in run.time.tolist()],
+            "step": run.step,
+            "is_random": np.append(False, self.is_random),
+        } | {name: table for name, table in tables.items() if table}
 
 
 def run_episode(
@@ -45,7 +59,7 @@ def run_episode(
     seed: int,
     epsilon: float = 0.0,
     progress: Callable[[int], None] | None = None,
-) -> Episode:
+) -> AgentEpisode:
     """Run an episode.
 
     Args:
@@ -59,59 +73,36 @@ def run_episode(
     observation, info = env.reset(seed=seed)
     exploration = np.random.default_rng(seed)
     env.action_space.seed(seed)
-    observations, infos = [observation], [_info_row(building, info, is_random=False)]
-    actions, rewards, terminations, truncations = [], [], [], []
-    is_over = False
-    while not is_over:
+    recorder = TrajectoryRecorder(building.manifest)
+    recorder.add(building.sample)
+    observations, metrics = [observation], [info.get("reward_metrics", {})]
+    actions, rewards, is_random = [], [], []
+    terminated = truncated = False
+    while not (terminated or truncated):
         action = agent.action(building.sample)  # also where it is not sent: controllers count their timesteps
-        is_random = bool(exploration.random() < epsilon)
-        if is_random:
+        is_random.append(bool(exploration.random() < epsilon))
+        if is_random[-1]:
             action = env.action_space.sample()
         observation, reward, terminated, truncated, info = env.step(action)
+        recorder.add(building.sample, info.get("reward_terms"))
         observations.append(observation)
         actions.append(action)
         rewards.append(float(reward))
-        terminations.append(bool(terminated))
-        truncations.append(bool(truncated))
-        infos.append(_info_row(building, info, is_random=is_random))
-        is_over = terminated or truncated
+        metrics.append(info.get("reward_metrics", {}))
         if progress is not None:
             progress(len(rewards))
-    return Episode(
-        seed=seed,
-        weather=str(info.get("weather", "")),
-        observations=np.asarray(observations, env.observation_space.dtype),
+    trajectory = replace(
+        recorder.trajectory(),
         actions=np.asarray(actions, env.action_space.dtype),
         rewards=np.asarray(rewards),
-        terminations=np.asarray(terminations),
-        truncations=np.asarray(truncations),
-        infos=_columns(infos),
+        seed=seed,
+        weather=str(info.get("weather", "")),
     )
-
-
-def _info_row(building: Any, info: dict[str, Any], *, is_random: bool) -> dict[str, Any]:
-    """Return the entries of an info that each timestep has, with actuators and terms by name."""
-    actuators = [actuator.name for actuator in building.manifest.actuators]
-    return {
-        "time": str(info["time"]),
-        "step": int(info["step"]),
-        "is_random": is_random,
-        "effective": dict(zip(actuators, map(float, info["effective"]), strict=True)),
-        "reward_terms": info.get("reward_terms", {}),
-        "reward_metrics": info.get("reward_metrics", {}),
-    }
-
-
-def _columns(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return an array for each key; a key that the first row lacks is NaN there."""
-    columns: dict[str, Any] = {}
-    for name, value in rows[-1].items():
-        if isinstance(value, dict):
-            parts = [{key: row[name].get(key, np.nan) for key in value} for row in rows]
-            if value:
-                columns[name] = _columns(parts)
-        elif isinstance(value, str):
-            columns[name] = [row[name] for row in rows]
-        else:
-            columns[name] = np.asarray([row[name] for row in rows])
-    return columns
+    return AgentEpisode(
+        trajectory,
+        np.asarray(observations, env.observation_space.dtype),
+        np.asarray(is_random),
+        bool(terminated),
+        bool(truncated),
+        {name: np.asarray([row.get(name, np.nan) for row in metrics]) for name in metrics[-1]},
+    )

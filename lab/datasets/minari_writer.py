@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from zenostat.lab.datasets.episode import Episode
+from zenostat.lab.datasets.episode import AgentEpisode
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 
@@ -66,7 +67,7 @@ def write_minari(
     spaces: tuple[gym.Space[Any], gym.Space[Any]],
     spec: EnvSpec | None,
     metadata: Mapping[str, Any],
-    episodes: Iterable[tuple[Episode, Mapping[str, Any]]],
+    episodes: Iterable[tuple[AgentEpisode, Mapping[str, Any]]],
 ) -> None:
     """Write a data set as the episodes come; it appears at `path` when it is complete, or not at all.
 
@@ -95,14 +96,15 @@ def write_minari(
         )
         storage.update_metadata(dict(metadata))
         for number, (episode, about) in enumerate(episodes):
+            is_last = np.arange(episode.trajectory.steps) == episode.trajectory.steps - 1
             buffer: Any = EpisodeBuffer(
-                seed=episode.seed,
+                seed=episode.trajectory.seed,
                 observations=episode.observations,
-                actions=episode.actions,
-                rewards=episode.rewards,
-                terminations=episode.terminations,
-                truncations=episode.truncations,
-                infos=episode.infos,
+                actions=episode.trajectory.actions,
+                rewards=episode.trajectory.rewards,
+                terminations=is_last & episode.terminated,
+                truncations=is_last & episode.truncated,
+                infos=episode.infos(),
             )
             storage.update_episodes([buffer])
             storage.update_episode_metadata([dict(about)], [number])

@@ -18,7 +18,7 @@ from zenostat.agent_sdk.controllers import Agent, ControllerProtocol, make_contr
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.wrappers.names import names_of
 from zenostat.bridge.client.controller_link import ControllerLink
-from zenostat.lab.datasets.episode import Episode, run_episode
+from zenostat.lab.datasets.episode import AgentEpisode, run_episode
 from zenostat.lab.datasets.minari_writer import check_minari, check_new_dataset, datasets_folder, write_minari
 from zenostat.lab.evaluate import (
     ControllerFactory,
@@ -136,7 +136,7 @@ def _run(
     seed: int,
     epsilon: float,
     progress: Progress | None,
-) -> Iterator[tuple[Episode, dict[str, Any]]]:
+) -> Iterator[tuple[AgentEpisode, dict[str, Any]]]:
     """Run all episodes, each with its metadata."""
     building: Any = env.unwrapped
     steps = building.manifest.steps
@@ -149,7 +149,10 @@ def _run(
                     progress(name, number, step, steps)
 
             episode = run_episode(env, agent, seed=seed, epsilon=epsilon, progress=report)
-            yield episode, {"controller": name, "weather": episode.weather, "return": float(episode.rewards.sum())}
+            rewards = episode.trajectory.rewards
+            assert rewards is not None
+            weather = episode.trajectory.weather
+            yield episode, {"controller": name, "weather": weather, "return": float(rewards.sum())}
             seed += 1
 
 
