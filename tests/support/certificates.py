@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from zenostat.bridge.transport import certificates
-from zenostat.bridge.transport.access_control import Role
+from zenostat.topics.keys import Role
 
 
 def expire(folder: Path, name: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -15,12 +15,14 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 import zenostat
 from support.nodes import NodeProgram
+from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.models.building.edits import Edits
 from zenostat.models.building.model import for_episode, read_building, with_edits, write
 from zenostat.models.catalog import find_building, find_weather
@@ -55,7 +57,7 @@ class Case:
     steps_per_hour: int
     edits: Edits = field(default_factory=dict, hash=False)
 
-    def settings(self) -> dict[str, object]:
+    def settings(self) -> dict[str, Any]:
         """Return the settings of a node."""
         return {name: getattr(self, name) for name in self.__slots__}
 
@@ -64,7 +66,7 @@ Runs = tuple[Manifest, NDArray[np.float64], NDArray[np.float64]]
 """A manifest; the values of each timestep over the bus, shape (steps, points); those of EnergyPlus alone."""
 
 
-def run_both(case: Case, folder: Path, **points: object) -> Runs:
+def run_both(case: Case, folder: Path, **points: Any) -> Runs:
     """Run a case over the bus without commands, and by EnergyPlus alone.
 
     Args:
@@ -73,7 +75,7 @@ def run_both(case: Case, folder: Path, **points: object) -> Runs:
         points: settings of the node: `sensors`, `meters`, `actuators`.
     """
     with NodeProgram(folder, **case.settings(), **points) as node:
-        with zenostat.connect(node.endpoint, affinity="off") as bus:
+        with zenostat.connect(node.endpoint, affinity=Affinity.OFF) as bus:
             manifest = bus.manifest("office")
         alone = Alone(case, manifest.sensors, manifest.meters, folder / "alone")
         try:
@@ -88,8 +90,8 @@ def run_both(case: Case, folder: Path, **points: object) -> Runs:
 
 def _over_the_bus(node: NodeProgram) -> tuple[Manifest, NDArray[np.float64]]:
     """All samples of an episode that nobody commands; shape (steps + 1, points)."""
-    with zenostat.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
-        samples = []
+    with zenostat.connect(node.endpoint, affinity=Affinity.OFF) as bus, bus.controller("office") as link:
+        samples: list[NDArray[np.float64]] = []
         for sample in link:
             assert sample.step == len(samples)
             assert set(sample.value_source.values()) <= {""}
@@ -178,7 +180,7 @@ def _sum(columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
 
 def _dictionary(file: Iterator[str]) -> dict[tuple[str, str, str], str]:
     """(key, name, frequency) to id; reads `file` up to the end of its dictionary. A meter's key is empty."""
-    identities = {}
+    identities: dict[tuple[str, str, str], str] = {}
     for line in file:
         if line.startswith("End of Data Dictionary"):
             return identities
@@ -195,7 +197,8 @@ def _table(file: Iterator[str], columns: dict[str, int], period: tuple[int, int]
     """The rest of an ESO file; later entries of a timestep replace earlier ones of it."""
     steps, steps_per_hour = period
     table = np.full((steps, width), np.nan)
-    row, present, days, day = -1, {}, -1, ""
+    present: dict[int, str] = {}
+    row, days, day = -1, -1, ("", "")
     for line in file:
         identity, _, text = line.partition(",")
         column = columns.get(identity)

@@ -15,6 +15,7 @@ import pytest
 import zenostat  # noqa: F401  # registers the environments
 from support.nodes import engines_of, runs, until
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.bridge.client.controller_link import ControllerLink
 
 SMALL = "zenostat/ref-small-office-USA_CO_Denver-continuous-v1"
 """One summer day of it has 96 steps with `FOUR`."""
@@ -101,6 +102,7 @@ def new_engine(env: BuildingEnv, make_one: Callable[[], Any]) -> tuple[Any, psut
 
 def drop_forks(env: BuildingEnv) -> None:
     """Drop all snapshots of its node, and wait until these and the branches, which tests close, have gone."""
+    assert isinstance(env.link, ControllerLink)
     bus, node = env.link.bus, env.manifest.node
     for snapshot in bus.status(node).snapshots:
         bus.drop(node, snapshot.name)

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.empty_plant import EmptyPlant, empty_node
-from zenostat.bridge.node.plant import PlantContext, SlotPlacement
+from zenostat.bridge.node.plant import PlantContext, RunningPlant, SlotPlacement
 from zenostat.bridge.node.program import main
 from zenostat.topics.errors import PlantFailed
 from zenostat.topics.messages import EngineStart, EpisodeStart
@@ -44,7 +44,8 @@ class CopyablePlant(FragilePlant):
             copy._copy_slot(target, self, slot)
         return copy
 
-    def restore(self, saved: CopyablePlant, episode: Sequence[int]) -> list[EpisodeStart]:
+    def restore(self, saved: RunningPlant, episode: Sequence[int]) -> list[EpisodeStart]:
+        assert isinstance(saved, EmptyPlant)
         for slot in range(len(self._steps)):
             self._copy_slot(slot, saved, slot)
         return [EpisodeStart(engine_start=EngineStart.SNAPSHOT, weather="") for _ in self._steps]

@@ -147,7 +147,7 @@ def logged(path: Path, component: str) -> dict[str, dict[int, Any]]:
 
 def times(path: Path, entity: str) -> dict[int, np.datetime64]:
     """Simulated time of each row of an entity, by step."""
-    moments_by_step = {}
+    moments_by_step: dict[int, np.datetime64] = {}
     for name, columns in _chunks(path, is_static=False):
         if name == entity and "simulated" in columns:
             moments = [np.datetime64(moment, "ns") for moment in columns["simulated"]]

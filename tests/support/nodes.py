@@ -78,8 +78,8 @@ class NodeProgram:
     def __init__(self, folder: Path, *, before: tuple[str, ...] = (), module: str = "", **settings: Any) -> None:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder = folder
-        arguments = {"listen": [f"unixsock-stream/{folder}/bus"], "folder": str(folder / "run"), "affinity": "off"}
-        arguments |= {"name": "office", **settings}
+        arguments: dict[str, Any] = {"listen": [f"unixsock-stream/{folder}/bus"], "folder": str(folder / "run")}
+        arguments |= {"affinity": "off", "name": "office", **settings}
         self.name: str = arguments["name"]
         self.endpoint: str = (arguments["listen"] or arguments["connect"])[0]
         self.process = subprocess.Popen(
@@ -280,8 +280,7 @@ def interrupted(
 ) -> None:
     """A signal to a program once `when` holds: it ends with 128 and that, without a traceback, and leaves nothing."""
     with nothing_left(cwd):
-        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        run = subprocess.Popen(command, text=True, cwd=cwd, **pipes)
+        run = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=cwd)
         try:
             until(when, what)
             run.send_signal(number)

@@ -93,7 +93,7 @@ def run(name: str, of: Manifest, *recording: Any, episodes: int = 1, **options: 
 
 
 def office_comparison(
-    names: Sequence[str] = ("baseline", "rbc"), *, building: str = "office", **texts: str
+    names: Sequence[str] = ("baseline", "rbc"), *, building: str = "office", **texts: Any
 ) -> Comparison:
     """Two controllers on one day: the second one saves a tenth of the electricity and lets the south overheat."""
     of = office().model_copy(update={"building": building})

@@ -16,6 +16,7 @@ import zmq
 
 import zenostat
 from support.nodes import NodeProgram, begin_new_episode, until
+from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics import codec
 from zenostat.topics.messages import Event, EventKind, Sample
 
@@ -138,7 +139,7 @@ def module_gateway(shared_node: NodeProgram) -> Iterator[GatewayProgram]:
 @pytest.fixture
 def gateway(shared_node: NodeProgram, module_gateway: GatewayProgram) -> GatewayProgram:
     """`module_gateway`, after it has published the first sample of a new episode."""
-    with zenostat.connect(shared_node.endpoint, affinity="off") as bus:
+    with zenostat.connect(shared_node.endpoint, affinity=Affinity.OFF) as bus:
         episode = begin_new_episode(bus)
     with Peer(module_gateway) as peer:
         peer.listen("sample")
