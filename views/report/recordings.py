@@ -92,7 +92,7 @@ def compare_recordings(
 
 @dataclass(frozen=True, slots=True)
 class _Episode:
-    """What a report has of each episode; `step` is the last one."""
+    """An episode as a report lists it; `step` is the last one."""
 
     number: int
     first_step: int
