@@ -56,7 +56,7 @@ def pids(algorithm: Any) -> list[int]:
 
 def nodes_of(pid: int) -> list[psutil.Process]:
     """The nodes that a process has started."""
-    return [child for child in psutil.Process(pid).children() if "eplus_node" in command_of(child)]
+    return [child for child in psutil.Process(pid).children() if "zenostat.eplus_node" in command_of(child)]
 
 
 def test_ppo_trains_and_survives_a_killed_worker(cluster: None, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -38,7 +38,7 @@ def target(link: str) -> str:
 
 def node_of(program: Program) -> psutil.Process | None:
     children = psutil.Process(program.pid).children()
-    return next((child for child in children if "eplus_node" in command_of(child)), None)
+    return next((child for child in children if "zenostat.eplus_node" in command_of(child)), None)
 
 
 def test_the_second_does_not_disturb_what_the_first_began() -> None:

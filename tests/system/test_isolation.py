@@ -33,7 +33,7 @@ print("stepped to", info["step"])
 def test_a_script_beside_a_models_file_of_its_own(scratch: Path, from_its_folder: bool) -> None:
     home = scratch / "home"
     home.mkdir()
-    for name in ("agent_sdk", "bridge", "cli", "eplus_node", "models", "topics"):
+    for name in ("agent_sdk", "bridge", "cli", "eplus_node", "lab", "metrics", "models", "topics", "views"):
         (home / f"{name}.py").write_text("raise RuntimeError('a file of the user was imported')\n")
     (home / "script.py").write_text(SCRIPT)
     done = subprocess.run(

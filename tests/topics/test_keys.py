@@ -21,7 +21,19 @@ from zenostat.topics.keys import TOPICS, Delivery, Role, Topic
 from zenostat.topics.messages import Ack, ErrorReply, Message
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = ("agent_sdk", "bench", "bridge", "cli", "eplus_node", "examples", "models")
+PACKAGES = (
+    "agent_sdk",
+    "bench",
+    "bridge",
+    "cli",
+    "eplus_node",
+    "examples",
+    "gateways",
+    "lab",
+    "metrics",
+    "models",
+    "views",
+)
 
 rows = pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
 

@@ -107,7 +107,7 @@ def test_gymnasium_collects_the_frames_of_an_episode() -> None:
 
 def test_without_a_render_mode_nothing_is_recorded_or_imported() -> None:
     script = (
-        "import sys, gymnasium, agent_sdk\n"
+        "import sys, gymnasium, zenostat\n"
         "env = gymnasium.make('zenostat/Fake-v1'); env.reset(seed=0); env.step(env.action_space.sample())\n"
         "assert env.unwrapped._history is None and 'matplotlib' not in sys.modules\n"
     )
