@@ -28,6 +28,7 @@ from zenostat.agent_sdk.envs.vector_sample import Link
 from zenostat.agent_sdk.rewards import AnyReward, Reward
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
 from zenostat.topics.messages import WeatherSeries
@@ -138,6 +139,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         link: Link = self._connection.link
         return link
 
+    @one_thread(BUSY)
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -166,16 +168,11 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         Warns:
             UserWarning: Another node was started, or the recording has stopped, with the reason.
         """
-        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
-        if busy:
-            raise UsageError(BUSY)
         try:
             return self._reset(None if seed is None else check_seed(seed), options or {})
         except (EpisodeChanged, BusError):
             self._connection.check_open()
             raise
-        finally:
-            self._busy = False
 
     def _reset(self, seed: int | None, options: dict[str, Any]) -> tuple[Observation, dict[str, Any]]:
         super().reset(seed=seed)
@@ -298,6 +295,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             raise EpisodeChanged("no episode is running; call reset() first")
         return self._sample
 
+    @one_thread(BUSY)
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Simulate one timestep under `action`.
 
@@ -312,17 +310,12 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             NodeLost, SimulatorError, RequestRejected, EpisodeChanged: See `ControllerLink.receive`.
             UsageError: Another thread is in `step` or `reset`.
         """
-        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
-        if busy:
-            raise UsageError(BUSY)
         try:
             self.step_async(action)
             return self.step_wait()
         except (EpisodeChanged, BusError):
             self._connection.check_open()
             raise
-        finally:
-            self._busy = False
 
     def step_async(self, action: ArrayLike) -> None:
         """Send the command of one timestep; `step_wait` waits for its sample, and others can be sent in between.

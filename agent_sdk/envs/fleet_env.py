@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any, Literal
 
@@ -32,7 +32,8 @@ from zenostat.agent_sdk.envs.vector_env import Observations, StepResult, check_m
 from zenostat.agent_sdk.envs.vector_infos import Infos
 from zenostat.agent_sdk.envs.vector_slot import Seeds, seeds_of, slots_of
 from zenostat.agent_sdk.rewards import AnyReward
-from zenostat.topics.errors import EpisodeChanged, InvalidConfig, UsageError, ZenostatError
+from zenostat.bridge.client.thread_guard import one_thread
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig, ZenostatError
 
 Result = tuple[Observation, float, bool, bool, Infos]
 OnError = Literal["truncate", "raise"]
@@ -129,6 +130,7 @@ class FleetVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
 
     # Episodes
 
+    @one_thread(BUSY)
     def reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Start an episode in each slot, or in those of `options={"reset_mask": …}`, a bool array of shape (slots,).
 
@@ -141,10 +143,8 @@ class FleetVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
                 any node is lost.
             UsageError: Another thread is in `step` or `reset`.
         """
-        with self._exclusive():
-            return self._reset(seed, dict(options or {}))
-
-    def _reset(self, seed: Seeds, options: dict[str, Any]) -> tuple[Observations, Infos]:
+        self._begin_call()
+        options = dict(options or {})
         slots = slots_of(options, self.num_envs)
         options.pop("reset_mask", None)
         seeds = seeds_of(seed, slots, self.num_envs) or [None] * len(slots)
@@ -211,6 +211,7 @@ class FleetVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
 
     # Timesteps
 
+    @one_thread(BUSY)
     def step(self, actions: ArrayLike) -> StepResult:
         """Simulate one timestep of each slot; with `NextStep`, slots whose episode has ended start a new one instead.
 
@@ -220,10 +221,7 @@ class FleetVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
                 other slots have simulated the timestep. Otherwise no node is left.
             UsageError: Another thread is in `step` or `reset`.
         """
-        with self._exclusive():
-            return self._step(actions)
-
-    def _step(self, actions: ArrayLike) -> StepResult:
+        self._begin_call()
         idle = self._idle_slots()
         self._actions.rows(
             actions, self.num_envs, idle
@@ -283,18 +281,10 @@ class FleetVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
     def _idle_result(self, slot: int, info: Infos) -> Result:
         return self._observations[slot].copy(), 0.0, False, slot in self._errors, info
 
-    @contextmanager
-    def _exclusive(self) -> Iterator[None]:
-        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
-        if busy:
-            raise UsageError(BUSY)
-        try:
-            if self.closed:
-                raise EpisodeChanged("the environment is closed; make another one")
-            self._failed.clear()
-            yield
-        finally:
-            self._busy = False
+    def _begin_call(self) -> None:
+        if self.closed:
+            raise EpisodeChanged("the environment is closed; make another one")
+        self._failed.clear()
 
     # Access to slots
 

@@ -24,8 +24,9 @@ from zenostat.agent_sdk.envs.vector_infos import Infos, masked, merge, select
 from zenostat.agent_sdk.envs.vector_sample import VectorLink, VectorSample, timestep
 from zenostat.agent_sdk.envs.vector_slot import Seeds, Slot, seeds_of, slots_of
 from zenostat.agent_sdk.rewards import AnyReward
+from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.runtime.affinity import Affinity
-from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
+from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig
 from zenostat.topics.messages import CommandOp, WeatherSeries
 from zenostat.topics.points import observed_indices
 from zenostat.topics.scenario_fields import NodeArguments, expand_arguments
@@ -126,6 +127,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
 
     # Episodes
 
+    @one_thread(BUSY)
     def reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Start an episode in each slot, or in those of `options={"reset_mask": …}`, a bool array of shape (slots,).
 
@@ -143,16 +145,11 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
             UserWarning: The local node had ended and another one was started, or the recording has stopped, with the
                 reason.
         """
-        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
-        if busy:
-            raise UsageError(BUSY)
         try:
             return self._reset(seed, options or {})
         except (EpisodeChanged, BusError):
             self._connection.check_open()
             raise
-        finally:
-            self._busy = False
 
     def _reset(self, seed: Seeds, options: dict[str, Any]) -> tuple[Observations, Infos]:
         self._connection.check_open()
@@ -215,6 +212,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
 
     # Timesteps
 
+    @one_thread(BUSY)
     def step(self, actions: ArrayLike) -> StepResult:
         """Simulate one timestep of each slot; with `NextStep`, slots whose episode has ended start a new one instead.
 
@@ -225,16 +223,11 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
             NodeLost, SimulatorError, RequestRejected, EpisodeChanged: See `ControllerLink.receive`.
             UsageError: Another thread is in `step` or `reset`.
         """
-        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
-        if busy:
-            raise UsageError(BUSY)
         try:
             return self._step(actions)
         except (EpisodeChanged, BusError):
             self._connection.check_open()
             raise
-        finally:
-            self._busy = False
 
     def _step(self, actions: ArrayLike) -> StepResult:
         restarting = self._restarting_slots()

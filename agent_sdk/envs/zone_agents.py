@@ -19,7 +19,8 @@ from zenostat.agent_sdk.envs.zone_partition import BUILDING, ZoneAgent, partitio
 from zenostat.agent_sdk.envs.zone_rewards import SharedReward
 from zenostat.agent_sdk.rewards import AnyReward, read_reward
 from zenostat.agent_sdk.rewards.custom import NamedValues
-from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, UsageError, did_you_mean
+from zenostat.bridge.client.thread_guard import one_thread
+from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, did_you_mean
 from zenostat.topics.extras import requires_extra
 
 with requires_extra("multi-agent", "an environment of zone agents", "PettingZoo"):
@@ -151,27 +152,20 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
             raise InvalidConfig(f"no agent {agent!r}; {did_you_mean(str(agent), self._agents)}")
         return agent
 
+    @one_thread(BUSY)
     def reset(
         self,
         seed: int | None = None,
         options: dict[str, Any] | None = None,  # noqa: ARG002
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         """Start an episode; see `BuildingEnv.reset`. Options are ignored, because PettingZoo's own checks pass some."""
-        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
-        if busy:
-            raise UsageError(BUSY)
-        try:
-            return self._reset(seed)
-        finally:
-            self._busy = False
-
-    def _reset(self, seed: int | None) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
         observation, info = self.env.reset(seed=seed)
         self.agents = self.possible_agents[:]
         if self._shared_reward is not None:
             self._shared_reward.reset()
         return self._split(observation), self._split_info(info)
 
+    @one_thread(BUSY)
     def step(
         self, actions: Mapping[str, ArrayLike]
     ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
@@ -185,17 +179,6 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
                 simulated.
             EpisodeChanged: The episode is over; and as for `BuildingEnv.step`.
         """
-        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
-        if busy:
-            raise UsageError(BUSY)
-        try:
-            return self._step(actions)
-        finally:
-            self._busy = False
-
-    def _step(
-        self, actions: Mapping[str, ArrayLike]
-    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
         if not self.agents:
             raise EpisodeChanged("the episode is over or has not started; call reset() first")
         observation, reward, terminated, truncated, info = self.env.step(self._join(actions))

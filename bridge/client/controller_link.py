@@ -20,6 +20,7 @@ from zenostat.bridge.client.connection import Connection
 from zenostat.bridge.client.presence import NodeWatch, interface, undeclare
 from zenostat.bridge.client.receive_watchdog import ReceiveWatchdog, query_sample
 from zenostat.bridge.client.sample import SampleView, is_after
+from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.polling import Polling
@@ -31,7 +32,6 @@ from zenostat.topics.errors import (
     NodeNotFound,
     PeerError,
     RequestRejected,
-    UsageError,
     ZenostatError,
     from_wire,
 )
@@ -55,7 +55,9 @@ _TRUNCATED = int(Flag.TRUNCATED)
 _INBOX = 1024
 """Messages that wait for `receive`. Beyond them the oldest is dropped; else Zenoh would deliver no reply either."""
 
-_BUSY = "another thread is in receive() or reset() of this controller; one thread at a time, or a controller for each"
+_one_receiver = one_thread(
+    "another thread is in receive() or reset() of this controller; one thread at a time, or a controller for each"
+)
 
 
 class ControllerLink:
@@ -178,6 +180,7 @@ class ControllerLink:
 
     # Samples
 
+    @_one_receiver
     def reset(
         self,
         *,
@@ -202,24 +205,18 @@ class ControllerLink:
         elif seed is not None:
             seed = check_seed(seed)
         request = Reset(controller=self.name, seed=seed, slots=slots, snapshot=snapshot)
-        busy, self._busy = self._busy, True
-        if busy:
-            raise UsageError(_BUSY)
-        try:
-            if self._closed is not None:
-                raise self._closed
-            if not self._claimed:
-                self._claim_again()
-            accepted = self.accepted = self.bus.reset(self.manifest.node, request)
-            self._ended = self._closed
-            self._answered = True
-            self._latest = None
-            while True:
-                sample = self._next(resetting=True)
-                if sample.message.episode == accepted.episode:
-                    return self._keep(sample)
-        finally:
-            self._busy = False
+        if self._closed is not None:
+            raise self._closed
+        if not self._claimed:
+            self._claim_again()
+        accepted = self.accepted = self.bus.reset(self.manifest.node, request)
+        self._ended = self._closed
+        self._answered = True
+        self._latest = None
+        while True:
+            sample = self._next(resetting=True)
+            if sample.message.episode == accepted.episode:
+                return self._keep(sample)
 
     def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
         """Return weather of a slot's current episode, noise included; `UnknownName` lists the columns."""
@@ -249,6 +246,7 @@ class ControllerLink:
         """Make `sample` the current one, as for a branch, which continues from its parent's sample."""
         return self._keep(self._view(sample))
 
+    @_one_receiver
     def receive(self) -> SampleView:
         """Wait for the next sample.
 
@@ -259,22 +257,16 @@ class ControllerLink:
             EpisodeChanged: Another controller reset the node, or another thread closed the link.
             UsageError: Another thread is in `receive` or `reset`.
         """
-        busy, self._busy = self._busy, True  # one statement without a call: CPython switches no threads within it
-        if busy:
-            raise UsageError(_BUSY)
-        try:
-            previous = self._latest
-            while True:
-                sample = self._next(resetting=False)
-                if previous is None:
-                    return self._keep(sample)
-                episode, current = sample.message.episode, previous.message.episode
-                if episode == current and is_after(sample.message, previous.message):
-                    return self._keep(sample)
-                if any(new > old for new, old in zip(episode, current, strict=True)):
-                    raise EpisodeChanged(f"node {self.manifest.node!r} was reset by another controller{self._where()}")
-        finally:
-            self._busy = False
+        previous = self._latest
+        while True:
+            sample = self._next(resetting=False)
+            if previous is None:
+                return self._keep(sample)
+            episode, current = sample.message.episode, previous.message.episode
+            if episode == current and is_after(sample.message, previous.message):
+                return self._keep(sample)
+            if any(new > old for new, old in zip(episode, current, strict=True)):
+                raise EpisodeChanged(f"node {self.manifest.node!r} was reset by another controller{self._where()}")
 
     def _keep(self, sample: SampleView) -> SampleView:
         self._latest, flags = sample, sample.message.flags
