@@ -11,18 +11,13 @@ from numpy.typing import NDArray
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, Values, WrapperLogic
+from zenostat.agent_sdk.wrappers.gymnasium_wrappers import Trait, wrappers_with
 from zenostat.agent_sdk.wrappers.names import indices_of, reject_wrappers
 from zenostat.topics.errors import InvalidAction, InvalidConfig
 from zenostat.topics.typing_compat import override
 
 Floats = NDArray[np.float64]
-_NOT_IN_UNITS = (
-    "RescaleAction",
-    "DiscretizeAction",
-    "TransformAction",
-    "IncrementalAction",
-    "DiscreteIncrementalAction",
-)
+_NOT_IN_UNITS = (*wrappers_with(Trait.ACTION_UNITS), "IncrementalAction", "DiscreteIncrementalAction")
 
 
 def incremented(values: Floats, increments: Floats, low: Floats, high: Floats) -> Floats:

@@ -11,19 +11,12 @@ from gymnasium.spaces import Box
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import ArrayLike
 
+from zenostat.agent_sdk.wrappers.gymnasium_wrappers import Trait, wrappers_with
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 
-_KEEP_ORDER = {
-    "Autoreset", "ClipAction", "ClipReward", "DelayObservation", "DiscretizeAction", "DtypeObservation",
-    "HumanRendering", "MaxAndSkipObservation", "NormalizeObservation", "NormalizeReward", "OrderEnforcing",
-    "PassiveEnvChecker", "RecordEpisodeStatistics", "RecordVideo", "RenderCollection", "RepeatAction",
-    "RescaleAction", "RescaleObservation", "StickyAction", "TimeLimit", "TransformAction", "TransformReward",
-    "DictInfoToList",
-}  # fmt: skip
-"""Gymnasium's wrappers that keep the order of the values."""
-
+_KEEP_ORDER = wrappers_with(Trait.KEEPS_ORDER)
 _STACK = "FrameStackObservation"
-_CHANGE_UNITS = {"NormalizeObservation", "RescaleObservation", "DiscretizeObservation"}
+_CHANGE_UNITS = wrappers_with(Trait.OBSERVATION_UNITS)
 _TIME_AWARE = "TimeAwareObservation"
 
 

@@ -17,6 +17,7 @@ from pydantic import BaseModel
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.changing_context import ChangingContext
 from zenostat.agent_sdk.wrappers.episode_log import EpisodeLog
+from zenostat.agent_sdk.wrappers.gymnasium_wrappers import GYMNASIUMS, Trait, wrappers_with
 from zenostat.agent_sdk.wrappers.incremental import DiscreteIncrementalAction, IncrementalAction
 from zenostat.agent_sdk.wrappers.metric_loggers import TensorBoardLog, WeightsAndBiasesLog
 from zenostat.agent_sdk.wrappers.names import reject_wrappers
@@ -53,16 +54,8 @@ OURS: dict[str, type[BuildingWrapper]] = {
 }
 """The wrappers of `zenostat.wrappers` by name."""
 
-GYMNASIUMS = (
-    "ClipAction", "ClipReward", "DelayObservation", "DiscretizeAction", "DiscretizeObservation", "DtypeObservation",
-    "FlattenObservation", "FrameStackObservation", "MaxAndSkipObservation", "NormalizeObservation", "NormalizeReward",
-    "RecordEpisodeStatistics", "RepeatAction", "RescaleAction", "RescaleObservation", "StickyAction",
-    "TimeAwareObservation", "TimeLimit",
-)  # fmt: skip
-"""Names of Gymnasium's wrappers that can be written as data."""
-
 _GYM_MAKE_WRAPPERS = ("PassiveEnvChecker", "OrderEnforcing", "TimeLimit")
-_SCALAR_REWARD_WRAPPERS = ("ClipReward", "NormalizeReward", "RecordEpisodeStatistics")
+_SCALAR_REWARD_WRAPPERS = wrappers_with(Trait.SCALAR_REWARD)
 _ARRAY_ARGUMENTS = ("min_action", "max_action", "min_obs", "max_obs")
 _applied_arguments: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
 

@@ -1,0 +1,56 @@
+"""Gymnasium's wrappers by name, with what they do to observations, actions and rewards."""
+
+from __future__ import annotations
+
+from enum import Flag, auto
+
+
+class Trait(Flag):
+    """Properties of a wrapper."""
+
+    DATA = auto()  # it can be written as data
+    KEEPS_ORDER = auto()  # an observation has the same values in the same order
+    OBSERVATION_UNITS = auto()  # it changes the units of observations
+    ACTION_UNITS = auto()  # it changes the units of actions
+    SCALAR_REWARD = auto()  # it needs a reward that is one number
+
+
+_ANY = Trait.DATA | Trait.KEEPS_ORDER
+_TRAITS = {
+    "Autoreset": Trait.KEEPS_ORDER,
+    "ClipAction": _ANY,
+    "ClipReward": _ANY | Trait.SCALAR_REWARD,
+    "DelayObservation": _ANY,
+    "DictInfoToList": Trait.KEEPS_ORDER,
+    "DiscretizeAction": _ANY | Trait.ACTION_UNITS,
+    "DiscretizeObservation": Trait.DATA | Trait.OBSERVATION_UNITS,
+    "DtypeObservation": _ANY,
+    "FlattenObservation": Trait.DATA,
+    "FrameStackObservation": Trait.DATA,
+    "HumanRendering": Trait.KEEPS_ORDER,
+    "MaxAndSkipObservation": _ANY,
+    "NormalizeObservation": _ANY | Trait.OBSERVATION_UNITS,
+    "NormalizeReward": _ANY | Trait.SCALAR_REWARD,
+    "OrderEnforcing": Trait.KEEPS_ORDER,
+    "PassiveEnvChecker": Trait.KEEPS_ORDER,
+    "RecordEpisodeStatistics": _ANY | Trait.SCALAR_REWARD,
+    "RecordVideo": Trait.KEEPS_ORDER,
+    "RenderCollection": Trait.KEEPS_ORDER,
+    "RepeatAction": _ANY,
+    "RescaleAction": _ANY | Trait.ACTION_UNITS,
+    "RescaleObservation": _ANY | Trait.OBSERVATION_UNITS,
+    "StickyAction": _ANY,
+    "TimeAwareObservation": Trait.DATA,
+    "TimeLimit": _ANY,
+    "TransformAction": Trait.KEEPS_ORDER | Trait.ACTION_UNITS,
+    "TransformReward": Trait.KEEPS_ORDER,
+}
+
+
+def wrappers_with(trait: Trait) -> tuple[str, ...]:
+    """Return the names of the wrappers with a property."""
+    return tuple(name for name, traits in _TRAITS.items() if trait in traits)
+
+
+GYMNASIUMS = wrappers_with(Trait.DATA)
+"""Names of Gymnasium's wrappers that can be written as data."""
