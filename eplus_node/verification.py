@@ -136,7 +136,8 @@ class _RecordedPlant:
 
     def _python_class(self, plant: str | None) -> tuple[PlantFactory, list[str]]:
         from zenostat.bridge.python_plant.class_file import class_file
-        from zenostat.bridge.python_plant.plant import PythonPlant, plan_class
+        from zenostat.bridge.python_plant.class_plan import plan_class
+        from zenostat.bridge.python_plant.plant import PythonPlant
 
         recorded, arguments = self._provenance.settings.get("plant"), self._provenance.settings.get("plant_arguments")
         if not isinstance(recorded, str) or not isinstance(arguments, dict):

@@ -15,7 +15,8 @@ from zenostat.bridge.node.node import Node
 from zenostat.bridge.node.plant import PlantFactory
 from zenostat.bridge.node.server import Observer
 from zenostat.bridge.node.settings import NodeSettings
-from zenostat.bridge.python_plant.plant import PythonPlant, plan_class
+from zenostat.bridge.python_plant.class_plan import plan_class
+from zenostat.bridge.python_plant.plant import PythonPlant
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.scenario_fields import NODE_ARGUMENTS

@@ -21,8 +21,9 @@ from support.nodes import NodeProgram, hosts_of, nothing_left, runs, until
 
 import zenostat
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.bridge.python_plant.class_plan import plan_class
 from zenostat.bridge.python_plant.node import read_settings
-from zenostat.bridge.python_plant.plant import PythonEngines, plan_class
+from zenostat.bridge.python_plant.plant import PythonEngines
 from zenostat.topics.errors import (
     EngineDied,
     EngineUnresponsive,
