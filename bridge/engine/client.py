@@ -16,11 +16,10 @@ from pathlib import Path
 from time import monotonic
 from typing import Any
 
-import numpy as np
 import psutil
-from numpy.typing import NDArray
 
 from zenostat.bridge.engine.forked_process import ForkedProcess, Process
+from zenostat.bridge.engine.frame import Frame
 from zenostat.bridge.engine.launch import describe_exit, launch
 from zenostat.bridge.engine.lists import close_all
 from zenostat.bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
@@ -39,24 +38,23 @@ _FAILED, _LAST = float(FrameKind.FAILED), float(FrameKind.LAST)
 
 
 class EngineClient:
-    """A running engine. `step` and `last` describe its latest frame.
+    """A running engine.
 
     Args:
         spec: what it simulates.
         forked: sockets and process of a fork of another engine; None starts a new engine.
         registry: the node's engines; also defines how long an engine may be unresponsive.
+
+    Attributes:
+        frame: its latest frame.
+        last: whether that is its last sample.
     """
 
     def __init__(
         self, spec: EngineSpec, forked: tuple[SocketPair, Process] | None = None, registry: EngineRegistry | None = None
     ) -> None:
         self._spec, self.registry = spec, registry or EngineRegistry()
-        self._with_feedback, values = [*spec.feedback], spec.values
-        self._frame_bytes = memoryview(bytearray(8 * (2 + values + len(self._with_feedback))))
-        self._frame: NDArray[np.float64] = np.frombuffer(self._frame_bytes)
-        self._header = self._frame_bytes.cast("d")
-        self._values_bytes = self._frame_bytes[16 : 16 + 8 * values]
-        self._feedback_bytes = self._frame_bytes[16 + 8 * values :]
+        self.frame = Frame(spec)
         self._finish = struct.pack("=dd", OrderKind.FINISH, 0.0) + bytes(8 * spec.actuators)
         self._repeat = struct.pack("=dd", OrderKind.REPEAT, 0.0) + bytes(8 * spec.actuators)
         self._order_bytes = 8 * spec.actuators
@@ -69,7 +67,7 @@ class EngineClient:
         self._sockets, self._process = forked or launch(spec)
         self._orders, self._frames = self._sockets
         self._orders_descriptor, self._frames_descriptor = self._orders.fileno(), self._frames.fileno()
-        self._frame_buffers = [self._frame_bytes]
+        self._frame_bytes, self._frame_buffers = self.frame.buffer, [self.frame.buffer]
         self._polling = Polling(enabled=spec.poll)
         self.registry.add(self)
         if self.registry.closing:
@@ -273,23 +271,6 @@ class EngineClient:
             with suppress(subprocess.TimeoutExpired):
                 self._process.wait(max(self._closing_until_s - monotonic(), 0.0))
 
-    @property
-    def step(self) -> int:
-        """Number of the latest sample."""
-        return int(self._frame[1])
-
-    def values_bytes(self) -> bytes:
-        """Return the latest sensors and meters as raw float64."""
-        return bytes(self._values_bytes)
-
-    def effective_bytes(self, commanded: bytes) -> bytes:
-        """Return the effective value of each actuator as raw float64: the engine's feedback, else `commanded`."""
-        if len(self._with_feedback) * 8 == len(commanded):
-            return bytes(self._feedback_bytes)
-        effective = np.frombuffer(commanded).copy()
-        effective[self._with_feedback] = np.frombuffer(self._feedback_bytes)
-        return effective.tobytes()
-
     def receive(self) -> None:
         """Wait for the next frame.
 
@@ -301,9 +282,9 @@ class EngineClient:
         got, size = self._polling.wait(self._try_read, self._read), len(self._frame_bytes)
         if got < size and not (got and fill(self._frames, self._frame_bytes[got:], self._watchdog())):
             raise EngineDied(self._exit_report())
-        kind = self._header[0]
+        kind = self.frame.kind
         if kind == _FAILED:
-            raise self._failure(int(self._frame[1]))
+            raise self._failure(self.frame.number)
         self.last = kind == _LAST
 
     def _try_read(self) -> int | None:
@@ -341,7 +322,7 @@ class EngineClient:
             process.wait()
             raise EngineUnresponsive(
                 f"the engine process neither answered nor used processor time for {limit_s:g} s after sample "
-                f"{self.step}, and was killed"
+                f"{self.frame.number}, and was killed"
             )
 
         return check
@@ -415,4 +396,4 @@ class EngineClient:
         code = self._exit_code()
         if self._interrupted:
             return f"the engine process was killed because {self._interrupted}"
-        return describe_exit(self._spec, code, self.step)
+        return describe_exit(self._spec, code, self.frame.number)

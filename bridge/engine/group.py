@@ -40,7 +40,7 @@ class EngineGroup:
         """Set effective values at the first sample of an episode, at which nothing is commanded."""
         effective = self._rows(self.effective)
         for slot in slots:
-            effective[slot] = self.clients[slot].effective_bytes(self._relinquished)
+            effective[slot] = self.clients[slot].frame.effective(self._relinquished)
         self.effective = b"".join(effective)
 
     def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
@@ -61,7 +61,7 @@ class EngineGroup:
             (client,) = clients
             client.send(commands)
             client.receive()
-            self.effective = client.effective_bytes(commands)
+            self.effective = client.frame.effective(commands)
             return [client.last]
         return self._step_all(self._rows(commands), active_slots)
 
@@ -77,11 +77,11 @@ class EngineGroup:
         for slot in active_slots:
             clients[slot].receive()
         if len(active_slots) == len(clients):
-            effective = [client.effective_bytes(row) for client, row in zip(clients, commands, strict=True)]
+            effective = [client.frame.effective(row) for client, row in zip(clients, commands, strict=True)]
         else:
             effective = self._rows(self.effective)
             for slot in active_slots:
-                effective[slot] = clients[slot].effective_bytes(commands[slot])
+                effective[slot] = clients[slot].frame.effective(commands[slot])
         self.effective = b"".join(effective)
         return [clients[slot].last for slot in active_slots]
 
@@ -102,7 +102,7 @@ class EngineGroup:
             effective = self._rows(self.effective)
             for slot in active_slots:
                 clients[slot].receive()
-                effective[slot] = clients[slot].effective_bytes(row[slot])
+                effective[slot] = clients[slot].frame.effective(row[slot])
             for baseline in baselines:
                 baseline.receive()
             self.effective = b"".join(effective)
@@ -115,8 +115,8 @@ class EngineGroup:
     def values(self) -> bytes:
         """Return the latest sensors and meters; shape (slots, points)."""
         if len(self.clients) == 1:
-            return self.clients[0].values_bytes()
-        return b"".join([client.values_bytes() for client in self.clients])
+            return self.clients[0].frame.values()
+        return b"".join([client.frame.values() for client in self.clients])
 
     @property
     def has_baseline(self) -> bool:
@@ -125,11 +125,11 @@ class EngineGroup:
 
     def baseline_values(self) -> bytes:
         """Return the baseline's latest sensors and meters; shape (slots, points), empty without a baseline."""
-        return b"".join([client.values_bytes() for client in self.baselines])
+        return b"".join([client.frame.values() for client in self.baselines])
 
     def baseline_effective(self) -> bytes:
         """Return the baseline's effective values; shape (slots, actuators), NaN where the engine reports none."""
-        return b"".join([client.effective_bytes(self._relinquished) for client in self.baselines])
+        return b"".join([client.frame.effective(self._relinquished) for client in self.baselines])
 
     @property
     def all(self) -> list[EngineClient]:

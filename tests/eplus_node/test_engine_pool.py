@@ -185,7 +185,7 @@ def test_template__that_dies_within_a_reset_leaves_the_files_of_its_successor(fo
     assert pool.next_episode(None, 1, untouched=()) is EngineStart.FORKED
     ended(template.engine)
     second = pool.engine(1)
-    assert second.step == 0
+    assert second.frame.number == 0
     assert (pool.files.model.parent / "eplusout.err").exists()
     for client in (first, second):
         client.close()
@@ -202,7 +202,7 @@ def test_reused_engine__that_dies_within_a_reset_leaves_the_files_of_its_success
     ended(first)
     second = pool.engine(1)
     first.close()
-    assert second.step == 0
+    assert second.frame.number == 0
     assert (pool.files.model.parent / "eplusout.err").exists()
     second.close()
     pool.close()
@@ -220,7 +220,7 @@ def test_prefetched_engine__that_dies_within_a_reset_is_replaced(folder: Path, n
     assert ahead is not None
     ended(ahead.engine)
     second = pool.engine(1)
-    assert second.step == 0
+    assert second.frame.number == 0
     assert pool.files.noise_parameters == noise
     assert pool.warnings
     for client in (first, second):
