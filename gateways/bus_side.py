@@ -1,7 +1,9 @@
-"""The bus of a gateway: asynchronous queries, and messages of nodes in the order received.
+"""The bus of a gateway: asynchronous queries, liveliness tokens, and messages of nodes.
 
-Zenoh's threads only post tasks to the gateway's single queue. So the events, samples and replies of a node are
-processed in the order in which it sent them.
+`NodeClient` adds the state of one node for asyncio programs: its manifest, its latest sample, its presence, and typed
+requests. The ZeroMQ gateway uses `BusSide` directly, since it forwards the bytes of any number of nodes, and posts
+messages and replies to one queue: so it forwards the events, samples and replies of a node in the order in which the
+node sent them. Speed is not the reason: with asyncio, the step of a REQ peer took 0.95 to 1.2 times as long.
 """
 
 from __future__ import annotations
@@ -66,11 +68,16 @@ class BusSide:
     def listen(
         self, node: str, deliver: Callable[[BusMessage], None], presence: Callable[[str, str, bool], None]
     ) -> None:
-        """Subscribe to the stream and the liveliness tokens of a node (`*`: all)."""
+        """Subscribe to the stream and the liveliness tokens of a node (`*`: all).
+
+        Args:
+            node: the node's name.
+            deliver: called with each message, in a thread of Zenoh's.
+            presence: called with node, instance and whether it is on the bus, in the gateway's thread.
+        """
 
         def on_message(sample: zenoh.Sample) -> None:
-            message = BusMessage(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes())
-            self._post(lambda: deliver(message))
+            deliver(BusMessage(str(sample.key_expr), str(sample.encoding), sample.payload.to_bytes()))
 
         def on_token(token: zenoh.Sample) -> None:
             key, is_connected = str(token.key_expr), token.kind == zenoh.SampleKind.PUT

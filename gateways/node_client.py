@@ -10,7 +10,6 @@ from typing import Any, TypeVar
 
 import zenoh
 from pydantic import ValidationError
-from zenoh.handlers import Callback
 
 from zenostat.bridge.client.priorities import PriorityValue, decode_priorities
 from zenostat.bridge.client.sample import SampleView
@@ -108,15 +107,7 @@ class NodeClient:
             stack.callback(self._bus.close)
             self._set_manifest(await self.ask(keys.MANIFEST, None, Manifest))
             self.is_online = True
-            subscriber = self._session.declare_subscriber(
-                keys.stream(self.name), Callback(self._receive, indirect=False)
-            )
-            stack.callback(subscriber.undeclare)
-            token = keys.NODE_TOKEN.at(self.name, name="*")
-            watch = self._session.liveliness().declare_subscriber(
-                token, Callback(self._receive_token, indirect=False), history=True
-            )
-            stack.callback(watch.undeclare)
+            self._bus.listen(self.name, self._receive, self._on_presence)
             stack.callback(self._cancel)
             await self._fetch_sample()
             self._close = stack.pop_all()
@@ -293,17 +284,13 @@ class NodeClient:
         with suppress(RuntimeError):  # the loop is closed
             self._loop.call_soon_threadsafe(task)
 
-    def _receive(self, message: zenoh.Sample) -> None:
+    def _receive(self, message: BusMessage) -> None:
         if len(self._messages) == _MAX_WAITING_MESSAGES:
             self.counts.missed += 1
-        self._messages.append(BusMessage(str(message.key_expr), str(message.encoding), message.payload.to_bytes()))
+        self._messages.append(message)
         if not self._is_scheduled:
             self._is_scheduled = True
             self._post(self._deliver)
-
-    def _receive_token(self, token: zenoh.Sample) -> None:
-        instance, is_present = keys.last_chunk(str(token.key_expr)), token.kind == zenoh.SampleKind.PUT
-        self._post(lambda: self._on_presence(instance, is_present=is_present))
 
     # In the loop's thread
 
@@ -354,7 +341,7 @@ class NodeClient:
         for notify in self.listeners.manifests:
             notify(manifest)
 
-    def _on_presence(self, instance: str, *, is_present: bool) -> None:
+    def _on_presence(self, _: str, instance: str, is_present: bool) -> None:  # noqa: FBT001
         if is_present and (not self.is_online or instance != self._instance):
             task = self._loop.create_task(self._join())
             self._tasks.add(task)

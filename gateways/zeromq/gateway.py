@@ -108,7 +108,7 @@ class Gateway:
             self._close.callback(self._bus.close)
             self._queues = DeliveryQueues(self._bus, self._nodes, self._answer)
             names = self._bus.nodes(self.node)  # first: Zenoh replies without tokens while it transfers their history
-            self._bus.listen(self.node, self._on_message, self._presence)
+            self._bus.listen(self.node, self._receive, self._presence)
             for name in names:
                 self._register_node(self._bus.fetch(keys.MANIFEST, name))
                 self._first_sample(self._bus.fetch(keys.SAMPLE, name))
@@ -143,6 +143,10 @@ class Gateway:
                 self._request(frames, fd)
 
     # From the bus
+
+    def _receive(self, message: BusMessage) -> None:
+        """Post a message of a node to the gateway's thread; Zenoh's threads call it."""
+        self._sockets.post(lambda: self._on_message(message))
 
     def _on_message(self, message: BusMessage) -> None:
         """Process a manifest, sample or event of a node; ignore invalid messages."""
