@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from time import monotonic
 
 from zenostat.bridge.node.plant import PlanningPlant, RunningPlant
-from zenostat.bridge.node.sample_head import SampleHead
+from zenostat.bridge.node.sample_encoding import SampleHead
 from zenostat.bridge.node.served_node import ServedNode
 from zenostat.topics import codec, errors
 from zenostat.topics.errors import BadMessage, PlantFailed, RequestRejected, SimulatorError
@@ -137,7 +137,7 @@ class PlanSimulation:
                 if number < len(heads):
                     if any(last):
                         raise PlantFailed(f"the plant ended before the {len(plan)} timesteps of its run period")
-                    samples.append(server.encode_sample(heads[number], server.plant.values()))
+                    samples.append(server.samples.encode(heads[number], server.plant.values()))
                 else:
                     exchange.finish_step(last, monotonic())
         except SimulatorError as error:

@@ -11,7 +11,7 @@ from zenostat.bridge.node.fault_injection import FaultInjection
 from zenostat.bridge.node.history import History
 from zenostat.bridge.node.plant import RunningPlant
 from zenostat.bridge.node.publications import Publications
-from zenostat.bridge.node.sample_head import SampleHead
+from zenostat.bridge.node.sample_encoding import SampleEncoder
 from zenostat.bridge.node.subscriptions import Subscriptions
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.topics.errors import ZenostatError
@@ -80,6 +80,10 @@ class ServedNode(Protocol):
         """Its alarms; None without any."""
 
     @property
+    def samples(self) -> SampleEncoder:
+        """Encodes samples."""
+
+    @property
     def latest_sample(self) -> bytes:
         """The encoded latest sample."""
 
@@ -103,9 +107,6 @@ class ServedNode(Protocol):
 
     def finish_steps(self, commands: bytes) -> None:
         """Publish the present sample after several timesteps, of which these were the last commands."""
-
-    def encode_sample(self, head: SampleHead, values: bytes) -> bytes:
-        """Return the payload of a sample."""
 
     def event(self, event: Event) -> None:
         """Publish an event."""

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
-from datetime import timedelta
 from time import monotonic
 from typing import TYPE_CHECKING
 
@@ -24,21 +23,19 @@ from zenostat.bridge.node.pacing import Pacing
 from zenostat.bridge.node.plant import RunningPlant
 from zenostat.bridge.node.publications import Publications
 from zenostat.bridge.node.request_handlers import RequestHandlers
-from zenostat.bridge.node.sample_head import SampleHead
+from zenostat.bridge.node.sample_encoding import SampleEncoder
 from zenostat.bridge.node.subscriptions import COMMAND_QUEUE, Subscriptions
 from zenostat.bridge.recording.channels import SAMPLES
 from zenostat.bridge.runtime.timer import Timer
-from zenostat.topics import codec, errors, keys
+from zenostat.topics import errors, keys
 from zenostat.topics.errors import EpisodeAborted, RequestRejected, SimulatorError, ZenostatError
 from zenostat.topics.fault_plan import FaultPlan
-from zenostat.topics.messages import Event, EventKind, Flag, Manifest, Mode, Query, State, Statistics
+from zenostat.topics.messages import Event, EventKind, Manifest, Mode, Query, State, Statistics
 
 if TYPE_CHECKING:
     from zenostat.bridge.alarms.monitor import AlarmMonitor
     from zenostat.bridge.recording.recorder import Recorder
 
-_NO_FLAG, _FIRST, _TRUNCATED = int(Flag.NONE), int(Flag.FIRST), int(Flag.TRUNCATED)
-_FALLBACK = int(Flag.FALLBACK)
 # For the hot path: in Python 3.11, looking up an enum's member raises and catches an error.
 _LOCKSTEP, _WAITING, _ENDED = Mode.LOCKSTEP, State.WAITING, State.ENDED
 
@@ -64,6 +61,7 @@ class NodeServer:
     Attributes:
         stopping: whether the server is about to end; errors of engines are then expected.
         on_stop: called by the thread that receives a stop request.
+        samples: encodes samples.
         latest_sample: the encoded latest sample.
     """
 
@@ -94,9 +92,7 @@ class NodeServer:
         self._stopped = False
         self.failure = self.failure_error = ""
         self.latest_sample = b""
-        run_period = plant.description.run_period
-        self._begin_time, self._step_s = run_period.begin, run_period.step_s
-        self._timestep = timedelta(seconds=run_period.step_s)
+        self.samples = SampleEncoder(plant, exchange)
 
     # On the bus
 
@@ -247,7 +243,7 @@ class NodeServer:
         values, fault_free_values = plant.values(), b""
         if injection is not None:
             fault_free_values, values = values, injection.apply_to_sensors(values, exchange.step)
-        self.latest_sample = self.encode_sample(exchange, values, fault_free_values)
+        self.latest_sample = self.samples.encode(exchange, values, fault_free_values)
         if injection is None:
             self.publications.sample(self.latest_sample)
         else:
@@ -264,48 +260,9 @@ class NodeServer:
         self._sampled_s = now_s
         self.pacing.wait(now_s)
         step = exchange.step[0]
-        self.publications.points(values, exchange.episode[0], step, self._begin_time + step * self._timestep)
+        self.publications.points(values, exchange.episode[0], step, self.samples.time(step))
         if self._observer is not None:
             self._observer(self)
-
-    def encode_sample(self, head: SampleHead | StepExchange, values: bytes, fault_free_values: bytes = b"") -> bytes:
-        """Return the payload of a sample of the plant's latest timestep."""
-        plant, counts, steps = self.plant, self.exchange.counts, head.step
-        fallback = _FALLBACK if head.fallback_active else _NO_FLAG
-        if True in head.done or 0 in steps:
-            flags = [
-                (_TRUNCATED if done else _NO_FLAG if step else _FIRST) | fallback
-                for done, step in zip(head.done, steps, strict=True)
-            ]
-        else:
-            flags = [fallback] * len(steps)
-        times, elapsed_s = self._clock(steps)
-        return codec.pack(
-            episode=head.episode,
-            step=steps,
-            time=times,
-            elapsed_s=elapsed_s,
-            flags=flags,
-            values=values,
-            effective=plant.effective,
-            commanded=head.commanded,
-            source_index=head.source_index,
-            sources=head.source_names,
-            late=counts.late,
-            rejected=counts.rejected,
-            baseline=plant.baseline_values() if plant.has_baseline else b"",
-            baseline_effective=plant.baseline_effective() if plant.has_baseline else b"",
-            fault_free_values=fault_free_values,
-        )
-
-    def _clock(self, steps: list[int]) -> tuple[list[str], list[float]]:
-        """Return the simulated time of each slot as an ISO text, and in seconds since its episode's begin."""
-        first, slots = steps[0], len(steps)
-        if steps.count(first) == slots:
-            elapsed = first * self._timestep
-            return [(self._begin_time + elapsed).isoformat()] * slots, [elapsed.total_seconds()] * slots
-        by_slot = [step * self._timestep for step in steps]
-        return [(self._begin_time + e).isoformat() for e in by_slot], [e.total_seconds() for e in by_slot]
 
     def _publish_with_faults(self, injection: FaultInjection) -> None:
         payload, now_s = self.latest_sample, monotonic()
@@ -396,7 +353,7 @@ class NodeServer:
     @property
     def elapsed_s(self) -> float:
         """Simulated time since all slots began."""
-        return self.exchange.commands.timesteps * self._step_s
+        return self.exchange.commands.timesteps * self.plant.description.run_period.step_s
 
     def statistics(self) -> Statistics:
         """Return durations of steps, overruns and message counts; thread-safe."""
