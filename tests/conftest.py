@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 from support.examples import FAST
+from support.mqtt_broker import BROKER, missing_broker
 from support.nodes import SMALL, NodeProgram, begin_new_episode, nothing_left
 from support.process_starts import starts_processes
 
@@ -72,6 +73,13 @@ def _own_cores() -> Iterator[None]:
     cores = os.sched_getaffinity(0)
     yield
     os.sched_setaffinity(0, cores)
+
+
+@pytest.fixture(scope="session", params=[BROKER])
+def mqtt_broker() -> None:
+    """Skip the test where its MQTT broker, the one of its id, is not installed."""
+    if reason := missing_broker():
+        pytest.skip(reason)
 
 
 @contextmanager

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from pymodbus.client import ModbusTcpClient
 from support.gateways import RunningGateway
-from support.mosquitto import Broker, needs_mosquitto
+from support.mqtt_broker import Broker, needs_broker
 from support.nodes import NodeProgram, until
 
 from zenostat.bridge.transport.session import Mode, open_session
@@ -85,7 +85,7 @@ def test_modbus_clients_of_the_former_map_are_disconnected(router: str, tmp_path
 
 
 @pytest.mark.slow
-@needs_mosquitto
+@needs_broker
 def test_mqtt_removes_the_retained_values_of_points_that_are_gone(router: str, tmp_path: Path) -> None:
     with Building(router, tmp_path) as building, Broker(tmp_path) as broker:
         options = ["--connect", router, "--broker", f"127.0.0.1:{broker.port}", "--home-assistant"]
@@ -95,7 +95,7 @@ def test_mqtt_removes_the_retained_values_of_points_that_are_gone(router: str, t
             until(lambda: all(broker.retained(topic) for topic in gone), "the room is published")
             building.replace()
             until(lambda: broker.retained("zenostat/building/sensor/temperature") == "20.0", "the tank is published")
-            assert broker.retained(gone[0], "-t", gone[1], "-t", gone[2]) is None
+            assert broker.retained(*gone) is None
             assert broker.retained("zenostat/building/status") == "online"
 
 

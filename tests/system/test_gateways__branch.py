@@ -11,7 +11,7 @@ from pymodbus.client import ModbusTcpClient
 from support.bacnet import client as bacnet_client
 from support.bacnet import free_udp_port
 from support.gateways import RunningGateway
-from support.mosquitto import Broker, needs_mosquitto
+from support.mqtt_broker import Broker, needs_broker
 from support.nodes import until
 
 import zenostat
@@ -26,7 +26,7 @@ def commands(bus: zenostat.Bus, node: str) -> dict[int, float]:
 
 
 @pytest.mark.slow
-@needs_mosquitto
+@needs_broker
 def test_clients_of_three_protocols_command_a_branch_and_not_its_parent(bus: zenostat.Bus, tmp_path: Path) -> None:
     udp = free_udp_port()
     with bus.controller("office", priority=16) as link:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 import shutil
@@ -15,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.mqtt_broker import BROKER, MOSQUITTO, Broker, needs_broker
 from support.nodes import free_port, until
 from support.run_cli import ZENOSTAT
 
@@ -24,7 +24,9 @@ from zenostat.metrics.trajectory import Trajectory
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "hardware-in-the-loop.md").read_text()
-MOSQUITTO = shutil.which("mosquitto", path=f"{os.environ['PATH']}:/usr/sbin")
+PROGRAMS = {"python": [sys.executable], "mosquitto": [MOSQUITTO]}
+if BROKER != "mosquitto" or shutil.which("mosquitto_sub") is None:
+    PROGRAMS["mosquitto_sub"] = [sys.executable, "tests/support/mosquitto_sub.py"]
 SETPOINT, TEMPERATURE, PEOPLE = "core_zn_cooling_setpoint", "core_zn_air_temperature", "core_zn_occupants"
 SPEED = "1800"
 
@@ -60,7 +62,7 @@ class Run:
         program, *rest = shlex.split(line)
         if program == "zenostat":
             return [*ZENOSTAT, *rest]
-        return [{"python": sys.executable, "mosquitto": MOSQUITTO or ""}.get(program, program), *rest]
+        return [*PROGRAMS.get(program, [program]), *rest]
 
     def start(self, begin: str, *more: str, is_ready: Callable[[str], object]) -> tuple[subprocess.Popen[bytes], Path]:
         """Start a program, and wait until its output shows that it is ready."""
@@ -77,6 +79,13 @@ class Run:
         until(lambda: program.poll() is not None or is_ready(log.read_text()), f"{begin} is ready")
         assert program.poll() is None, log.read_text()
         return program, log
+
+    def broker(self) -> None:
+        """Start the page's broker, or the one of the tests in its place."""
+        if BROKER == "mosquitto":
+            self.start("mosquitto -p", "-v", is_ready=lambda text: "running" in text)
+        else:
+            self._close.enter_context(Broker(self.folder, port=int(self._ports["1883"])))
 
     def node(self, begin: str, *more: str) -> None:
         self.start(begin, *more, is_ready=lambda text: "Ctrl-C" in text)
@@ -131,13 +140,10 @@ def between(episode: Trajectory, begin: timedelta, end: timedelta) -> np.ndarray
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(
-    MOSQUITTO is None or shutil.which("mosquitto_sub") is None,
-    reason="mosquitto is not installed; on Debian: apt install mosquitto mosquitto-clients",
-)
+@needs_broker
 def test_the_page_shows_what_it_says(scratch: Path) -> None:
     with running(scratch) as run:
-        run.start("mosquitto -p", "-v", is_ready=lambda text: "running" in text)
+        run.broker()
         run.node("zenostat node", "--listen", run.endpoint)
         for kind in ("modbus", "bacnet", "mqtt"):
             run.gateway(kind)
