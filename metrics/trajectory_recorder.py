@@ -97,7 +97,7 @@ class TrajectoryRecorder:
             raise UsageError("no timestep was recorded")
         arrays: dict[str, Any] = {
             name: array[:count] if len(array) >= count else _extended(array, count, array[0])
-            for name, array in self._arrays.items()
+            for name, array in [*self._arrays.items()]  # another thread may add samples
         }
         terms = {name.removeprefix(_TERM): arrays.pop(name)[:-1] for name in [*arrays] if name.startswith(_TERM)}
         return Trajectory(

@@ -14,12 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.bridge.client.sample import SampleView
-from zenostat.gateways.boptest.history import History
 from zenostat.gateways.boptest.points import KELVIN
 from zenostat.gateways.boptest.simulation import DAY_S, YEAR, Simulation
 from zenostat.metrics.comfort import DEFAULT_BAND_DEGC, Comfort
 from zenostat.metrics.kpis import CO2_LIMIT_PPM
 from zenostat.metrics.roles import ZoneRoles, roles
+from zenostat.metrics.trajectory import Trajectory
+from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.messages import Manifest
 
 Floats = NDArray[np.float64]
@@ -40,26 +41,32 @@ class Baseline:
     def __init__(self, create: Callable[[], Simulation], first: SampleView, begin_s: int, step_s: int) -> None:
         self._create, self._lock = create, Lock()
         self._simulation: Simulation | None = None
-        self.history = History(begin_s, step_s, len(first.manifest.points), len(first.manifest.actuators))
-        self._add(first)
+        self.begin_s, self.step_s = begin_s, step_s
+        self._recorder = TrajectoryRecorder(first.manifest)
+        self._recorder.add(first)
+        self._trajectory = self._recorder.trajectory(min_steps=0)
         self._per_day = DAY_S // step_s
         self._last_row = first.manifest.steps - first.step
 
-    def _add(self, sample: SampleView) -> None:
-        self.history.append(sample.fault_free_values, sample.effective, activated=False)
+    @property
+    def trajectory(self) -> Trajectory:
+        """Samples so far; KPIs ask for it in each timestep, so it is kept until there are more."""
+        if len(self._trajectory) < len(self._recorder):
+            self._trajectory = self._recorder.trajectory(min_steps=0)
+        return self._trajectory
 
     def reach(self, row: int) -> int:
         """Simulate until a row exists, at least a day at a time; return that row, or the last one of the run period."""
         row = min(row, self._last_row)
-        if row < len(self.history):
+        if row < len(self._recorder):
             return row
         with self._lock:  # a test and its branches share a baseline
-            missing = row + 1 - len(self.history)
+            missing = row + 1 - len(self._recorder)
             if missing > 0:
                 if self._simulation is None:
                     self._simulation = self._create()
-                steps = min(max(missing, self._per_day), self._last_row + 1 - len(self.history))
-                self._simulation.run_free(steps, self._add)
+                steps = min(max(missing, self._per_day), self._last_row + 1 - len(self._recorder))
+                self._simulation.run_free(steps, self._recorder.add)
         return row
 
     def close(self) -> None:
@@ -118,26 +125,25 @@ class ZoneSchedules:
         column, factor, offset = self._columns[name]
         if column is None:
             return np.full(len(times_s), offset)
-        history = baseline.history
-        rows = ((times_s - history.begin_s) // history.step_s).astype(np.intp) + 1
+        rows = ((times_s - baseline.begin_s) // baseline.step_s).astype(np.intp) + 1
         last = baseline.reach(int(rows[-1]))
-        values: Floats = baseline.history.values[np.minimum(rows, last), column] * factor + offset
+        values: Floats = baseline.trajectory.fault_free_values[np.minimum(rows, last), column] * factor + offset
         return values
 
     def comfort(self, baseline: Baseline) -> Comfort | None:
         """Return the comfort bands of all zones with a thermostat: their setpoints under the baseline control."""
         if not self._zones:
             return None
-        history, limits = baseline.history, (-np.inf, np.inf)
+        limits = (-np.inf, np.inf)
         columns = [
             (np.array([column or 0 for column in side], np.intp), np.array([column is None for column in side]), limit)
             for side, limit in zip((self._low, self._high), limits, strict=True)
         ]
 
         def band(_: Floats, begin: object) -> tuple[Floats, Floats]:
-            elapsed_s = (begin - YEAR).total_seconds() - history.begin_s  # type: ignore[operator]
-            row = baseline.reach(round(elapsed_s / history.step_s) + 1)
-            values = history.values[row]
+            elapsed_s = (begin - YEAR).total_seconds() - baseline.begin_s  # type: ignore[operator]
+            row = baseline.reach(round(elapsed_s / baseline.step_s) + 1)
+            values = baseline.trajectory.fault_free_values[row]
             low, high = (np.where(missing, limit, values[index]) for index, missing, limit in columns)
             return low, high
 

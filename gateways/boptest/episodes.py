@@ -11,11 +11,11 @@ import numpy as np
 
 from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.boptest.baseline import Baseline, ZoneSchedules
-from zenostat.gateways.boptest.history import History
 from zenostat.gateways.boptest.parsing import BadRequest
 from zenostat.gateways.boptest.points import PointTable
 from zenostat.gateways.boptest.simulation import DAY_S, YEAR_S, Building, Interruption, Simulation
 from zenostat.gateways.boptest.weather import COLUMNS, Weather
+from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import BusError, RequestRejected
 
 _MAX_KEPT = 4
@@ -28,14 +28,14 @@ class Beginning:
     Attributes:
         time_s: its time.
         snapshot: snapshot of it.
-        history: the warm-up and this sample.
+        recorder: the warm-up and this sample.
         sample: the sample.
         baseline: the building under the baseline control from it on.
     """
 
     time_s: int
     snapshot: str
-    history: History
+    recorder: TrajectoryRecorder
     sample: SampleView
     baseline: Baseline
 
@@ -104,18 +104,18 @@ class Episodes:
     def _simulate(self, start: int, begin: int) -> Beginning:
         building, main = self.building, self.building.main
         main.reset()
-        history = History(begin, building.step_s, len(main.manifest.points), len(main.manifest.actuators))
+        recorder, relinquished = TrajectoryRecorder(main.manifest), np.full(len(main.manifest.actuators), np.nan)
         skipped = (begin - building.begin_s) // building.step_s
 
         def add(sample: SampleView) -> None:
             if sample.step >= skipped:
-                history.append(sample.fault_free_values, sample.effective, activated=False)
+                recorder.add(sample, orders=relinquished)
 
         add(main.sample)
         main.run_free((start - building.begin_s) // building.step_s, add)
         first, snapshot = main.sample, main.snapshot()
         create = _branch_of(main, snapshot)
-        return Beginning(start, snapshot, history, first, Baseline(create, first, start, building.step_s))
+        return Beginning(start, snapshot, recorder, first, Baseline(create, first, start, building.step_s))
 
     def _drop(self, key: tuple[int, int]) -> None:
         dropped = self._kept.pop(key)

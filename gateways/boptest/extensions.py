@@ -9,12 +9,12 @@ from typing import Any
 from zenostat.gateways.boptest import parsing
 from zenostat.gateways.boptest.cases import TestCase
 from zenostat.gateways.boptest.episodes import Beginning, Episodes
-from zenostat.gateways.boptest.history import History
 from zenostat.gateways.boptest.kpis import TestKpis, TimeRatio
 from zenostat.gateways.boptest.parsing import BadRequest
 from zenostat.gateways.boptest.prices import Rates
 from zenostat.gateways.boptest.session import Answer, BuildingTest
 from zenostat.gateways.boptest.simulation import Interruption, Simulation
+from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import did_you_mean
 
 
@@ -25,7 +25,7 @@ class _Saved:
     simulation: Simulation
     name: str
     beginning: Beginning
-    history: History
+    recorder: TrajectoryRecorder
     first_row: int
     end_s: float
     is_over: bool
@@ -53,7 +53,7 @@ class ExtendedTest(BuildingTest):
         self._check_no_branch()
         name = self.simulation.snapshot()
         self._saved[name] = _Saved(
-            self.simulation, name, self.beginning, self.history.copy(), self.first_row, self.end_s, self.is_over,
+            self.simulation, name, self.beginning, self.recorder.copy(), self.first_row, self.end_s, self.is_over,
             self.step_s, dict(self.scenario),
         )  # fmt: skip
         return "Snapshot taken successfully.", {"snapshot": name, "time": self.time_s}
@@ -81,7 +81,7 @@ class ExtendedTest(BuildingTest):
         return self._saved[name]
 
     def _adopt(self, saved: _Saved) -> None:
-        self.beginning, self.history = saved.beginning, saved.history.copy()
+        self.beginning, self.recorder = saved.beginning, saved.recorder.copy()
         self.first_row, self.end_s, self.is_over = saved.first_row, saved.end_s, saved.is_over
         self.step_s, self.scenario = saved.step_s, dict(saved.scenario)
         self.time_ratio = TimeRatio()
@@ -96,7 +96,7 @@ class ExtendedTest(BuildingTest):
         simulation = self.simulation.branch(relinquished=is_relinquished)
         branch = ExtendedTest(self.case, self._rates, self._days, self.episodes, simulation)
         saved = _Saved(
-            simulation, "", self.beginning, self.history, self.first_row, self.end_s, self.is_over, self.step_s,
+            simulation, "", self.beginning, self.recorder, self.first_row, self.end_s, self.is_over, self.step_s,
             self.scenario,
         )  # fmt: skip
         branch._adopt(saved)
@@ -104,10 +104,10 @@ class ExtendedTest(BuildingTest):
 
     def baseline(self) -> Answer:
         """Return measurements and KPIs of the building under the baseline control, at the test's time."""
-        baseline, history = self.beginning.baseline, self.history
-        row = baseline.reach(len(history) - 1 - self.first_row)
-        values = self.table.si_values(baseline.history.values[row]).tolist()
-        inputs = self.table.si_inputs(baseline.history.inputs[row]).tolist()
+        baseline = self.beginning.baseline
+        row = baseline.reach(len(self.recorder) - 1 - self.first_row)
+        values = self.table.si_values(baseline.trajectory.fault_free_values[row]).tolist()
+        inputs = self.table.si_inputs(baseline.trajectory.effective[row]).tolist()
         return "Queried the baseline successfully.", {
             "time": self.time_s,
             "measurements": dict(zip(self.table.measured, values, strict=True)),
@@ -120,4 +120,4 @@ class ExtendedTest(BuildingTest):
         baseline, price = self.beginning.baseline, self.scenario["electricity_price"]
         comfort = self.episodes.schedules.comfort(baseline)
         kpis = TestKpis(self.simulation.manifest, comfort, self._rates, price, 0)
-        return kpis.read(baseline.history, row + 1)
+        return kpis.read(baseline.trajectory, row + 1)

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from time import perf_counter
 
-from zenostat.gateways.boptest.history import History
 from zenostat.gateways.boptest.prices import Rates
-from zenostat.gateways.boptest.simulation import moment
 from zenostat.metrics.comfort import Comfort
 from zenostat.metrics.kpis import KPIS, KpiAccumulator
+from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics.messages import Manifest
 
 
@@ -20,7 +19,7 @@ class TestKpis:
         comfort: comfort bands of its zones.
         rates: prices and emission factors.
         price_scenario: which price of electricity counts.
-        first_row: row of the test's first sample in its history.
+        first_row: row of the test's first sample in its trajectory.
     """
 
     __test__ = False  # for pytest, which takes it for a test
@@ -33,15 +32,15 @@ class TestKpis:
         self._row = first_row
         self._is_begun = False
 
-    def read(self, history: History, rows: int | None = None) -> dict[str, float | None]:
+    def read(self, trajectory: Trajectory, rows: int | None = None) -> dict[str, float | None]:
         """Return the KPIs up to the last sample, or of the first rows; only those since the previous call are added."""
-        rows = len(history) if rows is None else rows
+        values, begin, timestep = trajectory.fault_free_values, trajectory.begin, trajectory.manifest.timestep
+        rows = len(trajectory) if rows is None else rows
         if not self._is_begun:
-            self._sums.begin(history.values[self._row].copy())
+            self._sums.begin(values[self._row].copy())
             self._is_begun = True
         for row in range(self._row + 1, rows):
-            begin = moment(history.begin_s + (row - 1) * history.step_s)
-            self._sums.add(history.values[row].copy(), begin)
+            self._sums.add(values[row].copy(), begin + (row - 1) * timestep)
         self._row = max(self._row, rows - 1)
         return {name: value for name, value in self._sums.result().items() if name in KPIS}
 

@@ -19,8 +19,9 @@ from zenostat.gateways.boptest.forecast_errors import LEVELS
 from zenostat.gateways.boptest.kpis import TestKpis, TimeRatio
 from zenostat.gateways.boptest.parsing import BadRequest, PeriodNotOver
 from zenostat.gateways.boptest.prices import ELECTRICITY_PRICES, Rates
-from zenostat.gateways.boptest.simulation import DAY_S, Interruption, Simulation
+from zenostat.gateways.boptest.simulation import DAY_S, Interruption, Simulation, row_range
 from zenostat.gateways.boptest.test_periods import PERIOD_S, TIME_PERIODS, WARMUP_S
+from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics.errors import did_you_mean
 from zenostat.topics.messages import CommandOp
 
@@ -86,8 +87,8 @@ class BuildingTest:
 
     def _begin(self, start_s: float, warmup_s: float, end_s: float = inf) -> None:
         self.beginning: Beginning = self.episodes.begin(start_s, warmup_s)
-        self.history = self.beginning.history.copy()
-        self.first_row = len(self.history) - 1
+        self.recorder = self.beginning.recorder.copy()
+        self.first_row = len(self.recorder) - 1
         self.end_s = end_s
         self.is_over = False
         self.time_ratio = TimeRatio()
@@ -102,19 +103,32 @@ class BuildingTest:
     @property
     def time_s(self) -> int:
         """The current time."""
-        return self.history.begin_s + (len(self.history) - 1) * self.history.step_s
+        return self._begin_s + (len(self.recorder) - 1) * self._timestep_s
+
+    @property
+    def _begin_s(self) -> int:
+        return self.beginning.time_s - self.first_row * self._timestep_s
+
+    @property
+    def _timestep_s(self) -> int:
+        return self.episodes.building.step_s
+
+    @property
+    def trajectory(self) -> Trajectory:
+        """Samples of the warm-up and of the test so far; `orders` are the values that the client has sent."""
+        return self.recorder.trajectory(min_steps=0)
 
     def state(self, row: int = -1) -> dict[str, float]:
         """Return time, measurements, weather and inputs of a sample; NaN for what EnergyPlus does not report."""
-        history = self.history
-        row = len(history) - 1 if row < 0 else row
-        time_s = history.begin_s + row * history.step_s
+        trajectory = self.trajectory
+        row = len(trajectory) - 1 if row < 0 else row
+        time_s = self._begin_s + row * self._timestep_s
         values = [
             time_s,
-            *self.table.si_values(history.values[row]).tolist(),
+            *self.table.si_values(trajectory.fault_free_values[row]).tolist(),
             *self.episodes.weather.now(time_s).values(),
-            *self.table.si_inputs(history.inputs[row]).tolist(),
-            *history.activated[row].astype(int).tolist(),
+            *self.table.si_inputs(trajectory.effective[row]).tolist(),
+            *self._activated(row).tolist(),
         ]
         return dict(zip(self._state_names, values, strict=True))
 
@@ -154,11 +168,11 @@ class BuildingTest:
             self.is_over = True
             return END_MESSAGE, {}
         steps = self._steps(min(self.step_s, self.end_s - begin_s))
-        self.time_ratio.begin_advance(self.step_s or self.history.step_s)
-        simulation, history = self.simulation, self.history
+        self.time_ratio.begin_advance(self.step_s or self._timestep_s)
+        simulation, orders = self.simulation, np.where(activated, values, np.nan)
         for step in range(steps):
             sample = simulation.step(values, operations) if step == 0 else simulation.step()
-            history.append(sample.fault_free_values, sample.effective, activated)
+            self.recorder.add(sample, orders=orders)
             if sample.truncated or self.is_stopped:
                 break
         self.time_ratio.end_advance()
@@ -166,7 +180,7 @@ class BuildingTest:
         return (f"{text} {warnings}" if warnings else text), self.state()
 
     def _steps(self, duration_s: float) -> int:
-        timestep_s = self.history.step_s
+        timestep_s = self._timestep_s
         if duration_s % timestep_s:
             raise BadRequest(
                 f"The step of {self.step_s:g} s is not a multiple of the building's timestep of {timestep_s} s; "
@@ -258,8 +272,9 @@ class BuildingTest:
         final_s = parsing.number(parsing.require(fields, "final_time"), "final_time")
         if unknown := [name for name in names if name not in self._state_names]:
             raise parsing.unknown_names(unknown, "point_names")
-        first, after = self.history.span(start_s, final_s)
-        times = self.history.begin_s + self.history.step_s * np.arange(first, after)
+        begin_s, timestep_s = self._begin_s, self._timestep_s
+        first, after = row_range(start_s, final_s, begin_s, timestep_s, len(self.recorder))
+        times = begin_s + timestep_s * np.arange(first, after)
         result: dict[str, list[Any]] = {"time": times.tolist()}
         for name in names:
             if name != "time":
@@ -269,18 +284,24 @@ class BuildingTest:
     def _column(self, name: str, first: int, after: int, times_s: NDArray[np.float64]) -> NDArray[Any]:
         table, rows = self.table, slice(first, after)
         if (index := table.measured.get(name)) is not None:
-            return table.si_values(self.history.values[rows])[:, index]
+            return table.si_values(self.trajectory.fault_free_values[rows])[:, index]
         if (index := table.commanded.get(name)) is not None:
-            return table.si_inputs(self.history.inputs[rows])[:, index]
+            return table.si_inputs(self.trajectory.effective[rows])[:, index]
         if (index := table.activated.get(name)) is not None:
-            return self.history.activated[rows, index].astype(int)
+            return self._activated(rows)[:, index]
         weather = self.episodes.weather
         return weather.at(next(point for point in weather.points if _weather_name(point) == name), times_s)
+
+    def _activated(self, rows: int | slice) -> NDArray[np.int_]:
+        """Return which inputs the client had activated, 0 or 1, shape (rows, inputs)."""
+        orders = self.trajectory.orders
+        assert orders is not None
+        return np.isfinite(orders[rows]).astype(int)
 
     def kpis(self) -> Answer:
         """Return the KPIs."""
         return "Queried KPIs successfully.", {
-            **self._kpis.read(self.history), "time_rat": self.time_ratio.result(),
+            **self._kpis.read(self.trajectory), "time_rat": self.time_ratio.result(),
         }  # fmt: skip
 
     def forecast(self, fields: Mapping[str, Any]) -> Answer:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from datetime import date, datetime, timedelta
+from math import ceil, floor, inf, isfinite
 from threading import Lock
 from typing import Any
 from weakref import WeakSet
@@ -41,6 +42,23 @@ _RELINQUISH = int(CommandOp.RELINQUISH)
 def moment(time_s: float) -> datetime:
     """Return local standard time for seconds since 1 January."""
     return YEAR + timedelta(seconds=time_s)
+
+
+def row_range(start_s: float, final_s: float, begin_s: int, step_s: int, count: int) -> tuple[int, int]:
+    """Return the first row and the row after the last one of the samples from a start to an end, inclusive.
+
+    Args:
+        start_s: Start; may be infinite, as `final_s`.
+        final_s: End.
+        begin_s: Time of row 0.
+        step_s: Time between two rows.
+        count: Number of rows.
+    """
+    if start_s == inf or final_s == -inf:
+        return 0, 0
+    first = 0 if not isfinite(start_s) else max(ceil((start_s - begin_s) / step_s), 0)
+    after = count if not isfinite(final_s) else min(floor((final_s - begin_s) / step_s) + 1, count)
+    return (first, after) if first < after else (0, 0)
 
 
 class Simulation:

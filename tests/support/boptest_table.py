@@ -50,7 +50,7 @@ def kpi_rows(case: TestCase, days: dict[str, int]) -> list[str]:
     try:
         for period, day in days.items():
             test.set_scenario({"time_period": period})
-            rows_of_period = round(test_periods.PERIOD_S / test.history.step_s)
+            rows_of_period = round(test_periods.PERIOD_S / test.episodes.building.step_s)
             baseline = test.beginning.baseline
             baseline.reach(rows_of_period)
             kpis = test.baseline_kpis(rows_of_period)
