@@ -7,13 +7,15 @@ import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.bridge.client.history import first_step, last_step
+from zenostat.bridge.client.history import first_step, last_step, sample_times
 from zenostat.metrics.episode_weather import EpisodeWeather
+from zenostat.metrics.parquet import write_table
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.messages import Manifest
 
@@ -123,8 +125,7 @@ class Trajectory:
     @property
     def time(self) -> NDArray[np.datetime64]:
         """Simulated local standard time at the end of each timestep, shape (samples,), in microseconds."""
-        step_us = round(self.manifest.step_s * 1e6)
-        return np.datetime64(self.manifest.begin, "us") + self.step * np.timedelta64(step_us, "us")
+        return sample_times(self.manifest, self.step)
 
     @property
     def begin(self) -> datetime:
@@ -272,6 +273,14 @@ class Trajectory:
         except ImportError as error:
             raise InvalidConfig(f"to_pandas() needs pandas ({error}): {sys.executable} -m pip install pandas") from None
         return pandas.DataFrame(self.columns()).set_index("time")
+
+    def to_parquet(self, path: str | Path) -> None:
+        """Write `columns` to a Parquet file, with the units of points in the metadata of its fields.
+
+        Raises:
+            InvalidConfig: pyarrow is not installed.
+        """
+        write_table(self.columns(), self.units, {"node": self.manifest.node}, Path(path))
 
 
 def _mapped(trajectory: Trajectory, rows: Callable[[Any], Any], entries: Callable[[Any], Any]) -> Trajectory:

@@ -25,6 +25,9 @@ _MIN_STEPS, _MAX_STEPS = 48, 1440
 class EpisodeHistory:
     """The last samples of an episode: those of a day, but at least 48 timesteps and at most 1,440.
 
+    A queue, and no `zenostat.recording.Trajectory`: the first samples leave it as others come, and a sample costs a few
+    microseconds, a tenth of its copy into arrays.
+
     Args:
         step: Length of a timestep.
 

@@ -23,6 +23,9 @@ _ROUNDING = 1e-6
 class History:
     """Values of the present episode of a slot; `history["core_zn_air_temperature"]` is a column.
 
+    It is a reply to a query, and not the whole run as `zenostat.recording.Trajectory` is: some of the points, and every
+    k-th sample, with the extremes between.
+
     Attributes:
         manifest: Of the node.
         episode: Number of the episode.
@@ -62,8 +65,13 @@ class History:
     @property
     def time(self) -> NDArray[np.datetime64]:
         """Simulated local standard time at the end of each timestep, shape (samples,), in microseconds."""
-        step_us = round(self.manifest.step_s * 1e6)
-        return np.datetime64(self.manifest.begin, "us") + self.step * np.timedelta64(step_us, "us")
+        return sample_times(self.manifest, self.step)
+
+
+def sample_times(manifest: Manifest, step: NDArray[np.int64]) -> NDArray[np.datetime64]:
+    """Return simulated local standard times of samples, in microseconds, in the shape of their steps."""
+    step_us = round(manifest.step_s * 1e6)
+    return np.datetime64(manifest.begin, "us") + step * np.timedelta64(step_us, "us")
 
 
 def first_step(manifest: Manifest, start: datetime | str | None) -> int | None:

@@ -45,15 +45,7 @@ def moment(time_s: float) -> datetime:
 
 
 def row_range(start_s: float, final_s: float, begin_s: int, step_s: int, count: int) -> tuple[int, int]:
-    """Return the first row and the row after the last one of the samples from a start to an end, inclusive.
-
-    Args:
-        start_s: Start; may be infinite, as `final_s`.
-        final_s: End.
-        begin_s: Time of row 0.
-        step_s: Time between two rows.
-        count: Number of rows.
-    """
+    """Return the first row from a start on, and the row after the last one to an end; both may be infinite."""
     if start_s == inf or final_s == -inf:
         return 0, 0
     first = 0 if not isfinite(start_s) else max(ceil((start_s - begin_s) / step_s), 0)

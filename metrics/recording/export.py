@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.metrics.parquet import write_table
 from zenostat.metrics.recording.data import Recording
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidRecording
-from zenostat.topics.extras import import_extra
 
 _ROWS = 4096
 
@@ -26,28 +26,8 @@ def write_parquet(recording: Recording, path: str | Path) -> None:
         InvalidConfig: pyarrow is not installed.
         InvalidRecording: the recording has no samples.
     """
-    arrow, parquet = import_extra("pyarrow", "parquet", "a Parquet file"), _parquet()
-    table = _table(recording)
-    units = _units(recording)
-    fields, columns = [], []
-    for name, values in table.items():
-        column = arrow.array(values.tolist()) if values.dtype.kind == "U" else arrow.array(values)
-        if values.dtype.kind == "U":
-            column = column.dictionary_encode()
-        columns.append(column)
-        fields.append(arrow.field(name, column.type, metadata={"unit": units[name]} if name in units else None))
     metadata = {"scenario": recording.scenario, "node": recording.manifest.node}
-    schema = arrow.schema(fields, metadata=metadata)
-    floats = [name for name, values in table.items() if values.dtype.kind == "f"]
-    others = [name for name in table if name not in floats]
-    with atomic_file(Path(path)) as temporary:
-        parquet.write_table(
-            arrow.Table.from_arrays(columns, schema=schema),
-            str(temporary),
-            compression="zstd",
-            use_dictionary=others,
-            use_byte_stream_split=floats,
-        )
+    write_table(_table(recording), recording.episodes[0].units, metadata, Path(path))
 
 
 def write_csv(recording: Recording, path: str | Path) -> None:
@@ -82,12 +62,3 @@ def _table(recording: Recording) -> dict[str, NDArray[Any]]:
         raise InvalidRecording(f"{recording.path} has no samples")
     tables = [episode.columns() for episode in recording.episodes]
     return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}
-
-
-def _units(recording: Recording) -> dict[str, str]:
-    manifest = recording.manifest
-    return {point.name: point.unit for point in (*manifest.points, *manifest.actuators)}
-
-
-def _parquet() -> Any:
-    return import_extra("pyarrow.parquet", "parquet", "a Parquet file")

@@ -169,14 +169,11 @@ class _Division:
             if running is None or running.number != number:
                 yield from self._end(running)
                 running = self._running[slot] = _Episode(number, slot)
-            elif step == running.step[-1]:  # repeated while other slots begin an episode or step
+            elif step == running.numbers[-1][0]:  # repeated while other slots begin an episode or step
                 continue
-            running.step.append(step)
-            running.wall_ns.append(time_ns)
-            running.flags.append(sample["flags"][slot])
-            running.not_accepted.append((sample["late"], sample["rejected"]))
-            running.source_index.append(source_index[slot])
             running.has_faults |= has_faults
+            running.numbers.append((step, time_ns, sample["flags"][slot], sample["late"], sample["rejected"]))
+            running.source_index.append(source_index[slot])
             for name, raw, width in tables:
                 if len(raw) != 8 * width * slots:
                     raise BadMessage(f"{name} has {len(raw)} bytes; {8 * width * slots} expected")
@@ -190,21 +187,21 @@ class _Division:
     def _end(self, episode: _Episode | None) -> Iterator[Trajectory]:
         if episode is None:
             return
-        key, count = (episode.number, episode.slot), len(episode.step)
+        key, numbers = (episode.number, episode.slot), np.array(episode.numbers, np.int64)
         arrays: dict[str, Any] = {
-            name: np.frombuffer(bytearray().join(rows)).reshape(count, -1) if rows[0] else np.empty((count, 0))
+            name: np.frombuffer(bytearray().join(rows)).reshape(len(rows), -1) if rows[0] else np.empty((len(rows), 0))
             for name, rows in episode.tables.items()
         }
         if not episode.has_faults:
             del arrays["fault_free_values"]
         yield Trajectory(
             self._manifest,
-            np.array(episode.step, np.int64),
+            numbers[:, 0],
             source_index=np.stack(episode.source_index),
             sources=tuple(self._sources),
-            wall_time=np.array(episode.wall_ns, "datetime64[ns]"),
-            flags=np.array(episode.flags, np.int64),
-            not_accepted=np.array(episode.not_accepted, np.int64),
+            wall_time=numbers[:, 1].astype("datetime64[ns]"),
+            flags=numbers[:, 2],
+            not_accepted=numbers[:, 3:],
             outdoor=self._weathers.pop(key, None),
             number=episode.number,
             slot=episode.slot,
@@ -214,17 +211,14 @@ class _Division:
 
 
 class _Episode:
-    """Fields of the samples of an episode in one slot."""
+    """Fields of the samples of an episode in one slot.
 
-    __slots__ = (
-        "flags", "has_faults", "not_accepted", "number", "slot", "source_index", "step", "tables", "wall_ns",
-    )  # fmt: skip
+    Attributes:
+        numbers: Step, wall time in nanoseconds, flags, late and rejected commands of each sample.
+    """
 
     def __init__(self, number: int, slot: int) -> None:
         self.number, self.slot, self.has_faults = number, slot, False
-        self.step: list[int] = []
-        self.wall_ns: list[int] = []
-        self.flags: list[int] = []
-        self.not_accepted: list[tuple[int, int]] = []
+        self.numbers: list[tuple[int, ...]] = []
         self.source_index: list[NDArray[np.uint16]] = []
         self.tables: dict[str, list[bytes]] = {}

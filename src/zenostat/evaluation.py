@@ -3,6 +3,7 @@
 from zenostat.lab.evaluate import Evaluation, evaluate, run_episode
 from zenostat.lab.probe import ProbeReport, probe
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 
 __all__ = [
@@ -10,6 +11,7 @@ __all__ = [
     "Evaluation",
     "MetricsAccumulator",
     "ProbeReport",
+    "Trajectory",
     "TrajectoryRecorder",
     "evaluate",
     "probe",

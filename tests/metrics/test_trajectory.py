@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -110,6 +111,16 @@ def test_the_table_has_rewards_in_the_rows_of_the_samples_that_close_their_times
     assert table["step"].tolist() == [0, 1, 2]
     assert np.array_equal(table["reward.energy"], [np.nan, -1.0, -1.0], equal_nan=True)
     assert table["core_cooling_setpoint.source"].tolist() == [""] * 3
+
+
+def test_a_parquet_file_has_the_table_and_its_units(tmp_path: Path) -> None:
+    parquet = pytest.importorskip("pyarrow.parquet")
+    whole = recorded()
+    whole.to_parquet(tmp_path / "run.parquet")
+    table = parquet.read_table(tmp_path / "run.parquet")
+    assert table.column_names == [*whole.columns()]
+    assert table["core_air_temperature"].to_pylist() == whole["core_air_temperature"].tolist()
+    assert table.schema.field("core_air_temperature").metadata == {b"unit": b"degC"}
 
 
 def test_values_without_faults_are_kept_from_the_first_fault_on() -> None:
