@@ -65,7 +65,7 @@ class BuildingTest:
         self._rates, self._days = rates, days
         self._branch = simulation
         self.episodes = episodes or Episodes(case.arguments, interruption or Interruption())
-        self.table = self.episodes.table
+        self.table, self._timestep_s = self.episodes.table, self.episodes.building.step_s
         self.forecaster = Forecaster(self.episodes.weather, rates, self.episodes.schedules)
         self.step_s = DEFAULT_STEP_S
         self.scenario: dict[str, Any] = {**dict.fromkeys(_SCENARIO), "electricity_price": "constant"}
@@ -110,25 +110,19 @@ class BuildingTest:
         return self.beginning.time_s - self.first_row * self._timestep_s
 
     @property
-    def _timestep_s(self) -> int:
-        return self.episodes.building.step_s
-
-    @property
     def trajectory(self) -> Trajectory:
         """Samples of the warm-up and of the test so far; `orders` are the values that the client has sent."""
         return self.recorder.trajectory(min_steps=0)
 
-    def state(self, row: int = -1) -> dict[str, float]:
-        """Return time, measurements, weather and inputs of a sample; NaN for what EnergyPlus does not report."""
-        trajectory = self.trajectory
-        row = len(trajectory) - 1 if row < 0 else row
-        time_s = self._begin_s + row * self._timestep_s
+    def state(self) -> dict[str, float]:
+        """Return time, measurements, weather and inputs; NaN for what EnergyPlus does not report."""
+        trajectory, time_s = self.trajectory, self.time_s
         values = [
             time_s,
-            *self.table.si_values(trajectory.fault_free_values[row]).tolist(),
+            *self.table.si_values(trajectory.fault_free_values[-1]).tolist(),
             *self.episodes.weather.now(time_s).values(),
-            *self.table.si_inputs(trajectory.effective[row]).tolist(),
-            *self._activated(row).tolist(),
+            *self.table.si_inputs(trajectory.effective[-1]).tolist(),
+            *self._activated(-1).tolist(),
         ]
         return dict(zip(self._state_names, values, strict=True))
 
