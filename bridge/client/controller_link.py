@@ -14,8 +14,8 @@ import zenoh
 from numpy.typing import NDArray
 from zenoh import CongestionControl
 from zenoh.handlers import RingChannel
-
 from zenostat.bridge.client.command_encoding import CommandEncoder
+
 from zenostat.bridge.client.connection import Connection
 from zenostat.bridge.client.presence import NodeWatch, interface, undeclare
 from zenostat.bridge.client.receive_watchdog import ReceiveWatchdog, query_sample
