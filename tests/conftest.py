@@ -6,6 +6,7 @@ import os
 import shutil
 import signal
 import tempfile
+from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -59,6 +60,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.slow)
             first.add(test)
     items.sort(key=lambda item: item.get_closest_marker("long") is None)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Write each reason for which tests were skipped once, with their number and the command that helps."""
+    counts = Counter[str]()
+    for report in terminalreporter.getreports("skipped"):
+        counts[str(report.longrepr[2]).removeprefix("Skipped: ")] += 1
+    if counts:
+        terminalreporter.section("what was skipped, and how to have it")
+    for reason, count in counts.most_common():
+        remedy = "; pip install -c constraints.txt -e '.[dev]'" if reason.startswith("could not import") else ""
+        terminalreporter.write_line(f"{count:5}  {reason}{remedy}")
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -20,7 +20,7 @@ from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
 from zenostat.agent_sdk.testing.fake_building import FakeBuilding
 from zenostat.agent_sdk.testing.fake_link import FakeLink
 
-ray = pytest.importorskip("ray")
+ray = pytest.importorskip("ray", reason="Ray has an environment of its own: make test-ray")
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900), pytest.mark.filterwarnings("ignore")]
 
 EXAMPLES = Path(__file__).parents[2] / "examples"

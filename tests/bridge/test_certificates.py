@@ -28,7 +28,7 @@ def pki(tmp_path: Path) -> Path:
 
 def openssl(*arguments: object) -> subprocess.CompletedProcess[str]:
     if shutil.which("openssl") is None:
-        pytest.skip("there is no openssl program here")
+        pytest.skip("openssl is not installed; on Debian: apt install openssl")
     return subprocess.run(["openssl", *map(str, arguments)], capture_output=True, text=True)
 
 

@@ -44,7 +44,7 @@ def _parser() -> Path:
     """Return the folder in which the parser is installed, with the digests of `package-lock.json`."""
     instead = "so only the JSON schema of the specification validates the document"
     if not (shutil.which("node") and shutil.which("npm")):
-        pytest.skip(f"Node.js is not installed, {instead}")
+        pytest.skip(f"Node.js is not installed, {instead}; on Debian: apt install nodejs npm")
     version = hashlib.sha256(b"".join((FILES / name).read_bytes() for name in _PACKAGE)).hexdigest()[:16]
     folder = user_cache_path("zenostat") / "tests" / f"asyncapi-parser-{version}"
     if not folder.is_dir():

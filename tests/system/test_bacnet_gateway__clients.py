@@ -107,7 +107,8 @@ def test_bac0_finds_the_device_reads_commands_and_relinquishes(
 
 
 @pytest.mark.skipif(
-    not (shutil.which("bacrp") and shutil.which("bacwp")), reason="bacrp and bacwp of bacnet-stack are not installed"
+    not (shutil.which("bacrp") and shutil.which("bacwp")),
+    reason="bacrp and bacwp are not installed; build them from github.com/bacnet-stack/bacnet-stack",
 )
 def test_bacnet_stack_reads_and_writes(episode_bus: zenostat.Bus, shared_node: NodeProgram) -> None:
     port = free_udp_port()

@@ -89,7 +89,7 @@ class Hosts:
 def hosts() -> Iterator[Hosts]:
     for program in ("unshare", "nsenter", "ip", "tc"):
         if shutil.which(program) is None:
-            pytest.skip(f"there is no program {program}")
+            pytest.skip(f"{program} is not installed; on Debian: apt install util-linux iproute2")
     if subprocess.run(["unshare", "-n", "true"], capture_output=True, check=False).returncode != 0:
         pytest.skip("this process may not make network namespaces")
     with Hosts() as hosts:

@@ -29,7 +29,9 @@ from zenostat.views.live.screenshot import Drawing, Screenshot, draw
 from zenostat.views.live.stream import RerunStream
 from zenostat.views.live.viewer import has_vulkan, serving, web_viewer
 
-needs_vulkan = pytest.mark.skipif(not has_vulkan(), reason="no Vulkan driver is installed")
+needs_vulkan = pytest.mark.skipif(
+    not has_vulkan(), reason="no Vulkan driver is installed; on Debian: apt install mesa-vulkan-drivers libvulkan1"
+)
 
 SIZE = (640, 400)
 RED, GREEN = (255, 40, 40), (40, 255, 40)

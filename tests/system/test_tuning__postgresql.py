@@ -35,7 +35,9 @@ STUDY: dict[str, Any] = {
 
 pytestmark = [
     pytest.mark.slow,
-    pytest.mark.skipif(PG_CTL is None, reason="no PostgreSQL server (pg_ctl) is installed"),
+    pytest.mark.skipif(
+        PG_CTL is None, reason="no PostgreSQL server (pg_ctl) is installed; on Debian: apt install postgresql"
+    ),
 ]
 
 

@@ -505,7 +505,7 @@ def test_python_example_ends_with_the_reason_when_the_engine_dies(shared_node, g
 def test_c_example(gateway, scratch):
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
-        pytest.skip("there is no C compiler")
+        pytest.skip("there is no C compiler; on Debian: apt install gcc libc6-dev")
     program = scratch / "controller"
     options = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-o", str(program)]
     source = EXAMPLES / "zeromq_controller.c"

@@ -14,10 +14,10 @@ from support.trajectories import office_comparison
 from zenostat.views.report import write_report
 
 pytest.importorskip("matplotlib")
-playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium"),
+    pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium"),
     pytest.mark.process,
 ]
 
