@@ -1,15 +1,18 @@
-"""A controller's values as the arrays of a command message."""
+"""The commands of a controller: encoding and publisher."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 import numpy as np
+import zenoh
 from numpy.typing import NDArray
+from zenoh import CongestionControl
 
-from zenostat.topics import codec
+from zenostat.bridge.client.presence import undeclare
+from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidAction
-from zenostat.topics.messages import CommandOp, Manifest
+from zenostat.topics.messages import Command, CommandOp, Manifest, Sample
 from zenostat.topics.points import actuator_index
 
 # Plain integers: an exception that a signal handler raises inside NumPy's access to an enum member is lost, such as the
@@ -17,19 +20,50 @@ from zenostat.topics.points import actuator_index
 _KEEP, _SET, _RELINQUISH = int(CommandOp.KEEP), int(CommandOp.SET), int(CommandOp.RELINQUISH)
 
 
-class CommandEncoder:
-    """Encodes values for the actuators of one node."""
+class CommandPublisher:
+    """Encodes and publishes the commands of one controller to one node.
 
-    def __init__(self, manifest: Manifest) -> None:
+    Args:
+        session: An open Zenoh session.
+        manifest: The node's manifest.
+        controller: The controller's name on the bus.
+
+    Attributes:
+        put: Publishes an encoded command.
+    """
+
+    def __init__(self, session: zenoh.Session, manifest: Manifest, controller: str) -> None:
+        self._publisher = session.declare_publisher(
+            keys.COMMAND.at(manifest.node, name=controller),
+            encoding=zenoh.Encoding(codec.encoding(Command)),
+            congestion_control=CongestionControl.BLOCK,
+        )
+        self.put = self._publisher.put
         self._slots = manifest.slots
         self._index = actuator_index(manifest.actuators, InvalidAction)
         count = len(manifest.actuators)
         self._shape = (manifest.slots, count) if manifest.slots > 1 else (count,)
 
+    def close(self) -> None:
+        """Undeclare the publisher."""
+        undeclare(self._publisher)
+
     def encode(
+        self,
+        sample: Sample,
+        values: Mapping[str, float | None] | NDArray[np.float64] | None,
+        operations: bytes | None,
+        still: Collection[int],
+    ) -> bytes:
+        """Return the command that answers a sample; other arguments and errors as of `ControllerLink.send`."""
+        raw, operations = self._arrays(values, operations)
+        steps = [None if slot in still else step for slot, step in enumerate(sample.step)] if still else sample.step
+        return codec.pack(episode=sample.episode, step=steps, operations=operations, values=raw)
+
+    def _arrays(
         self, values: Mapping[str, float | None] | NDArray[np.float64] | None, operations: bytes | None
     ) -> tuple[bytes, bytes | None]:
-        """Return raw values and operations; arguments and errors as of `ControllerLink.send`."""
+        """Return raw values and operations."""
         if isinstance(values, np.ndarray):
             if values.shape != self._shape:
                 raise InvalidAction(f"values of shape {values.shape}; {self._shape} expected: one for each actuator")

@@ -12,12 +12,11 @@ from typing import Any
 import numpy as np
 import zenoh
 from numpy.typing import NDArray
-from zenoh import CongestionControl
 from zenoh.handlers import RingChannel
-from zenostat.bridge.client.command_encoding import CommandEncoder
 
+from zenostat.bridge.client.command_publisher import CommandPublisher
 from zenostat.bridge.client.connection import Connection
-from zenostat.bridge.client.presence import NodeWatch, interface, undeclare
+from zenostat.bridge.client.presence import NodeWatch, check_interface, undeclare
 from zenostat.bridge.client.receive_watchdog import ReceiveWatchdog, query_sample
 from zenostat.bridge.client.sample import SampleView, is_after
 from zenostat.bridge.client.thread_guard import one_thread
@@ -38,7 +37,6 @@ from zenostat.topics.errors import (
 from zenostat.topics.messages import (
     Ack,
     Claim,
-    Command,
     Event,
     EventKind,
     Flag,
@@ -100,7 +98,6 @@ class ControllerLink:
         """Subscribe first and claim last, so that no message after the claim is missed."""
         manifest, claim = self.manifest, self._claim
         self._names = value_index(manifest)
-        self._encode = CommandEncoder(manifest).encode
         self._sample_key = keys.SAMPLE.at(manifest.node)
         declare = self._close.enter_context
         self._inbox = session.declare_subscriber(keys.stream(manifest.node), RingChannel(_INBOX))
@@ -110,13 +107,9 @@ class ControllerLink:
         self._close.callback(self._node.close)
         self._node.watch(manifest.instance)
         declare(session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, name=claim.controller)))
-        commands = session.declare_publisher(
-            keys.COMMAND.at(manifest.node, name=claim.controller),
-            encoding=zenoh.Encoding(codec.encoding(Command)),
-            congestion_control=CongestionControl.BLOCK,
-        )
-        self._close.callback(undeclare, commands)
-        self._put_command = commands.put
+        commands = CommandPublisher(session, manifest, claim.controller)
+        self._close.callback(commands.close)
+        self._encode_command, self._put_command = commands.encode, commands.put
         self._take_claim()
 
     @property
@@ -144,11 +137,7 @@ class ControllerLink:
         manifest = self.bus.manifest(self.manifest.node)
         self._node.lost = False  # first, so that a second loss from here on is noticed
         if manifest.instance != self.manifest.instance:
-            if interface(manifest) != interface(self.manifest):
-                raise NodeLost(
-                    f"node {manifest.node!r} was restarted with other points, slots or actions; "
-                    "connect another controller, or make another environment"
-                )
+            check_interface(manifest, self.manifest)
             self.manifest = manifest
             self._node.watch(manifest.instance)
         self._take_claim()
@@ -363,12 +352,10 @@ class ControllerLink:
             raise self._ended
         if self._done:
             return
-        message = self._latest.message
-        raw, operations = self._encode(values, operations)
-        steps = [None if slot in still else step for slot, step in enumerate(message.step)] if still else message.step
+        payload = self._encode_command(self._latest.message, values, operations, still)
         self._answered = True
         try:
-            self._put_command(codec.pack(episode=message.episode, step=steps, operations=operations, values=raw))
+            self._put_command(payload)
         except (zenoh.ZError, RuntimeError):
             if self._ended is None:
                 raise

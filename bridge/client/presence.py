@@ -12,6 +12,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from zenostat.topics import keys
+from zenostat.topics.errors import NodeLost
 from zenostat.topics.messages import Manifest
 
 _DISCOVERY_TIMEOUT_S = 10.0
@@ -79,6 +80,15 @@ def undeclare(declared: Any) -> None:
             return
 
 
-def interface(manifest: Manifest) -> tuple[Any, ...]:
+def check_interface(manifest: Manifest, previous: Manifest) -> None:
+    """Raise `NodeLost` if a restarted node has another interface than before."""
+    if _interface(manifest) != _interface(previous):
+        raise NodeLost(
+            f"node {manifest.node!r} was restarted with other points, slots or actions; "
+            "connect another controller, or make another environment"
+        )
+
+
+def _interface(manifest: Manifest) -> tuple[Any, ...]:
     """Return the parts of a manifest that a controller relies on; weather and run period may differ after a restart."""
     return manifest.slots, manifest.sensors, manifest.meters, manifest.actuators, manifest.task, manifest.step_s
