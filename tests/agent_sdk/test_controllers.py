@@ -175,7 +175,7 @@ def test_a_margin_wider_than_the_band_meets_in_its_middle() -> None:
     assert set(RuleBasedController(of, low=20.0, high=21.0, margin=5.0).act(view(of)).values()) == {20.5}
 
 
-def test_one_action_that_sets_several_thermostats_is_ruled_by_any_of_their_zones() -> None:
+def test_rbc__an_action_on_several_thermostats_follows_any_occupied_zone() -> None:
     sensors = [sensor(f"air_{z}", key=z) for z in "AB"]
     sensors += [sensor(f"people_{z}", "Zone People Occupant Count", z, "1") for z in "AB"]
     pair = tuple(thermostat(f"heat_{z}", z, "Heating Setpoint", 15.0, 22.5) for z in "AB")

@@ -307,7 +307,7 @@ def test_a_node_that_runs_elsewhere(folder: Path, env: gym.Env[Any, Any]) -> Non
     assert expected == rollout(env, seed=6)
 
 
-def test_what_the_node_decides_is_not_asked_of_it(folder: Path) -> None:
+def test_connect__rejects_settings_that_the_node_decides(folder: Path) -> None:
     with pytest.raises(InvalidConfig, match=r"building, begin: the node at tcp/127.0.0.1:1 has its own"):
         gym.make("zenostat/Building-v1", connect="tcp/127.0.0.1:1", node="office", building="x", begin="07-01")
     with pytest.raises(InvalidConfig, match=r"connect='tcp/127.0.0.1:1' needs the node's name"):
@@ -328,7 +328,7 @@ def test_import_is_light() -> None:
 
 
 @pytest.mark.slow
-def test_files_are_kept_where_asked_and_nowhere_else(scratch: Path) -> None:
+def test_output_dir__is_the_only_place_where_files_are_kept(scratch: Path) -> None:
     kept = scratch / "kept"
     with make(output_dir=kept) as keeping:
         rollout(keeping, seed=1)

@@ -261,7 +261,7 @@ def test_a_good_reward_starts_nothing(tmp_path: Path) -> None:
         check_agent_settings(reward, {"scenario": str(file)}, Affinity.OFF)
 
 
-def test_a_bad_reward_is_said_with_what_else_is_wrong(tmp_path: Path) -> None:
+def test_for_node__reports_a_bad_reward_with_all_other_errors(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("building: no-such-building\nweather: USA_CO_Denver\nreward: {kind: linear, weight: 3}\n")
     with pytest.raises(InvalidConfig) as raised:

@@ -90,7 +90,7 @@ def test_a_limit_that_cannot_be_is_refused(limit: dict[str, Any], words: str, sc
         make(terminate=[limit])
 
 
-def test_a_step_says_what_was_commanded_and_who_ruled(scratch: Path) -> None:
+def test_info__has_commands_and_value_sources(scratch: Path) -> None:
     env = make(control="building")
     env.reset(seed=0)
     _, _, _, _, info = env.step([20.0, 25.0])
@@ -103,7 +103,7 @@ def test_a_step_says_what_was_commanded_and_who_ruled(scratch: Path) -> None:
     env.close()
 
 
-def test_what_a_person_sets_is_told(scratch: Path) -> None:
+def test_info__has_what_a_person_sets(scratch: Path) -> None:
     """A write at a higher priority rules over the agent, and the step says so."""
     import zenostat
 

@@ -440,7 +440,7 @@ def test_wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:
     env.close()
 
 
-def test_what_is_given_of_an_observation_is_the_callers(office: BuildingEnv) -> None:
+def test_observation__belongs_to_the_caller(office: BuildingEnv) -> None:
     """Also if it is changed in place, as some scalers do."""
     env: Any = w.PreviousObservation(office, ["core_zn_air_temperature"])
     env.reset(seed=1)

@@ -53,7 +53,7 @@ class Context(dict[str, object]):
     worker_index = 2
 
 
-def test_the_creator_makes_what_is_asked_for() -> None:
+def test_creator__creates_the_requested_environment() -> None:
     """A single environment, or a vector whose seeds no other EnvRunner has."""
     building = {"id": "Fake-v1", "zones": 2, "steps_per_hour": 1}
     single = zenostat.agent_sdk.ray.create_env(Context(building))

@@ -308,7 +308,7 @@ def test_normalised_by_what_was_seen() -> None:
     )
 
 
-def test_normalised_by_what_is_given() -> None:
+def test_normalized_reward__uses_given_limits() -> None:
     sample = values(power=4000.0, north=14.0)
     fixed = NormalizedReward(max_power_w=2000.0, max_degrees=12.0, moving=False).bind(NODE)
     for _ in range(2):
@@ -568,7 +568,7 @@ def test_named_sensors_are_computed_from_though_there_are_votes() -> None:
     assert ThermalSensationReward().bind(node)(sample, SUMMER).metrics["pmv_mean"] == 9.0
 
 
-def test_without_the_library_the_command_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_thermal_sensation__names_the_install_command_without_the_library(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pythermalcomfort", None)
     monkeypatch.setitem(sys.modules, "pythermalcomfort.models", None)
     with pytest.raises(InvalidConfig, match=r"pip install -e '\S+\[comfort\]'"):
@@ -631,7 +631,7 @@ def test_summer_is_in_december_south_of_the_equator(kind: str, day: tuple[int, i
     assert (bound(sample, moment).terms["comfort"] == 0.0) == summer
 
 
-def test_who_names_a_summer_has_it_in_both_hemispheres() -> None:
+def test_named_summer__holds_in_both_hemispheres() -> None:
     own = LinearReward(summer_begin=(6, 1), summer_end=(9, 30))
     for node in (NODE, NODE_SOUTH):
         assert own.season(node).band(SUMMER) == (23.0, 26.0)

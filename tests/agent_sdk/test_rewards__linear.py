@@ -60,7 +60,7 @@ def test_the_hand_and_the_reward_agree(
     assert got.reward == pytest.approx(reward, abs=1e-12)
 
 
-def test_terms_and_measures_say_what_the_reward_is_made_of() -> None:
+def test_linear_reward__reports_its_terms_and_metrics() -> None:
     got = LinearReward().bind(NODE)(values(25.0, 18.0, 2000.0), WINTER)
     assert got.terms == pytest.approx({"energy": -0.1, "comfort": -1.75})
     assert got.metrics == pytest.approx({"power_w": 2000.0, "degrees_outside": 3.5})
@@ -251,7 +251,7 @@ def test_a_kind_that_is_not_there_is_refused(fields: Any, words: str) -> None:
         read_reward(fields)
 
 
-def test_all_that_is_wrong_with_a_reward_is_said_at_once() -> None:
+def test_read_reward__reports_all_errors_at_once() -> None:
     with pytest.raises(InvalidConfig) as raised:
         read_reward({"kind": "linear", "weight": 2, "lambda_enrgy": 1, "winter": [20]})
     assert [word for word in ("weight", "lambda_enrgy", "winter") if word not in str(raised.value)] == []

@@ -377,7 +377,7 @@ def test_a_fake_building_is_on_no_bus() -> None:
         FakeEnv(1, render_mode="rerun")
 
 
-def test_noise_is_told_and_drawn_by_seed() -> None:
+def test_noise__is_reported_and_drawn_by_seed() -> None:
     env = FakeEnv(1)
     observation, info = env.reset(seed=4)
     assert info["weather_noise"] == {

@@ -113,7 +113,7 @@ def test_the_last_timestep_of_a_year_belongs_to_it() -> None:
     assert (fields[TimeField.HOUR], fields[TimeField.MINUTES], fields[TimeField.CURRENT_TIME]) == (23, 60, 24)
 
 
-def test_the_fields_come_in_the_order_asked() -> None:
+def test_time_fields__come_in_the_requested_order() -> None:
     begin, end = datetime(2017, 7, 2, 9), datetime(2017, 7, 2, 9, 15)  # a Sunday
     asked = [TimeField.CURRENT_TIME, TimeField.DAY_OF_WEEK, TimeField.HOUR]
     assert time_features(asked, begin, end).tolist() == [9.25, 1.0, 9.0]

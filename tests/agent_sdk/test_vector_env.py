@@ -183,7 +183,7 @@ def test_a_slot_that_has_ended_may_be_begun_by_hand() -> None:
 
 
 @each_mode
-def test_what_was_told_stays(mode: AutoresetMode) -> None:
+def test_observations__are_never_overwritten(mode: AutoresetMode) -> None:
     env = fakes(2, mode, terminate=[COLD])
     seen, _ = env.reset(seed=1)
     observations, before = [seen], [seen.copy()]
@@ -196,7 +196,7 @@ def test_what_was_told_stays(mode: AutoresetMode) -> None:
     assert differ(dict(enumerate(observations)), dict(enumerate(before))) == ""
 
 
-def test_infos_belong_to_who_gets_them() -> None:
+def test_infos__belong_to_the_caller() -> None:
     env = fakes(2)
     env.reset(seed=1)
     one, other = (env.step(np.tile([16.0, 25.0], (2, 2)))[4] for _ in range(2))
@@ -290,7 +290,7 @@ def test_all_ids_have_a_vector_of_their_own() -> None:
     assert all(spec.vector_entry_point for spec in ours)
 
 
-def test_what_can_be_asked_of_the_slots() -> None:
+def test_vector_env__answers_call_and_get_attr_of_its_slots() -> None:
     env = fakes(3, time=("hour",))
     env.reset(seed=1)
     single = FakeEnv(**DAY, time=("hour",))

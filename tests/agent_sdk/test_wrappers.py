@@ -463,7 +463,7 @@ def test_errors_by_hand() -> None:
         ({"sigma": 2.0, "tau_h": 6.0}, lambda h: 2.0 * math.sqrt(1 - math.exp(-h / 3.0))),
     ],
 )
-def test_errors_grow_with_the_horizon_as_said(error: Any, deviation: Callable[[float], float]) -> None:
+def test_forecast_errors__grow_with_the_horizon(error: Any, deviation: Callable[[float], float]) -> None:
     """A year of forecasts; the standard error of a deviation from 8,760 paths is below 1 %."""
     forecast = {"columns": [DRY], "n": 2, "spacing_h": 12.0}
     right, wrong = (w.WeatherForecast(fake(days=365), **forecast, errors=e) for e in (None, {DRY: error}))
@@ -649,7 +649,7 @@ def test_increments_that_cannot_be(wrong: Callable[[Any], Any], text: str) -> No
 # Reward, context
 
 
-def test_reward_vector_in_the_order_asked() -> None:
+def test_reward_vector__has_the_requested_order() -> None:
     env = w.RewardVector(fake(), ["comfort", "energy"])
     env.reset(seed=1)
     _, reward, _, _, _ = env.step(MIDDLE)
@@ -683,7 +683,7 @@ def test_context_follows_its_schedule(schedule: Any) -> None:
         assert effective == [0.25] * 14 + [1.0] * 23 + [0.25] * 11
 
 
-def test_context_by_chance_is_ruled_by_the_seed() -> None:
+def test_random_context__depends_on_the_seed() -> None:
     env = w.ChangingContext(fake(), lambda time, random: {"occupants": float(random.random())})
     seen = [[info["effective"][2] for *_, info in episode(env, lambda: MIDDLE, seed)[1:]] for seed in (1, 1, 2)]
     assert seen[0] == seen[1] != seen[2]

@@ -45,7 +45,7 @@ def test_keys_can_be_read_by_their_owner_alone(pki: Path) -> None:
     assert pki.stat().st_mode & 0o777 == 0o700
 
 
-def test_validity_is_the_days_that_were_asked_for(tmp_path: Path) -> None:
+def test_certificate__is_valid_for_the_requested_days(tmp_path: Path) -> None:
     now = datetime.now(UTC)
     by_name = {one.name: one.expires for one in make(tmp_path, days=30)}
     for role in ROLES:
@@ -102,7 +102,7 @@ def test_certificates_of_a_former_authority_are_named(pki: Path) -> None:
         identity(pki, Role.CONTROLLER, "second")
 
 
-def test_all_faults_of_a_call_are_told_at_once(tmp_path: Path) -> None:
+def test_make__reports_all_errors_of_a_call_at_once(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig) as raised:
         make(tmp_path / "keys", hosts=["a b", "-x.org", "300.1.1.1"], days=0)
     for fault in ("'a b' is not a host", "'-x.org' is not a host", "'300.1.1.1' is not a host", "1 to 3650"):
@@ -163,7 +163,7 @@ def test_a_certificate_of_the_morrow(pki: Path, monkeypatch: pytest.MonkeyPatch)
         identity(pki, Role.CONTROLLER, "early")
 
 
-def test_all_faults_of_a_certificate_are_told_at_once(pki: Path, tmp_path: Path) -> None:
+def test_identity__reports_all_errors_of_a_certificate_at_once(pki: Path, tmp_path: Path) -> None:
     make(tmp_path / "other")
     for kind in ("pem", "key"):
         shutil.copy(tmp_path / "other" / f"monitor.{kind}", pki / f"mine.{kind}")

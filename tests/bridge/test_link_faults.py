@@ -70,7 +70,7 @@ def test_with_jitter_nothing_overtakes() -> None:
 
 @pytest.mark.parametrize("probability", [0.02, 0.5, 0.97])
 @pytest.mark.parametrize(("kind", "copies"), [("loss", 0), ("duplicate", 2)])
-def test_loss_and_duplicates_are_as_frequent_as_asked(kind: str, copies: int, probability: float) -> None:
+def test_link_faults__lose_and_duplicate_as_often_as_configured(kind: str, copies: int, probability: float) -> None:
     faulty = link({"name": "it", "kind": kind, "samples": True, "probability": probability})
     deliveries = [faulty.outgoing(float(k)) for k in range(MANY)]
     hit = sum(len(delays) == copies for delays in deliveries)

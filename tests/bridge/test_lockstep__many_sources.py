@@ -14,7 +14,7 @@ from zenostat.topics.messages import CommandOp, EventKind, Write
 IDLE = 300
 
 
-def test_a_write_is_told_by_its_own_source_although_300_have_claimed() -> None:
+def test_write__is_reported_with_its_source_beside_300_claims() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 100.0) for i in range(IDLE)))
     for number in range(IDLE):
         claim(at, f"idle{number}", actuators=[f"a{number}"], required=False)
@@ -22,7 +22,7 @@ def test_a_write_is_told_by_its_own_source_although_300_have_claimed() -> None:
     assert ruling(at)[1][:3] == ["", "panel", ""]
 
 
-def test_300_controllers_of_300_actuators_are_each_told_by_name() -> None:
+def test_sample__names_each_of_300_controllers() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 1000.0) for i in range(IDLE)))
     for number in range(IDLE):
         claim(at, f"c{number}", 10, actuators=[f"a{number}"])

@@ -182,7 +182,7 @@ def test_a_disturbed_command_stays_within_the_bounds() -> None:
     assert damper.apply_to_commands(np.array([[20.0, 20.0, 1.0]]), [0]).tolist() == [[20.0, 20.0, 1000001.0]]
 
 
-def test_points_and_actuators_of_one_fault_are_on_together_and_told_once() -> None:
+def test_fault__is_on_for_points_and_actuators_together_and_reported_once() -> None:
     faults = point_faults(
         {"name": "x", "kind": "bias", "offset": 1.0, "points": "power", "actuators": "cooling", "when": SOME}
     )
@@ -274,7 +274,7 @@ def test_a_burst_that_its_window_ended_does_not_go_on_in_the_next() -> None:
     assert len(on) / days == pytest.approx(0.3, abs=4 * math.sqrt(0.3 * 0.7 / days))
 
 
-def test_what_began_and_ended_is_told_of_each_slot() -> None:
+def test_transitions__are_reported_for_each_slot() -> None:
     faults = point_faults(room("bias", name="b", offset=1, when=SOME), slots=2)
     values = np.zeros((2, 3))
     for steps in ([0, 1], [0, 2], [1, 3]):
@@ -309,7 +309,7 @@ def test_noise_has_its_mean_variance_and_shape() -> None:
 
 
 @pytest.mark.parametrize("two_sided", [True, False])
-def test_spikes_are_as_frequent_as_asked(two_sided: bool) -> None:
+def test_spikes__are_as_frequent_as_configured(two_sided: bool) -> None:
     fault = {"kind": "spike", "points": "*", "amplitude": 5.0, "probability": 0.1, "two_sided": two_sided}
     noise = noise_of(point_faults(fault), 10_000)
     up, down = np.mean(noise == 5.0), np.mean(noise == -5.0)

@@ -119,7 +119,7 @@ def test_a_node_that_ends_does_not_wait_for_the_disk(tmp_path: Path) -> None:
     reader.join()
 
 
-def test_a_full_buffer_stops_the_recording_by_name_where_that_was_asked_for(tmp_path: Path) -> None:
+def test_full_buffer__stops_the_recording_if_so_configured(tmp_path: Path) -> None:
     pipe, reasons = Pipe(), list[str]()
     recorder = new_recorder(
         tmp_path / "a.mcap",

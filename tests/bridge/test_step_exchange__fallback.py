@@ -259,7 +259,7 @@ def test_nothing_goes_on_where_nobody_ever_claimed(policy: Policy) -> None:
 
 
 @pytest.mark.parametrize("policy", GO_ON)
-def test_who_leaves_after_the_end_is_no_fallback(policy: Policy) -> None:
+def test_disconnection__after_the_end_is_no_fallback(policy: Policy) -> None:
     at = with_agent(policy)
     answer(at, "agent", [20.0, 25.0])
     advance(at, last=True)
@@ -267,7 +267,7 @@ def test_who_leaves_after_the_end_is_no_fallback(policy: Policy) -> None:
     assert at.fallback.bypass("agent", 1.0) == []
 
 
-def test_who_leaves_after_the_end_aborts_nothing() -> None:
+def test_disconnection__after_the_end_aborts_nothing() -> None:
     at = with_agent(Policy.ABORT)
     answer(at, "agent", [20.0, 25.0])
     advance(at, last=True)
@@ -276,7 +276,7 @@ def test_who_leaves_after_the_end_aborts_nothing() -> None:
     assert at.state is State.ENDED
 
 
-def test_a_new_episode_forgets_who_was_waived_and_who_was_silent() -> None:
+def test_new_episode__forgets_bypassed_and_late_controllers() -> None:
     at = with_two(Policy.HOLD, 2.0)
     at.fallback.on_disconnect("heater", 1.0)
     at.fallback.bypass("heater", 1.0)
@@ -371,7 +371,7 @@ def test_waiting_takes_a_late_command_and_says_how_late() -> None:
     assert at.intake.accept_fast("agent", wire(command([21.0, 26.0], step=2)), 4.5)  # the next one is usual again
 
 
-def test_who_joins_after_the_deadline_is_not_late() -> None:
+def test_claim__after_the_deadline_is_not_late() -> None:
     at = with_agent(Policy.WAIT, 2.0)
     at.fallback.on_deadline(3.0)
     claim(at, "guard", 5, now_s=9.0)
@@ -774,7 +774,7 @@ def goes_on(at: StepExchange, policy: Policy, taken: dict[str, list[int]], now_s
 
 
 @pytest.mark.parametrize("policy", [Policy.HOLD, Policy.RELINQUISH])
-def test_who_comes_does_not_wait_for_one_that_has_gone(policy: Policy) -> None:
+def test_claim__does_not_wait_for_a_disconnected_controller(policy: Policy) -> None:
     at = exchange()
     at.policy, at.deadline_s = policy, 5.0
     claim(at, "gone", 10)

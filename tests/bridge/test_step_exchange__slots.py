@@ -160,7 +160,7 @@ def test_the_exchange_ends_with_its_last_slot() -> None:
     assert (at.state, at.step) == (State.ENDED, [2, 1, 3])
 
 
-def test_nobody_is_asked_for_a_slot_that_is_over() -> None:
+def test_finished_slot__awaits_no_command() -> None:
     """Free mode moves all that are not."""
     at = exchange(slots=2, mode=Mode.FREE)
     assert go(at, last=(0,))[0] == [0, 1]
@@ -441,7 +441,7 @@ def test_a_source_s_place_is_given_on_once_nothing_of_it_holds() -> None:
     assert len(array.names) == 256
 
 
-def test_each_of_many_that_hold_something_is_told_by_its_own_name() -> None:
+def test_priority_array__names_each_of_many_sources() -> None:
     array = PriorityArray(1, 300)
     for number in range(300):
         array.put_one(8, array.source(f"w{number}"), number, 1.0)

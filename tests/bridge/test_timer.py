@@ -125,7 +125,7 @@ def test_a_call_may_ask_for_another(clock: Clock, timer: Timer) -> None:
     until(lambda: calls == ["second"], "the call of a call")
 
 
-def test_what_a_call_raises_is_told_and_the_next_one_comes(
+def test_timer__reports_what_a_call_raises_and_makes_the_next_one(
     clock: Clock, timer: Timer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     messages: list[str] = []

@@ -88,7 +88,7 @@ def test_the_higher_priority_rules_and_a_release_is_of_one_level(bus: zenostat.B
         assert sources(link, 1) == [(25.0, "low")]
 
 
-def test_who_writes_is_a_person_at_a_machine_if_nobody_is_named(bus: zenostat.Bus) -> None:
+def test_write__has_user_and_host_as_default_source(bus: zenostat.Bus) -> None:
     assert run_zenostat(bus.endpoint, "write", "office", POINT, "26").returncode == 0
     with bus.controller("office") as link:
         ((_, source),) = sources(link, 1)

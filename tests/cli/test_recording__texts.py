@@ -58,7 +58,7 @@ def test_an_ended_recording_is_described(status: RecordingStatus, expected: str)
     assert expected in describe_recording(status)
 
 
-def test_a_damaged_file_is_not_said_to_be_identical_as_a_whole() -> None:
+def test_verify_text__does_not_call_a_damaged_file_identical() -> None:
     result = Verification(steps=477, episodes=1, points=40, actuators=10)
     assert str(result) == "identical: 477 steps, 40 points, 10 actuators"
     result.is_damaged = True

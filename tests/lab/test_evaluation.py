@@ -297,7 +297,7 @@ def test_parameters_go_to_those_that_take_them() -> None:
         (["nothing.zip"], {}, InvalidConfig, "the algorithm of nothing.zip is missing"),
     ],
 )
-def test_mistakes_are_said_before_anything_runs(
+def test_evaluate__reports_errors_before_anything_runs(
     controllers: Any, arguments: dict[str, Any], error: type[Exception], message: str
 ) -> None:
     if "nothing.zip" in controllers:
@@ -308,7 +308,7 @@ def test_mistakes_are_said_before_anything_runs(
     assert progress == []
 
 
-def test_the_last_controllers_mistake_is_said_before_the_first_one_runs() -> None:
+def test_evaluate__reports_the_last_controllers_error_before_the_first_one_runs() -> None:
     class Picky(Controller):
         def __init__(self, manifest: Manifest) -> None:
             raise InvalidConfig("not here")

@@ -135,7 +135,7 @@ def test_a_branch_that_energyplus_gives_up_in_is_a_note(scratch: Path) -> None:
 # What cannot be
 
 
-def test_all_mistakes_are_said_at_once(scratch: Path) -> None:
+def test_probe__reports_all_errors_at_once(scratch: Path) -> None:
     people = {"people": ("People", "Number of People", "Core_ZN People")}
     settings = {**OFFICE, "actuators": people}
     with nothing_left(scratch), pytest.raises(InvalidConfig) as caught:
@@ -166,7 +166,7 @@ def test_a_mistake(arguments: dict[str, Any], message: str, scratch: Path) -> No
 
 
 @pytest.mark.slow
-def test_only_the_points_that_are_asked_for_count(scratch: Path) -> None:
+def test_probe__counts_the_requested_points_only(scratch: Path) -> None:
     result = probe(OFFICE, hours=1, days=1, at=(15,), points=["core_*", "outdoor"])
     assert [felt.point for felt in result.effects[0].responses] == ["core_air"]
     with pytest.raises(UnknownName, match="no sensor or meter 'air'"):

@@ -131,16 +131,16 @@ def test_unknown_names_list_near_ones() -> None:
         ({"thickness": None}, "thickness is null; expected a number above 0, or no such field"),
     ],
 )  # fmt: skip
-def test_a_wrong_value_is_said_with_what_would_be_right(edits: dict[str, Any], message: str) -> None:
+def test_schema_errors__name_the_right_values_beside_a_wrong_one(edits: dict[str, Any], message: str) -> None:
     assert only(material(**edits)) == f"Material 'brick': {message}"
 
 
-def test_words_and_limits_of_a_field_with_both_are_said() -> None:
+def test_schema_errors__name_words_and_limits_of_a_field_with_both() -> None:
     fault = only({"Boiler:HotWater": {"b": {"nominal_capacity": "big"}}}, complete=False)
     assert fault == "Boiler:HotWater 'b': nominal_capacity is 'big'; expected a number above 0, or 'Autosize'"
 
 
-def test_the_place_in_a_list_is_said() -> None:
+def test_schema_errors__name_the_place_in_a_list() -> None:
     corners = [{"vertex_x_coordinate": 0.0, "vertex_y_coordinate": 0.0, "vertex_z_coordinate": "up"}]
     (fault,) = schema.schema_errors({"BuildingSurface:Detailed": {"wall": {"vertices": corners}}}, complete=False)
     assert fault == "BuildingSurface:Detailed 'wall': vertices[0].vertex_z_coordinate is 'up'; expected a number"
@@ -156,7 +156,7 @@ def test_missing_fields_are_faults_of_complete_objects_only() -> None:
     assert fault == "Material 'brick' lacks 'roughness', 'thickness', 'conductivity', 'specific_heat'"
 
 
-def test_objects_that_are_none_are_said() -> None:
+def test_schema_errors__name_objects_that_are_none() -> None:
     assert only({"Material": {"brick": 3}}) == "Material 'brick': expected fields by name, got 3"
     assert only({"Material": [1]}) == "Material: expected objects by name, got [1]"
     assert only({"Material": {" ": MATERIAL}}) == "Material: an object without a name"
@@ -169,7 +169,7 @@ def test_what_converters_leave_behind_is_no_fault() -> None:
     )
 
 
-def test_all_faults_are_said_at_once() -> None:
+def test_schema_errors__come_all_at_once() -> None:
     errors = schema.schema_errors(material(thickness=-1, density="x", colour="red") | {"Zonne": {}}, complete=True)
     assert len(errors) == 4
 

@@ -145,7 +145,7 @@ def test_a_path_may_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
 
 
 @pytest.mark.parametrize("text", ["house.idf", "some/house", "/nowhere/house.epJSON"])
-def test_a_path_that_is_not_there_is_said_in_full(text: str) -> None:
+def test_missing_path__is_named_in_full(text: str) -> None:
     with pytest.raises(UnknownName) as raised:
         find_building(text)
     assert str(Path(text).absolute()) in str(raised.value)

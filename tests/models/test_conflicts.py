@@ -103,7 +103,7 @@ def conflict_texts(edits: dict[str, Any], *actuators: Actuator) -> list[str]:
 
 
 @pytest.mark.parametrize("case", FIGHTS)
-def test_who_fights_whom(case: str) -> None:
+def test_conflicts__name_the_actuator_and_its_rival(case: str) -> None:
     edits, actuator, text = FIGHTS[case]
     assert conflict_texts(edits, actuator) == ([f"actuator {actuator.name!r}: {text}"] if text else [])
 
@@ -175,7 +175,7 @@ def test_a_subroutine_that_is_run_is_named() -> None:
     assert "EMS program 'Sub' sets the same control" in conflict_texts(called, COOLING)[0]
 
 
-def test_a_program_that_also_reads_the_schedule_is_said_to() -> None:
+def test_conflicts__report_a_program_that_also_reads_the_schedule() -> None:
     sensor = {
         "Seen": {
             "output_variable_or_output_meter_name": "Schedule Value",
@@ -197,7 +197,7 @@ def schedule(key: str) -> Actuator:
     return COOLING_SCHEDULE.model_copy(update={"key": key})
 
 
-def test_a_schedule_that_nothing_uses_is_said() -> None:
+def test_conflicts__report_a_schedule_that_nothing_uses() -> None:
     assert conflict_texts({}, schedule("SPARE_SCH")) == [
         "actuator 'plan': nothing in the model uses schedule 'SPARE_SCH'"
     ]
@@ -210,14 +210,14 @@ def test_a_use_within_a_list_is_a_use() -> None:
     assert conflict_texts(edits, schedule("SPARE_SCH")) == []
 
 
-def test_a_schedule_for_sizing_only_is_said() -> None:
+def test_conflicts__report_a_schedule_for_sizing_only() -> None:
     sizing = {"Sizing:Zone": {"s": {"some_schedule_name": "Spare_Sch"}}}
     assert conflict_texts(sizing, schedule("SPARE_SCH")) == [
         "actuator 'plan': schedule 'SPARE_SCH' is used for sizing only (Sizing:Zone)"
     ]
 
 
-def test_a_schedule_that_only_ems_reads_is_said() -> None:
+def test_conflicts__report_a_schedule_that_only_ems_reads() -> None:
     model = read_building(find_building("office-small"))
     assert conflicts(model.objects, [schedule("BINARY OCCUPANCY")])[0].startswith(
         "actuator 'plan': no object uses schedule 'BINARY OCCUPANCY'; only EMS program"
@@ -235,7 +235,7 @@ def test_optimum_start_programs_win_over_their_schedules() -> None:
 # Thermostats
 
 
-def test_a_thermostat_without_that_setpoint_is_said() -> None:
+def test_conflicts__report_a_thermostat_without_that_setpoint() -> None:
     model = {
         **MODEL,
         "ZoneControl:Thermostat": {

@@ -226,7 +226,7 @@ def test_a_wheel_without_the_folder_that_is_used_is_refused(mirror, monkeypatch,
     assert everything(cache) == ["packs", "packs.lock"]
 
 
-def test_a_store_that_cannot_be_written_is_said(fake, cache):
+def test_add__names_a_store_that_cannot_be_written(fake, cache):
     cache.write_text("a file")
     with pytest.raises(InvalidConfig, match=r"cannot write the cache .*ZENOSTAT_CACHE"):
         add("fake")

@@ -255,7 +255,7 @@ def test_the_location_and_design_days_follow_the_weather(small: Building, tmp_pa
     assert coldest[1] > 0
 
 
-def test_the_location_and_design_days_of_the_model_stay_where_asked(small: Building, tmp_path: Path) -> None:
+def test_design_days_model__keeps_the_models_location_and_days(small: Building, tmp_path: Path) -> None:
     model = objects(prepared(episodes(small, [source(MIAMI, "model")]), WeatherDraw(), tmp_path / "own"))
     for kind in ("Site:Location", "SizingPeriod:DesignDay"):
         assert model[kind] == small.objects[kind]

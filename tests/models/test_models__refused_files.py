@@ -57,7 +57,7 @@ def test_an_object_that_the_converter_leaves_out_is_an_error(idf: Callable[[str]
 
 
 @pytest.mark.parametrize("text", ["", "hello world, this is none", "\x00\xff\x01;\x02,", "! only a comment\n"])
-def test_what_is_no_idf_is_told_as_no_idf(idf: Callable[[str], Path], text: str) -> None:
+def test_read_building__rejects_what_is_no_idf(idf: Callable[[str], Path], text: str) -> None:
     path = idf(text)
     with pytest.raises(InvalidConfig, match=r"mine\.idf is not an IDF") as caught:
         read(path)
@@ -119,7 +119,7 @@ def test_an_error_of_a_ddy_names_that_file(tmp_path: Path, monkeypatch: pytest.M
     assert "making-" not in str(caught.value)
 
 
-def test_many_errors_of_a_model_are_told_by_the_first_ones() -> None:
+def test_model_errors__list_the_first_of_many() -> None:
     with pytest.raises(InvalidConfig) as caught:
         check_runnable(Building("many", {f"None{i}": {} for i in range(1000)}, "", (), "many.epJSON"))
     assert len(str(caught.value).splitlines()) == model._MAX_ERRORS + 2

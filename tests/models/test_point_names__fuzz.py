@@ -82,18 +82,18 @@ def test_any_text_has_a_safe_name(text: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["a/b", "a*", "#", "ü", "", "a b", "x" * 129, "@a", "-a"])
-def test_a_name_that_cannot_be_is_told_as_it_was_written(name: str) -> None:
+def test_invalid_name__is_quoted_as_written(name: str) -> None:
     with pytest.raises(InvalidConfig) as raised:
         check_name(name, "the point name")
     assert repr(name) in str(raised.value)
 
 
-def test_an_unknown_key_and_its_neighbours_are_told_as_energyplus_spells_them() -> None:
+def test_unknown_key__and_near_ones_have_energyplus_spelling() -> None:
     with pytest.raises(UnknownName, match=r"no key 'A/BB'; did you mean 'A/B'"):
         find_actuator(model(["A/B", "区域"]), "point", "Zone Temperature Control", "Heating Setpoint", "A/BB")
 
 
-def test_ten_thousand_actuators_are_ruled_as_two_are() -> None:
+def test_exchange__treats_ten_thousand_actuators_as_two() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 100.0) for i in range(MANY)))
     claim(at, "low", 12)
     claim(at, "high", 5, actuators=[f"a{i}" for i in range(0, MANY, 2)])
@@ -120,7 +120,7 @@ def test_one_bad_value_among_ten_thousand_is_named_and_changes_nothing() -> None
     assert not at.ready_to_step()
 
 
-def test_who_writes_has_a_name_of_a_bounded_length() -> None:
+def test_source_name__has_a_bounded_length() -> None:
     longest = Write(value=25.0, source="x" * 128)
     assert codec.decode(Write, codec.encode(longest)) == longest
     with pytest.raises(BadMessage, match=r"source.*128"):

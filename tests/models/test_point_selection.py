@@ -106,7 +106,7 @@ def refused(**asked: Any) -> str:
 # What is asked for
 
 
-def test_points_stand_in_the_order_asked_with_energyplus_own_names() -> None:
+def test_select_points__keeps_the_requested_order_and_energyplus_names() -> None:
     points = chosen(
         sensors={"b": ("zone air temperature", "core zn"), "a": ("FAN ELECTRICITY ENERGY", "Fan 1")},
         meters={"hvac": "electricity:hvac", "all": "Electricity:Facility"},
@@ -131,7 +131,7 @@ def test_what_follows_the_system_timestep_is_known() -> None:
     assert points.system == (False, True)
 
 
-def test_none_asked_is_none_given() -> None:
+def test_select_points__returns_none_if_none_is_requested() -> None:
     points = chosen()
     assert (points.sensors, points.meters, points.actuators) == ((), (), ())
 
@@ -179,7 +179,7 @@ TEMPERATURE, ENERGY, POWER = (
         ((*ENERGY, "sum"), "sum"),
     ],
 )
-def test_a_reading_is_that_asked_or_the_usual_one(spec: tuple[str, ...], aggregation: str) -> None:
+def test_aggregation__is_the_requested_or_the_usual_one(spec: tuple[str, ...], aggregation: str) -> None:
     (sensor,) = chosen(sensors={"s": spec}).sensors
     assert sensor.aggregation == aggregation
 
@@ -239,7 +239,7 @@ def test_what_is_used_is_never_negative_and_a_net_meter_may_be() -> None:
         ((THERMOSTAT, "Heating Setpoint", "CORE ZN", "12", "21.5"), (12.0, 21.5)),
     ],
 )
-def test_an_actuators_bounds_are_those_asked_its_schedules_or_its_units(
+def test_actuator_bounds__are_those_requested_or_of_schedule_or_unit(
     spec: tuple[object, ...], bounds: tuple[float | None, float | None]
 ) -> None:
     (actuator,) = chosen(actuators={"a": spec}).actuators
@@ -289,7 +289,7 @@ def test_an_unknown_point_says_which_part_is_wrong_and_lists_near_ones(asked: di
     assert all(word in message for word in words), message
 
 
-def test_all_that_is_not_there_is_said_at_once() -> None:
+def test_select_points__reports_all_missing_points_at_once() -> None:
     with pytest.raises(UnknownName) as raised:
         chosen(
             sensors={"s1": ("No Such Thing", "k"), "good": TEMPERATURE, "s2": ("Zone Air Temperature", "CELLAR")},
@@ -302,7 +302,7 @@ def test_all_that_is_not_there_is_said_at_once() -> None:
     ]  # fmt: skip
 
 
-def test_all_that_cannot_be_is_said_at_once() -> None:
+def test_select_points__reports_all_errors_at_once() -> None:
     message = refused(
         sensors={"s1": (*TEMPERATURE, "sum"), "s2": ("Zone Air Temperature",), "a/b": TEMPERATURE},
         meters={"m1": "Steam:Facility"},

@@ -155,7 +155,7 @@ def test_a_model_without_a_run_period_runs_the_whole_of_2017_in_steps_of_ten_min
     assert (period.begin, period.end, period.steps_per_hour) == (date(2017, 1, 1), date(2017, 12, 31), 6)
 
 
-def test_a_models_own_period_and_timestep_hold_where_nothing_is_asked() -> None:
+def test_run_period__defaults_to_the_models_period_and_timestep() -> None:
     own = building(begin_month=3, begin_day_of_month=5, end_month=4, end_day_of_month=6, begin_year=2012)
     own.objects["Timestep"] = {"t": {"number_of_timesteps_per_hour": 4}}
     period = own.period(None, None, None)

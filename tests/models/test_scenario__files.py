@@ -174,7 +174,7 @@ def test_a_scenario_that_was_written_is_read_back(tmp_path: Path, fields: dict[s
 
 @settings(suppress_health_check=[HealthCheck.too_slow])
 @given(fields)
-def test_what_is_given_is_what_is_read(fields: dict[str, Any]) -> None:
+def test_read_scenario__keeps_the_fields_that_are_set(fields: dict[str, Any]) -> None:
     read = read_scenario(fields).model_dump(mode="json", exclude_unset=True)
     assert read == fields
 
@@ -407,7 +407,7 @@ def test_a_time_field_is_observed_once(load: Load) -> None:
     assert "time field is named twice" in refused(load, "time: [hour, month, hour]")
 
 
-def test_the_words_that_there_are_are_said(load: Load) -> None:
+def test_unknown_word__is_reported_with_the_allowed_ones(load: Load) -> None:
     assert "'point', 'zone' or 'building', got 'zones'" in refused(load, "control: zones")
 
 

@@ -448,7 +448,7 @@ def test_one_of_several_by_the_end_of_its_id(root):
         scenario_of(config, "hot-discret")
 
 
-def test_all_faults_of_a_file_are_said_at_once(own, tmp_path, monkeypatch):
+def test_scenarios_of__reports_all_errors_of_a_file_at_once(own, tmp_path, monkeypatch):
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "empty"))
     path = own(
         "wether_variability: {}",
@@ -503,7 +503,7 @@ def test_all_faults_of_a_file_are_said_at_once(own, tmp_path, monkeypatch):
         assert any(expected in fault for fault in faults), (expected, faults)
 
 
-def test_faults_of_the_reward_are_said_at_once(own):
+def test_scenarios_of__reports_all_errors_of_the_reward_at_once(own):
     path = own(
         reward_kwargs="""
           temperature_variables: [rom_1_air_temperature]

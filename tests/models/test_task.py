@@ -176,7 +176,7 @@ def test_an_action_that_cannot_be_is_refused(actions: dict[str, Any], words: str
         task(actions=actions)
 
 
-def test_all_that_is_wrong_with_the_actions_is_said_at_once() -> None:
+def test_task_of__reports_all_errors_of_actions_at_once() -> None:
     lines = refused(
         actions={
             "a": {"actuators": ["nowhere", "fan", "fan"]},
@@ -289,7 +289,7 @@ def test_choices_that_cannot_be_are_refused(choices: list[dict[str, Any]], words
         task(actions=PAIRS, discrete=choices)
 
 
-def test_all_that_is_wrong_with_the_choices_is_said_at_once() -> None:
+def test_task_of__reports_all_errors_of_choices_at_once() -> None:
     lines = refused(
         actions={**PAIRS, "f": {"actuators": ["fan"]}},
         discrete=[
@@ -309,7 +309,7 @@ def test_all_that_is_wrong_with_the_choices_is_said_at_once() -> None:
     assert len(lines) == len(expected)
 
 
-def test_what_is_wrong_with_actions_and_choices_is_said_at_once() -> None:
+def test_task_of__reports_errors_of_actions_and_choices_at_once() -> None:
     lines = refused(
         actions={"heat": {"actuators": ["north_heating"]}, "f": {"actuators": ["fam"]}},
         discrete=[{"actions": ["heat"], "values": [[14], [15, 16]]}, {"actions": ["f"], "values": [[1]]}],

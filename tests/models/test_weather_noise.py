@@ -203,7 +203,7 @@ def test_a_range_is_drawn_uniformly_for_each_episode(denver: Weather) -> None:
 
 
 @pytest.mark.parametrize(("sigma", "mu", "tau_h"), [(2.5, 0.0, 24.0), (1.0, 2.0, 6.0)])
-def test_a_years_noise_has_the_mean_and_deviation_asked_for(
+def test_noise__has_the_configured_mean_and_deviation_in_a_year(
     denver: Weather, sigma: float, mu: float, tau_h: float
 ) -> None:
     # Dry bulb is far from its limits, so the difference is the noise. Values correlate: a mean over n of them
@@ -488,7 +488,7 @@ def test_hours_stay_possible(
 
 @settings(max_examples=examples(20), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.floats(0.0, 49.0), st.floats(51.0, 100.0), st.integers(0, 2**32))
-def test_limits_that_were_asked_for_hold(denver: Weather, low: float, high: float, seed: int) -> None:
+def test_noise__respects_configured_limits(denver: Weather, low: float, high: float, seed: int) -> None:
     done = noised(denver, seed, relative_humidity=ColumnNoise(sigma=40.0, low=low, high=high))
     humidity = done.columns["relative_humidity"]
     assert low - 5e-5 <= humidity.min()

@@ -440,7 +440,7 @@ def test_connect__names_what_is_missing(shared_node: NodeProgram) -> None:
         gym.make("zenostat/Building-v1", connect=shared_node.endpoint, node="ofice")
 
 
-def test_listening_beyond_this_machine_is_asked_for(folder: Path) -> None:
+def test_node__listens_to_other_machines_only_with_the_option(folder: Path) -> None:
     with pytest.raises(InvalidConfig, match="can be reached from other machines, without encryption"):
         NodeProgram(folder / "node", **SMALL, listen=[f"tcp/0.0.0.0:{free_port()}"])
 

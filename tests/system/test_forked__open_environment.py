@@ -61,7 +61,7 @@ print("done", flush=True)
 
 @pytest.mark.variants
 @pytest.mark.parametrize("slots", [1, 2])
-def test_the_child_is_told_and_the_parent_goes_on(slots: int) -> None:
+def test_forked_child__gets_an_error_and_the_parent_goes_on(slots: int) -> None:
     with Program(PROGRAM, str(slots), json.dumps(SMALL)) as program:
         outcome: dict[str, Any] = program.json()
         assert {outcome[what][0] for what in ("step", "reset", "snapshot", "nodes", "listen")} == {"BusError"}

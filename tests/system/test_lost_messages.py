@@ -74,7 +74,7 @@ def is_event(kind: EventKind) -> Callable[[str, bytes], bool]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("step", [40, 0, 96])
-def test_a_lost_sample_is_asked_for(episode_bus: zenostat.Bus, step: int) -> None:
+def test_lost_sample__is_requested(episode_bus: zenostat.Bus, step: int) -> None:
     with episode_bus.controller("office") as link:
         quiet = values_of_day(link)
         lost = lose(link, is_sample(step))

@@ -360,7 +360,7 @@ def test_mbpoll_reads_and_writes(bus: Bus, port: int) -> None:
     assert bus.priorities("office")[COOLING][7] == (None, None)
 
 
-def test_the_low_word_comes_first_where_that_is_asked_for(bus: Bus, shared_node: NodeProgram) -> None:
+def test_word_order__low_word_first_if_configured(bus: Bus, shared_node: NodeProgram) -> None:
     with (
         gateway(shared_node.endpoint, "--word-order", "little", "--source", "plc", "--priority", "5") as port,
         ModbusTcpClient("127.0.0.1", port=port, timeout=20) as client,

@@ -306,7 +306,7 @@ def test_a_paused_node_stands_until_it_goes_on(year_bus: Bus, mode: str) -> None
     assert not bus.status("office").paused
 
 
-def test_a_pause_forgets_the_steps_that_were_asked_for(year_bus: Bus) -> None:
+def test_pause__forgets_requested_steps(year_bus: Bus) -> None:
     bus = year_bus
     bus.pause("office")
     bus.pace("office", mode="free")
@@ -388,7 +388,7 @@ def test_the_pace_changes_while_it_runs(bus: Bus) -> None:
         assert bus.status("office").mode is Mode.LOCKSTEP
 
 
-def test_a_pace_that_is_asked_for_again_and_again_does_not_stop_the_clock(bus: Bus) -> None:
+def test_repeated_pace_request__does_not_stop_the_clock(bus: Bus) -> None:
     with bus.controller("office", required=False):
         bus.pace("office", STEP_S)  # a timestep a second
 

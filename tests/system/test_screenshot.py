@@ -73,7 +73,7 @@ def _cursor(pixels: NDArray[np.int16]) -> int:
 
 
 @needs_vulkan
-def test_each_view_is_drawn_and_the_cursor_is_at_the_time_asked_for(scratch):
+def test_screenshot__draws_each_view_at_the_requested_time(scratch):
     path, columns = _recording(scratch / "run.rrd"), []
     for hour in (6, 12, 18):
         picture = scratch / f"{hour}.png"

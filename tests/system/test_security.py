@@ -464,7 +464,7 @@ def test_why_there_is_no_session(node: NodeProgram, pki: Path, strange_pki: Path
         open_session(connect=[node.endpoint], keys=mixed, role=Role.CONTROLLER)
 
 
-def test_the_other_side_s_refusal_is_told(node: NodeProgram, pki: Path, strange_pki: Path) -> None:
+def test_diagnose_tls__reports_a_refusal_by_the_peer(node: NodeProgram, pki: Path, strange_pki: Path) -> None:
     shown = Identity(pki / "ca.pem", strange_pki / "controller.pem", strange_pki / "controller.key")
     assert f"{node.endpoint} refused the session over TLS: " in diagnose_tls(node.endpoint, shown)
     good = Identity(pki / "ca.pem", pki / "controller.pem", pki / "controller.key")
@@ -506,7 +506,7 @@ def test_settings_that_cannot_be(pki: Path, settings: dict[str, Any], message: s
         open_session(keys=pki, **settings)
 
 
-def test_all_faults_are_told_at_once(tmp_path: Path) -> None:
+def test_open_session__reports_all_errors_at_once(tmp_path: Path) -> None:
     with pytest.raises(UsageError) as raised:
         open_session(listen=["tcp/0.0.0.0:1"], connect=["here"], keys=tmp_path / "none", role=Role.NODE)
     for fault in ("'here' is not an endpoint", "write tls/0.0.0.0:1", "--expose", "zenostat keys init"):

@@ -75,7 +75,7 @@ def zones_own(gate: Gate) -> Any:
 
 
 @pytest.mark.parametrize("make_env", [single, vector, zones, zones_own])
-def test_who_comes_second_is_refused_and_who_came_first_goes_on(make_env: Callable[[Gate], Any]) -> None:
+def test_second_thread__is_rejected_and_the_first_goes_on(make_env: Callable[[Gate], Any]) -> None:
     gate = Gate()
     env = make_env(gate)
     env.reset(seed=0)

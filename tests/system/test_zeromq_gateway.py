@@ -192,7 +192,7 @@ def test_writes_are_answered(gateway):
         assert np.frombuffer(sample.effective)[names.index(SETPOINT)] == 26.5
 
 
-def test_subscribers_hear_the_latest_at_once_and_only_what_they_asked_for(gateway):
+def test_subscriber__gets_the_latest_of_its_topics_at_once(gateway):
     with Peer(gateway) as peer, Peer(gateway) as other:
         peer.listen("sample")
         topic, encoding, payload = peer.published.recv_multipart()
@@ -274,7 +274,7 @@ def _is_stopped(pid: int) -> bool:
     return set(states) == {"T"}
 
 
-def test_peer_with_too_many_unanswered_requests_is_told_and_delays_nobody_by_more(node, own_gateway):
+def test_peer_with_too_many_unanswered_requests__gets_an_error_and_delays_no_other(node, own_gateway):
     """frozen node: 100 of 300 requests wait for it, the others are rejected → the node goes on: all are answered"""
     with Peer(own_gateway) as flood, Peer(own_gateway) as peer:
         assert flood.ask("rpc/status")[0] == peer.ask("rpc/status")[0] == "Status"

@@ -70,7 +70,7 @@ def test_what_is_not_known_arrives_as_the_root(fields: dict[str, str], text: str
     assert str(arrived) == text
 
 
-def test_no_class_of_the_interpreter_can_be_asked_for() -> None:
+def test_from_wire__creates_no_class_of_the_interpreter() -> None:
     assert type(from_wire({"error": "SystemExit", "message": "1"})) is ZenostatError
 
 
@@ -184,14 +184,14 @@ def test_what_is_no_endpoint_is_refused_with_the_form(endpoint: str) -> None:
         "tcp/localhost.example.org:7447", "tcp/127.0.0.1:7447#iface=eth0",
     ],
 )  # fmt: skip
-def test_listening_beyond_this_machine_must_be_asked_for(endpoint: str) -> None:
+def test_open_session__listens_to_other_machines_only_with_the_option(endpoint: str) -> None:
     with pytest.raises(UsageError, match="can be reached from other machines"):
         open_session(listen=[endpoint])
 
 
 @pytest.mark.variants
 @pytest.mark.parametrize("family", [socket.AF_INET, socket.AF_UNIX])
-def test_a_program_that_does_not_answer_is_told_from_none(family: int, tmp_path: Path) -> None:
+def test_silent_program__has_an_error_of_its_own(family: int, tmp_path: Path) -> None:
     path = str(tmp_path / "bus")
     with socket.socket(family) as silent:
         silent.bind(path if family == socket.AF_UNIX else ("127.0.0.1", 0))

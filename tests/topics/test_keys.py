@@ -110,7 +110,7 @@ def test_what_travels_has_a_class_and_presence_has_none(topic: Topic) -> None:
 
 
 @rows
-def test_whatever_is_asked_is_answered(topic: Topic) -> None:
+def test_query__has_a_reply_and_is_never_the_nodes(topic: Topic) -> None:
     if topic.delivery is Delivery.QUERY:
         assert topic.reply is not None
         assert topic.sender is not Role.NODE
@@ -134,7 +134,7 @@ def test_commands_and_writes_are_not_lost(topic: Topic) -> None:
     [(keys.COMMAND, keys.COMMAND_REQUEST), (keys.ACTUATOR, keys.WRITE_REQUEST)],
     ids=lambda t: t.key,
 )
-def test_what_is_put_can_also_be_asked_and_is_then_acknowledged(put: Topic, request_row: Topic) -> None:
+def test_put__has_an_acknowledged_query_beside_it(put: Topic, request_row: Topic) -> None:
     assert (request_row.message, request_row.delivery, request_row.reply) == (put.message, Delivery.QUERY, Ack)
     assert [may(role, request_row) for role in (Role.CONTROLLER, Role.MONITOR)] == [(Permission.ASK,), ()]
     assert [may(role, put) for role in (Role.CONTROLLER, Role.MONITOR)] == [(Permission.SEND,), ()]

@@ -173,7 +173,7 @@ def test_each_slot_has_its_own_part_of_the_frame() -> None:
     assert (second.time - first.time).total_seconds() == 86400.0
 
 
-def test_a_sample_says_what_was_applied_and_who_ruled() -> None:
+def test_sample__has_effective_values_and_their_sources() -> None:
     assert view().effective[0] == 20.0
     assert np.isnan(view().effective[1])
     assert view().value_source == {"heat": "agent", "cool": ""}

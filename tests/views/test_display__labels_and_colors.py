@@ -133,7 +133,7 @@ def test_the_distance_of_deuteranopes_is_that_of_colors_which_they_confuse() -> 
     assert deuteranopic_distance((224, 86, 51), (142, 143, 25)) == pytest.approx(2.7, abs=0.05)
 
 
-def test_thirty_zones_are_told_apart_on_both_grounds() -> None:
+def test_zone_colors__differ_for_thirty_zones_on_both_backgrounds() -> None:
     colors = [zone_color(place) for place in range(30)]
     assert min(distance(a, b) for a, b in combinations(colors, 2)) > 0.04
     assert min(deuteranopic_distance(a, b) for a, b in combinations(colors[:24], 2)) >= 10.0
@@ -165,7 +165,7 @@ def test_end_uses_have_colors_of_their_own() -> None:
     ],
     ids=["temperatures", "power", "zone"],
 )
-def test_lines_of_a_plot_are_told_apart_on_both_grounds(colors: tuple[tuple[int, int, int], ...]) -> None:
+def test_line_colors__differ_on_both_backgrounds(colors: tuple[tuple[int, int, int], ...]) -> None:
     assert min(deuteranopic_distance(a, b) for a, b in combinations(colors, 2)) >= 10.0
     assert min(contrast(color, ground) for color in colors for ground in (WHITE, DARK)) >= 3.0
 

@@ -208,7 +208,7 @@ def test_the_values_at_the_pointer_are_those_of_the_data(opened: Any, width: int
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
-def test_the_pointer_tells_who_set_the_actuators(opened: Any) -> None:
+def test_pointer__shows_the_sources_of_actuator_values(opened: Any) -> None:
     texts = said_at(opened(1000), "actuators", 0.5, panel=1)
     assert texts[2::2] == ["set by the building's own control", "set by rbc"]
 

@@ -174,7 +174,7 @@ def test_hours_within_the_band_are_blank_and_others_the_stronger_the_farther() -
     assert cold[2] > cold[0]  # blue
 
 
-def test_the_timeline_has_the_setpoints_and_who_set_them() -> None:
+def test_timeline__has_setpoints_and_their_sources() -> None:
     curves = office_comparison().curves
     figure = actuators.timeline(curves)
     assert figure is not None

@@ -21,7 +21,7 @@ def test_a_cut_wall_has_its_share_of_the_area(height: float) -> None:
     assert cut[:, 2].max() == pytest.approx(height)
 
 
-def test_what_is_below_the_cut_stays_and_what_is_above_is_gone() -> None:
+def test_cut__keeps_what_is_below_and_removes_what_is_above() -> None:
     np.testing.assert_array_equal(clip_above(WALL, 3.0), WALL)
     assert clip_above(WALL, -0.1).shape == (0, 3)
 

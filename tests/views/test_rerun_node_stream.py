@@ -179,7 +179,7 @@ def test_the_history_of_the_node_precedes_the_first_sample(scratch: Path, kept: 
     assert ["not recorded" in texts[step][0] for step in range(2, 7)] == [True] * 3 + [False] * 2
 
 
-def test_each_sample_has_its_numbers_and_who_set_its_actuators(scratch: Path) -> None:
+def test_sample__has_its_counters_and_value_sources(scratch: Path) -> None:
     """Whatever the length of the episode; a controller that has disconnected still set what it set."""
     path, manifest = scratch / "run.rrd", office(steps=35040, end="2018-07-01T00:00:00")
     by = [("", ""), ("rbc", "rbc"), ("rbc", "operator"), ("", "")]
