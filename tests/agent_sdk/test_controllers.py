@@ -3,12 +3,7 @@
 from __future__ import annotations
 
 import math
-import os
-import random
-import sys
-from collections.abc import Iterator
 from datetime import datetime, timedelta
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,38 +11,27 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.builders import actuator, manifest, sensor, view
+from support.controller_nodes import COOL, HEAT, PEOPLE, ROOM, discrete, node, single
 
 from zenostat.agent_sdk.controllers import (
     CONTROLLERS,
     Agent,
-    BaselineController,
-    Controller,
     FixedSetpoints,
     IncrementalRules,
-    PIDController,
     RandomController,
     RuleBasedController,
     ScheduledSetback,
     action_of,
-    load_controller,
     make_controller,
 )
 from zenostat.agent_sdk.controllers.action_roles import Role, bind_actions
 from zenostat.agent_sdk.envs.spaces import action_space
-from zenostat.bridge.client.sample import SampleView
-from zenostat.topics.errors import InvalidAction, InvalidConfig, UnknownName
-from zenostat.topics.messages import Action, Actuator, DiscreteAction, Manifest, Task
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Action, Actuator, DiscreteAction, Task
 
 WINTER = datetime(2017, 1, 16, 12)  # a Monday
 SUMMER = datetime(2017, 7, 17, 12)
-HEAT, COOL = actuator("heating_setpoint", 15.0, 22.5), actuator("cooling_setpoint", 22.5, 30.0)
-ROOM = sensor("air", key="ROOM")
-PEOPLE = sensor("people", "Zone People Occupant Count", "ROOM", "1")
 QUARTER = timedelta(minutes=15)
-
-
-def node(*actuators: Actuator, sensors: tuple[Any, ...] = (ROOM,), task: Task | None = None) -> Manifest:
-    return manifest(sensors=sensors, actuators=actuators or (HEAT, COOL), task=task)
 
 
 def thermostat(name: str, zone: str, what: str, low: float, high: float) -> Actuator:
@@ -55,10 +39,6 @@ def thermostat(name: str, zone: str, what: str, low: float, high: float) -> Actu
         name=name, component_type="Zone Temperature Control", control_type=what, key=zone, unit="degC",
         low=low, high=high,
     )  # fmt: skip
-
-
-def single(name: str, low: float | None, high: float | None) -> Manifest:
-    return node(actuator(name, low, high))
 
 
 # What an action is
@@ -452,346 +432,3 @@ def test_incremental_needs_a_setpoint_and_a_temperature() -> None:
             InvalidConfig, match="needs an action that sets a heating or cooling setpoint, and a sensor"
         ):
             IncrementalRules(of)
-
-
-# PID. A timestep is a quarter of an hour.
-
-
-def outputs(control: PIDController, airs: list[float], name: str = "valve") -> list[float]:
-    return [control.act(view(control.manifest, air=air))[name] for air in airs]
-
-
-def test_pid_against_a_sequence_by_hand() -> None:
-    """kp 2, ki 4 (1 a K and step), kd 0.5 (2 a K of change), about 50.
-
-    T    e     P    I    D                      u
-    20   1     2    1    0                      53
-    20.5 0.5   1    1.5  -0.5 * 0.5 / 0.25 = -1 51.5
-    21.5 -0.5  -1   1    -0.5 * 1 / 0.25 = -2   48
-    21   0     0    1    +1                     52
-    """
-    control = PIDController(single("valve", 0.0, 100.0), setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
-    assert outputs(control, [20.0, 20.5, 21.5, 21.0]) == pytest.approx([53.0, 51.5, 48.0, 52.0])
-
-
-def test_pid_direct_acting_is_the_mirror_image() -> None:
-    of = single("valve", 0.0, 100.0)
-    heats = PIDController(of, setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
-    cools = PIDController(of, setpoint=21.0, kp=2.0, ki=4.0, kd=0.5, reverse=False)
-    airs = [20.0, 20.5, 21.5, 21.0]
-    assert outputs(cools, airs) == pytest.approx([100.0 - u for u in outputs(heats, airs)])
-
-
-def test_pid_takes_no_integral_on_while_it_is_at_a_limit() -> None:
-    """ki 4 is 1 a K and step. At -1 K the output stands at 51 after a step, then at its limit of 52."""
-    of = single("valve", 0.0, 52.0)
-    control = PIDController(of, setpoint=21.0, kp=0.0, ki=4.0, bias=50.0)
-    assert outputs(control, [20.0] * 100) == [51.0] + [52.0] * 99
-    # It leaves the limit at once; a wound up integral would hold it there for ninety steps more.
-    assert outputs(control, [22.0, 22.0]) == [51.0, 50.0]
-    low = PIDController(single("valve", 48.0, 100.0), setpoint=21.0, kp=0.0, ki=4.0, bias=50.0)
-    assert outputs(low, [22.0] * 100) == [49.0] + [48.0] * 99
-    assert outputs(low, [20.0, 20.0]) == [49.0, 50.0]
-
-
-def test_pid_forgets_at_an_episodes_begin() -> None:
-    control = PIDController(single("valve", 0.0, 100.0), setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
-    first = outputs(control, [20.0, 20.5])
-    control.begin(view(control.manifest))
-    assert outputs(control, [20.0, 20.5]) == first
-
-
-@given(st.lists(st.floats(-80.0, 80.0), min_size=1, max_size=30), st.booleans())
-def test_pid_stays_within_its_limits(airs: list[float], reverse: bool) -> None:
-    control = PIDController(single("valve", 0.0, 1.0), setpoint=21.0, kp=3.0, ki=9.0, kd=2.0, low=0.2, reverse=reverse)
-    assert all(0.2 <= u <= 1.0 for u in outputs(control, airs))
-
-
-def test_pid_holds_a_room_without_offset() -> None:
-    """A room that loses 1 K an hour for each K to 0 degC outside and is heated by up to 40 K an hour: 21 needs 21."""
-    control = PIDController(single("valve", 0.0, 40.0), setpoint=21.0, kp=2.0, ki=2.0, bias=0.0)
-    air = 15.0
-    for _ in range(400):
-        (heat,) = outputs(control, [air])
-        air += (heat - air) * 0.25
-    assert air == pytest.approx(21.0, abs=1e-6)
-    assert heat == pytest.approx(21.0, abs=1e-6)
-
-
-def test_pid_drives_a_named_actuator_and_holds_others() -> None:
-    of = node(sensors=(sensor("a"), sensor("b")))
-    control = PIDController(of, setpoint=21.0, sensor="b", actuator=HEAT.name, kp=1.0, ki=0.0, cooling_setpoint=28.0)
-    assert control.act(view(of, a=0.0, b=20.0)) == {HEAT.name: 22.0, COOL.name: 28.0}  # the setpoint, and 1
-
-
-@pytest.mark.parametrize(
-    ("of", "arguments", "message"),
-    [
-        (node(sensors=(PEOPLE,)), {}, r"pid needs a sensor in degC, but node 'office' has none: add one"),
-        (node(), {}, r"pid takes one actuator: name it by actuator=...; there are: 'heating_setpoint', 'cooling"),
-        (
-            node(HEAT, sensors=(sensor("a"), sensor("b"))),
-            {},
-            r"pid takes one sensor: name it by sensor=...; there are: 'a'",
-        ),
-        (node(HEAT), {"sensor": "aire"}, "there is no sensor 'aire' in degC for pid; did you mean 'air'"),
-        (
-            node(HEAT),
-            {"actuator": "heat"},
-            "there is no action or actuator 'heat' for pid; did you mean 'heating_setpoint'",
-        ),
-        (single("valve", 0.0, None), {}, "'valve' has no bounds: set the limits of the output by low="),
-        (node(HEAT), {"high": 30}, "high = 30; expected a number from 15 to 22.5"),
-        (node(HEAT), {"low": 20, "high": 18}, "low = 20 is not below high = 18"),
-        (node(HEAT), {"kp": -1}, "kp = -1; expected a number of at least 0"),
-        (node(HEAT), {"reverse": "yes"}, "reverse = 'yes'; expected true or false"),
-        (
-            node(HEAT),
-            {"heating_setpoint": 20},
-            "heating_setpoint: the controller's own output cannot have a fixed value",
-        ),
-        (manifest(sensors=[ROOM]), {}, "pid needs an actuator, but node 'office' has none"),
-    ],
-)
-def test_pids_that_cannot_be(of: Manifest, arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidConfig, match=message):
-        make_controller(PIDController, of, {"setpoint": 21.0, **arguments})
-
-
-def test_pid_needs_a_setpoint() -> None:
-    with pytest.raises(
-        InvalidConfig, match=r"PIDController needs setpoint: --set setpoint=\.\.\., or setpoint= in Python"
-    ):
-        make_controller(PIDController, node(HEAT), {})
-
-
-# As an agent
-
-
-def discrete(*choices: DiscreteAction) -> Task:
-    return Task(actions=node().task.actions, discrete_actions=choices)
-
-
-def test_values_as_an_action() -> None:
-    of = node()
-    action = action_of(of, {COOL.name: 26.0, HEAT.name: 21.0})
-    assert (action.dtype, action.tolist()) == (np.float32, [21.0, 26.0])
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ({}, "leaves 'heating_setpoint' to baseline control, but an action always sets a value"),
-        ({HEAT.name: None, COOL.name: 25.0}, "leaves 'heating_setpoint' to baseline control"),
-        ({HEAT.name: 20.0, COOL.name: 31.0}, "cooling_setpoint = 31; its bounds are 22.5 to 30 degC"),
-        ({HEAT.name: 20.0, COOL.name: math.nan}, "cooling_setpoint = nan; expected a finite number"),
-        ({HEAT.name: 20.0, COOL.name: 25.0, "fan": 1.0}, "no action of the task sets 'fan'"),
-    ],
-)
-def test_values_that_no_action_can_say(values: dict[str, float | None], message: str) -> None:
-    with pytest.raises(InvalidAction, match=message):
-        action_of(node(), values)
-
-
-def test_one_action_says_one_value() -> None:
-    both = Action(name="both", unit="degC", actuators=(HEAT.name, COOL.name))
-    of = node(task=Task(actions=(both,)))
-    assert action_of(of, {HEAT.name: 22.5, COOL.name: 22.5}).tolist() == [22.5]
-    with pytest.raises(InvalidAction, match="sets one value for all its actuators, but got heating_setpoint = 20"):
-        action_of(of, {HEAT.name: 20.0, COOL.name: 25.0})
-
-
-def test_the_nearest_choice() -> None:
-    rows = ((15.0, 30.0), (20.0, 25.0), (22.0, 23.0))
-    one = node(task=discrete(DiscreteAction(actions=(HEAT.name, COOL.name), values=rows)))
-    assert action_of(one, {HEAT.name: 20.3, COOL.name: 24.0}) == 1  # 0.09 + 1 against 2.89 + 1
-    assert action_of(one, {HEAT.name: 21.0, COOL.name: 24.0}) == 1  # the first of equals
-    two = node(
-        task=discrete(
-            DiscreteAction(actions=(HEAT.name,), values=((16.0,), (20.0,))),
-            DiscreteAction(actions=(COOL.name,), values=((24.0,), (27.0,), (30.0,))),
-        )
-    )
-    action = action_of(two, {HEAT.name: 21.0, COOL.name: 28.0})
-    assert (action.dtype, action.tolist()) == (np.int64, [1, 1])
-
-
-def test_room_setpoints_go_first_among_choices() -> None:
-    cooling, water = actuator("cooling_setpoint", 20.0, 30.0), actuator("chw_temperature", 5.0, 10.0)
-    actions = node(cooling, water).task.actions
-    rows = ((27.0, 6.0), (27.0, 7.0), (29.0, 10.0))
-    of = node(
-        cooling,
-        water,
-        task=Task(actions=actions, discrete_actions=(DiscreteAction(actions=(cooling.name, water.name), values=rows),)),
-    )
-    assert action_of(of, {cooling.name: 26.7, water.name: 10.0}) == 1
-
-
-def test_an_agent_keeps_what_is_not_named_until_the_episode_ends() -> None:
-    class Once:
-        def __init__(self) -> None:
-            self.begun: list[int] = []
-
-        def begin(self, sample: SampleView) -> None:
-            self.begun.append(sample.episode)
-
-        def act(self, sample: SampleView) -> dict[str, float | None]:
-            return {HEAT.name: 20.0, COOL.name: 25.0} if sample.step == 0 else {COOL.name: 26.0}
-
-    of, once = node(), Once()
-    agent = Agent(once)
-    assert agent.action(view(of)).tolist() == [20.0, 25.0]
-    assert agent.action(view(of, step=1)).tolist() == [20.0, 26.0]
-    with pytest.raises(InvalidAction, match="leaves 'heating_setpoint'"):
-        agent.action(view(of, episode=1, step=5))  # joined amid an episode
-    assert once.begun == [0, 1]
-    agent.values(view(of, episode=1))  # a reset of a node that stands at sample 0 already
-    assert once.begun == [0, 1, 1]
-
-
-def test_the_buildings_own_control_as_an_agent() -> None:
-    empty = manifest(sensors=[ROOM])
-    assert Agent(BaselineController(empty)).action(view(empty)).shape == (0,)
-    with pytest.raises(InvalidAction, match="all is under baseline control"):
-        Agent(BaselineController(node())).action(view(node()))
-
-
-# Controllers by name
-
-
-@pytest.fixture
-def modules() -> Iterator[dict[str, Any]]:
-    """All modules are the same afterwards, but for new ones of the tests' own."""
-    for name in [name for name in sys.modules if name.startswith("_controller_")]:
-        del sys.modules[name]  # of a test that ran before in this process
-    before, finders = dict(sys.modules), list(sys.meta_path)
-    yield before
-    assert sys.meta_path == finders
-    changed = {name for name in before if sys.modules.get(name) is not before[name]}
-    for name in set(sys.modules) - set(before):
-        del sys.modules[name]
-    sys.modules.update(before)
-    assert changed == set()
-
-
-MINE = """
-class Mine:
-    def __init__(self, manifest, *, setpoint=25.0):
-        self.setpoint = setpoint
-
-    def act(self, sample):
-        return {"cooling_setpoint": self.setpoint}
-"""
-
-NO_CONTROLLERS = """
-from zenostat.agent_sdk.controllers import Controller
-
-VALUE = 1
-
-class Idle:
-    pass
-
-class Bare:
-    def act(self, sample):
-        pass
-"""
-
-
-def test_a_file_that_is_written_again_within_a_second_is_the_new_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: dict[str, Any]
-) -> None:
-    """Python's cached bytecode is valid for a text of the same length and time."""
-    monkeypatch.setattr(sys, "dont_write_bytecode", False)
-    file = tmp_path / "mine.py"
-    for setpoint in (21.0, 25.0):
-        file.write_text(MINE.replace("25.0", str(setpoint)))
-        os.utime(file, (1_700_000_000, 1_700_000_000))
-        assert load_controller(f"{file}:Mine")(node()).setpoint == setpoint
-
-
-def test_short_names() -> None:
-    assert set(CONTROLLERS) == {"baseline", "rbc", "random", "fixed", "setback", "incremental", "oracle", "pid"}
-    assert load_controller("rbc") is RuleBasedController
-    assert all(issubclass(controller, Controller) for controller in CONTROLLERS.values())
-
-
-def test_a_class_of_anybodys_in_a_file(tmp_path: Path, modules: dict[str, Any]) -> None:
-    (tmp_path / "mine.py").write_text(MINE)
-    controller = make_controller(load_controller(f"{tmp_path}/mine.py:Mine"), node(), {"setpoint": 26.5})
-    assert controller.act(view(node())) == {"cooling_setpoint": 26.5}
-    with pytest.raises(InvalidConfig, match="Mine has no parameter 'setpint'; did you mean 'setpoint'"):
-        make_controller(type(controller), node(), {"setpint": 1})
-
-
-def test_a_module_in_the_present_folder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: dict[str, Any]
-) -> None:
-    name = f"brains_{random.randrange(10**9)}"
-    (tmp_path / name).mkdir()
-    (tmp_path / name / "mine.py").write_text(MINE)
-    monkeypatch.chdir(tmp_path)
-    path = list(sys.path)
-    assert load_controller(f"{name}.mine:Mine").__name__ == "Mine"
-    assert sys.path == path
-    with pytest.raises(UnknownName, match=rf"there is no module '{name}\.other', neither installed nor in"):
-        load_controller(f"{name}.other:Mine")
-
-
-def test_load_controller__file_beside_modules_with_the_names_of_our_packages(
-    tmp_path: Path, modules: dict[str, Any]
-) -> None:
-    (tmp_path / "models.py").write_text("SETPOINT = 27.5\n")
-    (tmp_path / "topics.py").write_text("OFFSET = 0.5\n")
-    (tmp_path / "mine.py").write_text(
-        "from models import SETPOINT\nfrom topics import OFFSET\nfrom zenostat.models import cache\n"
-        + MINE.replace("self.setpoint}", "SETPOINT + OFFSET}")
-    )
-    controller = load_controller(f"{tmp_path / 'mine.py'}:Mine")(node())
-    assert controller.act(view(node())) == {"cooling_setpoint": 28.0}
-
-
-@pytest.mark.parametrize(
-    ("text", "error", "message"),
-    [
-        ("rcb", UnknownName, r"no controller 'rcb'; .*'rbc'.*path/to/file\.py:MyController"),
-        ("nowhere/mine.py:Mine", UnknownName, r"there is no file .*/nowhere/mine\.py"),
-        ("mine.py:Mien", UnknownName, r"there is no 'Mien' in mine\.py; did you mean 'Mine'"),
-        (
-            "mine.py:VALUE",
-            InvalidConfig,
-            r"VALUE of mine\.py is not a controller: expected a class with a method act\(sample\)",
-        ),
-        ("mine.py:Idle", InvalidConfig, r"Idle of mine\.py is not a controller: expected a class with a method act"),
-        ("mine.py:Bare", InvalidConfig, r"Bare of mine\.py is not a controller: it has to accept the manifest"),
-        (
-            "mine.py:Controller",
-            InvalidConfig,
-            r"Controller of mine\.py is not a controller: its act\(sample\) is abstract",
-        ),
-        (
-            "broken.py:Mine",
-            InvalidConfig,
-            r"loading broken\.py failed: ZeroDivisionError: .*line 3 of broken",
-        ),
-        ("wrong.py:Mine", InvalidConfig, r"loading wrong\.py failed: SyntaxError"),
-        ("quits.py:Mine", InvalidConfig, r"loading quits\.py failed: SystemExit: 3"),
-        ("no.such.module:Mine", UnknownName, r"there is no module 'no\.such\.module'"),
-    ],
-)
-def test_what_is_no_controller(
-    text: str,
-    error: type[Exception],
-    message: str,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    modules: dict[str, Any],
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "mine.py").write_text(MINE + NO_CONTROLLERS)
-    (tmp_path / "broken.py").write_text("\n\n1 / 0\n")
-    (tmp_path / "wrong.py").write_text("class\n")
-    (tmp_path / "quits.py").write_text("import sys\nsys.exit(3)\n")
-    with pytest.raises(error, match=message) as caught:
-        load_controller(text)
-    assert "\n" not in str(caught.value)

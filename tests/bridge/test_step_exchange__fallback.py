@@ -2,76 +2,26 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from support.builders import NAN, advance, answer, claim, command, exchange, wire
-from support.examples import examples
+from support.builders import NAN, advance, answer, claim, command, wire
+from support.fallback_exchanges import (
+    GO_ON,
+    KEEP,
+    SET,
+    both,
+    check_ruled,
+    expected_under,
+    kinds_and_sources,
+    node,
+    state,
+    status,
+    with_agent,
+    with_two,
+)
 
-from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, StepExchange, Trigger
+from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, Trigger
 from zenostat.topics.errors import EpisodeAborted
-from zenostat.topics.messages import CommandOp, ControllerState, ControllerStatus, Event, EventKind, Mode, Policy, State
-
-KEEP, SET = CommandOp.KEEP, CommandOp.SET
-GO_ON = [Policy.HOLD, Policy.RELINQUISH]
-
-
-def node(
-    policy: Policy, deadline_s: float | None = None, *, mode: Mode = Mode.LOCKSTEP, slots: int = 1
-) -> StepExchange:
-    """A node at sample 0, with a heating and a cooling setpoint."""
-    at = exchange(mode=mode, slots=slots)
-    at.policy, at.deadline_s = policy, deadline_s
-    return at
-
-
-def with_agent(policy: Policy, deadline_s: float | None = None, *, mode: Mode = Mode.LOCKSTEP) -> StepExchange:
-    """At sample 1, published at 1 s; the agent commanded 20 and 25."""
-    at = node(policy, deadline_s, mode=mode)
-    claim(at, "agent")
-    answer(at, "agent", [20.0, 25.0])
-    assert advance(at, now_s=1.0) == ([20.0, 25.0], ["agent", "agent"])
-    return at
-
-
-def with_two(policy: Policy, deadline_s: float | None = None) -> StepExchange:
-    """At sample 1, published at 1 s; each of two commanded one setpoint: 20 and 25."""
-    at = node(policy, deadline_s)
-    claim(at, "heater", actuators=["heat"])
-    claim(at, "cooler", actuators=["cool"])
-    both(at, 20.0, 25.0)
-    assert advance(at, now_s=1.0) == ([20.0, 25.0], ["heater", "cooler"])
-    return at
-
-
-def both(at: StepExchange, heat: float, cool: float) -> None:
-    assert answer(at, "heater", [heat, 0.0], [SET, KEEP]) is None
-    assert answer(at, "cooler", [0.0, cool], [KEEP, SET]) is None
-
-
-def status(at: StepExchange, name: str) -> ControllerStatus:
-    return next(c for c in at.controllers() if c.controller == name)
-
-
-def state(at: StepExchange, name: str) -> ControllerState:
-    return status(at, name).state
-
-
-def kinds_and_sources(events: list[Event]) -> list[tuple[EventKind, str]]:
-    return [(event.kind, event.source) for event in events]
-
-
-def expected_under(policy: Policy) -> tuple[list[float], list[str]]:
-    """Values and sources where the agent alone commanded 20 and 25, and the policy goes on without it."""
-    return ([20.0, 25.0], ["agent", "agent"]) if policy is Policy.HOLD else ([NAN, NAN], ["", ""])
-
-
-def check_ruled(at: StepExchange, expected: tuple[list[float], list[str]], *, now_s: float = 1.0) -> None:
-    values, sources = advance(at, now_s=now_s)
-    assert np.array_equal(values, expected[0], equal_nan=True), values
-    assert sources == expected[1]
-
+from zenostat.topics.messages import ControllerState, EventKind, Mode, Policy, State
 
 # Gone
 
@@ -399,117 +349,6 @@ def test_of_two_the_one_that_answered_is_not_blamed(policy: Policy) -> None:
     ]
 
 
-# Late
-
-
-def test_a_late_command_says_how_late_and_rules_nothing() -> None:
-    """node@1 at 1 s → deadline: node@2 at 3 s → agent@1 at 7.5 s: 4.5 s late → 8 s: deadline: node@3"""
-    at = with_agent(Policy.HOLD, 2.0)
-    at.fallback.on_deadline(3.0)
-    advance(at, now_s=3.0)
-    event = at.intake.receive_command("agent", wire(command([22.0, 29.0], step=1)), 7.5)
-    assert event is not None
-    assert (event.kind, event.source, event.step, event.late_s) == (EventKind.LATE, "agent", 2, 4.5)
-    assert "step [1]" in event.text
-    assert at.awaiting() == ["agent"]  # it has not answered sample 2 by that
-    assert (at.counts.late, status(at, "agent").late) == (1, 1)
-    assert state(at, "agent") is ControllerState.UNRESPONSIVE
-    at.fallback.on_deadline(7.5)
-    check_ruled(at, expected_under(Policy.HOLD), now_s=7.5)
-
-
-def test_lateness_is_counted_from_the_step_that_the_command_answers() -> None:
-    """Steps 1, 2, 3 went on at 3, 5 and 7 s; the commands for them all come at 10 s."""
-    at = with_agent(Policy.HOLD, 2.0)
-    for now_s in (3.0, 5.0, 7.0):
-        at.fallback.on_deadline(now_s)
-        advance(at, now_s=now_s)
-    late = [at.intake.receive_command("agent", wire(command([22.0, 29.0], step=step)), 10.0) for step in (1, 2, 3)]
-    assert [event.late_s for event in late if event is not None] == [7.0, 5.0, 3.0]
-
-
-def test_of_several_slots_the_one_that_was_answered_says_how_late() -> None:
-    """Slot 1 alone moves at 4 s, both move at 6 s; at 10 s a command for slot 1's sample 1, and one for slot 0's."""
-    at = node(Policy.HOLD, 2.0, slots=2)
-    claim(at, "agent")
-    values = [20.0, 25.0] * 2
-    for now_s, still in ((2.0, None), (4.0, 0), (6.0, None)):
-        step: list[int | None] = [*at.step]
-        if still is not None:
-            step[still] = None
-        sent = command(values, step=at.step, episode=at.episode).model_copy(update={"step": step})
-        assert at.intake.command("agent", sent, now_s) is None
-        advance(at, now_s=now_s)
-    assert at.step == [2, 3]
-    sent = command(values, step=[0, 1], episode=[0, 0])
-    slot_1 = at.intake.command("agent", sent.model_copy(update={"step": [None, 1]}), 10.0)
-    slot_0 = at.intake.command("agent", sent.model_copy(update={"step": [1, None]}), 10.0)
-    assert slot_1 is not None
-    assert slot_0 is not None
-    assert (slot_1.late_s, slot_0.late_s) == (6.0, 4.0)  # slot 0 stood at sample 1 until 6 s
-
-
-def test_how_late_is_not_invented_once_it_is_forgotten() -> None:
-    at = with_agent(Policy.HOLD)
-    at.fallback.on_disconnect("agent", 1.0)
-    at.fallback.bypass("agent", 1.0)
-    for _ in range(1000):
-        advance(at)
-    claim(at, "agent")
-    event = at.intake.receive_command("agent", wire(command([22.0, 29.0], step=1)), 1.0)
-    assert event is not None
-    assert (event.kind, event.late_s) == (EventKind.LATE, None)
-
-
-# Replaced
-
-
-@pytest.mark.parametrize("deadline_s", [None, 2.0])
-@pytest.mark.parametrize("policy", Policy)
-def test_another_program_takes_over_within_the_time_of_grace(policy: Policy, deadline_s: float | None) -> None:
-    """agent@0 → node@1 → agent gone → other claims → other@1 → node@2: no timestep without a ruler"""
-    at = with_agent(policy, deadline_s)
-    at.fallback.on_disconnect("agent", 1.5)
-    assert kinds_and_sources(claim(at, "other", now_s=1.5)) == [
-        (EventKind.DISCONNECTED, "agent"),
-        (EventKind.CONNECTED, "other"),
-    ]
-    assert at.fallback.bypass("agent", 2.0, 0.1) == []
-    assert not at.ready_to_step()
-    assert answer(at, "other", [21.0, 26.0], now_s=2.0) is None
-    check_ruled(at, ([21.0, 26.0], ["other", "other"]), now_s=2.0)
-    assert not at.fallback_active
-    assert at.counts.missed == 0
-
-
-def test_another_program_takes_over_from_one_that_is_waived() -> None:
-    """The first one's command holds until the other's first answer, also if that misses a deadline."""
-    at = with_agent(Policy.HOLD, 2.0)
-    at.fallback.on_disconnect("agent", 1.0)
-    at.fallback.bypass("agent", 1.0)
-    at.fallback.on_deadline(1.0)
-    check_ruled(at, expected_under(Policy.HOLD))
-    claim(at, "other")
-    assert kinds_and_sources(at.fallback.on_deadline(1.0)) == [(EventKind.FALLBACK, "other")]
-    check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
-    answer(at, "other", [21.0, 26.0])
-    check_ruled(at, ([21.0, 26.0], ["other", "other"]))
-    assert not at.fallback_active
-
-
-def test_one_that_was_replaced_is_not_counted_any_more() -> None:
-    at = with_agent(Policy.HOLD)
-    at.fallback.on_disconnect("agent", 1.0)
-    at.fallback.bypass("agent", 1.0)
-    advance(at)
-    claim(at, "other")
-    answer(at, "other", [21.0, 26.0])
-    advance(at)
-    assert at.counts.missed == 1
-    assert [c.controller for c in at.controllers()] == ["other"]
-    assert at.fallback.on_disconnect("agent", 1.0) == at.fallback.bypass("agent", 1.0) == []
-
-
 # Controllers that are not waited for
 
 
@@ -690,100 +529,3 @@ def test_a_controller_that_is_back_keeps_its_counts() -> None:
     answer(at, "agent", [20.0, 25.0])
     agent = status(at, "agent")
     assert (agent.accepted, agent.rejected, agent.late, agent.duplicate, agent.missed) == (2, 1, 1, 1, 1)
-
-
-# Any schedule
-
-
-MOVES = st.lists(
-    st.tuples(
-        st.sampled_from(["answer", "late", "early", "claim", "disconnected", "waive", "overdue", "go", "go"]),
-        st.sampled_from(["a", "b"]),
-        st.integers(1, 3),
-    ),
-    max_size=60,
-)
-
-
-def value(name: str, step: int) -> float:
-    """Return a controller's answer to a sample; it identifies both."""
-    return (16.0 if name == "a" else 23.0) + step / 64.0
-
-
-@settings(max_examples=examples(300))
-@given(policy=st.sampled_from([Policy.WAIT, Policy.HOLD, Policy.RELINQUISH]), has_deadline=st.booleans(), moves=MOVES)
-def test_whatever_happens_a_command_rules_its_own_step_and_every_message_is_counted_once(
-    policy: Policy, has_deadline: bool, moves: list[tuple[str, str, int]]
-) -> None:
-    at = node(policy, 2.0 if has_deadline else None)
-    taken: dict[str, list[int]] = {"a": [], "b": []}
-    messages, late_but_taken, missed = 0, 0, 0
-    for now_s, (kind, name, by) in enumerate(moves, start=1):
-        match kind:
-            case "claim":
-                claim(at, name, actuators=["heat" if name == "a" else "cool"], now_s=now_s)
-            case "disconnected":
-                at.fallback.on_disconnect(name, now_s)
-            case "waive":
-                at.fallback.bypass(name, now_s)
-            case "overdue":
-                if has_deadline:
-                    at.fallback.on_deadline(now_s)
-            case "go":
-                if at.ready_to_step():
-                    missed += goes_on(at, policy, taken, now_s)
-            case _:
-                step = at.step[0] + {"answer": 0, "late": -by, "early": by}[kind]
-                if step >= 0:
-                    messages += 1
-                    late_but_taken += send_random(at, name, step, taken, now_s)
-    counts = at.counts
-    told_of = counts.accepted + counts.rejected + counts.late + counts.duplicate + counts.rate_limited
-    assert told_of == messages
-    assert counts.accepted_late == late_but_taken
-    assert counts.missed == missed
-    assert sum(c.accepted for c in at.controllers()) == counts.accepted
-
-
-def send_random(at: StepExchange, name: str, step: int, taken: dict[str, list[int]], now_s: float) -> bool:
-    """A controller answers a step; notes whether it was taken, and gives whether that was after the deadline."""
-    before, own = at.counts.accepted, value(name, step)
-    operations = [SET, KEEP] if name == "a" else [KEEP, SET]
-    event = at.intake.receive_command(name, wire(command([own, own], step=step, operations=operations)), now_s)
-    if at.counts.accepted == before:
-        assert event is not None
-        return False
-    assert step == at.step[0]
-    taken[name].append(step)
-    return event is not None and event.kind is EventKind.ACCEPTED_LATE
-
-
-def goes_on(at: StepExchange, policy: Policy, taken: dict[str, list[int]], now_s: float) -> bool:
-    """The timestep: who rules does so by what it answered last; gives whether somebody was missing."""
-    absent = [c.controller for c in at.controllers() if at.step[0] not in taken[c.controller]]
-    values, sources = advance(at, now_s=now_s)
-    assert at.fallback_active or not absent
-    assert policy is not Policy.WAIT or not absent
-    for name, ruling, source_index in zip(("a", "b"), values, sources, strict=True):
-        assert source_index in ("", name)
-        if source_index:
-            assert ruling == value(name, max(taken[name]))
-        else:
-            assert policy is Policy.RELINQUISH or not taken[name]
-    return at.fallback_active
-
-
-@pytest.mark.parametrize("policy", [Policy.HOLD, Policy.RELINQUISH])
-def test_claim__does_not_wait_for_a_disconnected_controller(policy: Policy) -> None:
-    at = exchange()
-    at.policy, at.deadline_s = policy, 5.0
-    claim(at, "gone", 10)
-    at.fallback.on_disconnect("gone", 0.0)
-    at.fallback.bypass("gone", 0.0)
-    answer(at, "gone", [20.0, 25.0])
-    advance(at)
-    assert at.awaiting() == ["gone"], "nobody else is there: the deadline sets the pace"
-    claim(at, "new", 12)
-    assert at.awaiting() == ["new"]
-    answer(at, "new", [20.0, 25.0])
-    assert at.ready_to_step()

@@ -1,0 +1,194 @@
+"""Wrappers of actions, rewards and contexts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from support.fakes import FakeBuilding
+from support.wrapped_fakes import MIDDLE, episode, fake
+
+from zenostat import wrappers as w
+from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
+from zenostat.agent_sdk.wrappers.incremental import rounded
+from zenostat.topics.errors import InvalidAction, InvalidConfig
+
+# Actions
+
+
+def test_incremental_action_by_hand() -> None:
+    env = w.IncrementalAction(fake(), {"cool": [1.0, 0.25]}, {"cool": 29.0})
+    assert (env.action_space.low.tolist(), env.action_space.high.tolist()) == ([15.0, -1.0], [22.5, 1.0])
+    bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
+    for _ in range(2):
+        env.reset(seed=1)
+        for increment in (0.3, 0.9, 1.0, -0.1, -0.2):
+            env.step(np.array([18.0, increment], np.float32))
+        assert bare.commands == [[18.0, value] for value in (29.25, 30.0, 30.0, 30.0, 29.75)]
+    assert env.get_state() == {"slots": [{"values": [29.75]}]}
+
+
+def test_rounding_is_half_to_even_and_none_without_a_step() -> None:
+    most, steps = np.array([1.0, 1.0]), np.array([0.25, 0.0])
+    assert rounded(np.array([[0.125, 0.125], [0.375, -0.3]]), steps, most).tolist() == [[0.0, 0.125], [0.5, -0.3]]
+
+
+def test_rounding_does_not_exceed_the_largest_increment() -> None:
+    # 0.6 is 1.5 steps of 0.4: 2 steps would be 0.8
+    steps = np.array([0.4, 0.3])
+    increments = rounded(np.array([[0.6, 0.6], [-0.6, -0.6]]), steps, np.array([0.6, 0.6]))
+    assert increments.tolist() == [[0.4, 0.6], [-0.4, -0.6]]
+
+
+def test_a_seed_may_be_a_numpy_integer() -> None:
+    one, other = (w.PreviousObservation(FakeVectorEnv(2), ["outdoor_temperature"]) for _ in range(2))
+    np.testing.assert_array_equal(one.reset(seed=np.int64(3))[0], other.reset(seed=3)[0])
+
+
+def test_what_two_reductions_dropped_stands_in_the_info_together() -> None:
+    def reduced(env: Any) -> Any:
+        names = env.unwrapped.manifest.names
+        return w.ReducedObservation(w.ReducedObservation(env, names[:3]), names[:1])
+
+    one, many = reduced(FakeEnv()), reduced(FakeVectorEnv(1))
+    dropped, rows = one.reset(seed=1)[1]["dropped"], many.reset(seed=1)[1]["dropped"]
+    assert set(dropped) == {*one.unwrapped.manifest.names[1:]}
+    assert dropped == {name: rows[name][0] for name in dropped}
+
+
+@pytest.mark.parametrize("action", [[18.0, 1.5], [14.0, 0.0], [18.0, np.nan], [0.0]])
+def test_an_increment_out_of_the_space_changes_nothing(action: list[float]) -> None:
+    env = w.IncrementalAction(fake(), {"cool": 1.0}, {"cool": 29.0})
+    env.reset()
+    with pytest.raises(InvalidAction, match=r"IncrementalAction: action .* is not in Box"):
+        env.step(np.array(action, np.float32))
+    assert env.get_state() == {"slots": [{"values": [29.0]}]}
+    assert env.unwrapped.commands == []  # type: ignore[attr-defined]
+
+
+def test_several_step_sizes_are_sinergyms_default_of_seventeen_choices() -> None:
+    steps = [0.5, 1.0, 1.5, 2.0]
+    env = w.DiscreteIncrementalAction(fake(), {"heat": steps, "cool": steps}, {"heat": 19.0, "cool": 26.0})
+    assert env.action_space == gym.spaces.Discrete(17)
+    moves = [0.0, *steps, *(-step for step in steps)]
+    for number in range(17):
+        env.reset(seed=0)
+        effective = env.step(number)[4]["effective"]
+        heat = moves[number] if number < 9 else 0.0
+        cool = moves[number - 8] if number >= 9 else 0.0
+        assert list(effective)[:2] == pytest.approx([19.0 + heat, 26.0 + cool])
+
+
+def test_discrete_incremental_action_by_hand() -> None:
+    env = w.DiscreteIncrementalAction(fake(), {"cool": 0.5, "heat": 2.0}, {"heat": 20.0, "cool": 29.5})
+    assert env.action_space == gym.spaces.Discrete(5)
+    bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
+    for _ in range(2):
+        env.reset(seed=1)
+        for number in (1, 1, 2, 3, 3, 4, 0):
+            env.step(number)
+        heats, cools = [20.0, 20.0, 20.0, 22.0, 22.5, 20.5, 20.5], [30.0, 30.0, 29.5, 29.5, 29.5, 29.5, 29.5]
+        assert bare.commands == [list(pair) for pair in zip(heats, cools, strict=True)]
+    with pytest.raises(InvalidAction, match=r"action 5 is not in Discrete\(5\)"):
+        env.step(5)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        (lambda env: w.IncrementalAction(env, {"cool": 1}, {"heat": 20}), "have to name the same actions"),
+        (lambda env: w.IncrementalAction(env, {"coo": 1}, {"coo": 20}), "no action 'coo'; did you mean 'cool'"),
+        (
+            lambda env: w.IncrementalAction(env, {"cool": 1}, {"cool": 20}),
+            "cool starts at 20, outside its bounds 22.5 to 30",
+        ),
+        (lambda env: w.IncrementalAction(env, {"cool": [1, 2]}, {"cool": 25}), "its step not above the increment"),
+        (
+            lambda env: w.DiscreteIncrementalAction(env, {"cool": 1}, {"cool": 25}),
+            "initial also needs a value for heat",
+        ),
+        (
+            lambda env: w.DiscreteIncrementalAction(env, {"cool": 0}, {"cool": 25, "heat": 20}),
+            "a step above 0, or several different ones",
+        ),
+        (
+            lambda env: w.DiscreteIncrementalAction(env, {"cool": [1, 1]}, {"cool": 25, "heat": 20}),
+            "a step above 0, or several different ones",
+        ),
+    ],
+)
+def test_increments_that_cannot_be(wrong: Callable[[Any], Any], text: str) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        wrong(fake())
+
+
+# Reward, context
+
+
+def test_reward_vector__has_the_requested_order() -> None:
+    env = w.RewardVector(fake(), ["comfort", "energy"])
+    env.reset(seed=1)
+    _, reward, _, _, _ = env.step(MIDDLE)
+    assert reward.dtype == np.float64
+    assert reward.tolist() == [-0.5, -4.0]
+    assert env.reward_space.shape == (env.reward_dim,) == (2,)
+    assert env.reward_space.contains(reward)
+    wrong = w.RewardVector(fake(), ["comfor"])
+    wrong.reset()
+    with pytest.raises(InvalidConfig, match="no reward term 'comfor'; did you mean 'comfort'"):
+        wrong.step(MIDDLE)
+
+
+@pytest.mark.parametrize(
+    "schedule",
+    [
+        {"07:00": {"occupants": 1.0}, "18:30": {"occupants": 0.25}},
+        {"07-03 07:00": {"occupants": 1.0}, "07-03 18:30": {"occupants": 0.25}},
+        lambda time, random: {
+            "occupants": 1.0 if timedelta(hours=7) <= time - datetime(2017, 7, 3) < timedelta(hours=18.5) else 0.25
+        },
+    ],
+)
+def test_context_follows_its_schedule(schedule: Any) -> None:
+    env = w.ChangingContext(fake(steps_per_hour=2), schedule)
+    bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
+    for _ in range(2):
+        steps = episode(env, lambda: MIDDLE)
+        assert bare.contexts == [(0, {"occupants": 0.25}), (14, {"occupants": 1.0}), (37, {"occupants": 0.25})]
+        effective = [info["effective"][2] for *_, info in steps[1:]]
+        assert effective == [0.25] * 14 + [1.0] * 23 + [0.25] * 11
+
+
+def test_random_context__depends_on_the_seed() -> None:
+    env = w.ChangingContext(fake(), lambda time, random: {"occupants": float(random.random())})
+    seen = [[info["effective"][2] for *_, info in episode(env, lambda: MIDDLE, seed)[1:]] for seed in (1, 1, 2)]
+    assert seen[0] == seen[1] != seen[2]
+    assert len(set(seen[0])) == 24
+
+
+def test_context_that_cannot_be() -> None:
+    with pytest.raises(InvalidConfig, match="'7:00' is not a time; write '07:30'"):
+        w.ChangingContext(fake(), {"7:00": {}})
+    with pytest.raises(InvalidConfig, match="or all like '07-01 07:30'"):
+        w.ChangingContext(fake(), {"07:00": {}, "07-01 07:00": {}})
+    with pytest.raises(InvalidConfig, match="'02-30 07:00' is not a time"):
+        w.ChangingContext(fake(), {"02-30 07:00": {}})
+    env = w.ChangingContext(fake(), {"00:00": {"cool": 25.0}})
+    with pytest.raises(InvalidAction, match="'cool' is not an actuator outside the actions"):
+        env.reset()
+
+
+def test_context__set_after_the_reset_replaces_that_of_a_table() -> None:
+    """Sinergym does so: its `reset(options={"initial_context": …})` replaces the configured one."""
+    env = w.ChangingContext(fake(steps_per_hour=1), {"00:00": {"occupants": 0.5}, "03:00": {"occupants": 0.75}})
+    for own in (0.25, None, 0.125):
+        env.reset()
+        if own is not None:
+            env.unwrapped.set_context({"occupants": own})  # type: ignore[attr-defined]
+        effective = [env.step(MIDDLE)[4]["effective"][2] for _ in range(5)]
+        assert effective == [own or 0.5] * 3 + [0.75] * 2
