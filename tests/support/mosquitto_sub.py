@@ -1,4 +1,4 @@
-"""What the tests need of mosquitto_sub, as a program for machines without it: `-p PORT -v -t TOPIC …`."""
+"""Part of mosquitto_sub, as a program for machines without it: `-p PORT -v -t TOPIC …`."""
 
 from __future__ import annotations
 
@@ -18,4 +18,6 @@ if __name__ == "__main__":
     parser.add_argument("-v", action="store_true")
     parser.add_argument("-t", dest="topics", action="append", required=True)
     options = parser.parse_args()
-    subscribe.callback(show, options.topics, port=options.port, protocol=paho.MQTTv5, clean_session=None)
+    subscribe.callback(  # type: ignore[no-untyped-call]
+        show, options.topics, port=options.port, protocol=paho.MQTTv5, clean_session=None
+    )

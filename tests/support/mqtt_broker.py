@@ -47,7 +47,7 @@ def missing_broker() -> str | None:
 
 
 class Security(NamedTuple):
-    """What a broker asks for: a password over TLS. The files are PEM."""
+    """A password over TLS that a broker asks for. The files are PEM."""
 
     username: str
     password: str
@@ -136,9 +136,11 @@ class Broker:
     @contextmanager
     def client(self) -> Iterator[paho.Client]:
         """A client of MQTT 5 that is connected."""
-        import paho.mqtt.client as paho  # the tests of the lowest versions, with the same conftest.py, have none
+        # The tests of the lowest versions, with the same conftest.py, have none.
+        import paho.mqtt.client as paho
+        from paho.mqtt.enums import CallbackAPIVersion
 
-        client = paho.Client(paho.CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
+        client = paho.Client(CallbackAPIVersion.VERSION2, protocol=paho.MQTTv5)
         if self._security is not None:
             client.username_pw_set(self._security.username, self._security.password)
             client.tls_set(str(self._security.certificate))
@@ -161,7 +163,12 @@ class Broker:
         """The retained message of a topic, or the first one of several; None without one."""
         first: queue.SimpleQueue[str] = queue.SimpleQueue()
         with self.client() as client:
-            client.on_message = lambda *received: received[-1].retain and first.put(received[-1].payload.decode())
+
+            def on_message(_: object, __: object, message: paho.MQTTMessage) -> None:
+                if message.retain:
+                    first.put(message.payload.decode())
+
+            client.on_message = on_message
             client.subscribe([(topic, 1) for topic in topics])
             with suppress(queue.Empty):
                 return first.get(timeout=3)
