@@ -225,7 +225,7 @@ def evaluate(
         episodes: episodes per controller.
         seed: seed of the first episode, at least 0.
         parameters: parameters of the controllers; each controller gets those that it has.
-        prices: price of each fuel (the keys of `zenostat.metrics.energy_sources.FUELS`, or `gas`) for the
+        prices: price of each fuel (the keys of `zenostat.metrics.energy_meters.FUELS`, or `gas`) for the
             KPI of cost: a number in currency per kWh, a number for each hour of a year, a CSV or YAML file, or a form
             of `zenostat.time_series`.
         emissions: emission factors for the KPI of emissions, in the same forms; numbers are in kg CO2 per kWh.

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from zenostat.agent_sdk.rewards import Reward
 from zenostat.bridge.client.sample import SampleView
-from zenostat.metrics.energy_sources import facility_sources, hvac_sources
+from zenostat.metrics.energy_meters import facility_sources, hvac_sources
 from zenostat.metrics.kpis import KPIS, KpiAccumulator
 from zenostat.metrics.reward_comfort import comfort
 from zenostat.metrics.tariffs import Rate, read_emissions, read_prices

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.metrics.comfort import Comfort
-from zenostat.metrics.energy_sources import FUELS, EnergySource, facility_sources, hvac_sources
+from zenostat.metrics.energy_meters import FUELS, EnergySource, facility_sources, hvac_sources
 from zenostat.metrics.tariffs import FuelRate
 from zenostat.topics.messages import Aggregation, Manifest
 

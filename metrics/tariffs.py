@@ -14,7 +14,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 from zenostat.agent_sdk.time_series import LEAP_HOURS, Constant, HourlyFile, Signal, TimeSeries, grams_per_kwh, per_kwh
-from zenostat.metrics.energy_sources import FUELS
+from zenostat.metrics.energy_meters import FUELS
 from zenostat.topics import yaml12
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, did_you_mean

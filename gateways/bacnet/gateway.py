@@ -7,7 +7,6 @@ import logging
 from collections.abc import Callable
 from typing import Any
 
-from zenostat.gateways.bacnet.application import NodeApplication
 from zenostat.gateways.bacnet.counts import BacnetCounts
 from zenostat.gateways.bacnet.cov import COV_INTERVAL_S
 from zenostat.gateways.bacnet.device import NodeDevice, NodePort
@@ -15,6 +14,7 @@ from zenostat.gateways.bacnet.network import Interface
 from zenostat.gateways.bacnet.node_state import NodeState
 from zenostat.gateways.bacnet.point_objects import AnalogInput, AnalogOutput, NodeObject
 from zenostat.gateways.bacnet.points import ObjectKind, PointSpec, point_specs
+from zenostat.gateways.bacnet.requests import NodeApplication
 from zenostat.gateways.bacnet.simulation_objects import Paused, control_objects
 from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.notices import Notices

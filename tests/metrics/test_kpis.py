@@ -18,7 +18,7 @@ from support.nodes import SMALL
 
 from zenostat.agent_sdk.testing import FakeBuilding, FakeLink
 from zenostat.lab.evaluate import evaluate
-from zenostat.metrics.energy_sources import WITH_PLANT, WITHOUT_PLANT, hvac_sources
+from zenostat.metrics.energy_meters import WITH_PLANT, WITHOUT_PLANT, hvac_sources
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.kpis import CO2_LIMIT_PPM, KPIS, PeakPower
 from zenostat.metrics.tariffs import read_emissions, read_prices

@@ -20,7 +20,7 @@ from support.nodes import WEATHER, NodeProgram
 
 import zenostat
 from zenostat.agent_sdk.rewards import LinearReward
-from zenostat.metrics.energy_sources import FUELS
+from zenostat.metrics.energy_meters import FUELS
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.roles import roles
 from zenostat.models import catalog
