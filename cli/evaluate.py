@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from zenostat.lab.evaluate import Evaluation, Progress
     from zenostat.metrics.statistics import MetricSummary
 
-_UNITS = {"kwh": "kWh", "w": "W", "kw": "kW", "k": "K", "kh": "K h", "percent": "%"}
+_UNITS = {"kwh": "kWh", "w": "W", "kw": "kW", "k": "K", "kh": "K h", "kwh_m2": "kWh/m²", "h": "h", "percent": "%"}
 _TEXT_COLUMNS = ("controller", "weather")
 _COUNT_COLUMNS = ("episode", "seed", "steps", "late", "rejected")
 INTERVAL_NOTE = "± half the 95 % confidence interval of the mean over the episodes (Student's t)"
@@ -150,9 +150,10 @@ def _label(name: str) -> str:
         return f"{text} ({unit})"
     if name.startswith("mean_reward"):
         return name.replace("mean_reward", "reward", 1).replace(".", ": ").replace("_", " ") + " per step"
-    words, _, unit = name.rpartition("_")
+    words, _, unit = name.removesuffix("_m2").rpartition("_")
     if words and unit in _UNITS:
-        return f"{words.replace('_', ' ').replace('hvac', 'HVAC')} ({_UNITS[unit]})"
+        unit += name[len(words) + 1 + len(unit) :]
+        return f"{words.replace('_', ' ').replace('hvac', 'HVAC').replace('site', 'site energy')} ({_UNITS[unit]})"
     return name.replace(".", ": ").replace("_", " ")
 
 
