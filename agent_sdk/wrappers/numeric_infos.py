@@ -11,9 +11,6 @@ from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import WrapperLogic
 from zenostat.topics.typing_compat import override
 
-_NESTED = ("final_info",)
-"""Entries of Gymnasium's own vectors that stay dictionaries."""
-
 
 class _Logic(WrapperLogic):
     @override
@@ -27,12 +24,12 @@ def _numbers(infos: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
         is_mask = key.startswith("_") and key[1:] in infos
         if is_mask or (key == "action" and not prefix):
             continue
-        if key in ("final_obs", *_NESTED):
-            numbers[key] = _numbers(value) if isinstance(value, Mapping) else value
+        if key == "final_info":  # Gymnasium's own entry, which stays a dictionary
+            numbers[key] = _numbers(value)
         elif isinstance(value, Mapping):
             numbers |= _numbers(value, f"{prefix}{key}.")
             continue
-        elif np.asarray(value).dtype.kind in "biuf" and np.size(value):
+        elif key == "final_obs" or (np.asarray(value).dtype.kind in "biuf" and np.size(value)):
             numbers[prefix + key] = value
         else:
             continue
