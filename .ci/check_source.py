@@ -71,6 +71,31 @@ def imported(tree: ast.Module) -> list[tuple[int, str]]:
     return modules
 
 
+def definitions(path: Path, tree: ast.Module) -> set[str]:
+    """Names that can be imported from a module: its own, those it imports, and the modules of its folder."""
+    members = {name for _, name in names(tree)}
+    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    members |= {alias.asname or alias.name for node in imports for alias in node.names}
+    if path.name == "__init__.py":
+        members |= {other.stem for other in path.parent.iterdir()}
+    return members
+
+
+def unresolved(tree: ast.Module, defined: dict[str, set[str]]) -> Iterator[tuple[int, str]]:
+    """Lines and texts of imports from this project of a module, or of a name, that does not exist."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            missing = [alias.name for alias in node.names if alias.name not in defined]
+        elif isinstance(node, ast.ImportFrom) and node.module in defined:
+            members = defined[node.module]
+            missing = [f"{node.module}.{alias.name}" for alias in node.names if not {alias.name, "*"} & members]
+        elif isinstance(node, ast.ImportFrom):
+            missing = [str(node.module)]
+        else:
+            continue
+        yield from ((node.lineno, f"there is no {name}") for name in missing if name.startswith("zenostat"))
+
+
 def layer(module: str) -> str:
     """Package of a module, or name of a simulator; the public names of `zenostat` belong to no package."""
     return module.removeprefix("zenostat.").partition(".")[0]
@@ -93,8 +118,14 @@ def main(root: Path = ROOT) -> int:
     }
     beside = [path for folder in BESIDE for path in sorted((root / folder).rglob("*.py"))]
     trees = {path: ast.parse(path.read_text(encoding="utf-8")) for path in [*paths, *beside]}
+    public = {f"zenostat.{path.stem}".removesuffix(".__init__"): path for path in (root / "src/zenostat").glob("*.py")}
+    trees |= {path: ast.parse(path.read_text(encoding="utf-8")) for path in public.values()}
+    defined = {module: definitions(path, trees[path]) for module, path in {**modules, **public}.items()}
+    defined.setdefault("zenostat", set()).update(LAYERS)
     for path, tree in trees.items():
-        faults += [f"{path.relative_to(root)}:{line}: {text}" for line, text in style_errors(tree)]
+        # mypy resolves the packages' own imports.
+        errors = [*style_errors(tree), *(unresolved(tree, defined) if path in beside else ())]
+        faults += [f"{path.relative_to(root)}:{line}: {text}" for line, text in errors]
     for module, path in modules.items():
         package, needs = layer(module), set()
         for line, name in imported(trees[path]):

@@ -47,6 +47,8 @@ def test_this_source_passes(check: dict[str, Any]) -> None:
             "if True:\n    import zenostat.bridge.node\n",
             "2: topics must not import zenostat.bridge.node",
         ),
+        ("tests/a.py", "from zenostat.topics import x\n", "1: there is no zenostat.topics"),
+        ("bench/a.py", "import zenostat.topics.x\n", "1: there is no zenostat.topics.x"),
         ("tests/a.py", "def f(told):\n    pass\n", "1: 'told' says nothing; name the thing"),
         ("bench/a.py", "x = [\n    y for _found in z]\n", "2: '_found' says nothing; name the thing"),
         ("examples/a.py", "class A:\n    SAID: int\n", "2: 'SAID' says nothing; name the thing"),

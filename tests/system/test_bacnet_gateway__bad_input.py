@@ -15,7 +15,7 @@ from support.bacnet import PAUSED, STEP, Client, client, served
 from support.nodes import NodeProgram
 
 import zenostat
-from zenostat.gateways.bacnet import application, transactions
+from zenostat.gateways.bacnet import requests, transactions
 
 COOLING = "core_zn_cooling_setpoint"
 OUTPUT = 1  # number of the object type analog-output
@@ -207,7 +207,7 @@ def test_a_client_that_dies_amid_a_segmented_request_or_with_subscriptions_costs
 
 
 def test_subscriptions_are_limited(episode_bus: zenostat.Bus, shared_node: NodeProgram, monkeypatch) -> None:
-    monkeypatch.setattr(application, "MAX_SUBSCRIPTIONS", 5)
+    monkeypatch.setattr(requests, "MAX_SUBSCRIPTIONS", 5)
 
     async def main() -> None:
         async with served(shared_node.endpoint) as (_, reader, _):
