@@ -21,11 +21,12 @@ from zenostat.models.building.whole_weather import reads_whole_weather
 from zenostat.models.points import discovery, selection
 from zenostat.models.points.discovery import PointCatalog
 from zenostat.models.points.monitoring import with_monitoring, with_unobserved
+from zenostat.models.points.schedules import with_baseline_sensors, with_leads
 from zenostat.models.points.selection import Points
 from zenostat.models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSource
 from zenostat.models.scenario.run_period import Period, check_steps_per_hour
 from zenostat.models.scenario.schema import ActuatorSpec, Scenario, dump
-from zenostat.models.scenario.task import task_of
+from zenostat.models.scenario.task import relative_actuators, task_of
 from zenostat.models.weather import design_days, epw, noise
 from zenostat.models.weather.header import check_complete, check_covers, read_header
 from zenostat.topics import VERSION
@@ -327,14 +328,25 @@ def run_points(model: Building, scenario: Scenario, any_weather: Path, *, monito
                 reported = Aggregation.SUM if summed.get(spec[0].casefold()) else Aggregation.MEAN
                 spec.append(Aggregation.INSTANT if scenario.aggregation is Aggregation.INSTANT else reported)
     chosen = selection.select_points(model, offered, specs, scenario.meters, actuators)
+    if actuators is None:  # those that have no effect are left out
+        overridden = conflicts.overridden_actuators(model.objects, chosen.actuators)
+        chosen = replace(chosen, actuators=tuple(a for a in chosen.actuators if a.name not in overridden))
+    chosen = _with_schedules(model, scenario, any_weather, chosen)
     chosen = with_unobserved(chosen, scenario.unobserved)
-    if monitoring:
-        chosen = with_monitoring(model, offered, chosen)
-    if actuators is not None:
-        return chosen
-    # Default actuators: those that have no effect are left out.
-    overridden = conflicts.overridden_actuators(model.objects, chosen.actuators)
-    return replace(chosen, actuators=tuple(a for a in chosen.actuators if a.name not in overridden))
+    return with_monitoring(model, offered, chosen) if monitoring else chosen
+
+
+def _with_schedules(model: Building, scenario: Scenario, any_weather: Path, points: Points) -> Points:
+    """Return the points with the schedules that are known beforehand: sensors with a lead, and relative actuators."""
+    leads = {name: spec.lead_h for name, spec in (scenario.sensors or {}).items() if spec.lead_h is not None}
+    if not leads and scenario.relative is None:
+        return points
+    period = model.period(scenario.begin, scenario.end, scenario.steps_per_hour)
+    if leads:
+        points = with_leads(points, leads, model, period)
+    relative = relative_actuators(scenario, points.actuators)
+    fixed = [name for name, spec in (scenario.actuators or {}).items() if spec.low is not None or spec.high is not None]
+    return with_baseline_sensors(points, relative, fixed, model, period, any_weather) if relative else points
 
 
 def _actuator(model: Building, offered: PointCatalog, name: str, spec: ActuatorSpec) -> list[object]:

@@ -1,7 +1,7 @@
-"""Run EnergyPlus once, in a separate process, to convert a model or list its points.
+"""Run EnergyPlus once, in a separate process, to convert a model, list its points, or compute its schedules.
 
 A model can make EnergyPlus terminate its process, so nothing here runs in the caller's. The child process is this
-module as a program: `python -m zenostat.models.energyplus convert|survey …`.
+module as a program: `python -m zenostat.models.energyplus convert|survey|schedules …`.
 """
 
 from __future__ import annotations
@@ -12,6 +12,8 @@ import signal
 import sqlite3
 import subprocess
 import sys
+from array import array
+from collections.abc import Callable
 from contextlib import closing
 from functools import cache
 from pathlib import Path
@@ -24,7 +26,7 @@ from zenostat.topics.errors import ModelError
 ISOLATED = (sys.executable, "-P", "-m")
 """Command prefix for a package's programs: `-P` excludes the caller's folder from imports."""
 
-_ACTIONS = {"convert": "convert", "survey": "start"}
+_ACTIONS = {"convert": "convert", "survey": "start", "schedules": "compute the schedules of"}
 """What EnergyPlus does for each verb, for errors."""
 
 
@@ -32,7 +34,7 @@ def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> N
     """Run this module as a program, which writes its result to the file that the last argument names.
 
     Args:
-        verb: `convert` or `survey`.
+        verb: `convert`, `survey` or `schedules`.
         arguments: of the program.
         file: the file that an error refers to; the first argument if None.
 
@@ -167,8 +169,32 @@ def _run_until_ready(model: dict[str, Any], weather: str, folder: str) -> list[l
     return points
 
 
+def _schedules(model: str, names: str, weather: str, target: str) -> None:
+    """Write the values of schedules in each timestep, row by row, as float64."""
+    from pyenergyplus.api import EnergyPlusAPI
+
+    api = EnergyPlusAPI()
+    exchange, state = api.exchange, api.state_manager.new_state()
+    api.runtime.set_console_output_status(state, False)
+    keys = json.loads(names)
+    for key in keys:
+        exchange.request_variable(state, "Schedule Value", key)
+    values, handles = array("d"), list[int]()
+
+    def read(running: Any) -> None:
+        if exchange.warmup_flag(running):
+            return
+        if not handles:
+            handles.extend(exchange.get_variable_handle(running, "Schedule Value", key) for key in keys)
+        values.extend(exchange.get_variable_value(running, handle) for handle in handles)
+
+    api.runtime.callback_end_zone_timestep_after_zone_reporting(state, read)
+    code = api.runtime.run_energyplus(state, ["-w", weather, "-d", os.path.dirname(target), model])
+    if code == 0 and min(handles) >= 0:
+        with atomic_file(Path(target)) as temporary:
+            temporary.write_bytes(values.tobytes())
+
+
 if __name__ == "__main__":
-    if sys.argv[1] == "convert":
-        _convert(*sys.argv[2:])
-    else:
-        _survey(*sys.argv[2:])
+    verbs: dict[str, Callable[..., None]] = {"convert": _convert, "survey": _survey, "schedules": _schedules}
+    verbs[sys.argv[1]](*sys.argv[2:])

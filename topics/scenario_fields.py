@@ -39,9 +39,10 @@ class ScenarioArguments(TypedDict, total=False):
         Doc("Weather and form of the Sinergym configuration, such as `hot-continuous`; by default its first one."),
     ]
     sensors: Annotated[
-        Mapping[str, Sequence[str]] | None,
+        Mapping[str, Sequence[str | float | None]] | None,
         Doc(
-            "Name to (variable, key) or (variable, key, aggregation: mean, sum or instant); by default a set of the "
+            "Name to (variable, key), (variable, key, aggregation: mean, sum or instant) or, of a schedule, "
+            "(variable, key, aggregation, lead_h), which is its value so many hours later; by default a set of the "
             "model's sensors."
         ),
     ]
@@ -99,6 +100,14 @@ class ScenarioArguments(TypedDict, total=False):
         Doc(
             "Default actions: point (one for each actuator), zone (the same, with a separate choice for each zone if "
             "discrete), or building (one pair of setpoints for all thermostats)."
+        ),
+    ]
+    relative: Annotated[
+        float | Sequence[float] | Mapping[str, float | Sequence[float]] | None,
+        Doc(
+            "Actions are offsets to the building's own control, which 0 leaves as it is: their bounds, in K for "
+            "temperatures, as a number (3 is -3 to 3) or (low, high), for all actions or by action; by default "
+            "actions are absolute."
         ),
     ]
     discrete: Annotated[

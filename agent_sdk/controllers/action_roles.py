@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from math import isfinite
 
 from zenostat.agent_sdk.controllers.base import Values
 from zenostat.agent_sdk.controllers.comfort_band import rewarded_temperatures
@@ -42,7 +43,7 @@ class ActionBinding:
     """One action of the task, with its role and the points of the zones that it serves.
 
     Attributes:
-        action: the action.
+        action: the action; of a relative one, with the bounds that all its actuators have.
         role: what it sets.
         temperatures: indices of the air temperatures that it controls, in `sample.values`.
         people: indices of the occupant counts of these zones, or of all zones if these have none.
@@ -72,9 +73,23 @@ def bind_actions(manifest: Manifest) -> tuple[ActionBinding, ...]:
     actuators = {a.name: a for a in manifest.actuators}
     roles = [role_of(action, actuators[action.actuators[0]]) for action in manifest.task.actions]
     return tuple(
-        ActionBinding(action, role, *_zone_points(action, [actuators[name] for name in action.actuators], manifest))
+        ActionBinding(
+            _absolute(action, actuators),
+            role,
+            *_zone_points(action, [actuators[name] for name in action.actuators], manifest),
+        )
         for action, role in zip(manifest.task.actions, roles, strict=True)
     )
+
+
+def _absolute(action: Action, actuators: Mapping[str, Actuator]) -> Action:
+    """Return an action; of a relative one, that which sets absolute values."""
+    if not action.relative:
+        return action
+    members = [actuators[name] for name in action.actuators]
+    lows, highs = zip(*map(bounds, members), strict=True)
+    low, high = (value if isfinite(value) else None for value in (max(lows), min(highs)))
+    return action.model_copy(update={"low": low, "high": high, "unit": members[0].unit, "relative": False})
 
 
 def role_of(action: Action | Actuator, actuator: Actuator) -> Role:

@@ -12,7 +12,7 @@ from zenostat.agent_sdk.controllers.base import ControllerProtocol, Planner, Pla
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidAction, InvalidConfig, did_you_mean
 from zenostat.topics.messages import Action, DiscreteAction, Manifest
-from zenostat.topics.points import bounds, contains, describe_violation
+from zenostat.topics.points import bounds, contains, describe_violation, value_index
 
 
 class Agent:
@@ -56,10 +56,10 @@ class Agent:
         """Return the commands for a sample as an action; see `action_of`. Unnamed actuators keep their last command."""
         values = self.values(sample)  # before the next line: a new episode clears `_commanded`
         self._commanded |= values
-        return action_of(sample.manifest, self._commanded)
+        return action_of(sample.manifest, self._commanded, sample)
 
 
-def action_of(manifest: Manifest, values: Mapping[str, float | None]) -> Any:
+def action_of(manifest: Manifest, values: Mapping[str, float | None], sample: SampleView | None = None) -> Any:
     """Convert values by actuator to an action of the task's space.
 
     Continuous: float32, shape (actions,). Discrete: the index of the nearest row of each discrete action; an int if
@@ -67,7 +67,11 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None]) -> Any:
     distance of the zone setpoints (K²); ties are resolved by the squared distance of the other actions, each scaled
     by its range, then by order. So matching a chilled water temperature never compromises comfort.
 
+    A relative action is the mean offset of its actuators to their values under baseline control, which `sample` has,
+    clipped to the action's bounds; 0 if they are relinquished.
+
     Raises:
+        InvalidConfig: an action is relative and there is no sample.
         InvalidAction: no action can express the values: an actuator has no value or is relinquished, or belongs to no
             action; actuators of one action have different values; or (continuous) a value is out of bounds.
     """
@@ -76,7 +80,10 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None]) -> Any:
     for name in values:
         if name not in known:
             raise InvalidAction(f"no action of the task sets {name!r}; {did_you_mean(name, known)}")
-    targets = {action.name: _value(action, values) for action in actions}
+    targets = {
+        action.name: _offset(action, values, sample) if action.relative else _value(action, values)
+        for action in actions
+    }
     if manifest.task.discrete_actions:
         actuators = {a.name: a for a in manifest.actuators}
         setpoints = [a.name for a in actions if role_of(a, actuators[a.actuators[0]]) in SETPOINTS]
@@ -86,6 +93,32 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None]) -> Any:
         if not contains(action, targets[action.name]):
             raise InvalidAction(describe_violation(action, targets[action.name]))
     return np.array([targets[action.name] for action in actions], np.float32)
+
+
+def _offset(action: Action, values: Mapping[str, float | None], sample: SampleView | None) -> float:
+    baseline = baseline_values(action, sample)
+    offsets = [
+        0.0 if (value := values.get(name)) is None else value - own
+        for name, own in zip(action.actuators, baseline, strict=True)
+    ]
+    offset = sum(offsets) / len(offsets)
+    if not np.isfinite(offset):
+        raise InvalidAction(f"{action.name} = {offset}; expected a finite number")
+    low, high = bounds(action)
+    return min(max(offset, low), high)
+
+
+def baseline_values(action: Action, sample: SampleView | None) -> list[float]:
+    """Return the value of each actuator of a relative action under baseline control in the next timestep.
+
+    Raises:
+        InvalidConfig: there is no sample.
+    """
+    if sample is None:
+        raise InvalidConfig(f"action {action.name!r} is relative to the building's own control; a sample is needed")
+    sensors = {a.name: a.baseline_sensor for a in sample.manifest.actuators}
+    points, index = sample.fault_free_values, value_index(sample.manifest)
+    return [float(points[index[str(sensors[name])]]) for name in action.actuators]
 
 
 def _value(action: Action, values: Mapping[str, float | None]) -> float:
@@ -114,7 +147,7 @@ def _nearest_row(choice: DiscreteAction, targets: Mapping[str, float], setpoints
     return int(np.lexsort((others, comfort))[0])
 
 
-def values_of(manifest: Manifest, action: Any) -> Values:
+def values_of(manifest: Manifest, action: Any, sample: SampleView | None = None) -> Values:
     """Convert an action of the task's space to values by actuator; the inverse of `action_of`."""
     numbers = np.atleast_1d(np.asarray(action))
     by_action: dict[str, float] = {}
@@ -123,5 +156,21 @@ def values_of(manifest: Manifest, action: Any) -> Values:
             by_action |= dict(zip(choice.actions, choice.values[int(index)], strict=True))
     else:
         by_action = dict(zip((entry.name for entry in manifest.task.actions), numbers.tolist(), strict=True))
-    clipped = {a.name: min(max(by_action[a.name], bounds(a)[0]), bounds(a)[1]) for a in manifest.task.actions}
-    return {name: clipped[entry.name] for entry in manifest.task.actions for name in entry.actuators}
+    values: Values = {}
+    for entry in manifest.task.actions:
+        low, high = bounds(entry)
+        number = min(max(by_action[entry.name], low), high)
+        values |= at_offset(entry, number, sample) if entry.relative else dict.fromkeys(entry.actuators, number)
+    return values
+
+
+def at_offset(action: Action, offset: float, sample: SampleView | None) -> Values:
+    """Return the values of a relative action's actuators; None for an offset of 0."""
+    if not offset:
+        return dict.fromkeys(action.actuators)
+    actuators = {a.name: a for a in sample.manifest.actuators} if sample is not None else {}
+    values: Values = {}
+    for name, own in zip(action.actuators, baseline_values(action, sample), strict=True):
+        low, high = bounds(actuators[name])
+        values[name] = min(max(own + offset, low), high)
+    return values

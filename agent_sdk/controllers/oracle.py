@@ -137,7 +137,7 @@ class OracleController(Controller):
             timesteps = min(self._timesteps, self.manifest.steps - sample.step)
             self._plan, age = self._make_plan(self._planner, rule_action, timesteps, age), 0
             self._planned_at = sample.step
-        return values_of(self.manifest, self._plan[age])
+        return values_of(self.manifest, self._plan[age], sample)
 
     def _make_plan(self, planner: Planner, rule_action: Any, timesteps: int, age: int) -> Actions:
         """Return the best sequence of actions that was simulated, shape (timesteps, *action shape)."""

@@ -116,10 +116,15 @@ class PolicyController(Controller):
         observation: Any = values.astype(np.float32)
         if self._normalization is not None:
             observation = self._normalization.normalize_obs(observation)
-        values = self._actions.values(self._predictor.action(observation))
-        operations = self._actions.operations or bytes([CommandOp.SET] * len(values))
-        commands = zip(self.manifest.actuators, values.tolist(), operations, strict=True)
-        return {actuator.name: value for actuator, value, operation in commands if operation == CommandOp.SET}
+        values, operations = self._actions.command(self._predictor.action(observation), sample.fault_free_values, {})
+        commands = zip(
+            self.manifest.actuators, values.tolist(), operations or [CommandOp.SET] * len(values), strict=True
+        )
+        return {
+            actuator.name: value if operation == CommandOp.SET else None
+            for actuator, value, operation in commands
+            if operation != CommandOp.KEEP
+        }
 
 
 def _dimension_names(manifest: Manifest, kind: str) -> list[str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from zenostat.agent_sdk.controllers.agent import at_offset
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.bridge.client.sample import SampleView
@@ -35,10 +36,9 @@ class RandomController(Controller):
         for action in continuous:
             if action.low is None or action.high is None:
                 raise ControllerMismatch(f"{action.name!r} has no bounds to draw from: add bounds in the scenario")
-        self._actuators = {action.name: action.actuators for action in manifest.task.actions}
         self._ranges = [(action.name, action.low, action.high) for action in continuous]
 
-    def act(self, sample: SampleView) -> Values:  # noqa: ARG002
+    def act(self, sample: SampleView) -> Values:
         """Return the next values of the sequence."""
         drawn: dict[str, float] = {}
         for choice in self.manifest.task.discrete_actions:
@@ -48,4 +48,8 @@ class RandomController(Controller):
             assert low is not None
             assert high is not None
             drawn[name] = float(self._random.uniform(low, high))
-        return {actuator: value for name, value in drawn.items() for actuator in self._actuators[name]}
+        values: Values = {}
+        for action in self.manifest.task.actions:
+            value = drawn[action.name]
+            values |= at_offset(action, value, sample) if action.relative else dict.fromkeys(action.actuators, value)
+        return values

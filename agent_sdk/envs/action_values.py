@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from numbers import Real
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike, NDArray
 from zenostat.agent_sdk.envs import spaces
 from zenostat.topics.errors import InvalidAction, did_you_mean
 from zenostat.topics.messages import Action, CommandOp, DiscreteAction, Manifest
-from zenostat.topics.points import LARGEST, bound_arrays, contains, describe_violation
+from zenostat.topics.points import LARGEST, bound_arrays, contains, describe_violation, value_index
 
 _SMALL = 8
 
@@ -23,6 +23,7 @@ class Actions:
     Attributes:
         space: `Box`, float32, shape (actions,), or `Discrete`, or `MultiDiscrete`.
         operations: A `CommandOp` byte for each actuator; None if the actions set all of them.
+        is_relative: Whether an action is an offset to baseline control.
     """
 
     def __init__(self, manifest: Manifest) -> None:
@@ -44,8 +45,9 @@ class Actions:
         unbound = [a.name for a in manifest.actuators if a.name not in action_of]
         self._actuators, self._unbound = {a.name: (i, a) for i, a in enumerate(manifest.actuators)}, unbound
         codes = [CommandOp.KEEP if a.name in unbound else CommandOp.SET for a in manifest.actuators]
-        self.operations = bytes(codes) if unbound else None
-        self._is_set = np.array(codes) == CommandOp.SET
+        self.operations, self._codes = bytes(codes) if unbound else None, np.array(codes, np.uint8)
+        self._offsets = _Offsets(manifest) if any(action.relative for action in task.actions) else None
+        self.is_relative = self._offsets is not None
 
     @property
     def names(self) -> list[str]:
@@ -55,6 +57,8 @@ class Actions:
     def values(self, action: ArrayLike) -> NDArray[np.float64]:
         """Return a value for each actuator, shape (actuators,), in manifest order and units.
 
+        Of a relative action it is the offset.
+
         Raises:
             InvalidAction: Wrong shape, out of bounds, not finite, or no such choice.
         """
@@ -63,27 +67,47 @@ class Actions:
             return checked
         return checked[self._action_index] if len(self._actions) else np.zeros(len(self._action_index))
 
-    def command(self, action: ArrayLike, context: dict[int, float | None]) -> tuple[NDArray[np.float64], bytes | None]:
-        """Return values, as `values` does, and operations of a command; the context is consumed.
+    def command(
+        self, action: ArrayLike, points: NDArray[np.float64], context: dict[int, float | None]
+    ) -> tuple[NDArray[np.float64], bytes | None]:
+        """Return the values of a command, shape (actuators,), and a `CommandOp` byte for each; None: all are set.
 
         Args:
             action: The agent's action.
-            context: Values of further actuators by position, as of `context`; None relinquishes one.
+            points: Fault-free values of sensors and meters, shape (points,): offsets are relative to them.
+            context: Values of further actuators by position, as of `context`, which is consumed; None relinquishes one.
         """
-        values, operations = self.values(action), self.operations
-        if context:
-            assert operations is not None
-            codes = bytearray(operations)
-            for index, value in context.items():
-                codes[index] = CommandOp.RELINQUISH if value is None else CommandOp.SET
-                values[index] = 0.0 if value is None else value
-            operations = bytes(codes)
-            context.clear()
-        return values, operations
+        values = self.values(action)
+        return values, self.complete(values[None], points[None], [context])
 
-    def commanded(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+    def complete(
+        self, values: NDArray[np.float64], points: NDArray[np.float64], contexts: Sequence[dict[int, float | None]]
+    ) -> bytes | None:
+        """Complete the commands of several slots in place, and return their operations, as `command` for each.
+
+        Args:
+            values: As `values` or `rows` returned them, shape (slots, actuators).
+            points: Shape (slots, points).
+            contexts: A context for each slot.
+        """
+        if self._offsets is None and not any(contexts):
+            return None if self.operations is None else self.operations * len(values)
+        codes = np.tile(self._codes, (len(values), 1))
+        if self._offsets is not None:
+            self._offsets.add(values, codes, points)
+        for slot, context in enumerate(contexts):
+            for index, value in context.items():
+                codes[slot, index] = CommandOp.RELINQUISH if value is None else CommandOp.SET
+                values[slot, index] = 0.0 if value is None else value
+            context.clear()
+        return codes.tobytes()
+
+    def commanded(self, values: NDArray[np.float64], operations: bytes | None) -> NDArray[np.float64]:
         """Return the values of a command with NaN for actuators that no action sets; shape as `values`."""
-        return values if self.operations is None else np.where(self._is_set, values, np.nan)
+        if operations is None:
+            return values
+        codes = np.frombuffer(operations, np.uint8).reshape(values.shape)
+        return np.where((self._codes == CommandOp.SET) & (codes == CommandOp.SET), values, np.nan)
 
     def rows(self, actions: ArrayLike, slots: int, unread: Collection[int] = ()) -> NDArray[np.float64]:
         """Return the values of several slots, shape (slots, actuators).
@@ -217,6 +241,26 @@ def as_array(action: ArrayLike, dtype: type[np.float64] | None) -> NDArray[Any]:
         return np.asarray(values, dtype)
     except (TypeError, ValueError) as error:
         raise InvalidAction(f"action {action!r} is not an array of numbers: {error}") from None
+
+
+class _Offsets:
+    """The actuators of relative actions, and the points of their values under baseline control."""
+
+    def __init__(self, manifest: Manifest) -> None:
+        relative = {name for action in manifest.task.actions if action.relative for name in action.actuators}
+        chosen = [(i, a) for i, a in enumerate(manifest.actuators) if a.name in relative]
+        points = value_index(manifest)
+        self._columns = np.array([i for i, _ in chosen], np.intp)
+        self._points = np.array([points[str(a.baseline_sensor)] for _, a in chosen], np.intp)
+        self._low, self._high = bound_arrays([a for _, a in chosen])
+
+    def add(self, values: NDArray[np.float64], codes: NDArray[np.uint8], points: NDArray[np.float64]) -> None:
+        """Replace offsets by absolute values within the actuators' bounds, and those of 0 by relinquishing."""
+        offsets, columns = values[:, self._columns], self._columns
+        is_zero = offsets == 0.0
+        absolute = np.clip(points[:, self._points] + offsets, self._low, self._high)
+        values[:, columns] = np.where(is_zero, 0.0, absolute)
+        codes[:, columns] = np.where(is_zero, CommandOp.RELINQUISH, CommandOp.SET)
 
 
 class _ChoiceTable:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import Any, NoReturn
@@ -130,14 +130,14 @@ class BranchVectorEnv(BuildingVectorEnv):
             NodeLost, SimulatorError, RequestRejected, EpisodeChanged: see `ControllerLink.receive`.
         """
         self._restarting_slots()
-        values, operations = self._encoded(actions)
-        timesteps = len(values)
+        sequences = self._sequences(actions)
+        timesteps = sequences.shape[1]
         rewards = np.zeros((self.num_envs, timesteps))
         lengths = np.full(self.num_envs, timesteps)
         terminated, truncated = np.zeros(self.num_envs, np.bool_), np.zeros(self.num_envs, np.bool_)
         observations: list[Observations] = []
         number = 0
-        for sample in self._simulate(values, operations):
+        for sample in self._samples(sequences):
             live = ~self._done
             rewards[:, number], observed, ended, at_end = self._evaluated(sample)
             rewards[self._done, number] = 0.0
@@ -165,8 +165,8 @@ class BranchVectorEnv(BuildingVectorEnv):
             terminated[list(state.limits.violated_slots(values))] = True
         return rewards, sample.observed(begins, ends, self._observed_indices), terminated, sample.truncated
 
-    def _encoded(self, actions: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
-        """Return commands and operations of each timestep, shape (timesteps, slots, actuators)."""
+    def _sequences(self, actions: ArrayLike) -> NDArray[Any]:
+        """Return actions as an array, shape (slots, timesteps, *action shape); all are checked."""
         sequences = as_array(actions, None)
         single = self.single_action_space.shape or ()
         if sequences.ndim != 2 + len(single) or not sequences.shape[1]:
@@ -174,12 +174,28 @@ class BranchVectorEnv(BuildingVectorEnv):
                 f"actions of shape {sequences.shape}; expected ({self.num_envs} slots, at least 1 timestep"
                 f"{''.join(f', {length}' for length in single)})"
             )
-        values, codes = [], []
         for number in range(sequences.shape[1]):
             try:
-                commanded, operations = self._command(sequences[:, number], ())
+                self._actions.rows(sequences[:, number], self.num_envs)
             except InvalidAction as error:
                 raise InvalidAction(f"timestep {number}: {error}") from None
+        return sequences
+
+    def _samples(self, sequences: NDArray[Any]) -> Iterator[VectorSample]:
+        """Simulate; yield the sample of each timestep, until all episodes have ended."""
+        if not self._actions.is_relative:
+            yield from self._simulate(*self._encoded(sequences))
+            return
+        for number in range(sequences.shape[1]):  # an offset is relative to the latest sample
+            if self._done.all():
+                return
+            yield from self._simulate(*self._encoded(sequences[:, number : number + 1]))
+
+    def _encoded(self, sequences: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
+        """Return commands and operations of each timestep, shape (timesteps, slots, actuators)."""
+        values, codes = [], []
+        for number in range(sequences.shape[1]):
+            commanded, operations = self._command(sequences[:, number], ())
             values.append(commanded)
             codes.append(operations)
         if all(code is None for code in codes):

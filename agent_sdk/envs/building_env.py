@@ -330,9 +330,9 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         if previous is None or self._ended or self._connection.closed:
             self._connection.check_open()
             raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
-        commanded, operations = self._actions.command(action, self._state.context)
-        self.link.send(commanded, operations)
-        self._pending = action, commanded
+        values, operations = self._actions.command(action, previous.fault_free_values, self._state.context)
+        self.link.send(values, operations)
+        self._pending = action, self._actions.commanded(values, operations)
 
     def step_wait(self) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Wait for the sample of the timestep that `step_async` began; return and raise what `step` does."""
@@ -345,7 +345,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         values, end, info = sample.values, sample.time, infos.of_sample(sample, link)
         begin = end - self._timestep
         fault_free = sample.fault_free_values if sample.message.fault_free_values else values
-        info["action"] = self._actions.commanded(commanded)
+        info["action"] = commanded
         if state.reward is not None:
             total, info["reward_terms"], info["reward_metrics"] = state.reward(fault_free, begin)
             reward = float(total)

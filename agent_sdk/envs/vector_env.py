@@ -27,7 +27,7 @@ from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig
-from zenostat.topics.messages import CommandOp, WeatherSeries
+from zenostat.topics.messages import WeatherSeries
 from zenostat.topics.points import observed_indices
 from zenostat.topics.scenario_fields import NodeArguments, expand_arguments
 
@@ -116,7 +116,6 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
         self.envs = tuple(Slot(self, number) for number in range(num_envs))
         self._timestep, self._observed_indices = timestep(manifest), observed_indices(manifest)
-        self._operations = None if self._actions.operations is None else self._actions.operations * num_envs
         self._sample: VectorSample | None = None
         self._busy = False
         self._observations = np.zeros(self.observation_space.shape or (), np.float32)
@@ -240,7 +239,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         link.send(commanded if self.num_envs > 1 else commanded[0], operations, still=restarting)
         sample = self._sample = VectorSample(link.receive())
         entries = self._infos.of_sample(sample, link)
-        entries["action"] = self._actions.commanded(commanded)
+        entries["action"] = self._actions.commanded(commanded, operations)
         rewards, terminated, truncated, infos = self._outcome(sample, entries, restarting)
         if self._renderer is not None:
             advanced = [slot for slot in range(self.num_envs) if slot not in restarting]
@@ -307,18 +306,9 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
     # Commands
 
     def _command(self, actions: ArrayLike, unread: Sequence[int]) -> tuple[NDArray[np.float64], bytes | None]:
-        values, operations = self._actions.rows(actions, self.num_envs, unread), self._operations
-        contexts = self._state.context
-        if any(contexts):
-            assert operations is not None
-            codes = np.frombuffer(operations, np.uint8).reshape(values.shape).copy()
-            for slot, context in enumerate(contexts):
-                for index, value in context.items():
-                    codes[slot, index] = CommandOp.RELINQUISH if value is None else CommandOp.SET
-                    values[slot, index] = 0.0 if value is None else value
-                contexts[slot] = {}
-            operations = codes.tobytes()
-        return values, operations
+        assert self._sample is not None
+        values = self._actions.rows(actions, self.num_envs, unread)
+        return values, self._actions.complete(values, self._sample.fault_free_values, self._state.context)
 
     def set_context(self, values: Mapping[str, float | None]) -> None:
         """Set actuators that belong to no action in all slots; see `BuildingEnv.set_context`.

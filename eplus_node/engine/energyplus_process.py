@@ -105,6 +105,7 @@ class Engine:
         self.totals: list[float] = []
         # Of the latest zone timestep: means and sums, then states; empty if they are read at its end.
         self.system_values: list[float] = []
+        self.scheduled = spec["scheduled"]
         self.has_program_variables = any(key.casefold() == _EMS_KEY and system for _, key, _, system in spec["sensors"])
 
     def _bind_library(self) -> None:
@@ -231,6 +232,8 @@ class Engine:
             values = list(self.arrange([*zone_values, *self.system_values]))
         else:
             values = list(map(self.get_variable, repeat(state), self.sensors))
+        for index, column in self.scheduled:
+            values[index] = column[self.step]
         if self.step:
             values.extend(map(self.get_meter, repeat(state), self.meters))
             for index, handles in self.meter_sums:

@@ -11,6 +11,7 @@ from zenostat.bridge.engine.spec import EngineProgram, EngineSpec
 from zenostat.eplus_node.plan import Plan
 from zenostat.models.energyplus import ISOLATED
 from zenostat.models.err_file import explain
+from zenostat.models.points.schedules import scheduled_values
 from zenostat.models.points.selection import Points
 from zenostat.models.scenario.episode_weather import EpisodeFiles
 from zenostat.topics.errors import ModelError
@@ -53,6 +54,7 @@ def engine_spec(plan: Plan, files: EpisodeFiles, folder: Path, **settings: Any) 
             "steps": plan.period.steps,
             "steps_per_hour": plan.period.steps_per_hour,
             "shrink_caches": plan.config.shrink_caches,
+            "scheduled": sorted(scheduled_values(points, plan.building, plan.period, files.weather).items()),
             **_point_fields(points),
         },
         **settings,

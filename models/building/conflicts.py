@@ -68,6 +68,23 @@ def overridden_actuators(objects: Objects, actuators: Sequence[Actuator]) -> dic
     return {name: texts for name, texts in reasons.items() if texts}
 
 
+class ProgramOverrides:
+    """Programs that may set a control during the simulation: EMS programs, plug-ins, external interfaces."""
+
+    def __init__(self, objects: Objects) -> None:
+        self._objects, self._programs = objects, _Programs(objects)
+
+    def reasons(self, component_type: str, control_type: str, key: str) -> Iterator[str]:
+        """Yield what may set a control, named as EnergyPlus names its actuator."""
+        control = (_fold(component_type), _fold(control_type), _fold(key))
+        for name in self._programs.actuators.get(control, ()):
+            if setters := self._programs.setters(name):
+                yield f"EMS {_quoted_list('program', setters)} sets it through {_EMS}Actuator {name!r}"
+        yield from _external(self._objects, control)
+        for name in self._objects.get("PythonPlugin:Instance", {}):
+            yield f"PythonPlugin:Instance {name!r} may set it"
+
+
 class _Model:
     """A model's EMS, thermostats and schedule users; names are case-folded."""
 
@@ -249,6 +266,13 @@ def thermostat_setpoints(objects: Objects) -> Iterator[tuple[str, str, str]]:
                 for source, controls in sources.items():
                     for control in controls if kind else ():
                         yield zone, control, _fold(fields.get(source))
+
+
+def thermostats(objects: Objects, zone: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Yield name and fields of the thermostats of a zone (a case-folded name)."""
+    for name, fields in objects.get("ZoneControl:Thermostat", {}).items():
+        if zone in _zones(objects, fields.get("zone_or_zonelist_name")):
+            yield name, fields
 
 
 def _approach_zones(objects: Objects) -> Iterator[tuple[str, str]]:

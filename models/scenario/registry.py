@@ -80,7 +80,12 @@ def expanded(scenario: Scenario, building: Building, points: Points, task: Task)
     }
     update = {name: value for name, value in defaults.items() if getattr(scenario, name) is None}
     if scenario.actions is None and scenario.control != "point":
-        update["actions"] = {a.name: ActionSpec(actuators=a.actuators, low=a.low, high=a.high) for a in task.actions}
+        update["actions"] = {
+            a.name: ActionSpec(actuators=a.actuators)
+            if a.relative
+            else ActionSpec(actuators=a.actuators, low=a.low, high=a.high)
+            for a in task.actions
+        }
     if isinstance(scenario.discrete, int):
         update["discrete"] = tuple(
             DiscreteActionSpec(actions=c.actions, values=c.values) for c in task.discrete_actions
@@ -90,7 +95,8 @@ def expanded(scenario: Scenario, building: Building, points: Points, task: Task)
 
 def _sensor(sensor: Sensor, scenario: Scenario) -> SensorSpec:
     aggregation = sensor.aggregation if scenario.aggregation is None else None
-    return SensorSpec(variable=sensor.variable, key=sensor.key, aggregation=aggregation)
+    lead_h = sensor.lead_s / 3600.0 or None
+    return SensorSpec(variable=sensor.variable, key=sensor.key, aggregation=aggregation, lead_h=lead_h)
 
 
 def _actuator(actuator: Actuator) -> ActuatorSpec:

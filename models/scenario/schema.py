@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     BeforeValidator,
     ConfigDict,
@@ -47,11 +48,15 @@ class _Part(BaseModel):
 
 
 class SensorSpec(_Part):
-    """An output variable of EnergyPlus; `aggregation` defaults to the scenario's."""
+    """An output variable of EnergyPlus; `aggregation` defaults to the scenario's.
+
+    `lead_h`: of a schedule, its value so many hours later.
+    """
 
     variable: str
     key: str
     aggregation: Aggregation | None = None
+    lead_h: Annotated[float, Field(gt=0, le=24, strict=True)] | None = None
 
 
 class ActuatorSpec(_Part):
@@ -135,6 +140,29 @@ def _is_list(value: Any) -> str:
     return "@list" if isinstance(value, list | tuple) else "@number"
 
 
+def _is_pair(value: Any) -> str:
+    if isinstance(value, Mapping):
+        return "@mapping"
+    return "@pair" if isinstance(value, list | tuple) else "@number"
+
+
+def _check_offsets(value: Any) -> Any:
+    pairs = value.values() if isinstance(value, dict) else (value,)
+    for pair in pairs:
+        low, high = pair if isinstance(pair, tuple) else (-pair, pair)
+        if not (low <= 0.0 <= high and low < high):
+            raise ValueError(f"bounds of an offset are {low:g} to {high:g}; they must include 0, which is the baseline")
+    return value
+
+
+Positive = Annotated[float, Field(strict=True, gt=0)]
+Offset = Annotated[Positive, Tag("@number")] | Annotated[tuple[Number, Number], Tag("@pair")]
+OneOffset = Annotated[Offset, Discriminator(_is_pair)]
+Offsets = Annotated[
+    Offset | Annotated[dict[SafeName, OneOffset], Tag("@mapping")],
+    Discriminator(_is_pair),
+    AfterValidator(_check_offsets),
+]
 Count = Annotated[int, Field(strict=True)]
 Weathers = Annotated[
     tuple[str, ...],
@@ -173,6 +201,7 @@ class Scenario(_Part):
     aggregation: Literal[Aggregation.INSTANT, Aggregation.MEAN] | None = None
     actions: dict[str, ActionSpec] | None = None
     control: Control = "point"
+    relative: Offsets | None = None
     discrete: Discrete | None = None
     reward: dict[str, Any] | None = Field(default_factory=lambda: {"kind": "linear"})
     terminate: tuple[LimitSpec, ...] = ()

@@ -25,10 +25,7 @@ def task_of(scenario: Scenario, points: Points) -> Task:
         InvalidConfig: unknown actuators, invalid bounds, or choices outside the action's bounds; lists all errors.
     """
     errors: list[str] = []
-    if scenario.actions is None:
-        actions = _default_actions(scenario, points.actuators, errors)
-    else:
-        actions = _named_actions(scenario, points.actuators, errors)
+    actions = _relative(scenario, _actions(scenario, points.actuators, errors), errors)
     choices: tuple[DiscreteAction, ...] = ()
     if isinstance(scenario.discrete, int) and not errors:
         choices = _steps(actions, points.actuators, scenario, errors)
@@ -54,6 +51,38 @@ def task_of(scenario: Scenario, points: Points) -> Task:
         ),
         wrappers=scenario.wrappers,
     )
+
+
+def relative_actuators(scenario: Scenario, actuators: Sequence[Actuator]) -> list[str]:
+    """Return the names of the actuators that a scenario sets relative to the building's own control."""
+    actions = _relative(scenario, _actions(scenario, actuators, []), [])
+    return [name for action in actions if action.relative for name in action.actuators]
+
+
+def _actions(scenario: Scenario, actuators: Sequence[Actuator], errors: list[str]) -> tuple[Action, ...]:
+    if scenario.actions is None:
+        return _default_actions(scenario, actuators, errors)
+    return _named_actions(scenario, actuators, errors)
+
+
+def _relative(scenario: Scenario, actions: tuple[Action, ...], errors: list[str]) -> tuple[Action, ...]:
+    """Return the actions, those with `relative` as offsets in K, or in the unit of their actuators."""
+    relative, names = scenario.relative, [action.name for action in actions]
+    if relative is None:
+        return actions
+    offsets = relative if isinstance(relative, dict) else dict.fromkeys(names, relative)
+    errors += [f"relative: there is no action {n!r}; {did_you_mean(n, names)}" for n in offsets if n not in names]
+    for name, spec in (scenario.actions or {}).items():
+        if name in offsets and (spec.low is not None or spec.high is not None):
+            errors.append(f"action {name!r} is relative: its bounds are those of `relative`; remove its low and high")
+
+    def offset_of(action: Action) -> Action:
+        bounds = offsets[action.name]
+        low, high = bounds if isinstance(bounds, tuple) else (-bounds, bounds)
+        unit = "K" if action.unit == "degC" else action.unit
+        return action.model_copy(update={"unit": unit, "low": low, "high": high, "relative": True})
+
+    return tuple(offset_of(action) if action.name in offsets else action for action in actions)
 
 
 def _default_actions(scenario: Scenario, actuators: Sequence[Actuator], errors: list[str]) -> tuple[Action, ...]:

@@ -16,6 +16,8 @@ class Sensor(Message):
     """A measured point; of EnergyPlus, the output variable `variable` of the object `key`.
 
     `observed`: whether it is part of an agent's observation; pictures, reports and metrics may use any point.
+    `lead_s`: for a schedule, how long after the sample's time it has this value; one timestep is the value in effect
+    during the next one.
     """
 
     name: SafeName
@@ -23,6 +25,7 @@ class Sensor(Message):
     key: str = ""
     unit: str
     aggregation: Aggregation = Aggregation.INSTANT
+    lead_s: Annotated[float, Field(ge=0)] = 0.0
     low: float | None = None
     high: float | None = None
     observed: bool = True
@@ -46,7 +49,8 @@ class Actuator(Message):
     """A point that can be commanded.
 
     Of EnergyPlus, `component_type`, `control_type` and `key` name the actuator, and `feedback` the output variable that
-    reports its effective value. `default` is its value while nobody commands it, where that is known.
+    reports its effective value. `default` is its value while nobody commands it, where that is constant.
+    `baseline_sensor` is the sensor of its value under baseline control in the next timestep, where that is known.
     """
 
     name: SafeName
@@ -58,16 +62,23 @@ class Actuator(Message):
     high: float | None = None
     default: float | None = None
     feedback: str | None = None
+    baseline_sensor: SafeName | None = None
 
 
 class Action(Message):
-    """One dimension of an agent's action: it sets all its actuators to the same value."""
+    """One dimension of an agent's action: it sets all its actuators to the same value.
+
+    With `relative` it is an offset, and `low` and `high` are its bounds: each actuator is set to its value under
+    baseline control, which its `baseline_sensor` has, plus the offset, within the actuator's bounds. An offset of 0
+    relinquishes the actuator to baseline control.
+    """
 
     name: SafeName
     unit: str
     low: float | None = None
     high: float | None = None
     actuators: Annotated[tuple[SafeName, ...], Field(min_length=1)]
+    relative: bool = False
 
 
 class DiscreteAction(Message):
