@@ -58,6 +58,15 @@ def style_errors(tree: ast.Module) -> list[tuple[int, str]]:
     return errors
 
 
+def test_name_errors(tree: ast.Module) -> Iterator[tuple[int, str]]:
+    """Lines and texts of tests that are not named `test_<unit>__<behavior>`."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_"):
+            unit, _, behavior = node.name.partition("__")
+            if unit == "test_" or not behavior:
+                yield node.lineno, f"{node.name!r} is not test_<unit>__<behavior>"
+
+
 def imported(tree: ast.Module) -> list[tuple[int, str]]:
     """Lines and names of the modules of this project and of simulators that a module imports, wherever it does."""
     modules = []
@@ -125,6 +134,7 @@ def main(root: Path = ROOT) -> int:
     for path, tree in trees.items():
         # mypy resolves the packages' own imports.
         errors = [*style_errors(tree), *(unresolved(tree, defined) if path in beside else ())]
+        errors += test_name_errors(tree) if path.name.startswith("test_") else ()
         faults += [f"{path.relative_to(root)}:{line}: {text}" for line, text in errors]
     for module, path in modules.items():
         package, needs = layer(module), set()

@@ -47,25 +47,25 @@ BOTH = actions(
 # Which actuator gets what
 
 
-def test_each_actuator_has_an_action_of_its_own_where_nothing_is_joined() -> None:
+def test_actions__each_actuator_has_an_action_of_its_own_where_nothing_is_joined() -> None:
     own = Actions(manifest(actuators=FOUR))
     assert own.values([16.0, 23.0, 17.0, 24.0]).tolist() == [16.0, 23.0, 17.0, 24.0]
     assert own.names == ["heat_a", "cool_a", "heat_b", "cool_b"]
     assert own.operations is None
 
 
-def test_all_actuators_of_an_action_get_its_value() -> None:
+def test_actions__all_actuators_of_an_action_get_its_value() -> None:
     assert actions(FOUR, HEAT, COOL).values([16.0, 25.0]).tolist() == [16.0, 25.0, 16.0, 25.0]
     assert actions(FOUR, COOL, HEAT).values([25.0, 16.0]).tolist() == [16.0, 25.0, 16.0, 25.0]
 
 
-def test_the_order_of_the_actions_need_not_be_that_of_the_actuators() -> None:
+def test_actions__order_of_the_actions_need_not_be_that_of_the_actuators() -> None:
     turned = actions((HEAT_A, COOL_A), own_action(COOL_A), own_action(HEAT_A))
     assert turned.values([25.0, 16.0]).tolist() == [16.0, 25.0]
 
 
 @given(st.data())
-def test_whatever_is_joined_each_actuator_gets_its_actions_value(data: st.DataObject) -> None:
+def test_actions__whatever_is_joined_each_actuator_gets_its_actions_value(data: st.DataObject) -> None:
     count = data.draw(st.integers(1, 6))
     owner = data.draw(st.lists(st.integers(-1, 3), min_size=count, max_size=count))
     points = tuple(actuator(f"p{i}", 0.0, 1.0) for i in range(count))
@@ -88,7 +88,7 @@ def test_whatever_is_joined_each_actuator_gets_its_actions_value(data: st.DataOb
 # Actuators that no action sets
 
 
-def test_what_no_action_sets_is_kept() -> None:
+def test_actions__what_no_action_sets_is_kept() -> None:
     some = actions(FOUR, COOL)
     assert list(some.operations or b"") == [CommandOp.KEEP, CommandOp.SET, CommandOp.KEEP, CommandOp.SET]
     values = some.values([25.0])
@@ -97,13 +97,13 @@ def test_what_no_action_sets_is_kept() -> None:
     assert values[[1, 3]].tolist() == [25.0, 25.0]
 
 
-def test_without_actions_all_is_kept() -> None:
+def test_actions__without_actions_all_is_kept() -> None:
     none = actions(FOUR)
     assert (none.space.shape, list(none.operations or b"")) == ((0,), [CommandOp.KEEP] * 4)
     assert none.values([]).shape == (4,)
 
 
-def test_without_actuators_there_is_nothing_to_say() -> None:
+def test_actions__without_actuators_there_is_nothing_to_say() -> None:
     none = actions(())
     assert none.operations is None
     assert none.values(np.zeros(0, np.float32)).shape == (0,)
@@ -111,7 +111,7 @@ def test_without_actuators_there_is_nothing_to_say() -> None:
         none.values([1.0])
 
 
-def test_what_no_action_sets_may_be_set_beside_them() -> None:
+def test_actions__what_no_action_sets_may_be_set_beside_them() -> None:
     some = actions((*FOUR, actuator("free")), COOL)
     assert some.context({"heat_b": 20.0, "heat_a": None, "free": -1e9}) == {2: 20.0, 0: None, 4: -1e9}
     assert some.context({"heat_a": 15.0, "heat_b": 22.5}) == {0: 15.0, 2: 22.5}, "the ends belong to the bounds"
@@ -131,7 +131,7 @@ def test_what_no_action_sets_may_be_set_beside_them() -> None:
         ({"free": "warm"}, "free"),
     ],
 )
-def test_what_cannot_be_set_beside_the_actions_is_refused(values: dict[str, Any], words: str) -> None:
+def test_actions__what_cannot_be_set_beside_the_actions_is_refused(values: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidAction, match=words):
         actions((*FOUR, actuator("free")), COOL).context(values)
 
@@ -139,7 +139,7 @@ def test_what_cannot_be_set_beside_the_actions_is_refused(values: dict[str, Any]
 # Numbers
 
 
-def test_the_space_is_that_of_the_actions() -> None:
+def test_actions__space_is_that_of_the_actions() -> None:
     space = actions((*FOUR, actuator("free")), HEAT, COOL, own_action(actuator("free"))).space
     assert isinstance(space, Box)
     assert space.dtype == np.float32
@@ -148,26 +148,26 @@ def test_the_space_is_that_of_the_actions() -> None:
 
 
 @pytest.mark.parametrize("wrong", [[], [20.0], [20.0, 25.0, 25.0], [[20.0, 25.0]], 20.0], ids=str)
-def test_another_shape_is_refused_with_the_names_of_the_actions(wrong: Any) -> None:
+def test_actions__another_shape_is_refused_with_the_names_of_the_actions(wrong: Any) -> None:
     with pytest.raises(InvalidAction, match=r"\(2,\) expected: heat, cool"):
         actions(FOUR, HEAT, COOL).values(wrong)
 
 
 @pytest.mark.parametrize("wrong", ["warm", ["warm", "cold"], [[20.0], [20.0, 25.0]], {"heat": 20.0}, None], ids=str)
-def test_what_is_no_array_of_numbers_is_an_invalid_action(wrong: Any) -> None:
+def test_actions__what_is_no_array_of_numbers_is_an_invalid_action(wrong: Any) -> None:
     with pytest.raises(InvalidAction):
         actions(FOUR, HEAT, COOL).values(wrong)
 
 
 @pytest.mark.parametrize("wrong", [np.nan, np.inf, -np.inf])
-def test_a_value_that_is_not_finite_is_refused_also_without_bounds(wrong: float) -> None:
+def test_actions__value_that_is_not_finite_is_refused_also_without_bounds(wrong: float) -> None:
     with pytest.raises(InvalidAction, match="a = "):
         one(None, None).values([wrong])
     with pytest.raises(InvalidAction, match="a = "):
         one(15.0, 22.5).values([wrong])
 
 
-def test_all_values_out_of_bounds_are_named() -> None:
+def test_actions__all_values_out_of_bounds_are_named() -> None:
     with pytest.raises(InvalidAction, match=r"heat = 14\b.*15 to 22\.5 degC.*cool = 31\b.*22\.5 to 30 degC"):
         actions(FOUR, HEAT, COOL).values([14.0, 31.0])
     with pytest.raises(InvalidAction) as raised:
@@ -175,7 +175,7 @@ def test_all_values_out_of_bounds_are_named() -> None:
     assert "cool" not in str(raised.value)
 
 
-def test_an_action_with_one_bound_has_no_other() -> None:
+def test_actions__action_with_one_bound_has_no_other() -> None:
     assert one(0.0, None).values([1e30]).tolist() == [1e30]
     assert one(None, 0.0).values([-1e30]).tolist() == [-1e30]
     with pytest.raises(InvalidAction):
@@ -188,7 +188,7 @@ bounds = st.tuples(st.floats(-1e6, 1e6), st.floats(-1e6, 1e6)).map(sorted).filte
 
 
 @given(bounds)
-def test_the_ends_of_the_space_are_allowed_and_never_leave_the_actuators_bounds(ends: list[float]) -> None:
+def test_actions__ends_of_the_space_are_allowed_and_never_leave_the_actuators_bounds(ends: list[float]) -> None:
     """A bound such as 0.1 is no float32: the space's lies a rounding error beside it."""
     low, high = ends
     action = one(low, high)
@@ -200,21 +200,21 @@ def test_the_ends_of_the_space_are_allowed_and_never_leave_the_actuators_bounds(
 
 
 @given(bounds)
-def test_the_actuators_own_bounds_are_allowed(ends: list[float]) -> None:
+def test_actions__actuators_own_bounds_are_allowed(ends: list[float]) -> None:
     low, high = ends
     assert one(low, high).values([low]).tolist() == [low]
     assert one(low, high).values([high]).tolist() == [high]
 
 
 @given(bounds, st.floats(0.0, 1.0))
-def test_a_value_within_goes_through_to_the_bit(ends: list[float], share: float) -> None:
+def test_actions__value_within_goes_through_to_the_bit(ends: list[float], share: float) -> None:
     low, high = ends
     value = low + 0.1 + share * (high - low - 0.2)
     assert one(low, high).values([value]).tolist() == [value]
 
 
 @given(bounds, st.floats(1e-3, 1e6), st.booleans())
-def test_a_value_outside_is_refused(ends: list[float], beyond: float, above: bool) -> None:
+def test_actions__value_outside_is_refused(ends: list[float], beyond: float, above: bool) -> None:
     low, high = ends
     further = max(beyond, 1e-6 * max(abs(low), abs(high)))  # more than float32 rounds
     with pytest.raises(InvalidAction):
@@ -222,13 +222,13 @@ def test_a_value_outside_is_refused(ends: list[float], beyond: float, above: boo
 
 
 @given(st.integers(0, 2**32))
-def test_every_sample_of_the_space_is_an_action(seed: int) -> None:
+def test_actions__every_sample_of_the_space_is_an_action(seed: int) -> None:
     for definition in (actions(FOUR, HEAT, COOL), one(0.1, 0.7), one(None, None), PICKED, BOTH):
         definition.space.seed(seed)
         assert np.isfinite(definition.values(definition.space.sample())).all()
 
 
-def test_the_callers_array_is_left_alone() -> None:
+def test_actions__callers_array_is_left_alone() -> None:
     mine = np.array([16.0, 25.0, 16.0, 25.0])
     values = Actions(manifest(actuators=FOUR)).values(mine)
     assert not np.shares_memory(values, mine)
@@ -237,7 +237,7 @@ def test_the_callers_array_is_left_alone() -> None:
 # Choices
 
 
-def test_one_dimension_is_discrete_and_several_are_multidiscrete() -> None:
+def test_actions__one_dimension_is_discrete_and_several_are_multidiscrete() -> None:
     assert PICKED.space == Discrete(3)
     assert BOTH.space == MultiDiscrete([2, 3])
 
@@ -245,7 +245,7 @@ def test_one_dimension_is_discrete_and_several_are_multidiscrete() -> None:
 @pytest.mark.parametrize(
     "form", [int, np.int64, np.int32, np.uint8, np.array, lambda i: np.array([i])], ids=lambda f: f.__name__
 )
-def test_a_choice_is_a_row_of_values_whatever_integer_names_it(form: Any) -> None:
+def test_actions__choice_is_a_row_of_values_whatever_integer_names_it(form: Any) -> None:
     assert [PICKED.values(form(i)).tolist() for i in range(3)] == [
         [15.0, 30.0, 15.0, 30.0],
         [18.0, 26.0, 18.0, 26.0],
@@ -254,23 +254,23 @@ def test_a_choice_is_a_row_of_values_whatever_integer_names_it(form: Any) -> Non
 
 
 @pytest.mark.parametrize("form", [list, tuple, np.array, lambda v: np.array(v, np.int8), lambda v: np.array(v, "u8")])
-def test_choices_of_several_dimensions_each_set_their_own_actions(form: Any) -> None:
+def test_actions__choices_of_several_dimensions_each_set_their_own_actions(form: Any) -> None:
     assert BOTH.values(form([1, 2])).tolist() == [20.0, 24.0, 20.0, 24.0]
     assert BOTH.values(form([0, 1])).tolist() == [17.0, 30.0, 17.0, 30.0]
 
 
-def test_a_row_names_its_values_in_the_choices_own_order() -> None:
+def test_actions__row_names_its_values_in_the_choices_own_order() -> None:
     turned = DiscreteAction(actions=("cool", "heat"), values=((30.0, 15.0), (26.0, 18.0)))
     assert actions(FOUR, HEAT, COOL, choices=(turned,)).values(1).tolist() == [18.0, 26.0, 18.0, 26.0]
 
 
 @pytest.mark.parametrize("wrong", [-1, 3, 255, 10**30])
-def test_there_is_no_other_choice(wrong: int) -> None:
+def test_actions__there_is_no_other_choice(wrong: int) -> None:
     with pytest.raises(InvalidAction):
         PICKED.values(wrong)
 
 
-def test_the_dimension_without_that_choice_is_named() -> None:
+def test_actions__dimension_without_that_choice_is_named() -> None:
     with pytest.raises(InvalidAction, match="choice 3 of heat, cool; 0 to 2 expected"):
         PICKED.values(3)
     with pytest.raises(InvalidAction, match="choice 2 of cool; 0 to 1 expected"):
@@ -284,7 +284,7 @@ def test_the_dimension_without_that_choice_is_named() -> None:
     [1.0, np.float32(1), np.array([1.0]), True, np.bool_(True), "1", None, [], [0, 1], [[1]], [[0], [0, 1]], {}],
     ids=repr,
 )
-def test_what_is_no_integer_is_no_choice(wrong: Any) -> None:
+def test_actions__what_is_no_integer_is_no_choice(wrong: Any) -> None:
     """True is no 1, as on the bus; 1.0 is none either, for Gymnasium's space does not contain it."""
     with pytest.raises(InvalidAction):
         PICKED.values(wrong)
@@ -295,18 +295,18 @@ def test_what_is_no_integer_is_no_choice(wrong: Any) -> None:
     [[1], [1, 1, 1], [[1, 1]], 1, [1.0, 1.0], [True, False], np.array([1, 1], bool), [1, None], [[1], [1, 1]]],
     ids=repr,
 )
-def test_several_dimensions_take_an_integer_each(wrong: Any) -> None:
+def test_actions__several_dimensions_take_an_integer_each(wrong: Any) -> None:
     with pytest.raises(InvalidAction):
         BOTH.values(wrong)
 
 
-def test_choices_leave_alone_what_no_action_sets() -> None:
+def test_actions__choices_leave_alone_what_no_action_sets() -> None:
     some = actions(FOUR, COOL, choices=(DiscreteAction(actions=("cool",), values=((30.0,), (24.0,))),))
     assert some.values(1)[[1, 3]].tolist() == [24.0, 24.0]
     assert list(some.operations or b"") == [CommandOp.KEEP, CommandOp.SET, CommandOp.KEEP, CommandOp.SET]
 
 
-def test_an_action_rescaled_in_float32_means_the_bound() -> None:
+def test_actions__action_rescaled_in_float32_means_the_bound() -> None:
     """Gymnasium's RescaleAction computes it so: -1 becomes 14.999999 where the bound is 15."""
     own = Actions(manifest(actuators=[actuator("a", 15.0, 22.5), actuator("b", 22.5, 30.0)]))
     beside = np.nextafter(own.space.low, np.float32(-np.inf)), np.nextafter(own.space.high, np.float32(np.inf))
@@ -327,7 +327,7 @@ def test_an_action_rescaled_in_float32_means_the_bound() -> None:
     ],
     ids=repr,
 )
-def test_complex_and_masked_actions_are_refused(wrong: Any, message: str) -> None:
+def test_actions__complex_and_masked_actions_are_refused(wrong: Any, message: str) -> None:
     own = Actions(manifest(actuators=[actuator("a", 15.0, 22.5), actuator("b", 22.5, 30.0)]))
     for call in (lambda: own.values(wrong), lambda: own.rows(np.ma.stack([wrong, wrong]), 2)):
         with pytest.raises(InvalidAction, match=message):
@@ -335,6 +335,6 @@ def test_complex_and_masked_actions_are_refused(wrong: Any, message: str) -> Non
     assert own.values(np.ma.array([20.0, 25.0])).tolist() == [20.0, 25.0]
 
 
-def test_a_masked_choice_is_refused() -> None:
+def test_actions__masked_choice_is_refused() -> None:
     with pytest.raises(InvalidAction, match="has masked values"):
         BOTH.values(np.ma.array([0, 1], mask=[True, True]))

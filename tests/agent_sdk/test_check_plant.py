@@ -56,14 +56,14 @@ class Forkable(Good):
 
 
 @pytest.mark.parametrize(("plant", "checks"), [(Good, 9), (Forkable, 9), (FakePlant, 10)])
-def test_good_plants_pass(plant: Any, checks: int) -> None:
+def test_check_plant__good_plants_pass(plant: Any, checks: int) -> None:
     report = check_plant(plant)
     assert len(report.passed) == checks
     assert not report.skipped
     assert report.subject == plant.__name__
 
 
-def test_each_instance_is_closed_once() -> None:
+def test_check_plant__each_instance_is_closed_once() -> None:
     open_instances: list[Any] = []
 
     class Closing(Good):
@@ -78,7 +78,7 @@ def test_each_instance_is_closed_once() -> None:
     assert open_instances == []
 
 
-def test_a_file_its_class_and_arguments(tmp_path: Path) -> None:
+def test_check_plant__file_its_class_and_arguments(tmp_path: Path) -> None:
     (tmp_path / "tank_of_a_file.py").write_text(
         "class Tank:\n"
         "    step_s, sensors, actuators = 1.0, {'t': ('degC', 0.0, 50.0)}, {}\n"
@@ -96,12 +96,12 @@ def test_a_file_its_class_and_arguments(tmp_path: Path) -> None:
         check_plant(f"{tmp_path}/tank_of_a_file.py:Tonk")
 
 
-def test_an_instance_is_refused() -> None:
+def test_check_plant__instance_is_refused() -> None:
     with pytest.raises(InvalidConfig, match=r"an instance of Good; its class expected: check_plant\(Good\)"):
         check_plant(Good())  # type: ignore[arg-type]
 
 
-def test_checks_can_be_skipped_and_episodes_limited() -> None:
+def test_check_plant__checks_can_be_skipped_and_episodes_limited() -> None:
     class Short(Good):
         duration_s = 120.0
 
@@ -290,7 +290,7 @@ MUTANTS: dict[str, tuple[Any, dict[str, str]]] = {
 
 
 @pytest.mark.parametrize("name", MUTANTS)
-def test_what_a_bad_plant_violates_is_named(name: str) -> None:
+def test_check_plant__what_a_bad_plant_violates_is_named(name: str) -> None:
     plant, violations = MUTANTS[name]
     with pytest.raises(ConformanceError) as error:
         check_plant(plant)
@@ -304,7 +304,7 @@ def test_what_a_bad_plant_violates_is_named(name: str) -> None:
         thread.join()
 
 
-def test_each_check_has_a_mutant() -> None:
+def test_check_plant__each_check_has_a_mutant() -> None:
     assert {check for _, violations in MUTANTS.values() for check, text in violations.items() if text} == set(
         PLANT_CHECKS
     )

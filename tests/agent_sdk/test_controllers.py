@@ -59,16 +59,16 @@ def thermostat(name: str, zone: str, what: str, low: float, high: float) -> Actu
         ("fan", 0.0, 1.0, Role.OTHER),
     ],
 )
-def test_what_an_action_is(name: str, low: float | None, high: float | None, role: Role) -> None:
+def test_controllers__what_an_action_is(name: str, low: float | None, high: float | None, role: Role) -> None:
     assert bind_actions(single(name, low, high))[0].role is role
 
 
-def test_the_power_of_a_heater_is_no_setpoint() -> None:
+def test_controllers__power_of_a_heater_is_no_setpoint() -> None:
     heater = actuator("heater", 0.0, 3000.0).model_copy(update={"unit": "W"})
     assert bind_actions(manifest(actuators=[heater]))[0].role is Role.OTHER
 
 
-def test_thermostats_have_their_own_zone_and_switches_the_room_of_their_name() -> None:
+def test_controllers__thermostats_have_their_own_zone_and_switches_the_room_of_their_name() -> None:
     sensors = (
         sensor("bedroom01_air", key="BED1"),
         sensor("bedroom02_air", key="BED2"),
@@ -90,7 +90,7 @@ def test_thermostats_have_their_own_zone_and_switches_the_room_of_their_name() -
 # Rules on comfort bands
 
 
-def test_rules_keep_the_seasons_band_while_people_are_in_and_set_back_else() -> None:
+def test_controllers__rules_keep_the_seasons_band_while_people_are_in_and_set_back_else() -> None:
     of = node(sensors=(ROOM, PEOPLE))
     rules = RuleBasedController(of)
     assert rules.act(view(of, WINTER, people=2.0)) == pytest.approx({HEAT.name: 21.0, COOL.name: 22.5})
@@ -98,7 +98,7 @@ def test_rules_keep_the_seasons_band_while_people_are_in_and_set_back_else() -> 
     assert rules.act(view(of, SUMMER, people=2.0)) == pytest.approx({HEAT.name: 22.5, COOL.name: 25.0})
 
 
-def test_rules_set_back_far_where_the_reward_counts_occupied_hours_only() -> None:
+def test_controllers__rules_set_back_far_where_the_reward_counts_occupied_hours_only() -> None:
     of = node(HEAT, COOL, sensors=(ROOM, PEOPLE))
     of = of.model_copy(update={"task": of.task.model_copy(update={"reward": {"kind": "occupied"}})})
     night = WINTER.replace(hour=3)
@@ -107,7 +107,7 @@ def test_rules_set_back_far_where_the_reward_counts_occupied_hours_only() -> Non
     assert closed == pytest.approx({HEAT.name: 15.0, COOL.name: 29.5})
 
 
-def test_rules_bring_a_zone_back_an_hour_before_people_came_the_day_before() -> None:
+def test_controllers__rules_bring_a_zone_back_an_hour_before_people_came_the_day_before() -> None:
     of = node(sensors=(ROOM, PEOPLE))
     rules = RuleBasedController(of)
     arrival = datetime(2017, 1, 16, 8)  # the first sample that counts them closes the quarter that began at 7:45
@@ -119,7 +119,7 @@ def test_rules_bring_a_zone_back_an_hour_before_people_came_the_day_before() -> 
     assert [at for at, comfortable in back.items() if comfortable] == ["06:45", "07:00", "07:15", "07:30", "07:45"]
 
 
-def test_rules_forget_at_an_episodes_begin() -> None:
+def test_controllers__rules_forget_at_an_episodes_begin() -> None:
     of = node(sensors=(ROOM, PEOPLE))
     rules = RuleBasedController(of)
     rules.act(view(of, datetime(2017, 1, 16, 8), people=1.0))
@@ -129,12 +129,12 @@ def test_rules_forget_at_an_episodes_begin() -> None:
     assert rules.act(noon)[HEAT.name] == pytest.approx(21.0)  # nobody has been seen yet
 
 
-def test_where_nobody_is_counted_zones_are_in_use_at_night_too() -> None:
+def test_controllers__where_nobody_is_counted_zones_are_in_use_at_night_too() -> None:
     of = node()
     assert RuleBasedController(of).act(view(of, datetime(2017, 1, 16, 3)))[HEAT.name] == pytest.approx(21.0)
 
 
-def test_the_band_is_the_rewards_or_the_users() -> None:
+def test_controllers__band_is_the_rewards_or_the_users() -> None:
     reward = {"kind": "linear", "winter": (18.0, 27.0), "summer": (18.0, 27.0)}
     cooling = actuator("cooling_setpoint", 20.0, 30.0)
     action = Action(name="cooling_setpoint", unit="degC", low=20.0, high=30.0, actuators=("cooling_setpoint",))
@@ -145,12 +145,12 @@ def test_the_band_is_the_rewards_or_the_users() -> None:
     assert RuleBasedController(strange).act(view(strange, SUMMER)) == pytest.approx({"cooling_setpoint": 25.0})
 
 
-def test_july_is_winter_in_the_south() -> None:
+def test_controllers__july_is_winter_in_the_south() -> None:
     of = node().model_copy(update={"latitude_deg": -33.9})
     assert RuleBasedController(of).act(view(of, SUMMER)) == pytest.approx({HEAT.name: 21.0, COOL.name: 22.5})
 
 
-def test_a_margin_wider_than_the_band_meets_in_its_middle() -> None:
+def test_controllers__margin_wider_than_the_band_meets_in_its_middle() -> None:
     of = node(actuator("heating_setpoint", 10.0, 30.0), actuator("cooling_setpoint", 10.0, 30.0))
     assert set(RuleBasedController(of, low=20.0, high=21.0, margin=5.0).act(view(of)).values()) == {20.5}
 
@@ -170,18 +170,18 @@ def test_rbc__an_action_on_several_thermostats_follows_any_occupied_zone() -> No
 
 
 @pytest.mark.parametrize(("air", "hot"), [(18.0, 45.0), (20.0, 45.0), (20.5, 35.0), (21.0, 25.0), (30.0, 25.0)])
-def test_heating_water_is_hottest_at_the_bands_lower_end(air: float, hot: float) -> None:
+def test_controllers__heating_water_is_hottest_at_the_bands_lower_end(air: float, hot: float) -> None:
     of = single("water_temperature", 25.0, 45.0)
     assert RuleBasedController(of).act(view(of, air=air)) == {"water_temperature": hot}
 
 
 @pytest.mark.parametrize(("air", "cold"), [(22.5, 10.0), (23.0, 7.5), (23.5, 5.0), (30.0, 5.0)])
-def test_chilled_water_is_coldest_at_the_bands_upper_end(air: float, cold: float) -> None:
+def test_controllers__chilled_water_is_coldest_at_the_bands_upper_end(air: float, cold: float) -> None:
     of = single("chw_temperature", 5.0, 10.0)
     assert RuleBasedController(of).act(view(of, air=air)) == {"chw_temperature": cold}
 
 
-def test_a_switch_goes_on_below_the_band_and_off_above_its_middle() -> None:
+def test_controllers__switch_goes_on_below_the_band_and_off_above_its_middle() -> None:
     of = single("radiant_availability", 0.0, 1.0)
     rules = RuleBasedController(of, margin=0.3)
     airs = [21.8, 21.0, 20.4, 20.2, 21.0, 21.7, 21.8, 21.0]
@@ -190,7 +190,7 @@ def test_a_switch_goes_on_below_the_band_and_off_above_its_middle() -> None:
     assert rules.act(view(of, air=21.0)) == {"radiant_availability": 1.0}  # below the middle, nothing is known
 
 
-def test_storage_stands_idle() -> None:
+def test_controllers__storage_is_idle() -> None:
     of = node(HEAT, actuator("battery_charge_rate", 0.0, 1.0))
     assert RuleBasedController(of).act(view(of))["battery_charge_rate"] == 0.0
 
@@ -216,7 +216,9 @@ SITE = node(
         max_size=8,
     )
 )
-def test_what_is_set_lies_within_the_bounds(name: str, samples: list[tuple[float, float, datetime]]) -> None:
+def test_controllers__what_is_set_lies_within_the_bounds(
+    name: str, samples: list[tuple[float, float, datetime]]
+) -> None:
     controller, space = CONTROLLERS[name](SITE), action_space(SITE)
     for air, people, at in samples:
         values = controller.act(view(SITE, at, air=air, people=people))
@@ -235,12 +237,12 @@ def test_what_is_set_lies_within_the_bounds(name: str, samples: list[tuple[float
         ({"marign": 1}, "RuleBasedController has no parameter 'marign'; did you mean 'margin'"),
     ],
 )
-def test_parameters_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
+def test_controllers__parameters_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfig, match=message):
         make_controller(RuleBasedController, node(), arguments)
 
 
-def test_rules_need_something_to_rule() -> None:
+def test_controllers__rules_need_something_to_rule() -> None:
     for of in (single("fan", 0.0, 1.0), manifest()):
         with pytest.raises(InvalidConfig, match="the rule-based controller needs an action that sets a heating"):
             RuleBasedController(of)
@@ -249,7 +251,7 @@ def test_rules_need_something_to_rule() -> None:
 # Random
 
 
-def test_random_is_uniform_repeats_by_its_seed_and_goes_on_after_a_begin() -> None:
+def test_controllers__random_is_uniform_repeats_by_its_seed_and_goes_on_after_a_begin() -> None:
     of = node()
     first, second = RandomController(of, seed=1), RandomController(of, seed=1)
     drawn = [first.act(view(of)) for _ in range(2000)]
@@ -264,7 +266,7 @@ def test_random_is_uniform_repeats_by_its_seed_and_goes_on_after_a_begin() -> No
     assert first.act(view(of)) not in drawn
 
 
-def test_random_draws_rows_of_choices() -> None:
+def test_controllers__random_draws_rows_of_choices() -> None:
     rows = ((15.0, 30.0), (20.0, 25.0), (22.0, 23.0))
     of = node(task=discrete(DiscreteAction(actions=(HEAT.name, COOL.name), values=rows)))
     control = RandomController(of, seed=0)
@@ -272,7 +274,7 @@ def test_random_draws_rows_of_choices() -> None:
     assert drawn == set(rows)
 
 
-def test_random_needs_bounds_and_a_seed_that_is_one() -> None:
+def test_controllers__random_needs_bounds_and_a_seed_that_is_one() -> None:
     with pytest.raises(InvalidConfig, match="'heating_setpoint' has no bounds to draw from: add bounds"):
         RandomController(single("heating_setpoint", None, 22.5))
     with pytest.raises(InvalidConfig, match="seed = -1"):
@@ -282,7 +284,7 @@ def test_random_needs_bounds_and_a_seed_that_is_one() -> None:
 # Fixed
 
 
-def test_fixed_values_by_name_and_the_bands_ends_for_the_rest() -> None:
+def test_controllers__fixed_values_by_name_and_the_bands_ends_for_the_rest() -> None:
     of = node()
     assert FixedSetpoints(of, heating_setpoint=21.5).act(view(of)) == {HEAT.name: 21.5, COOL.name: 22.5}
     assert FixedSetpoints(of).act(view(of, SUMMER)) == {HEAT.name: 22.5, COOL.name: 25.0}  # 24 is out of bounds
@@ -296,7 +298,7 @@ def test_fixed_values_by_name_and_the_bands_ends_for_the_rest() -> None:
         ({"heating_setpoint": "warm"}, "heating_setpoint = 'warm'; expected a number"),
     ],
 )
-def test_fixed_values_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
+def test_controllers__fixed_values_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfig, match=message):
         make_controller(FixedSetpoints, node(), arguments)
 
@@ -311,14 +313,14 @@ def test_fixed_values_that_cannot_be(arguments: dict[str, Any], message: str) ->
         (ScheduledSetback, {"heating_setback": 34}),
     ],
 )
-def test_a_setpoint_that_crosses_the_bands_end_is_refused(of: Any, arguments: dict[str, float]) -> None:
+def test_controllers__setpoint_that_crosses_the_bands_end_is_refused(of: Any, arguments: dict[str, float]) -> None:
     """The other setpoint of a pair is the comfort band's: 20 to 23.5 degC in winter, 23 to 26 in summer."""
     office = node(actuator("heating_setpoint", 10.0, 35.0), actuator("cooling_setpoint", 10.0, 35.0))
     with pytest.raises(InvalidConfig, match="is above cooling_setpoint"):
         of(office, **arguments)
 
 
-def test_fixed_heating_above_cooling_is_refused() -> None:
+def test_controllers__fixed_heating_above_cooling_is_refused() -> None:
     of = node(actuator("heating_setpoint", 15.0, 25.0), actuator("cooling_setpoint", 20.0, 30.0))
     with pytest.raises(InvalidConfig, match=r"heating_setpoint = 24 is above cooling_setpoint = 22; EnergyPlus stops"):
         FixedSetpoints(of, heating_setpoint=24.0, cooling_setpoint=22.0)
@@ -338,7 +340,7 @@ def test_fixed_heating_above_cooling_is_refused() -> None:
         (datetime(2017, 1, 21, 12), False),  # Saturday
     ],
 )
-def test_setback_at_the_boundaries_of_hours_and_days(at: datetime, is_open: bool) -> None:
+def test_controllers__setback_at_the_boundaries_of_hours_and_days(at: datetime, is_open: bool) -> None:
     of = node()
     control = ScheduledSetback(
         of, opens=7, closes=19, days="mon-fri", heating=21, cooling=24, heating_setback=16, cooling_setback=29
@@ -357,13 +359,13 @@ def test_setback_at_the_boundaries_of_hours_and_days(at: datetime, is_open: bool
         (datetime(2017, 1, 21, 23), False),
     ],
 )
-def test_setback_over_midnight_belongs_to_the_day_on_which_it_opened(at: datetime, is_open: bool) -> None:
+def test_controllers__setback_over_midnight_belongs_to_the_day_on_which_it_opened(at: datetime, is_open: bool) -> None:
     of = node()
     control = ScheduledSetback(of, opens=22, closes=6, days="fri", heating=21, heating_setback=15)
     assert control.act(view(of, at))[HEAT.name] == (21.0 if is_open else 15.0)
 
 
-def test_setback_by_default_is_inside_the_band_and_at_night_outside_where_people_are_counted() -> None:
+def test_controllers__setback_by_default_is_inside_the_band_and_at_night_outside_where_people_are_counted() -> None:
     of, night = node(sensors=(ROOM, PEOPLE)), WINTER.replace(hour=3)
     assert ScheduledSetback(of).act(view(of)) == {HEAT.name: 21.0, COOL.name: 22.5}
     assert ScheduledSetback(of).act(view(of, night)) == {HEAT.name: 19.0, COOL.name: 24.5}
@@ -382,12 +384,12 @@ def test_setback_by_default_is_inside_the_band_and_at_night_outside_where_people
         ({"cooling_setback": 20}, "cooling_setback = 20; its bounds are 22.5 to 30"),
     ],
 )
-def test_setbacks_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
+def test_controllers__setbacks_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfig, match=message):
         make_controller(ScheduledSetback, node(), arguments)
 
 
-def test_setback_needs_setpoints_and_heating_below_cooling() -> None:
+def test_controllers__setback_needs_setpoints_and_heating_below_cooling() -> None:
     with pytest.raises(InvalidConfig, match="setback needs an action that sets a heating or cooling setpoint"):
         ScheduledSetback(single("fan", 0.0, 1.0))
     wide = node(actuator("heating_setpoint", 10.0, 30.0), actuator("cooling_setpoint", 10.0, 30.0))
@@ -398,7 +400,7 @@ def test_setback_needs_setpoints_and_heating_below_cooling() -> None:
 # Incremental
 
 
-def test_incremental_moves_by_its_step_to_the_middle_and_back_to_the_end() -> None:
+def test_controllers__incremental_moves_by_its_step_to_the_middle_and_back_to_the_end() -> None:
     of = node(actuator("heating_setpoint", 10.0, 30.0), actuator("cooling_setpoint", 10.0, 30.0))
     control = IncrementalRules(of, step=0.5, margin=0.2)  # winter: 20 to 23.5, middle 21.75
     hot = [control.act(view(of, air=25.0))["cooling_setpoint"] for _ in range(5)]
@@ -410,7 +412,7 @@ def test_incremental_moves_by_its_step_to_the_middle_and_back_to_the_end() -> No
     assert control.act(view(of, air=20.2))["heating_setpoint"] == 21.25  # the margin is reached
 
 
-def test_incremental_forgets_at_an_episodes_begin() -> None:
+def test_controllers__incremental_forgets_at_an_episodes_begin() -> None:
     of = node()
     agent = Agent(IncrementalRules(of, step=0.25))
     moved = [agent.values(view(of, air=30.0, step=k))[COOL.name] for k in range(3)]
@@ -419,14 +421,14 @@ def test_incremental_forgets_at_an_episodes_begin() -> None:
     assert agent.values(view(of, air=30.0, episode=1, step=1))[COOL.name] == 23.0
 
 
-def test_incremental_reads_the_mean_of_its_zones() -> None:
+def test_controllers__incremental_reads_the_mean_of_its_zones() -> None:
     of = node(COOL, sensors=(sensor("a"), sensor("b")))
     control = IncrementalRules(of, margin=0.0)
     assert control.act(view(of, a=25.0, b=22.0))[COOL.name] == 23.5  # a mean of 23.5 is comfortable
     assert control.act(view(of, a=25.1, b=22.0))[COOL.name] == 23.0
 
 
-def test_incremental_needs_a_setpoint_and_a_temperature() -> None:
+def test_controllers__incremental_needs_a_setpoint_and_a_temperature() -> None:
     for of in (single("fan", 0.0, 1.0), node(sensors=())):
         with pytest.raises(
             InvalidConfig, match="needs an action that sets a heating or cooling setpoint, and a sensor"

@@ -32,7 +32,7 @@ from zenostat.topics.messages import Action, DiscreteAction, Task
 # As an agent
 
 
-def test_values_as_an_action() -> None:
+def test_controllers__values_as_an_action() -> None:
     of = node()
     action = action_of(of, {COOL.name: 26.0, HEAT.name: 21.0})
     assert (action.dtype, action.tolist()) == (np.float32, [21.0, 26.0])
@@ -48,12 +48,12 @@ def test_values_as_an_action() -> None:
         ({HEAT.name: 20.0, COOL.name: 25.0, "fan": 1.0}, "no action of the task sets 'fan'"),
     ],
 )
-def test_values_that_no_action_can_say(values: dict[str, float | None], message: str) -> None:
+def test_controllers__values_that_no_action_can_say(values: dict[str, float | None], message: str) -> None:
     with pytest.raises(InvalidAction, match=message):
         action_of(node(), values)
 
 
-def test_one_action_says_one_value() -> None:
+def test_controllers__one_action_states_one_value() -> None:
     both = Action(name="both", unit="degC", actuators=(HEAT.name, COOL.name))
     of = node(task=Task(actions=(both,)))
     assert action_of(of, {HEAT.name: 22.5, COOL.name: 22.5}).tolist() == [22.5]
@@ -61,7 +61,7 @@ def test_one_action_says_one_value() -> None:
         action_of(of, {HEAT.name: 20.0, COOL.name: 25.0})
 
 
-def test_the_nearest_choice() -> None:
+def test_controllers__nearest_choice() -> None:
     rows = ((15.0, 30.0), (20.0, 25.0), (22.0, 23.0))
     one = node(task=discrete(DiscreteAction(actions=(HEAT.name, COOL.name), values=rows)))
     assert action_of(one, {HEAT.name: 20.3, COOL.name: 24.0}) == 1  # 0.09 + 1 against 2.89 + 1
@@ -76,7 +76,7 @@ def test_the_nearest_choice() -> None:
     assert (action.dtype, action.tolist()) == (np.int64, [1, 1])
 
 
-def test_room_setpoints_go_first_among_choices() -> None:
+def test_controllers__room_setpoints_go_first_among_choices() -> None:
     cooling, water = actuator("cooling_setpoint", 20.0, 30.0), actuator("chw_temperature", 5.0, 10.0)
     actions = node(cooling, water).task.actions
     rows = ((27.0, 6.0), (27.0, 7.0), (29.0, 10.0))
@@ -88,7 +88,7 @@ def test_room_setpoints_go_first_among_choices() -> None:
     assert action_of(of, {cooling.name: 26.7, water.name: 10.0}) == 1
 
 
-def test_an_agent_keeps_what_is_not_named_until_the_episode_ends() -> None:
+def test_controllers__agent_keeps_what_is_not_named_until_the_episode_ends() -> None:
     class Once:
         def __init__(self) -> None:
             self.begun: list[int] = []
@@ -110,7 +110,7 @@ def test_an_agent_keeps_what_is_not_named_until_the_episode_ends() -> None:
     assert once.begun == [0, 1, 1]
 
 
-def test_the_buildings_own_control_as_an_agent() -> None:
+def test_controllers__buildings_own_control_as_an_agent() -> None:
     empty = manifest(sensors=[ROOM])
     assert Agent(BaselineController(empty)).action(view(empty)).shape == (0,)
     with pytest.raises(InvalidAction, match="all is under baseline control"):
@@ -158,7 +158,7 @@ class Bare:
 """
 
 
-def test_a_file_that_is_written_again_within_a_second_is_the_new_one(
+def test_controllers__file_that_is_written_again_within_a_second_is_the_new_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: dict[str, Any]
 ) -> None:
     """Python's cached bytecode is valid for a text of the same length and time."""
@@ -170,13 +170,13 @@ def test_a_file_that_is_written_again_within_a_second_is_the_new_one(
         assert load_controller(f"{file}:Mine")(node()).setpoint == setpoint
 
 
-def test_short_names() -> None:
+def test_controllers__short_names() -> None:
     assert set(CONTROLLERS) == {"baseline", "rbc", "random", "fixed", "setback", "incremental", "oracle", "pid"}
     assert load_controller("rbc") is RuleBasedController
     assert all(issubclass(controller, Controller) for controller in CONTROLLERS.values())
 
 
-def test_a_class_of_anybodys_in_a_file(tmp_path: Path, modules: dict[str, Any]) -> None:
+def test_controllers__class_of_anybodys_in_a_file(tmp_path: Path, modules: dict[str, Any]) -> None:
     (tmp_path / "mine.py").write_text(MINE)
     controller = make_controller(load_controller(f"{tmp_path}/mine.py:Mine"), node(), {"setpoint": 26.5})
     assert controller.act(view(node())) == {"cooling_setpoint": 26.5}
@@ -184,7 +184,7 @@ def test_a_class_of_anybodys_in_a_file(tmp_path: Path, modules: dict[str, Any]) 
         make_controller(type(controller), node(), {"setpint": 1})
 
 
-def test_a_module_in_the_present_folder(
+def test_controllers__module_in_the_present_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, modules: dict[str, Any]
 ) -> None:
     name = f"brains_{random.randrange(10**9)}"
@@ -239,7 +239,7 @@ def test_load_controller__file_beside_modules_with_the_names_of_our_packages(
         ("no.such.module:Mine", UnknownName, r"there is no module 'no\.such\.module'"),
     ],
 )
-def test_what_is_no_controller(
+def test_controllers__what_is_no_controller(
     text: str,
     error: type[Exception],
     message: str,

@@ -22,7 +22,7 @@ def outputs(control: PIDController, airs: list[float], name: str = "valve") -> l
     return [control.act(view(control.manifest, air=air))[name] for air in airs]
 
 
-def test_pid_against_a_sequence_by_hand() -> None:
+def test_pid__against_a_sequence_by_hand() -> None:
     """kp 2, ki 4 (1 a K and step), kd 0.5 (2 a K of change), about 50.
 
     T    e     P    I    D                      u
@@ -35,7 +35,7 @@ def test_pid_against_a_sequence_by_hand() -> None:
     assert outputs(control, [20.0, 20.5, 21.5, 21.0]) == pytest.approx([53.0, 51.5, 48.0, 52.0])
 
 
-def test_pid_direct_acting_is_the_mirror_image() -> None:
+def test_pid__direct_acting_is_the_mirror_image() -> None:
     of = single("valve", 0.0, 100.0)
     heats = PIDController(of, setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
     cools = PIDController(of, setpoint=21.0, kp=2.0, ki=4.0, kd=0.5, reverse=False)
@@ -43,7 +43,7 @@ def test_pid_direct_acting_is_the_mirror_image() -> None:
     assert outputs(cools, airs) == pytest.approx([100.0 - u for u in outputs(heats, airs)])
 
 
-def test_pid_takes_no_integral_on_while_it_is_at_a_limit() -> None:
+def test_pid__takes_no_integral_on_while_it_is_at_a_limit() -> None:
     """ki 4 is 1 a K and step. At -1 K the output stands at 51 after a step, then at its limit of 52."""
     of = single("valve", 0.0, 52.0)
     control = PIDController(of, setpoint=21.0, kp=0.0, ki=4.0, bias=50.0)
@@ -55,7 +55,7 @@ def test_pid_takes_no_integral_on_while_it_is_at_a_limit() -> None:
     assert outputs(low, [20.0, 20.0]) == [49.0, 50.0]
 
 
-def test_pid_forgets_at_an_episodes_begin() -> None:
+def test_pid__forgets_at_an_episodes_begin() -> None:
     control = PIDController(single("valve", 0.0, 100.0), setpoint=21.0, kp=2.0, ki=4.0, kd=0.5)
     first = outputs(control, [20.0, 20.5])
     control.begin(view(control.manifest))
@@ -63,12 +63,12 @@ def test_pid_forgets_at_an_episodes_begin() -> None:
 
 
 @given(st.lists(st.floats(-80.0, 80.0), min_size=1, max_size=30), st.booleans())
-def test_pid_stays_within_its_limits(airs: list[float], reverse: bool) -> None:
+def test_pid__stays_within_its_limits(airs: list[float], reverse: bool) -> None:
     control = PIDController(single("valve", 0.0, 1.0), setpoint=21.0, kp=3.0, ki=9.0, kd=2.0, low=0.2, reverse=reverse)
     assert all(0.2 <= u <= 1.0 for u in outputs(control, airs))
 
 
-def test_pid_holds_a_room_without_offset() -> None:
+def test_pid__holds_a_room_without_offset() -> None:
     """A room that loses 1 K an hour for each K to 0 degC outside and is heated by up to 40 K an hour: 21 needs 21."""
     control = PIDController(single("valve", 0.0, 40.0), setpoint=21.0, kp=2.0, ki=2.0, bias=0.0)
     air = 15.0
@@ -79,7 +79,7 @@ def test_pid_holds_a_room_without_offset() -> None:
     assert heat == pytest.approx(21.0, abs=1e-6)
 
 
-def test_pid_drives_a_named_actuator_and_holds_others() -> None:
+def test_pid__drives_a_named_actuator_and_holds_others() -> None:
     of = node(sensors=(sensor("a"), sensor("b")))
     control = PIDController(of, setpoint=21.0, sensor="b", actuator=HEAT.name, kp=1.0, ki=0.0, cooling_setpoint=28.0)
     assert control.act(view(of, a=0.0, b=20.0)) == {HEAT.name: 22.0, COOL.name: 28.0}  # the setpoint, and 1
@@ -114,12 +114,12 @@ def test_pid_drives_a_named_actuator_and_holds_others() -> None:
         (manifest(sensors=[ROOM]), {}, "pid needs an actuator, but node 'office' has none"),
     ],
 )
-def test_pids_that_cannot_be(of: Manifest, arguments: dict[str, Any], message: str) -> None:
+def test_controllers__pids_that_cannot_be(of: Manifest, arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfig, match=message):
         make_controller(PIDController, of, {"setpoint": 21.0, **arguments})
 
 
-def test_pid_needs_a_setpoint() -> None:
+def test_pid__needs_a_setpoint() -> None:
     with pytest.raises(
         InvalidConfig, match=r"PIDController needs setpoint: --set setpoint=\.\.\., or setpoint= in Python"
     ):

@@ -69,11 +69,11 @@ def rollout(env: gym.Env[Any, Any], *, seed: int, steps: int = N) -> list[tuple[
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space (minimum|maximum) value is (-)?infinity.*")
 @pytest.mark.filterwarnings("ignore:.*we recommend using a symmetric and normalized space.*")
-def test_gymnasiums_own_checker_passes(env: gym.Env[Any, Any]) -> None:
+def test_env__gymnasiums_own_checker_passes(env: gym.Env[Any, Any]) -> None:
     check_env(env.unwrapped, skip_render_check=True)
 
 
-def test_n_steps_n_plus_one_samples_and_the_last_is_truncated(env: gym.Env[Any, Any]) -> None:
+def test_env__n_steps_n_plus_one_samples_and_the_last_is_truncated(env: gym.Env[Any, Any]) -> None:
     observation, info = env.reset(seed=1)
     times, ends = [datetime.fromisoformat(info["time"])], []
     assert info["step"] == 0
@@ -91,7 +91,7 @@ def test_n_steps_n_plus_one_samples_and_the_last_is_truncated(env: gym.Env[Any, 
     assert times[-1] - times[0] == timedelta(days=1)
 
 
-def test_a_step_after_the_end_raises_and_a_reset_begins_anew(env: gym.Env[Any, Any]) -> None:
+def test_env__step_after_the_end_raises_and_a_reset_begins_anew(env: gym.Env[Any, Any]) -> None:
     env.reset(seed=1)
     for _ in range(N):
         *_, truncated, _ = env.step(env.action_space.low)
@@ -104,12 +104,12 @@ def test_a_step_after_the_end_raises_and_a_reset_begins_anew(env: gym.Env[Any, A
     assert (truncated, info["step"]) == (False, 1)
 
 
-def test_a_step_before_the_first_reset_raises(shared_bus: zenostat.Bus) -> None:
+def test_env__step_before_the_first_reset_raises(shared_bus: zenostat.Bus) -> None:
     with connected(shared_bus) as fresh, pytest.raises(EpisodeChanged, match=r"call reset\(\) before step\(\)"):
         fresh.unwrapped.step(fresh.action_space.low)
 
 
-def test_bounds_come_from_units_and_limits(env: gym.Env[Any, Any]) -> None:
+def test_env__bounds_come_from_units_and_limits(env: gym.Env[Any, Any]) -> None:
     manifest = env.unwrapped.manifest
     space = env.observation_space
     assert space.shape == (len(manifest.sensors) + len(manifest.meters),)
@@ -134,19 +134,21 @@ def test_bounds_come_from_units_and_limits(env: gym.Env[Any, Any]) -> None:
 # The same again
 
 
-def test_the_same_seed_gives_the_same_trajectory_to_the_bit(env: gym.Env[Any, Any]) -> None:
+def test_env__same_seed_gives_the_same_trajectory_to_the_bit(env: gym.Env[Any, Any]) -> None:
     first = rollout(env, seed=7)
     assert rollout(env, seed=7) == first
     assert rollout(env, seed=8) != first, "the actions make no difference"
 
 
-def test_a_reset_amid_an_episode_leaves_no_trace(env: gym.Env[Any, Any]) -> None:
+def test_env__reset_amid_an_episode_leaves_no_trace(env: gym.Env[Any, Any]) -> None:
     first = rollout(env, seed=3, steps=10)
     rollout(env, seed=4, steps=37)
     assert rollout(env, seed=3, steps=10) == first
 
 
-def test_two_environments_give_the_same_trajectory_to_the_bit(env: gym.Env[Any, Any], shared_bus: zenostat.Bus) -> None:
+def test_env__two_environments_give_the_same_trajectory_to_the_bit(
+    env: gym.Env[Any, Any], shared_bus: zenostat.Bus
+) -> None:
     with connected(shared_bus) as other:
         assert rollout(other, seed=5) == rollout(env, seed=5)
 
@@ -154,7 +156,7 @@ def test_two_environments_give_the_same_trajectory_to_the_bit(env: gym.Env[Any, 
 # Control
 
 
-def test_the_action_at_sample_0_rules_the_first_timestep() -> None:
+def test_env__action_at_sample_0_rules_the_first_timestep() -> None:
     """A winter night: heating to 22.5 or 15 degC makes a difference in the first quarter of an hour."""
     sensors = {
         **{f"{zone}_setpoint": ("Zone Thermostat Heating Setpoint Temperature", zone.upper()) for zone in ZONES},
@@ -176,7 +178,7 @@ def test_the_action_at_sample_0_rules_the_first_timestep() -> None:
     assert dict(high[1:])["core_zn_temperature"] > dict(low[1:])["core_zn_temperature"]
 
 
-def test_no_actuators_is_the_buildings_own_control(shared_bus: zenostat.Bus) -> None:
+def test_env__no_actuators_is_the_buildings_own_control(shared_bus: zenostat.Bus) -> None:
     with make(actuators={}) as own:
         assert own.action_space.shape == (0,)
         observation, _ = own.reset(seed=1)
@@ -195,7 +197,7 @@ def test_no_actuators_is_the_buildings_own_control(shared_bus: zenostat.Bus) -> 
 # Names, points and rewards
 
 
-def test_observation_dict_names_the_values(env: gym.Env[Any, Any]) -> None:
+def test_env__observation_dict_names_the_values(env: gym.Env[Any, Any]) -> None:
     observation, _ = env.reset(seed=1)
     named = env.unwrapped.observation_dict(observation)
     zones = [f"{zone}_{what}" for what in ("air_temperature", "relative_humidity", "occupants") for zone in ZONES]
@@ -208,7 +210,7 @@ def test_observation_dict_names_the_values(env: gym.Env[Any, Any]) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("begin", ["05-31", "09-30"])
-def test_the_default_reward_by_hand(begin: str) -> None:
+def test_env__default_reward_by_hand(begin: str) -> None:
     """Over a change of the comfort band: the day on which the timestep began decides."""
     end = {"05-31": "06-01", "09-30": "10-01"}[begin]
     bands = set()
@@ -234,7 +236,7 @@ def test_the_default_reward_by_hand(begin: str) -> None:
     assert bands == {(23.0, 26.0), (20.0, 23.5)}
 
 
-def test_a_reward_of_the_users_and_none(shared_bus: zenostat.Bus) -> None:
+def test_env__reward_of_the_users_and_none(shared_bus: zenostat.Bus) -> None:
     with connected(shared_bus, reward=LinearReward(weight=1.0, lambda_energy=1.0)) as energetic:
         energetic.reset(seed=1)
         observation, reward, *_ = energetic.step(energetic.action_space.low)
@@ -246,7 +248,7 @@ def test_a_reward_of_the_users_and_none(shared_bus: zenostat.Bus) -> None:
         assert "reward_terms" not in info
 
 
-def test_sensors_meters_and_actuators_of_the_users() -> None:
+def test_env__sensors_meters_and_actuators_of_the_users() -> None:
     chosen = make(
         sensors={
             "outside": ("site outdoor air drybulb temperature", "environment"),
@@ -279,7 +281,7 @@ def test_sensors_meters_and_actuators_of_the_users() -> None:
 
 
 @pytest.mark.slow
-def test_a_building_by_path(env: gym.Env[Any, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_env__building_by_path(env: gym.Env[Any, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An IDF by its path and an epJSON by a relative one are the building of that short name."""
     entry = find_building(SMALL["building"])
     epjson = tmp_path / "mine.epJSON"
@@ -294,7 +296,7 @@ def test_a_building_by_path(env: gym.Env[Any, Any], tmp_path: Path, monkeypatch:
 # Elsewhere
 
 
-def test_a_node_that_runs_elsewhere(folder: Path, env: gym.Env[Any, Any]) -> None:
+def test_env__node_that_runs_elsewhere(folder: Path, env: gym.Env[Any, Any]) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with NodeProgram(folder, **SMALL, listen=[endpoint]) as node:
         with gym.make("zenostat/Building-v1", connect=endpoint, node="office", affinity="off") as remote:
@@ -317,7 +319,7 @@ def test_connect__rejects_settings_that_the_node_decides(folder: Path) -> None:
 # Import, files
 
 
-def test_import_is_light() -> None:
+def test_env__import_is_light() -> None:
     """Neither Rerun nor EnergyPlus nor the rooms of the building's side."""
     text = "import sys, zenostat; zenostat.connect; print(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True)
@@ -341,14 +343,14 @@ def test_output_dir__is_the_only_place_where_files_are_kept(scratch: Path) -> No
         assert "EnergyPlus Completed Successfully" in (episode / "eplusout.end").read_text()
 
 
-def test_nothing_is_kept_unasked(scratch: Path) -> None:
+def test_env__nothing_is_kept_unasked(scratch: Path) -> None:
     with make() as plain:
         rollout(plain, seed=1)
         assert remains(scratch), "a run has a folder of its own while it lasts"
     assert list(scratch.iterdir()) == []
 
 
-def test_close_twice_and_unused(scratch: Path) -> None:
+def test_env__close_twice_and_unused(scratch: Path) -> None:
     plain = make()
     plain.close()
     plain.close()
@@ -371,7 +373,7 @@ os.waitpid(child, 0)
 """
 
 
-def test_a_forked_process_does_not_keep_its_parents_node(scratch: Path) -> None:
+def test_env__forked_process_does_not_keep_its_parents_node(scratch: Path) -> None:
     """The node ends by itself, as its owner lets go, and is not killed after a long wait."""
     done = subprocess.run(
         [sys.executable, "-P", "-c", _FORKS], capture_output=True, text=True, check=True, cwd=scratch, timeout=120

@@ -32,11 +32,11 @@ def user_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 # Names
 
 
-def test_short_names_stay_and_the_node_gets_its_own() -> None:
+def test_env__short_names_stay_and_the_node_gets_its_own() -> None:
     assert for_node(BASE, "office") == {**BASE, "name": "office"}
 
 
-def test_names_with_a_dot_are_no_paths(user_folder: Path) -> None:
+def test_env__names_with_a_dot_are_no_paths(user_folder: Path) -> None:
     arguments = {"building": "office-small", "weather": ["USA_CA_San.Francisco", "USA_OK_Oklahoma.City"]}
     assert for_node(arguments, "b") == {**arguments, "name": "b"}
 
@@ -45,18 +45,18 @@ def test_names_with_a_dot_are_no_paths(user_folder: Path) -> None:
 
 
 @pytest.mark.parametrize("form", [str, Path])
-def test_the_file_of_a_plant_is_made_absolute_and_a_module_stays(user_folder: Path, form: Any) -> None:
+def test_env__file_of_a_plant_is_made_absolute_and_a_module_stays(user_folder: Path, form: Any) -> None:
     assert for_node({"plant": form("tank.py:Tank")}, "b")["plant"] == f"{user_folder}/tank.py:Tank"
     assert for_node({"plant": "my.tanks:Tank"}, "b")["plant"] == "my.tanks:Tank"
 
 
-def test_arguments_of_a_plant_need_one() -> None:
+def test_arguments__of_a_plant_need_one() -> None:
     with pytest.raises(InvalidConfig, match=r"plant_arguments needs a class: plant='FILE.py:CLASS'"):
         for_node({**BASE, "plant_arguments": {}}, "b")
 
 
 @pytest.mark.parametrize("value", [print, {1, 2}, [object()]])
-def test_arguments_of_a_plant_are_what_json_can_represent(value: Any) -> None:
+def test_arguments__of_a_plant_are_what_json_can_represent(value: Any) -> None:
     assert for_node({"plant": "a:B", "plant_arguments": {"size": np.float64(2.0)}}, "b")["plant_arguments"] == {
         "size": 2.0
     }
@@ -65,7 +65,7 @@ def test_arguments_of_a_plant_are_what_json_can_represent(value: Any) -> None:
 
 
 @pytest.mark.parametrize("form", [str, Path])
-def test_paths_of_files_are_made_absolute(user_folder: Path, form: Any) -> None:
+def test_env__paths_of_files_are_made_absolute(user_folder: Path, form: Any) -> None:
     arguments = {"building": form("mine.idf"), "weather": form("mine.epw"), "output_dir": form("kept")}
     settings = for_node(arguments, "b")
     assert settings["building"] == str(user_folder / "mine.idf")
@@ -74,7 +74,7 @@ def test_paths_of_files_are_made_absolute(user_folder: Path, form: Any) -> None:
 
 
 @pytest.mark.parametrize("form", [tuple, list])
-def test_each_of_several_weathers_is_made_absolute(user_folder: Path, form: Any) -> None:
+def test_env__each_of_several_weathers_is_made_absolute(user_folder: Path, form: Any) -> None:
     arguments = {**BASE, "weather": form(["mine.epw", Path("other.epw"), "USA_CO_Denver"])}
     assert for_node(arguments, "b")["weather"] == [
         str(user_folder / "mine.epw"),
@@ -83,13 +83,13 @@ def test_each_of_several_weathers_is_made_absolute(user_folder: Path, form: Any)
     ]
 
 
-def test_a_path_in_the_users_home_is_found(user_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_env__path_in_the_users_home_is_found(user_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(user_folder))
     settings = for_node({"building": "~/mine.idf", "weather": "~/mine.epw"}, "b")
     assert (settings["building"], settings["weather"]) == (str(user_folder / "mine.idf"), str(user_folder / "mine.epw"))
 
 
-def test_the_home_of_nobody_is_a_mistake_of_the_users() -> None:
+def test_env__home_of_nobody_is_a_mistake_of_the_users() -> None:
     with pytest.raises(UsageError, match="nobody_of_that_name"):
         read_and_find({"building": "~nobody_of_that_name/x.idf", "weather": "USA_CO_Denver"})
 
@@ -101,12 +101,12 @@ def read_and_find(arguments: dict[str, Any]) -> None:
     plan(read_config(for_node(arguments, "b")))
 
 
-def test_a_scenario_file_is_the_scenario(user_folder: Path) -> None:
+def test_env__scenario_file_is_the_scenario(user_folder: Path) -> None:
     settings = for_node({"file": Path("mine.yaml"), "begin": "07-01"}, "b")
     assert settings == {"scenario": str(user_folder / "mine.yaml"), "begin": "07-01", "name": "b"}
 
 
-def test_a_configuration_file_is_made_absolute(user_folder: Path) -> None:
+def test_env__configuration_file_is_made_absolute(user_folder: Path) -> None:
     settings = for_node({"config": "theirs.yaml", "variant": "hot-continuous"}, "b")
     assert settings == {"config": str(user_folder / "theirs.yaml"), "variant": "hot-continuous", "name": "b"}
 
@@ -114,7 +114,7 @@ def test_a_configuration_file_is_made_absolute(user_folder: Path) -> None:
 @pytest.mark.parametrize(
     "scenario", ["office-small-USA_CO_Denver-continuous-v1", "office-small-USA_CA_San.Francisco-discrete-v1"]
 )
-def test_a_scenarios_id_stays(user_folder: Path, scenario: str) -> None:
+def test_env__scenarios_id_stays(user_folder: Path, scenario: str) -> None:
     assert for_node({"scenario": scenario}, "b")["scenario"] == scenario
 
 
@@ -125,7 +125,7 @@ def test_a_scenarios_id_stays(user_folder: Path, scenario: str) -> None:
     "named",
     [("scenario", "file"), ("scenario", "config"), ("file", "config"), ("scenario", "file", "config")],
 )
-def test_one_thing_says_what_to_simulate(named: tuple[str, ...]) -> None:
+def test_env__one_thing_states_what_to_simulate(named: tuple[str, ...]) -> None:
     with pytest.raises(InvalidConfig, match=" and ".join(named)):
         for_node(dict.fromkeys(named, "x.yaml"), "b")
 
@@ -133,7 +133,7 @@ def test_one_thing_says_what_to_simulate(named: tuple[str, ...]) -> None:
 @pytest.mark.parametrize(
     "arguments", [{}, {"building": "office-small"}, {"weather": "USA_CO_Denver"}, {"begin": "07-01"}]
 )
-def test_something_says_what_to_simulate(arguments: dict[str, Any]) -> None:
+def test_env__something_states_what_to_simulate(arguments: dict[str, Any]) -> None:
     with pytest.raises(InvalidConfig, match="name a building and a weather, a scenario, a file"):
         for_node(arguments, "b")
 
@@ -144,7 +144,7 @@ def test_for_node__rejects_a_scenario_that_is_no_name(scenario: Any) -> None:
         for_node({"scenario": scenario}, "office")
 
 
-def test_a_building_may_stand_beside_a_scenario() -> None:
+def test_env__building_may_stand_beside_a_scenario() -> None:
     settings = for_node({"scenario": "office-small-USA_CO_Denver-continuous-v1", "building": "warehouse"}, "b")
     assert settings["building"] == "warehouse"
 
@@ -154,19 +154,19 @@ def test_a_building_may_stand_beside_a_scenario() -> None:
 
 @pytest.mark.parametrize("kind", ["sensors", "actuators"])
 @pytest.mark.parametrize("spec", ["Zone Air Temperature", 5, None, 1.5], ids=str)
-def test_a_point_is_a_list_of_names(kind: str, spec: Any) -> None:
+def test_env__point_is_a_list_of_names(kind: str, spec: Any) -> None:
     with pytest.raises(InvalidConfig, match=rf"{kind} 'core': a tuple of EnergyPlus's names expected"):
         for_node({**BASE, kind: {"core": spec}}, "b")
 
 
 @pytest.mark.parametrize("kind", ["sensors", "actuators"])
 @pytest.mark.parametrize("points", [["core"], "core", 5], ids=str)
-def test_points_stand_under_names(kind: str, points: Any) -> None:
+def test_env__points_stand_under_names(kind: str, points: Any) -> None:
     with pytest.raises(InvalidConfig, match=kind):
         for_node({**BASE, kind: points}, "b")
 
 
-def test_points_may_be_tuples_lists_or_by_field() -> None:
+def test_env__points_may_be_tuples_lists_or_by_field() -> None:
     by_field = {"variable": "Zone Air Temperature", "key": "Core_ZN", "aggregation": "mean"}
     sensors = {"a": TEMPERATURE, "b": list(TEMPERATURE), "c": (*TEMPERATURE, Aggregation.MEAN), "d": by_field}
     settings = for_node({**BASE, "sensors": sensors}, "b")["sensors"]
@@ -174,7 +174,7 @@ def test_points_may_be_tuples_lists_or_by_field() -> None:
     assert settings == {"a": plain, "b": plain, "c": [*plain, "mean"], "d": by_field}
 
 
-def test_no_points_is_not_the_same_as_points_left_out() -> None:
+def test_env__no_points_is_not_the_same_as_points_left_out() -> None:
     assert for_node({**BASE, "actuators": {}}, "b")["actuators"] == {}
     assert "actuators" not in for_node(BASE, "b")
 
@@ -182,7 +182,7 @@ def test_no_points_is_not_the_same_as_points_left_out() -> None:
 # As JSON
 
 
-def test_what_travels_is_plain() -> None:
+def test_env__what_travels_is_plain() -> None:
     arguments = {
         **BASE,
         "output_dir": Path("/kept"),
@@ -200,7 +200,7 @@ def test_what_travels_is_plain() -> None:
     assert settings["edits"] == arguments["edits"]
 
 
-def test_numpys_numbers_are_numbers() -> None:
+def test_env__numpys_numbers_are_numbers() -> None:
     arguments = {
         **BASE,
         "steps_per_hour": np.int64(4),
@@ -213,7 +213,7 @@ def test_numpys_numbers_are_numbers() -> None:
     assert settings["discrete"][0]["values"] == [[0.5], [1.0], [1.5], [2.0]]
 
 
-def test_a_node_knows_every_setting_that_is_handed_on() -> None:
+def test_env__node_knows_every_setting_that_is_handed_on() -> None:
     named = dict.fromkeys(set(NODE_ARGUMENTS) - {"file", "plant", "plant_arguments"}, None)
     with pytest.raises(InvalidConfig, match="no setting 'colour'") as raised:
         read_config({**named, "colour": "red"})
@@ -223,7 +223,7 @@ def test_a_node_knows_every_setting_that_is_handed_on() -> None:
 # The reward in a file
 
 
-def test_the_reward_of_a_file_is_read(tmp_path: Path) -> None:
+def test_env__reward_of_a_file_is_read(tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
     file.write_text("building: b\nreward: {kind: linear, weight: 0.25}\n")
     assert _fields_of_file(str(file))["reward"] == {"kind": "linear", "weight": 0.25}
@@ -232,29 +232,29 @@ def test_the_reward_of_a_file_is_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["building: b", "reward: null", "- reward", "", "{", "a: [", "reward: {a: b", "day: 2018-13-45"], ids=repr
 )
-def test_a_file_without_a_reward_has_none(tmp_path: Path, text: str) -> None:
+def test_env__file_without_a_reward_has_none(tmp_path: Path, text: str) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(text)
     assert _fields_of_file(str(file)).get("reward") is None
 
 
-def test_a_file_that_is_no_text_has_none(tmp_path: Path) -> None:
+def test_env__file_that_is_no_text_has_none(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_bytes(b"reward: \xff\xfe\x00")
     assert _fields_of_file(str(file)).get("reward") is None
 
 
 @pytest.mark.parametrize("scenario", ["", "office-small-USA_CO_Denver-continuous-v1", "gone.yaml"])
-def test_what_is_no_file_has_no_reward_to_read(user_folder: Path, scenario: str) -> None:
+def test_env__what_is_no_file_has_no_reward_to_read(user_folder: Path, scenario: str) -> None:
     assert _fields_of_file(scenario).get("reward") is None
 
 
-def test_a_folder_is_no_file(tmp_path: Path) -> None:
+def test_env__folder_is_no_file(tmp_path: Path) -> None:
     (tmp_path / "folder.yaml").mkdir()
     assert _fields_of_file(str(tmp_path / "folder.yaml")).get("reward") is None
 
 
-def test_a_good_reward_starts_nothing(tmp_path: Path) -> None:
+def test_env__good_reward_starts_nothing(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("reward: {kind: linear, weight: 0.25}\n")
     for reward in (None, "linear", {"kind": "linear"}, FROM_SCENARIO):

@@ -44,7 +44,7 @@ def run(env: BuildingEnv, actions: list[Any]) -> tuple[Rows, Rows]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
-def test_it_is_the_episode_that_nobody_commands(kind: str, scratch: Path) -> None:
+def test_env__it_is_the_episode_that_nobody_commands(kind: str, scratch: Path) -> None:
     """Whatever the agent does, after a reset, and after going back; and the agent's episode is the same without it."""
     packs.sinergym()
     plain, env = make(KINDS[kind]), make(KINDS[kind], baseline=True)
@@ -90,7 +90,7 @@ def _plain(env: BuildingEnv, actions: list[Any]) -> tuple[Rows, str]:
 
 
 @pytest.mark.slow
-def test_it_has_the_weather_of_its_episode(scratch: Path) -> None:
+def test_env__it_has_the_weather_of_its_episode(scratch: Path) -> None:
     name = SMALL.replace("continuous", "continuous-stochastic")
     plain, env = make(name, **FOUR), make(name, baseline=True, **FOUR)
     seen = []
@@ -105,7 +105,7 @@ def test_it_has_the_weather_of_its_episode(scratch: Path) -> None:
     env.close()
 
 
-def test_a_branch_has_none(scratch: Path) -> None:
+def test_env__branch_has_none(scratch: Path) -> None:
     env = make(baseline=True, **FOUR)
     _, info = env.reset()
     run(env, plan(env, 1, 5))
@@ -116,7 +116,7 @@ def test_a_branch_has_none(scratch: Path) -> None:
     env.close()
 
 
-def test_its_engines_end_with_their_episodes(scratch: Path) -> None:
+def test_env__its_engines_end_with_their_episodes(scratch: Path) -> None:
     """One for the episode, one beside it, one that waits: no more after many resets and goings back than before."""
     env = make(baseline=True, **FOUR)
     env.reset()
@@ -136,7 +136,7 @@ def test_its_engines_end_with_their_episodes(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_snapshot_of_which_the_baseline_was_killed_changes_nothing(scratch: Path) -> None:
+def test_env__snapshot_of_which_the_baseline_was_killed_changes_nothing(scratch: Path) -> None:
     """The running episode goes on, with its own weather, its own baseline, and nothing of the failed try."""
     name = SMALL.replace("continuous", "continuous-stochastic")
     env = make(name, baseline=True, **FOUR)
@@ -164,7 +164,7 @@ def test_a_snapshot_of_which_the_baseline_was_killed_changes_nothing(scratch: Pa
     env.close()
 
 
-def test_a_killed_baseline_is_an_error_that_says_so_and_the_next_episode_runs(scratch: Path) -> None:
+def test_env__killed_baseline_is_an_error_that_is_reported_and_the_next_episode_runs(scratch: Path) -> None:
     env = make(baseline=True, **FOUR)
     mine = plan(env, 1)
     env.reset()

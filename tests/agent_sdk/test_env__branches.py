@@ -69,7 +69,7 @@ def office(shared_office: BuildingEnv) -> Iterator[BuildingEnv]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_branch_goes_on_as_its_parent_and_nobody_feels_it(kind: str, scratch: Path) -> None:
+def test_env__branch_goes_on_as_its_parent_and_nobody_feels_it(kind: str, scratch: Path) -> None:
     """At the first sample, in the middle and at the last but one, with everybody stepping in turn to the end.
 
     What is expected comes of episodes of the same environment before it ever branched.
@@ -99,7 +99,7 @@ def test_a_branch_goes_on_as_its_parent_and_nobody_feels_it(kind: str, scratch: 
 
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_was_commanded_holds_in_a_branch_that_nobody_commands(kind: str, scratch: Path) -> None:
+def test_env__what_was_commanded_holds_in_a_branch_that_nobody_commands(kind: str, scratch: Path) -> None:
     """And `released` gives the building its own control back, as the parent's own releasing does."""
     packs.sinergym()
     env = make(KINDS[kind])
@@ -140,7 +140,7 @@ def _can_put_together() -> bool:
 
 
 @pytest.mark.slow
-def test_an_engine_that_is_forked_often_puts_its_pages_together_and_goes_on_the_same(scratch: Path) -> None:
+def test_env__engine_that_is_forked_often_puts_its_pages_together_and_goes_on_the_same(scratch: Path) -> None:
     """Also with branches that live on and share the pages as they were."""
     env = make(**FOUR)
     mine = plan(env, 1)
@@ -164,7 +164,7 @@ def test_an_engine_that_is_forked_often_puts_its_pages_together_and_goes_on_the_
     env.close()
 
 
-def test_branches_of_a_snapshot_stand_where_it_stands(office: BuildingEnv) -> None:
+def test_branches__of_a_snapshot_are_where_it_is(office: BuildingEnv) -> None:
     """Also while no episode runs any more."""
     env = office
     mine, its = plan(env, 1), plan(env, 2)
@@ -181,7 +181,7 @@ def test_branches_of_a_snapshot_stand_where_it_stands(office: BuildingEnv) -> No
 
 
 @pytest.mark.slow
-def test_a_reward_with_a_memory_of_its_own_goes_along(scratch: Path) -> None:
+def test_env__reward_with_a_memory_of_its_own_goes_along(scratch: Path) -> None:
     """An object, which the environments would share: what a branch earns is not remembered by its parent."""
 
     class Counts:
@@ -217,7 +217,7 @@ def test_a_reward_with_a_memory_of_its_own_goes_along(scratch: Path) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("moment", ["waiting", "computing"])
-def test_a_killed_branch_harms_nobody(moment: str, office: BuildingEnv) -> None:
+def test_env__killed_branch_harms_nobody(moment: str, office: BuildingEnv) -> None:
     env = office
     mine, its = plan(env, 1), plan(env, 2)
     straight, other = episode(env, mine), episode(env, mine[:20] + its[20:])
@@ -245,7 +245,7 @@ def test_a_killed_branch_harms_nobody(moment: str, office: BuildingEnv) -> None:
     same(episode(env, mine), straight)
 
 
-def test_branches_outlive_the_engine_that_they_were_forked_from(office: BuildingEnv) -> None:
+def test_branches__outlive_the_engine_that_they_were_forked_from(office: BuildingEnv) -> None:
     env = office
     mine = plan(env, 1)
     straight = episode(env, mine)
@@ -265,7 +265,7 @@ def test_branches_outlive_the_engine_that_they_were_forked_from(office: Building
     same(episode(env, mine), straight)
 
 
-def test_without_an_engine_nothing_is_forked(office: BuildingEnv) -> None:
+def test_env__without_an_engine_nothing_is_forked(office: BuildingEnv) -> None:
     """An engine that died unnoticed while its node waited: the fork's error tells it."""
     env = office
     env.reset()
@@ -290,7 +290,7 @@ CANNOT = {
 
 @pytest.mark.variants
 @pytest.mark.parametrize("what", CANNOT)
-def test_a_fork_that_fails_leaves_the_episode_as_it_was(
+def test_env__fork_that_fails_leaves_the_episode_as_it_was(
     what: str, scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     faults = Faults(scratch, monkeypatch)
@@ -333,7 +333,7 @@ def test_a_fork_that_fails_leaves_the_episode_as_it_was(
 
 
 @pytest.mark.slow
-def test_an_engine_that_dies_while_it_forks_fails_its_episode_alone(
+def test_env__engine_that_dies_while_it_forks_fails_its_episode_alone(
     scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The engine of the episode, and then that of a snapshot, of which the child was made already."""
@@ -362,7 +362,7 @@ def test_an_engine_that_dies_while_it_forks_fails_its_episode_alone(
 
 
 @pytest.mark.slow
-def test_a_node_out_of_descriptors_refuses_a_fork_and_goes_on(scratch: Path) -> None:
+def test_env__node_out_of_descriptors_refuses_a_fork_and_goes_on(scratch: Path) -> None:
     env = make(**FOUR)
     mine = plan(env, 1)
     straight = episode(env, mine)
@@ -418,7 +418,7 @@ def _kept(folder: Path) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", ["five zones", "medium office with EMS", "photovoltaics and battery"])
-def test_the_files_that_are_kept_are_those_of_a_run_that_never_forked(kind: str, scratch: Path) -> None:
+def test_env__files_that_are_kept_are_those_of_a_run_that_never_forked(kind: str, scratch: Path) -> None:
     """Branches end before and after it, one with the most that its actuators can be asked for."""
     packs.sinergym()
     sql = "*" if kind == "photovoltaics and battery" else "sql"  # it has one already
@@ -488,7 +488,7 @@ def _until_as_it_was(env: Any, scratch: Path, before: dict[str, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_nothing_is_left_of_forks_that_were_closed(scratch: Path) -> None:
+def test_env__nothing_is_left_of_forks_that_were_closed(scratch: Path) -> None:
     """Closed at once, in the middle, at their end, with a command on its way, and by a killed engine."""
     env = make(**FOUR)
     mine = plan(env, 1)
@@ -520,7 +520,7 @@ def test_nothing_is_left_of_forks_that_were_closed(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_thousand_resets_and_a_thousand_branches_leave_a_node_as_it_was(scratch: Path) -> None:
+def test_env__thousand_resets_and_a_thousand_branches_leave_a_node_as_it_was(scratch: Path) -> None:
     env = make(**FOUR)
     mine = plan(env, 1)
     node = psutil.Process(env.local_node.pid)
@@ -549,7 +549,7 @@ def test_a_thousand_resets_and_a_thousand_branches_leave_a_node_as_it_was(scratc
 
 
 @pytest.mark.slow
-def test_a_branch_tells_the_weather_that_it_reads(scratch: Path) -> None:
+def test_env__branch_tells_the_weather_that_it_reads(scratch: Path) -> None:
     """Also once its parent has another, and where it was made of a snapshot of an earlier episode."""
     env = make(SMALL.replace("continuous", "continuous-stochastic"), **FOUR)
 
@@ -574,7 +574,7 @@ def test_a_branch_tells_the_weather_that_it_reads(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_branchs_manifest_names_its_own_weather(scratch: Path) -> None:
+def test_env__branchs_manifest_names_its_own_weather(scratch: Path) -> None:
     names = ["USA_CO_Denver", "USA_FL_Miami"]
     env = make(SMALL, weather=names, weather_order="sequence", **FOUR)
     env.reset()
@@ -586,7 +586,7 @@ def test_a_branchs_manifest_names_its_own_weather(scratch: Path) -> None:
     env.close()
 
 
-def test_a_branch_of_a_time_without_faults_is_undisturbed(scratch: Path) -> None:
+def test_env__branch_of_a_time_without_faults_is_undisturbed(scratch: Path) -> None:
     env = make(**FOUR)
     env.reset()
     go(env, plan(env, 1, 3))
@@ -601,7 +601,7 @@ def test_a_branch_of_a_time_without_faults_is_undisturbed(scratch: Path) -> None
     env.close()
 
 
-def test_a_branch_has_counted_no_timestep_when_it_begins(office: BuildingEnv) -> None:
+def test_env__branch_has_counted_no_timestep_when_it_begins(office: BuildingEnv) -> None:
     env = office
     env.reset()
     go(env, plan(env, 1, 5))
@@ -615,7 +615,7 @@ def test_a_branch_has_counted_no_timestep_when_it_begins(office: BuildingEnv) ->
 
 
 @pytest.mark.slow
-def test_seeds_go_to_the_slots_that_are_named_with_them(scratch: Path) -> None:
+def test_env__seeds_go_to_the_slots_that_are_named_with_them(scratch: Path) -> None:
     """In whatever order a request names them."""
     name = SMALL.replace("continuous", "continuous-stochastic")
     env: Any = gym.make_vec(name, num_envs=2, vectorization_mode="vector_entry_point", **(DAY | FOUR))

@@ -38,19 +38,19 @@ def broken_at(watch: TerminationLimits, rows: list[tuple[float, float]]) -> list
     return [i for i, row in enumerate(rows) if watch.violated(np.array(row))]
 
 
-def test_a_limit_without_patience_ends_at_once() -> None:
+def test_env__limit_without_patience_ends_at_once() -> None:
     rows = [(20.0, 20.0), (26.0, 20.0), (26.1, 20.0), (20.0, 17.9)]
     assert broken_at(limits(TerminationLimit(points=("north", "south"), low=18.0, high=26.0)), rows) == [2, 3]
 
 
-def test_a_limit_with_patience_counts_hours_without_a_break() -> None:
+def test_env__limit_with_patience_counts_hours_without_a_break() -> None:
     """Half an hour is two timesteps of a quarter; a break begins anew; each point counts for itself."""
     watch = limits(TerminationLimit(points=("north", "south"), high=26.0, duration_s=1800.0))
     rows = [(27.0, 20.0), (20.0, 27.0), (27.0, 20.0), (27.0, 20.0), (20.0, 20.0)]
     assert broken_at(watch, rows) == [3]
 
 
-def test_a_new_episode_forgets_what_was_outside() -> None:
+def test_env__new_episode_forgets_what_was_outside() -> None:
     watch = limits(TerminationLimit(points=("north",), high=26.0, duration_s=1800.0))
     assert not watch.violated(np.array([27.0, 0.0]))
     watch.reset()
@@ -59,7 +59,7 @@ def test_a_new_episode_forgets_what_was_outside() -> None:
 
 
 @pytest.mark.slow
-def test_an_episode_ends_when_comfort_was_left_for_two_hours(scratch: Path) -> None:
+def test_env__episode_ends_when_comfort_was_left_for_two_hours(scratch: Path) -> None:
     """With cooling as good as off on a July day; the step that says so is the eighth outside, and the last."""
     env = make(terminate=[{"points": ["core_zn_air_temperature"], "high": 26.0, "duration_h": 2}])
     observation, _ = env.reset(seed=0)
@@ -85,7 +85,7 @@ def test_an_episode_ends_when_comfort_was_left_for_two_hours(scratch: Path) -> N
         ({"points": ["core_zn_air_temperature"], "low": 3.0, "high": 2.0}, "low 3 is not below high 2"),
     ],
 )
-def test_a_limit_that_cannot_be_is_refused(limit: dict[str, Any], words: str, scratch: Path) -> None:
+def test_env__limit_that_cannot_be_is_refused(limit: dict[str, Any], words: str, scratch: Path) -> None:
     with pytest.raises(InvalidConfig, match=words):
         make(terminate=[limit])
 
@@ -119,7 +119,7 @@ def test_info__has_what_a_person_sets(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_last_step_says_where_the_files_are(scratch: Path) -> None:
+def test_env__last_step_states_where_the_files_are(scratch: Path) -> None:
     env = make(output_dir=scratch / "kept")
     env.reset(seed=0)
     ended = False
@@ -132,7 +132,7 @@ def test_the_last_step_says_where_the_files_are(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_picture_of_the_last_day(scratch: Path) -> None:
+def test_env__picture_of_the_last_day(scratch: Path) -> None:
     """It is one of the form that Gymnasium asks for, and changes when something happens."""
     env = make(render_mode="rgb_array")
     env.reset(seed=0)
@@ -147,7 +147,7 @@ def test_a_picture_of_the_last_day(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_pictures_measure_more_than_the_agent_observes(scratch: Path) -> None:
+def test_env__pictures_measure_more_than_the_agent_observes(scratch: Path) -> None:
     plain, shown = make(), make(render_mode="rgb_array")
     assert shown.observation_names == plain.observation_names
     assert shown.observation_space == plain.observation_space
@@ -159,12 +159,12 @@ def test_pictures_measure_more_than_the_agent_observes(scratch: Path) -> None:
     without.close()
 
 
-def test_a_render_mode_that_is_none_is_refused_before_anything_starts(scratch: Path) -> None:
+def test_env__render_mode_that_is_none_is_refused_before_anything_starts(scratch: Path) -> None:
     with pytest.raises(InvalidConfig, match="rgb_array, rerun"):
         BuildingEnv("ref-small-office", "USA_CO_Denver", render_mode="human")
 
 
-def test_the_live_view_opens_with_the_environment_and_ends_with_it(
+def test_env__live_view_opens_with_the_environment_and_ends_with_it(
     scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
@@ -183,7 +183,7 @@ def test_the_live_view_opens_with_the_environment_and_ends_with_it(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("mode", ["sync", "async"])
-def test_gymnasiums_vector_environments_hold_buildings_of_their_own(mode: str, scratch: Path) -> None:
+def test_env__gymnasiums_vector_environments_hold_buildings_of_their_own(mode: str, scratch: Path) -> None:
     """Each slot is the single environment of its seed; asked of a program, since async ones start by fork or spawn."""
     code = f"""
 import gymnasium as gym, numpy as np
@@ -210,7 +210,7 @@ if __name__ == "__main__":
     assert (done.stdout, done.returncode) == ("equal\n", 0), done.stderr[-2000:]
 
 
-def test_an_environment_goes_to_one_file_and_comes_back_equal(scratch: Path) -> None:
+def test_env__environment_goes_to_one_file_and_returns_equal(scratch: Path) -> None:
     from zenostat import load_env, save_env
     from zenostat.agent_sdk.rewards import LinearReward
     from zenostat.agent_sdk.wrappers import apply_wrappers, wrappers_of
@@ -233,7 +233,7 @@ def test_an_environment_goes_to_one_file_and_comes_back_equal(scratch: Path) -> 
     assert outcomes[0] == outcomes[1]
 
 
-def test_a_wrapper_that_cannot_be_leaves_nothing_behind(scratch: Path) -> None:
+def test_env__wrapper_that_cannot_be_leaves_nothing_behind(scratch: Path) -> None:
     file = scratch / "mine.yaml"
     file.write_text(
         "building: ref-small-office\nweather: USA_CO_Denver\nbegin: 07-03\nend: 07-03\n"
@@ -243,7 +243,7 @@ def test_a_wrapper_that_cannot_be_leaves_nothing_behind(scratch: Path) -> None:
         gym.make("zenostat/Scenario-v1", file=file, affinity="off")
 
 
-def test_an_own_reward_cannot_be_written(scratch: Path) -> None:
+def test_env__own_reward_cannot_be_written(scratch: Path) -> None:
     from zenostat import save_env
 
     def mine(values: Any, begin: Any) -> dict[str, float]:

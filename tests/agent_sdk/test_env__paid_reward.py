@@ -45,7 +45,7 @@ def band(manifest: Manifest) -> tuple[float, float]:
     return comfort_bands(manifest)(JULY)
 
 
-def test_a_local_node_publishes_the_reward_that_is_paid() -> None:
+def test_env__local_node_publishes_the_reward_that_is_paid() -> None:
     with closing(BuildingEnv(**SMALL, affinity="off", reward=OCCUPIED)) as env:
         env.reset(seed=0)
         assert read_reward(env.manifest.task.reward) == env.reward == read_reward(OCCUPIED)
@@ -58,7 +58,7 @@ def test_a_local_node_publishes_the_reward_that_is_paid() -> None:
 
 
 @pytest.mark.parametrize("reward", [own, MyOccupied(), None], ids=["function", "class", "none"])
-def test_code_of_the_user_is_named_and_comfort_stays_that_of_the_scenario(reward: Any) -> None:
+def test_env__code_of_the_user_is_named_and_comfort_stays_that_of_the_scenario(reward: Any) -> None:
     with closing(FakeEnv(reward=reward)) as env, closing(FakeEnv()) as plain:
         before, task = plain.manifest, env.manifest.task
         assert task.reward == (None if reward is None else {"kind": "custom", "name": task.reward["name"]})
@@ -70,12 +70,12 @@ def test_code_of_the_user_is_named_and_comfort_stays_that_of_the_scenario(reward
         assert np.array_equal(rated.zones, expected.zones)
 
 
-def test_the_data_of_code_names_the_code_when_it_is_read() -> None:
+def test_env__data_of_code_names_the_code_when_it_is_read() -> None:
     with pytest.raises(InvalidConfig, match="own is code of the program that used it"):
         read_reward(CUSTOM)
 
 
-def test_a_reward_equal_to_that_of_the_scenario_changes_nothing() -> None:
+def test_env__reward_equal_to_that_of_the_scenario_changes_nothing() -> None:
     with closing(FakeEnv(reward=LinearReward())) as env, closing(FakeEnv()) as plain:
         assert env.manifest.task == plain.manifest.task
 
@@ -87,7 +87,7 @@ ENVIRONMENTS: dict[str, Callable[[Any], Any]] = {
 
 
 @pytest.mark.parametrize("kind", ENVIRONMENTS)
-def test_each_environment_has_it_before_and_after_a_reset(kind: str) -> None:
+def test_env__each_environment_has_it_before_and_after_a_reset(kind: str) -> None:
     with closing(ENVIRONMENTS[kind](own)) as env:
         before = env.manifest.task
         assert before.reward == CUSTOM
@@ -97,7 +97,7 @@ def test_each_environment_has_it_before_and_after_a_reset(kind: str) -> None:
         assert env.link.manifest.task == before
 
 
-def test_environments_of_a_node_elsewhere_know_what_they_pay(scratch: Path) -> None:
+def test_env__environments_of_a_node_elsewhere_know_what_they_pay(scratch: Path) -> None:
     """The node's own manifest stays as it is: other clients see the scenario that it was started with."""
     with NodeProgram(scratch, **SMALL) as node:
         with closing(BuildingEnv(connect=node.endpoint, node="office", reward=OCCUPIED)) as env:
@@ -110,14 +110,14 @@ def test_environments_of_a_node_elsewhere_know_what_they_pay(scratch: Path) -> N
             assert fleet.unwrapped.envs[0].manifest.task.reward == CUSTOM
 
 
-def test_a_python_plant_publishes_it_too() -> None:
+def test_env__python_plant_publishes_it_too() -> None:
     plant = Path(__file__).parents[2] / "examples" / "own_plant.py"
     with closing(gym.make("zenostat/Plant-v1", plant=f"{plant}:HeatPumpRoom", reward=lambda values, begin: 1.0)) as env:
         env.reset(seed=0)
         assert env.unwrapped.link.manifest.task.reward == {"kind": "custom", "name": "<lambda>"}
 
 
-def test_rules_take_band_and_setback_of_the_benchmark() -> None:
+def test_env__rules_take_band_and_setback_of_the_benchmark() -> None:
     """22 to 26 degC in July with a margin of 1 K; 6 K outside while nobody is there, as comfort counts people only."""
     arguments = SETS["quick"].arguments("ref-small-office", "summer", "USA_IL_Chicago")
     with closing(BuildingEnv(**arguments, affinity="off")) as env:
@@ -134,7 +134,9 @@ def test_rules_take_band_and_setback_of_the_benchmark() -> None:
             assert (heating, cooling) == expected, name
 
 
-def test_a_price_file_is_the_same_file_for_a_reader_elsewhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_env__price_file_is_the_same_file_for_a_reader_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "prices.csv").write_text("price\n" + "0.25\n" * 8760)
     monkeypatch.chdir(tmp_path)
     tariff = {"kind": "energy_cost", "price": {"csv": "prices.csv", "column": "price", "unit": "EUR/kWh"}}
@@ -153,6 +155,6 @@ NEEDED: dict[str, Any] = {
 
 
 @pytest.mark.parametrize("kind", REWARDS)
-def test_a_kind_is_read_back_from_its_data(kind: str) -> None:
+def test_env__kind_is_read_back_from_its_data(kind: str) -> None:
     reward = read_reward({"kind": kind, **NEEDED.get(kind, {})})
     assert read_reward(reward_data(reward) or {}) == reward

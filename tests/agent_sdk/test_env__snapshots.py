@@ -58,7 +58,7 @@ def back(env: BuildingEnv, snapshot: Any) -> dict[str, Any]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
-def test_going_back_is_exact_any_number_of_times(kind: str, scratch: Path) -> None:
+def test_env__going_back_is_exact_any_number_of_times(kind: str, scratch: Path) -> None:
     """To the first sample, the middle and the last but one; the episode that is left may stand anywhere."""
     packs.sinergym()
     env = make(KINDS[kind])
@@ -93,7 +93,7 @@ def _first(env: BuildingEnv) -> Any:
 
 
 @pytest.mark.slow
-def test_a_disturbed_weather_comes_back_with_its_episode(scratch: Path) -> None:
+def test_env__disturbed_weather_returns_with_its_episode(scratch: Path) -> None:
     """Whatever other weathers ran meanwhile, were started ahead, or were drawn anew by a seed."""
     env = make(STOCHASTIC, **FOUR)
     mine = plan(env, 1)
@@ -132,7 +132,7 @@ def test_a_disturbed_weather_comes_back_with_its_episode(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_reset_after_going_back_draws_as_if_nothing_had_been(scratch: Path) -> None:
+def test_env__reset_after_going_back_draws_as_if_nothing_had_been(scratch: Path) -> None:
     """The sequence of weathers that a seed began goes on."""
     plain, env = make(STOCHASTIC, **FOUR), make(STOCHASTIC, **FOUR)
     drawn = []
@@ -152,7 +152,7 @@ def test_a_reset_after_going_back_draws_as_if_nothing_had_been(scratch: Path) ->
     env.close()
 
 
-def test_rewards_and_limits_remember_what_they_did(scratch: Path) -> None:
+def test_env__rewards_and_limits_remember_what_they_did(scratch: Path) -> None:
     """A month's peak, and hours outside a range that end an episode: both need the past."""
     limit = {"points": ["core_zn_air_temperature"], "high": 27.0, "duration_h": 2.0}
     env = make(reward=PEAK, terminate=[limit], **FOUR)
@@ -194,7 +194,7 @@ def test_rewards_and_limits_remember_what_they_did(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_with_files_kept_an_episode_after_going_back_to_sample_0_has_its_own(scratch: Path) -> None:
+def test_env__with_files_kept_an_episode_after_going_back_to_sample_0_has_its_own(scratch: Path) -> None:
     """An episode that goes back keeps no files; the next one does, though its engine stands at the same sample."""
     env = make(output_dir=scratch / "kept", **FOUR)
     mine = plan(env, 1)
@@ -221,7 +221,7 @@ def go_and_tell(env: BuildingEnv, actions: Any) -> dict[str, Any]:
 # What cannot be
 
 
-def test_a_killed_snapshot_is_a_clear_error_and_the_episode_goes_on(office: BuildingEnv) -> None:
+def test_env__killed_snapshot_is_a_clear_error_and_the_episode_goes_on(office: BuildingEnv) -> None:
     env = office
     mine = plan(env, 1)
     straight = episode(env, mine)
@@ -243,7 +243,7 @@ def test_a_killed_snapshot_is_a_clear_error_and_the_episode_goes_on(office: Buil
     same(go(env, mine[20:]), straight[21:])
 
 
-def test_a_snapshot_that_cannot_be_gone_back_to_is_refused_by_name(office: BuildingEnv, scratch: Path) -> None:
+def test_env__snapshot_that_cannot_be_gone_back_to_is_refused_by_name(office: BuildingEnv, scratch: Path) -> None:
     env, stranger = make(**FOUR), office
     with pytest.raises(EpisodeChanged, match="reset"):
         env.snapshot()
@@ -282,7 +282,7 @@ def test_a_snapshot_that_cannot_be_gone_back_to_is_refused_by_name(office: Build
     env.close()
 
 
-def test_a_branch_has_no_forks_of_its_own(office: BuildingEnv) -> None:
+def test_env__branch_has_no_forks_of_its_own(office: BuildingEnv) -> None:
     env = office
     mine = plan(env, 1)
     straight = episode(env, mine)
@@ -307,7 +307,7 @@ def test_a_branch_has_no_forks_of_its_own(office: BuildingEnv) -> None:
 
 
 @pytest.mark.parametrize("limit", [0, 2])
-def test_there_are_no_more_forks_than_allowed(limit: int, scratch: Path) -> None:
+def test_env__there_are_no_more_forks_than_allowed(limit: int, scratch: Path) -> None:
     env = make(branches=limit, **FOUR)
     mine = plan(env, 1)
     straight = episode(env, mine)
@@ -332,7 +332,7 @@ def test_there_are_no_more_forks_than_allowed(limit: int, scratch: Path) -> None
     env.close()
 
 
-def test_forks_may_be_closed_after_their_environment(scratch: Path) -> None:
+def test_env__forks_may_be_closed_after_their_environment(scratch: Path) -> None:
     """It has ended them; who still holds them hears a clear word, and their `close` is quiet."""
     env = make(**FOUR)
     env.reset()
@@ -349,7 +349,7 @@ def test_forks_may_be_closed_after_their_environment(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_node_that_has_started_again_has_no_snapshots(scratch: Path) -> None:
+def test_env__node_that_has_started_again_has_no_snapshots(scratch: Path) -> None:
     """Under the same name, at the same endpoint."""
     node = NodeProgram(scratch / "node", **SMALL_NODE)
     env = BuildingEnv(connect=node.endpoint, node="office", affinity="off")
@@ -376,7 +376,7 @@ def test_a_node_that_has_started_again_has_no_snapshots(scratch: Path) -> None:
     env.close()
 
 
-def test_the_clock_that_is_observed_goes_back_too(scratch: Path) -> None:
+def test_env__clock_that_is_observed_goes_back_too(scratch: Path) -> None:
     """At an hour's end and at a day's, where the timestep began within the one before."""
     fields = ("month", "day_of_month", "day_of_week", "hour", "minutes", "current_time")
     env = make(**(FOUR | {"end": "07-04"}), time=fields)
@@ -392,7 +392,7 @@ def test_the_clock_that_is_observed_goes_back_too(scratch: Path) -> None:
     env.close()
 
 
-def test_wrappers_know_where_a_snapshot_stands(office: BuildingEnv) -> None:
+def test_env__wrappers_know_where_a_snapshot_is(office: BuildingEnv) -> None:
     """The forecast is of the hours that come, and the clock is that of the sample."""
     env: Any = w.WeatherForecast(w.CyclicTime(office), ["dry_bulb_temperature"], n=3)
     env.reset(seed=1)
@@ -406,7 +406,7 @@ def test_wrappers_know_where_a_snapshot_stands(office: BuildingEnv) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("slots", [0, 3])
-def test_wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:
+def test_env__wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:
     """Moved setpoints, what was observed before, the errors of forecasts; a log counts the steps that were taken."""
     how: Any = {"vectorization_mode": "vector_entry_point", **DAY, **FOUR}
     env: Any = gym.make_vec(SMALL, num_envs=slots, **how) if slots else make(**FOUR)

@@ -36,7 +36,9 @@ class Room:
 """
 
 
-def test_a_plant_without_a_reward_says_that_it_pays_nothing(tmp_path: Path, recwarn: pytest.WarningsRecorder) -> None:
+def test_env__plant_without_a_reward_states_that_it_pays_nothing(
+    tmp_path: Path, recwarn: pytest.WarningsRecorder
+) -> None:
     (tmp_path / "room.py").write_text(PLANT)
     plant = f"{tmp_path}/room.py:Room"
     with pytest.warns(UserWarning, match=r"room has no reward, so every step pays 0\.0; pass reward="):
@@ -46,7 +48,7 @@ def test_a_plant_without_a_reward_says_that_it_pays_nothing(tmp_path: Path, recw
     assert not [warning for warning in recwarn if "has no reward" in str(warning.message)]
 
 
-def test_a_model_without_a_run_period_says_that_it_simulates_a_year(scratch: Path) -> None:
+def test_env__model_without_a_run_period_states_that_it_simulates_a_year(scratch: Path) -> None:
     objects = dict(read_building(find_building("ref-small-office")).objects)
     del objects["RunPeriod"]
     file = scratch / "office.epJSON"
@@ -61,7 +63,7 @@ def test_a_model_without_a_run_period_says_that_it_simulates_a_year(scratch: Pat
         assert not env.manifest.warnings
 
 
-def test_a_controller_without_a_needed_parameter_is_skipped_and_the_others_run() -> None:
+def test_env__controller_without_a_needed_parameter_is_skipped_and_the_others_run() -> None:
     unfit: dict[str, UsageError] = {}
     with closing(FakeEnv()) as env:
         factories = {"pid": PIDController, "rbc": RuleBasedController}

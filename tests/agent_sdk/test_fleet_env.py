@@ -100,7 +100,7 @@ def actions_for(env: VectorEnv[Any, Any, Any], count: int = STEPS) -> list[Any]:
 
 
 @each_mode
-def test_equal_to_the_sync_vector_to_the_bit(nodes: list[NodeProgram], mode: AutoresetMode) -> None:
+def test_fleet_env__equal_to_the_sync_vector_to_the_bit(nodes: list[NodeProgram], mode: AutoresetMode) -> None:
     with closing(fleet(nodes, mode)) as env:
         actions = actions_for(env)
         ours = trajectory(env, actions)
@@ -114,7 +114,7 @@ def test_equal_to_the_sync_vector_to_the_bit(nodes: list[NodeProgram], mode: Aut
     assert any(end.any() and not end.all() for end in ends), "some ended alone"
 
 
-def test_each_slot_has_the_noise_of_its_seed(nodes: list[NodeProgram]) -> None:
+def test_fleet_env__each_slot_has_the_noise_of_its_seed(nodes: list[NodeProgram]) -> None:
     """Through the end of the run period, into an episode whose noise continues the sequence of the seed."""
     rows = []
     for make in (fleet, sync):
@@ -125,7 +125,7 @@ def test_each_slot_has_the_noise_of_its_seed(nodes: list[NodeProgram]) -> None:
     assert any(not np.array_equal(*slots) for slots in outdoor[49:72]), "the slots have different noise"
 
 
-def test_wrappers_are_around_the_fleet(nodes: list[NodeProgram]) -> None:
+def test_fleet_env__wrappers_are_around_the_fleet(nodes: list[NodeProgram]) -> None:
     chain = [{"wrapper": "CyclicTime", "fields": ["hour"]}, {"wrapper": "PreviousObservation", "names": []}]
     chain[1]["names"] = ["core_zn_air_temperature"]
     rows = []
@@ -136,7 +136,7 @@ def test_wrappers_are_around_the_fleet(nodes: list[NodeProgram]) -> None:
     assert rows[0] == rows[1]
 
 
-def test_all_commands_are_sent_before_a_sample_is_awaited(
+def test_fleet_env__all_commands_are_sent_before_a_sample_is_awaited(
     nodes: list[NodeProgram], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     calls: list[str] = []
@@ -154,7 +154,7 @@ def test_all_commands_are_sent_before_a_sample_is_awaited(
     assert calls == ["step_async"] * 2 + ["step_wait"] * 2
 
 
-def test_an_invalid_action_names_its_slot_and_nothing_is_simulated(nodes: list[NodeProgram]) -> None:
+def test_fleet_env__invalid_action_names_its_slot_and_nothing_is_simulated(nodes: list[NodeProgram]) -> None:
     with closing(fleet(nodes)) as env:
         env.reset(seed=0)
         action = env.action_space.sample()
@@ -165,7 +165,7 @@ def test_an_invalid_action_names_its_slot_and_nothing_is_simulated(nodes: list[N
         assert env.step(action)[4]["step"].tolist() == [1, 1]
 
 
-def test_slots_begin_anew_by_mask(nodes: list[NodeProgram]) -> None:
+def test_fleet_env__slots_begin_anew_by_mask(nodes: list[NodeProgram]) -> None:
     with closing(fleet(nodes)) as env:
         with pytest.raises(EpisodeChanged, match="call reset"):
             env.step(env.action_space.sample())
@@ -180,7 +180,7 @@ def test_slots_begin_anew_by_mask(nodes: list[NodeProgram]) -> None:
         assert env.step(env.action_space.sample())[4]["step"].tolist() == [4, 1]
 
 
-def test_each_slot_is_an_environment(nodes: list[NodeProgram]) -> None:
+def test_fleet_env__each_slot_is_an_environment(nodes: list[NodeProgram]) -> None:
     with closing(fleet(nodes, render_mode="rgb_array")) as env:
         env.reset(seed=0)
         assert env.call("weather", ["dry_bulb_temperature"])[1].units == ["C"]
@@ -192,7 +192,7 @@ def test_each_slot_is_an_environment(nodes: list[NodeProgram]) -> None:
         env.reset()
 
 
-def test_nodes_at_one_endpoint_share_a_connection(nodes: list[NodeProgram], scratch: Path) -> None:
+def test_fleet_env__nodes_at_one_endpoint_share_a_connection(nodes: list[NodeProgram], scratch: Path) -> None:
     """A node routes between those that connect to it; a router does the same for many."""
     at = nodes[0].endpoint
     with (
@@ -238,7 +238,9 @@ def victim(scratch: Path) -> Iterator[Restartable]:
 
 @pytest.mark.variants
 @each_mode
-def test_a_lost_node_is_one_slots_error(nodes: list[NodeProgram], victim: Restartable, mode: AutoresetMode) -> None:
+def test_fleet_env__lost_node_is_one_slots_error(
+    nodes: list[NodeProgram], victim: Restartable, mode: AutoresetMode
+) -> None:
     """The other slots continue to the bit, and the slot continues once the node is back."""
     with closing(fleet([nodes[0], nodes[1]], mode)) as env:
         actions = actions_for(env, 8)
@@ -284,7 +286,7 @@ def _is_back(env: FleetVectorEnv, action: Any, mode: AutoresetMode) -> bool:
 
 
 @pytest.mark.slow
-def test_a_failed_simulation_is_one_slots_error(nodes: list[NodeProgram], scratch: Path) -> None:
+def test_fleet_env__failed_simulation_is_one_slots_error(nodes: list[NodeProgram], scratch: Path) -> None:
     with (
         NodeProgram(scratch / "own", **DAYS) as own,
         closing(fleet([nodes[0], own], AutoresetMode.SAME_STEP)) as env,
@@ -299,7 +301,7 @@ def test_a_failed_simulation_is_one_slots_error(nodes: list[NodeProgram], scratc
 
 
 @pytest.mark.slow
-def test_errors_are_raised_where_wanted(nodes: list[NodeProgram], victim: Restartable) -> None:
+def test_fleet_env__errors_are_raised_where_wanted(nodes: list[NodeProgram], victim: Restartable) -> None:
     with closing(fleet([nodes[0], victim], on_error="raise")) as env:
         env.reset(seed=0)
         victim.kill()
@@ -310,7 +312,7 @@ def test_errors_are_raised_where_wanted(nodes: list[NodeProgram], victim: Restar
 
 
 @pytest.mark.slow
-def test_no_node_left_is_an_error(victim: Restartable) -> None:
+def test_fleet_env__no_node_left_is_an_error(victim: Restartable) -> None:
     with closing(fleet([victim])) as env:
         env.reset(seed=0)
         victim.kill()
@@ -341,22 +343,22 @@ def test_no_node_left_is_an_error(victim: Restartable) -> None:
         ({"connect": ["tcp/a:1", "tcp/b:1"], "node": "x", "autoreset_mode": "Never"}, "there are: NextStep"),
     ],
 )
-def test_arguments_that_cannot_be(arguments: dict[str, Any], words: str) -> None:
+def test_fleet_env__arguments_that_cannot_be(arguments: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
         gym.make_vec("zenostat/Building-v1", 2, **arguments)
 
 
-def test_an_unknown_argument() -> None:
+def test_fleet_env__unknown_argument() -> None:
     with pytest.raises(UnknownArgument, match="did you mean 'priority'"):
         FleetVectorEnv(["tcp/a:1"], "x", prioriti=3)
 
 
-def test_several_nodes_are_no_single_environment() -> None:
+def test_fleet_env__several_nodes_are_no_single_environment() -> None:
     with pytest.raises(InvalidConfig, match=r"gymnasium\.make_vec"):
         gym.make("zenostat/Building-v1", connect=["tcp/a:1", "tcp/b:1"], node="x")
 
 
-def test_nodes_that_are_not_there_are_all_named(nodes: list[NodeProgram]) -> None:
+def test_fleet_env__nodes_that_are_not_there_are_all_named(nodes: list[NodeProgram]) -> None:
     absent = f"tcp/127.0.0.1:{free_port()}"
     with pytest.raises(
         NodeNotFound, match=rf"(?s)^slot 1 \(node 'b' .*'b' on .*\nslot 2 \(node 'office' at {absent}\)"
@@ -373,13 +375,13 @@ def test_nodes_that_are_not_there_are_all_named(nodes: list[NodeProgram]) -> Non
         ({"control": "zone", "discrete": 4}, "its action space is MultiDiscrete"),
     ],
 )
-def test_nodes_that_do_not_fit_are_named(arguments: dict[str, Any], words: str) -> None:
+def test_fleet_env__nodes_that_do_not_fit_are_named(arguments: dict[str, Any], words: str) -> None:
     manifests = [FakeEnv(**fields).manifest for fields in ({}, {}, arguments)]
     with pytest.raises(InvalidConfig, match=rf"^slot 2 \(node 'c' at tcp/a:1\) does not fit slot 0: {words}"):
         check_compatible(node_addresses("tcp/a:1", ["a", "b", "c"]), manifests)
 
 
-def test_a_node_with_slots_is_refused_and_nothing_is_claimed(nodes: list[NodeProgram], scratch: Path) -> None:
+def test_fleet_env__node_with_slots_is_refused_and_nothing_is_claimed(nodes: list[NodeProgram], scratch: Path) -> None:
     with (
         NodeProgram(scratch / "slots", **DAYS, slots=2) as slots,
         pytest.raises(InvalidConfig, match=r"^slot 1 \(node .* has 2 slots; a fleet needs nodes with one slot$"),
@@ -390,7 +392,7 @@ def test_a_node_with_slots_is_refused_and_nothing_is_claimed(nodes: list[NodePro
         assert not any(c.state.is_connected for c in bus.status("office").controllers)
 
 
-def test_the_halves_of_a_step_come_in_turn() -> None:
+def test_fleet_env__halves_of_a_step_come_in_turn() -> None:
     env = FakeEnv(zones=1, steps_per_hour=1)
     with pytest.raises(EpisodeChanged, match="call reset"):
         env.step_async(np.array([16.0, 25.0], np.float32))

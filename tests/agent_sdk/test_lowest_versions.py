@@ -26,7 +26,7 @@ def normal(name: str) -> str:
     return name.lower().replace("_", "-")
 
 
-def test_the_constraints_are_the_lower_bounds() -> None:
+def test_lowest_versions__constraints_are_the_lower_bounds() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     asked = [*project["dependencies"], *(one for extra in project["optional-dependencies"].values() for one in extra)]
     bounds = dict(re.findall(r"^([\w-]+)(?:\[\w+\])?[>=]=([\d.]+)", "\n".join(asked), re.MULTILINE))
@@ -38,7 +38,7 @@ def test_the_constraints_are_the_lower_bounds() -> None:
 
 
 @pytest.mark.parametrize("package", PACKAGES)
-def test_every_module_imports(package: str) -> None:
+def test_lowest_versions__every_module_imports(package: str) -> None:
     # The walk imports packages once more, after the body of the loop has.
     for module in pkgutil.walk_packages([str(ROOT / package)], f"zenostat.{package}.", onerror=lambda _: None):
         if module.name.endswith("__main__"):
@@ -53,7 +53,7 @@ def test_every_module_imports(package: str) -> None:
                 raise
 
 
-def test_wrappers_of_both_kinds_go_around_vectors() -> None:
+def test_lowest_versions__wrappers_of_both_kinds_go_around_vectors() -> None:
     chain = [
         {"wrapper": "CyclicTime", "fields": ["hour"]},
         {"wrapper": "RescaleAction", "min_action": -1.0, "max_action": 1.0},
@@ -70,6 +70,6 @@ def test_wrappers_of_both_kinds_go_around_vectors() -> None:
         wrapped.close()
 
 
-def test_the_command_line_imports() -> None:
+def test_lowest_versions__command_line_imports() -> None:
     assert Path(zenostat.__file__).parent == ROOT / "src" / "zenostat"
     assert importlib.import_module("zenostat.cli.main").main is not None

@@ -191,7 +191,7 @@ def test_failed_plan__leaves_the_rule() -> None:
     assert obtained == pytest.approx(toy.returns([[[20.0, 26.0]] * 2])[0].tolist())
 
 
-def test_weights() -> None:
+def test_oracle__weights() -> None:
     """MPPI by hand: exp(-1), exp(0) with a temperature of one standard deviation; CEM: the best two of four."""
     weights = path_integral_weights(np.array([0.0, 2.0]), 2.0)  # the standard deviation is 1
     np.testing.assert_allclose(weights, np.array([np.exp(-1.0), 1.0]) / (1.0 + np.exp(-1.0)))
@@ -220,7 +220,7 @@ def test_gaussian_search__blocks_and_bounds() -> None:
     assert np.ptp(search.sample(50), axis=0).max() < 1.0  # the deviation is that of one sample: its least, 1 % of 10 K
 
 
-def test_categorical_search() -> None:
+def test_oracle__categorical_search() -> None:
     """Without spread only the center is drawn; updates move the probabilities halfway to the samples."""
     center = np.array([[0, 2]] * 4)
     exact = CategoricalSearch([3, 3], center, block=2, spread=0.0, random=np.random.default_rng(0))

@@ -13,17 +13,17 @@ HEAVY = ("rerun", "pyenergyplus", "torch", "stable_baselines3", "matplotlib", "p
 
 
 @pytest.mark.parametrize("name", zenostat.__all__)
-def test_each_name_is_offered(name: str) -> None:
+def test_package__each_name_is_offered(name: str) -> None:
     assert getattr(zenostat, name) is not None
     assert name in dir(zenostat)
 
 
-def test_an_unknown_name_is_no_attribute() -> None:
+def test_package__unknown_name_is_no_attribute() -> None:
     with pytest.raises(AttributeError, match="module 'zenostat' has no attribute 'mak'"):
         _ = zenostat.mak
 
 
-def test_importing_the_package_loads_no_environments() -> None:
+def test_package__importing_the_package_loads_no_environments() -> None:
     program = "import sys, zenostat; print(*sorted(sys.modules))"
     loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
     assert not [module for module in loaded if module.split(".")[0] in HEAVY]

@@ -39,7 +39,7 @@ def run(env: Any, action: list[float]) -> list[tuple[dict[str, float], float, di
     return steps
 
 
-def test_the_reward_is_half_the_weighted_power_and_half_the_deviation_of_the_west_zone(datacenter: Any) -> None:
+def test_paper__reward_is_half_the_weighted_power_and_half_the_deviation_of_the_west_zone(datacenter: Any) -> None:
     assert datacenter.observation_space.shape == (28,)
     np.testing.assert_array_equal([datacenter.action_space.low, datacenter.action_space.high], [[15, 22], [22, 30]])
     warm = run(datacenter, [22.0, 30.0])
@@ -59,7 +59,7 @@ def test_the_reward_is_half_the_weighted_power_and_half_the_deviation_of_the_wes
 
 
 @pytest.mark.slow
-def test_both_zones_of_the_corrected_model_obey_the_setpoints() -> None:
+def test_paper__both_zones_of_the_corrected_model_obey_the_setpoints() -> None:
     sinergym()
     with gym.make("zenostat/paper-datacenter_dx-mixed-continuous-v1", **DAY) as env:
         cool, warm = run(env, [15.0, 22.0]), run(env, [22.0, 30.0])
@@ -84,7 +84,7 @@ class Sample(SimpleNamespace):
         (17.0, 18.5, (21.0, 24.0)),  # below: both up
     ],
 )
-def test_the_rule_moves_both_setpoints_while_the_mean_is_outside_the_band(
+def test_paper__rule_moves_both_setpoints_while_the_mean_is_outside_the_band(
     west: float, east: float, expected: tuple[float, float]
 ) -> None:
     bounds = {"heating_setpoint": (15.0, 22.0), "cooling_setpoint": (22.0, 30.0)}
@@ -102,7 +102,7 @@ def test_the_rule_moves_both_setpoints_while_the_mean_is_outside_the_band(
         assert tuple(rule.act(at_bounds).values()) == (15.0, 22.0)
 
 
-def test_the_rule_keeps_the_buildings_own_setpoints_in_the_papers_environment(datacenter: Any) -> None:
+def test_paper__rule_keeps_the_buildings_own_setpoints_in_the_papers_environment(datacenter: Any) -> None:
     """The east zone stays near 27.8 degC and the west zone at 23: their mean is inside the band."""
     agent = Agent(load_controller(RULE)(datacenter.unwrapped.manifest))
     datacenter.reset(seed=0)

@@ -23,5 +23,5 @@ WIDE = Box(np.array([-1, 0], np.float32), np.array([1, 3], np.float32))
         (Discrete(3), Discrete(5), (), "Discrete(3), now Discrete(5)"),
     ],
 )
-def test_difference(trained: Space[object], current: Space[object], names: tuple[str, ...], text: str) -> None:
+def test_policy__difference(trained: Space[object], current: Space[object], names: tuple[str, ...], text: str) -> None:
     assert describe_difference(trained, current, names) == text

@@ -28,7 +28,7 @@ ONE = (np.float32(-1), np.float32(1))
 DAY: dict[str, Any] = {"steps_per_hour": 1, "control": "building"}
 
 
-def test_a_model_behind_rescaled_actions_is_evaluated_afterwards(tmp_path: Path) -> None:
+def test_policy__model_behind_rescaled_actions_is_evaluated_afterwards(tmp_path: Path) -> None:
     """The recipe of docs/vector.md; the commands equal those of the model in the wrapped environment."""
     envs = gym.make_vec("zenostat/Fake-v1", num_envs=2, autoreset_mode="SameStep", **DAY)
     scaled = gym.wrappers.vector.RescaleAction(envs, *ONE)
@@ -55,7 +55,7 @@ def test_a_model_behind_rescaled_actions_is_evaluated_afterwards(tmp_path: Path)
             assert reward == expected_reward
 
 
-def test_the_state_of_wrappers_is_restored_with_and_without_the_chain(tmp_path: Path) -> None:
+def test_policy__state_of_wrappers_is_restored_with_and_without_the_chain(tmp_path: Path) -> None:
     class Mine(gym.Wrapper[Any, Any, Any, Any]):
         """A wrapper of the user's, which cannot be written as data."""
 

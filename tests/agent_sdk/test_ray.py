@@ -59,7 +59,7 @@ def nodes_of(pid: int) -> list[psutil.Process]:
     return [child for child in psutil.Process(pid).children() if "zenostat.eplus_node" in command_of(child)]
 
 
-def test_ppo_trains_and_survives_a_killed_worker(cluster: None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray__ppo_trains_and_survives_a_killed_worker(cluster: None, monkeypatch: pytest.MonkeyPatch) -> None:
     """An EnvRunner is one node with as many slots as cores; another one replaces it, and no node is left of it."""
     monkeypatch.setattr("support.nodes.PATIENCE_S", 600.0)  # a worker of Ray's takes a minute where cores are busy
     algorithm = ppo(runners=1, cores=2, **BUILDING).build_algo()
@@ -84,7 +84,7 @@ def test_ppo_trains_and_survives_a_killed_worker(cluster: None, monkeypatch: pyt
     until(lambda: not runs(node), "the node ends with the algorithm")
 
 
-def test_a_single_environment_samples(cluster: None) -> None:
+def test_ray__single_environment_samples(cluster: None) -> None:
     """In the algorithm's own process, made one by one as Gymnasium's `sync` does."""
     config = ppo(runners=0, cores=1, id="Fake-v1", zones=1)
     algorithm = config.env_runners(num_envs_per_env_runner=2, gym_env_vectorize_mode="sync").build_algo()
@@ -94,7 +94,7 @@ def test_a_single_environment_samples(cluster: None) -> None:
         algorithm.stop()
 
 
-def test_agents_of_zones_pass_rllibs_check() -> None:
+def test_ray__agents_of_zones_pass_rllibs_check() -> None:
     """RLlib 2.60 has a check for several agents only."""
     from ray.rllib.env.wrappers.pettingzoo_env import ParallelPettingZooEnv
     from ray.rllib.utils.pre_checks.env import check_multiagent_environments
@@ -118,7 +118,7 @@ def run_example(name: str, *options: str, folder: Path) -> str:
     return done.stdout
 
 
-def test_tune_finds_the_better_of_two_trials(folder: Path) -> None:
+def test_ray__tune_finds_the_better_of_two_trials(folder: Path) -> None:
     options = [
         "--env",
         "Fake-v1",
@@ -140,7 +140,7 @@ def test_tune_finds_the_better_of_two_trials(folder: Path) -> None:
     assert f"best: lr {best}" in text
 
 
-def test_two_raylets_with_a_token(folder: Path) -> None:
+def test_ray__two_raylets_with_a_token(folder: Path) -> None:
     text = run_example("ray_cluster.py", "--iterations", "1", "--batch", "192", folder=folder)
     assert "2 EnvRunners on 2 raylets" in text
     (steps,) = re.findall(r"^(\d+) steps, return -\d", text, re.MULTILINE)

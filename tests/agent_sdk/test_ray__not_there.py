@@ -22,19 +22,19 @@ without_ray = pytest.mark.skipif(importlib.util.find_spec("ray") is not None, re
     [zenostat.agent_sdk.ray.register, lambda: zenostat.agent_sdk.ray.connect("127.0.0.1:6379")],
     ids=["register", "connect"],
 )
-def test_without_ray_the_command_that_installs_it(call: Callable[[], object]) -> None:
+def test_ray__without_ray_the_command_that_installs_it(call: Callable[[], object]) -> None:
     with pytest.raises(InvalidConfig, match=r"^zenostat\.ray needs ray.*pip install -e '.*\[ray\]'$"):
         call()
 
 
 @pytest.mark.parametrize("address", ["localhost", "ray://somewhere", ":6379", ""])
-def test_an_address_that_cannot_be(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray__address_that_cannot_be(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", sys)
     with pytest.raises(InvalidConfig, match="is not the address of a Ray cluster; write HOST:PORT"):
         zenostat.agent_sdk.ray.connect(address)
 
 
-def test_a_cluster_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ray__cluster_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", sys)
     port = free_port()
     with pytest.raises(NodeNotFound, match=rf"^no Ray cluster answers at 127\.0\.0\.1:{port} \(.*refused.*ray start"):
@@ -42,7 +42,7 @@ def test_a_cluster_that_is_not_there(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("numbers", [{"runners": -1}, {"runners": 1, "cores": 0}, {"runners": 1, "cores": 257}])
-def test_numbers_that_cannot_be(numbers: dict[str, int]) -> None:
+def test_ray__numbers_that_cannot_be(numbers: dict[str, int]) -> None:
     with pytest.raises(InvalidConfig, match=r"a number from (0|1 to 256) expected"):
         zenostat.agent_sdk.ray.set_env_runners(None, **numbers)
 

@@ -49,7 +49,7 @@ PMV, PPD = "Zone Thermal Comfort Fanger Model PMV", "Zone Thermal Comfort Fanger
 NODE_SOUTH = NODE.model_copy(update={"latitude_deg": -33.9})
 
 
-def test_each_kind_is_here() -> None:
+def test_rewards__each_kind_is_here() -> None:
     assert set(MINIMAL_FIELDS) == set(REWARDS)
     assert all(REWARDS[kind].model_fields["kind"].default == kind for kind in REWARDS)
 
@@ -73,7 +73,7 @@ kinds = st.sampled_from(KINDS)
 @pytest.mark.slow
 @settings(max_examples=examples(200), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=1, max_size=4), st.floats(0.0, 0.5))
-def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
+def test_rewards__reward_is_the_sum_of_its_terms_and_none_is_positive(
     kind: str, steps: list[tuple[Array, datetime]], weight: float
 ) -> None:
     bound = reward_config(kind, weight=weight).bind(NODE)
@@ -88,7 +88,7 @@ def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
 @pytest.mark.slow
 @settings(max_examples=examples(100), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=1, max_size=4))
-def test_slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array, datetime]]) -> None:
+def test_rewards__slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array, datetime]]) -> None:
     """Two timesteps, the second with the samples in reverse: what is remembered is each slot's own."""
     reward = reward_config(kind)
     together, alone = reward.bind(NODE), [reward.bind(NODE) for _ in slots]
@@ -107,7 +107,7 @@ def test_slots_are_what_each_of_them_is_alone(kind: str, slots: list[tuple[Array
 
 @settings(max_examples=examples(60), deadline=None)
 @given(kinds, moments, arrays(np.float64, (2, 3, len(UNITS)), elements=st.floats(0.0, 50.0)))
-def test_one_begin_does_for_any_leading_shape(kind: str, begin: datetime, batch: Array) -> None:
+def test_rewards__one_begin_does_for_any_leading_shape(kind: str, begin: datetime, batch: Array) -> None:
     got = reward_config(kind).bind(NODE)(batch, begin)
     assert got.reward.shape == (2, 3)
     assert all(term.shape == (2, 3) for term in (*got.terms.values(), *got.metrics.values()))
@@ -116,7 +116,9 @@ def test_one_begin_does_for_any_leading_shape(kind: str, begin: datetime, batch:
 
 @settings(max_examples=examples(60), deadline=None)
 @given(kinds, st.lists(st.tuples(samples, moments), min_size=2, max_size=6), st.data())
-def test_a_reward_goes_on_from_its_state(kind: str, steps: list[tuple[Array, datetime]], data: st.DataObject) -> None:
+def test_rewards__reward_goes_on_from_its_state(
+    kind: str, steps: list[tuple[Array, datetime]], data: st.DataObject
+) -> None:
     cut = data.draw(st.integers(0, len(steps) - 1))
     straight, first, second = (reward_config(kind).bind(NODE) for _ in range(3))
     for step in steps[:cut]:
@@ -129,7 +131,7 @@ def test_a_reward_goes_on_from_its_state(kind: str, steps: list[tuple[Array, dat
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_reward_leaves_the_values_alone(kind: str) -> None:
+def test_rewards__reward_leaves_the_values_alone(kind: str) -> None:
     sample = values(north=30.0, power=1e4, electricity=1e7)
     sample.flags.writeable = False
     before = sample.copy()
@@ -168,7 +170,7 @@ described = st.sampled_from(sorted(MINIMAL_FIELDS)).flatmap(
 
 @settings(max_examples=examples(200), deadline=None)
 @given(described)
-def test_a_reward_that_was_written_is_read_back(fields: dict[str, Any]) -> None:
+def test_rewards__reward_that_was_written_is_read_back(fields: dict[str, Any]) -> None:
     reward = read_reward(fields)
     assert isinstance(reward, RewardConfig)
     plain = reward.model_dump(mode="json", exclude_defaults=True)
@@ -178,14 +180,14 @@ def test_a_reward_that_was_written_is_read_back(fields: dict[str, Any]) -> None:
     assert read_reward(json.loads(reward.model_dump_json())) == reward
 
 
-def test_only_what_differs_is_written() -> None:
+def test_rewards__only_what_differs_is_written() -> None:
     plain = LinearReward(weight=0.25, power=("fans",)).model_dump(mode="json", exclude_defaults=True)
     assert list(plain.items()) == [("kind", "linear"), ("weight", 0.25), ("power", ["fans"])]
     assert LinearReward().model_dump(mode="json", exclude_defaults=True) == {"kind": "linear"}
 
 
 @pytest.mark.parametrize("kind", MINIMAL_FIELDS)
-def test_no_reward_takes_what_is_no_number_or_not_known(kind: str) -> None:
+def test_rewards__no_reward_takes_what_is_no_number_or_not_known(kind: str) -> None:
     with pytest.raises(InvalidConfig) as raised:
         read_reward({"kind": kind, **MINIMAL_FIELDS[kind], "weight": float("nan"), "wieght": 1})
     assert "weight: " in str(raised.value)
@@ -198,7 +200,7 @@ def test_no_reward_takes_what_is_no_number_or_not_known(kind: str) -> None:
 SENSED = node_of(SENSORS[3], sensor("a", PMV, unit="1"), sensor("b", PMV, unit="1"), sensor("c", PPD, unit="percent"))
 
 
-def test_energypluss_own_votes() -> None:
+def test_rewards__energypluss_own_votes() -> None:
     bound = ThermalSensationReward().bind(SENSED)
     assert bound(np.array([0.0, 0.5, -0.5, 99.0]), WINTER).reward == 0.0
     got = bound(np.array([1000.0, 0.75, -1.5, 99.0]), WINTER)
@@ -206,7 +208,7 @@ def test_energypluss_own_votes() -> None:
     assert got.metrics == pytest.approx({"power_w": 1000.0, "beyond_limit": 1.25, "pmv_mean": -0.375})
 
 
-def test_energypluss_own_dissatisfied_and_those_of_the_votes() -> None:
+def test_rewards__energypluss_own_dissatisfied_and_those_of_the_votes() -> None:
     aggregation = ThermalSensationReward(by="ppd").bind(SENSED)(np.array([0.0, 3.0, 3.0, 30.0]), WINTER)
     assert aggregation.reward == pytest.approx(-0.5 * 0.2)
     assert aggregation.metrics["ppd_mean"] == pytest.approx(30.0)
@@ -215,7 +217,7 @@ def test_energypluss_own_dissatisfied_and_those_of_the_votes() -> None:
     assert voted.reward == pytest.approx(-0.5 * 0.2112, abs=1e-4)
 
 
-def test_the_dissatisfied_of_the_standard() -> None:
+def test_rewards__dissatisfied_of_the_standard() -> None:
     """ISO 7730, table 1 (PMV to PPD in whole percent)."""
     table = {2.0: 77, 1.5: 51, 1.0: 26, 0.5: 10, 0.0: 5, -0.5: 10, -1.0: 26, -2.0: 77}
     assert np.round(percentage_dissatisfied(np.array(list(table)))).tolist() == list(table.values())
@@ -239,7 +241,7 @@ needs_library = pytest.mark.skipif(not HAVE_LIBRARY, reason="pip install -e '.[c
         (27.0, 27.0, 0.30, 60.0, 1.6, 0.5, 0.95, 24),
     ],
 )
-def test_the_votes_of_the_standard(
+def test_rewards__votes_of_the_standard(
     air: float, radiant: float, speed: float, humidity: float, met: float, clo: float, pmv: float, ppd: float
 ) -> None:
     """ISO 7730, annex D, table D.1."""
@@ -256,7 +258,7 @@ def test_the_votes_of_the_standard(
 
 
 @needs_library
-def test_clothing_goes_by_the_season_of_the_building() -> None:
+def test_rewards__clothing_goes_by_the_season_of_the_building() -> None:
     sample = values(north=22.0, south=22.0)
     voted = {
         (node.latitude_deg, begin.month): float(ThermalSensationReward().bind(node)(sample, begin).metrics["pmv_mean"])
@@ -268,7 +270,7 @@ def test_clothing_goes_by_the_season_of_the_building() -> None:
 
 
 @needs_library
-def test_named_sensors_are_computed_from_though_there_are_votes() -> None:
+def test_rewards__named_sensors_are_computed_from_though_there_are_votes() -> None:
     node = node_of(*SENSORS, *SENSED.sensors[1:])
     named = ThermalSensationReward(temperatures="south", radiant="north_radiant", humidities="north_humidity")
     sample = np.append(values(node_of(*SENSORS), south=27.0, north_radiant=27.0), [9.0, 9.0, 99.0])
@@ -287,7 +289,7 @@ def test_thermal_sensation__names_the_install_command_without_the_library(monkey
 # Energy
 
 
-def test_a_power_counts_for_the_timestep_and_a_meter_as_it_is() -> None:
+def test_rewards__power_counts_for_the_timestep_and_a_meter_as_it_is() -> None:
     """A quarter of an hour of 8 kW are 2 kWh."""
     node = node_of(*SENSORS, meters=[meter("gas", "NaturalGas:Facility"), meter("electricity")])
     for energy, kwh in ((None, 5.0), ("electricity", 5.0), ("power", 2.0), ("gas", 7.0), (("power", "gas"), 9.0)):
@@ -298,7 +300,7 @@ def test_a_power_counts_for_the_timestep_and_a_meter_as_it_is() -> None:
         assert got.metrics["power_w"] == pytest.approx(kwh * 4000.0)
 
 
-def test_the_energy_that_is_taken_where_none_is_named() -> None:
+def test_rewards__energy_that_is_taken_where_none_is_named() -> None:
     hvac, facility = meter("hvac", "ELECTRICITY:HVAC"), meter("all", "Electricity:Facility")
     both = node_of(SENSORS[1], SENSORS[3], meters=[hvac, facility])
     sample = np.array([22.0, 4000.0, 2 * KWH, 3 * KWH])
@@ -312,7 +314,7 @@ def test_the_energy_that_is_taken_where_none_is_named() -> None:
     assert PeakReward().bind(none)(sample[:3], WINTER).metrics["energy_kwh"] == pytest.approx(1.0)
 
 
-def test_a_sensor_of_energy_has_to_read_the_sum() -> None:
+def test_rewards__sensor_of_energy_has_to_read_the_sum() -> None:
     fan = {"name": "fan", "variable": "Fan Electricity Energy", "key": "Fan", "unit": "J"}
     summed = node_of(SENSORS[1], Sensor(**fan, aggregation=Aggregation.SUM))
     got = PeakReward(energy="fan").bind(summed)(np.array([22.0, 2 * KWH]), WINTER)
@@ -330,7 +332,7 @@ def test_a_sensor_of_energy_has_to_read_the_sum() -> None:
      ((7, 1), False)],
 )  # fmt: skip
 @pytest.mark.parametrize("kind", ["linear", "exponential", "hourly", "normalized", "energy_cost", "peak", "occupied"])
-def test_summer_is_in_december_south_of_the_equator(kind: str, day: tuple[int, int], summer: bool) -> None:
+def test_rewards__summer_is_in_december_south_of_the_equator(kind: str, day: tuple[int, int], summer: bool) -> None:
     reward: Any = reward_config(kind)
     bound = reward.bind(NODE_SOUTH)
     moment = datetime(2017, *day, 12)
@@ -348,21 +350,21 @@ def test_named_summer__holds_in_both_hemispheres() -> None:
 
 
 @pytest.mark.parametrize("latitude_deg", [None, 0.0, 51.0])
-def test_summer_is_in_june_elsewhere(latitude_deg: float | None) -> None:
+def test_rewards__summer_is_in_june_elsewhere(latitude_deg: float | None) -> None:
     node = NODE.model_copy(update={"latitude_deg": latitude_deg})
     season = LinearReward().season(node)
     assert season.band(SUMMER) == LinearReward().band(SUMMER) == (23.0, 26.0)
     assert season.band(WINTER) == (20.0, 23.5)
 
 
-def test_each_slot_has_its_own_season() -> None:
+def test_rewards__each_slot_has_its_own_season() -> None:
     rows = np.array([values(north=20.0), values(north=20.0), values(north=20.0)])
     got = LinearReward().bind(NODE)(rows, [WINTER, SUMMER, WINTER])
     assert got.metrics["degrees_outside"].tolist() == [0.0, 3.0 + 1.0, 0.0]
 
 
 @pytest.mark.parametrize("day", [(13, 1), (2, 30), (0, 1), (6, 0)])
-def test_a_day_that_is_none(day: tuple[int, int]) -> None:
+def test_rewards__day_that_is_none(day: tuple[int, int]) -> None:
     with pytest.raises(ValidationError, match="a month and a day expected"):
         LinearReward(summer_begin=day)
 
@@ -370,7 +372,7 @@ def test_a_day_that_is_none(day: tuple[int, int]) -> None:
 # What is remembered
 
 
-def test_an_episode_of_one_slot_forgets_that_slots_peak() -> None:
+def test_rewards__episode_of_one_slot_forgets_that_slots_peak() -> None:
     bound = PeakReward().bind(NODE)
     rows = np.array([values(electricity=KWH), values(electricity=2 * KWH)])
     assert bound(rows, WINTER).terms["peak"] == pytest.approx([-4.0, -8.0])
@@ -381,7 +383,7 @@ def test_an_episode_of_one_slot_forgets_that_slots_peak() -> None:
     assert bound(rows, WINTER).terms["peak"] == pytest.approx([-4.0, -8.0])
 
 
-def test_a_state_is_a_copy_and_an_empty_one_is_the_beginning() -> None:
+def test_rewards__state_is_a_copy_and_an_empty_one_is_the_beginning() -> None:
     bound = NormalizedReward().bind(NODE)
     begin = bound.state()
     bound(values(power=1000.0), WINTER)
@@ -394,7 +396,7 @@ def test_a_state_is_a_copy_and_an_empty_one_is_the_beginning() -> None:
     assert json.loads(json.dumps(kept)) == kept == {"max_power_w": 1000.0, "max_degrees": 0.0}
 
 
-def test_the_state_of_another_reward_and_other_slots_are_refused() -> None:
+def test_rewards__state_of_another_reward_and_other_slots_are_refused() -> None:
     bound = NormalizedReward().bind(NODE)
     with pytest.raises(InvalidConfig, match="has the state max_power_w, max_degrees, not month, peak_kw"):
         bound.restore({"month": 1, "peak_kw": 2})

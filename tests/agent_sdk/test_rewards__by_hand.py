@@ -40,7 +40,7 @@ from zenostat.agent_sdk.rewards import (
 from zenostat.topics.errors import InvalidConfig
 
 
-def test_exponential() -> None:
+def test_rewards__exponential() -> None:
     bound = ExponentialReward().bind(NODE)
     assert bound(values(north=20.0, south=23.5), WINTER).reward == 0.0  # the ends belong to the band
     got = bound(values(north=18.0, south=24.5, power=2000.0), WINTER)
@@ -56,7 +56,7 @@ def test_exponential() -> None:
     [((9, 20), 8, False), ((9, 20), 9, True), ((9, 20), 19, True), ((9, 20), 20, False), ((22, 6), 23, True),
      ((22, 6), 5, True), ((22, 6), 6, False), ((22, 6), 12, False)],
 )  # fmt: skip
-def test_hourly(hours: tuple[int, int], hour: int, inside: bool) -> None:
+def test_rewards__hourly(hours: tuple[int, int], hour: int, inside: bool) -> None:
     sample, begin = values(north=18.0, power=1000.0), WINTER.replace(hour=hour, minute=45)
     got = HourlyReward(weight=0.4, hours=hours).bind(NODE)(sample, begin)
     expected = {"energy": -0.04, "comfort": -1.2} if inside else {"energy": -0.1, "comfort": 0.0}
@@ -65,7 +65,7 @@ def test_hourly(hours: tuple[int, int], hour: int, inside: bool) -> None:
     assert half.terms["comfort"] == pytest.approx(-1.2 if inside else -1.0)
 
 
-def test_each_slot_has_its_own_hour() -> None:
+def test_rewards__each_slot_has_its_own_hour() -> None:
     rows, begins = np.array([values(power=1000.0)] * 2), [WINTER, WINTER.replace(hour=3)]
     assert HourlyReward(weight=0.4).bind(NODE)(rows, begins).terms["energy"] == pytest.approx([-0.04, -0.1])
     costs = reward_config("tariff").bind(NODE)(np.array([values(electricity=KWH)] * 2), begins).metrics["cost"]
@@ -76,7 +76,7 @@ def test_each_slot_has_its_own_hour() -> None:
     assert later == pytest.approx([0.0, -4.0])
 
 
-def test_normalised_by_what_was_seen() -> None:
+def test_rewards__normalised_by_what_was_seen() -> None:
     bound = NormalizedReward(weight=0.25).bind(NODE)
     nothing = bound(values(), WINTER)
     assert (nothing.reward, nothing.metrics["max_power_w"]) == (0.0, 0.0)  # 0 of 0 is 0
@@ -99,7 +99,7 @@ def test_normalized_reward__uses_given_limits() -> None:
         NormalizedReward(moving=False, max_power_w=1.0)
 
 
-def test_the_maxima_stay_unless_they_are_to_be_forgotten() -> None:
+def test_rewards__maxima_stay_unless_they_are_to_be_forgotten() -> None:
     for forget, share in ((False, -0.25), (True, -0.5)):
         bound = NormalizedReward(forget=forget).bind(NODE)
         bound(values(power=2000.0), WINTER)
@@ -107,7 +107,7 @@ def test_the_maxima_stay_unless_they_are_to_be_forgotten() -> None:
         assert bound(values(power=1000.0), WINTER).terms["energy"] == pytest.approx(share)
 
 
-def test_multi_zone_by_the_thermostats_with_the_zones_keys() -> None:
+def test_rewards__multi_zone_by_the_thermostats_with_the_zones_keys() -> None:
     bound = MultiZoneReward().bind(NODE)
     assert bound(values(north=20.5, south=25.5), WINTER).reward == 0.0
     got = bound(values(north=19.5, south=26.5, power=1000.0), SUMMER)  # 20.5 and 25.5 are the ends
@@ -115,7 +115,7 @@ def test_multi_zone_by_the_thermostats_with_the_zones_keys() -> None:
     assert got.terms == pytest.approx({"energy": -0.05, "comfort": -1.0})
 
 
-def test_multi_zone_by_names() -> None:
+def test_rewards__multi_zone_by_names() -> None:
     one = MultiZoneReward(zones={"north": "south_heating"}, threshold=1.0).bind(NODE)  # 19 to 21
     assert one(values(north=22.5), WINTER).metrics["degrees_outside"] == pytest.approx(1.5)
     assert one(values(north=18.0, south=0.0), WINTER).metrics["degrees_outside"] == pytest.approx(1.0)
@@ -128,7 +128,7 @@ PRICE = {"table": PERIODS, "otherwise": 100.0, "unit": "EUR/MWh"}
 
 
 @pytest.mark.parametrize(("hour", "price"), [(7, 0.1), (8, 0.3), (19, 0.3), (20, 0.1)])
-def test_energy_cost(hour: int, price: float) -> None:
+def test_rewards__energy_cost(hour: int, price: float) -> None:
     bound = EnergyCostReward.model_validate({"price": PRICE, "lambda_cost": 2.0}).bind(NODE)
     got = bound(values(electricity=5 * KWH, north=18.0, power=1e9), WINTER.replace(hour=hour))
     assert got.metrics == pytest.approx(
@@ -137,21 +137,21 @@ def test_energy_cost(hour: int, price: float) -> None:
     assert got.terms == pytest.approx({"energy": -0.8, "comfort": -0.8, "cost": -0.2 * 2.0 * 5.0 * price})
 
 
-def test_a_price_below_zero_is_an_income() -> None:
+def test_rewards__price_below_zero_is_an_income() -> None:
     reward = EnergyCostReward.model_validate(
         {"price": {"value": -0.5, "unit": "EUR/kWh"}, "weight": 0.0, "weight_temperature": 0.0}
     )
     assert reward.bind(NODE)(values(electricity=KWH), WINTER).reward == pytest.approx(0.5)
 
 
-def test_the_weights_of_energy_cost_fit() -> None:
+def test_rewards__weights_of_energy_cost_fit() -> None:
     with pytest.raises(InvalidConfig, match="above 1"):
         reward_config("energy_cost", weight=0.7, weight_temperature=0.4)
     bound = reward_config("energy_cost", weight=0.7, weight_temperature=0.3).bind(NODE)
     assert bound(values(electricity=KWH), WINTER).terms["cost"] == pytest.approx(0.0, abs=1e-12)
 
 
-def test_tariff() -> None:
+def test_rewards__tariff() -> None:
     bound = TariffReward.model_validate({**MINIMAL_FIELDS["tariff"], "weight": 0.25, "lambda_cost": 2.0}).bind(NODE)
     monday = bound(values(electricity=10 * KWH, north=18.0), WINTER)
     assert monday.terms == pytest.approx({"cost": -0.25 * 2.0 * 3.0, "comfort": -1.5})
@@ -160,7 +160,7 @@ def test_tariff() -> None:
     assert sunday.metrics["cost"] == pytest.approx(1.0)
 
 
-def test_carbon() -> None:
+def test_rewards__carbon() -> None:
     bound = reward_config("carbon", weight=0.25, lambda_carbon=2.0).bind(NODE)  # the intensity of hour k is k g/kWh
     got = bound(values(electricity=10 * KWH, north=18.0), datetime(2017, 1, 11, 10, 30))
     assert got.metrics == pytest.approx({"degrees_outside": 2.0, "energy_kwh": 10.0, "co2_kg": 2.5})
@@ -169,7 +169,7 @@ def test_carbon() -> None:
     assert heavy(values(electricity=KWH), WINTER).metrics["co2_kg"] == pytest.approx(0.4)
 
 
-def test_peak() -> None:
+def test_rewards__peak() -> None:
     """Kilowatts of quarters of an hour, from the threshold of 10 on; the new month begins anew."""
     bound = PeakReward(threshold_kw=10.0, lambda_peak=3.0, weight=0.5).bind(NODE)
     begin = datetime(2017, 1, 31, 23)
@@ -184,7 +184,7 @@ def test_peak() -> None:
     assert same_month_next_year.terms["peak"] == pytest.approx(-3.0)
 
 
-def test_occupied_cost() -> None:
+def test_rewards__occupied_cost() -> None:
     """Wednesday 11 January: quarters of an hour with 2.5 kWh (10 kW) and 4 kWh (16 kW), 8 kWh of gas, three people."""
     bound = read_reward(
         {
@@ -217,7 +217,7 @@ def test_occupied_cost() -> None:
     assert bound(sample, datetime(2017, 1, 12)).terms["peak"] == 0.0  # below the month's peak
 
 
-def test_occupied_cost_charges_the_peak_of_another_meter() -> None:
+def test_rewards__occupied_cost_charges_the_peak_of_another_meter() -> None:
     """The bill is on electricity, the peak on 20 kW of a power sensor; without a price gas is not counted."""
     reward = {"kind": "occupied_cost", "price": {"value": 0.2, "unit": "EUR/kWh"}, "demand": "power"}
     got = read_reward(reward).bind(NODE)(values(electricity=KWH, gas=KWH, power=2e4), WINTER)
@@ -227,7 +227,7 @@ def test_occupied_cost_charges_the_peak_of_another_meter() -> None:
 
 
 @given(st.lists(st.floats(0.0, 1e3), min_size=1, max_size=20), st.floats(0.0, 500.0))
-def test_a_month_of_peaks_is_a_demand_charge(kilowatts: list[float], threshold_kw: float) -> None:
+def test_rewards__month_of_peaks_is_a_demand_charge(kilowatts: list[float], threshold_kw: float) -> None:
     bound = PeakReward(threshold_kw=threshold_kw).bind(NODE)
     begin = datetime(2017, 7, 1)
     terms = [bound(values(electricity=kw / 4 * KWH), begin).terms["peak"] for kw in kilowatts]
@@ -249,14 +249,14 @@ def test_a_month_of_peaks_is_a_demand_charge(kilowatts: list[float], threshold_k
         ({"temperatures": ("south",)}, (3.0, 2.0), 1.0),
     ],
 )
-def test_occupied(more: dict[str, Any], people: tuple[float, float], degrees_outside: float) -> None:
+def test_rewards__occupied(more: dict[str, Any], people: tuple[float, float], degrees_outside: float) -> None:
     sample = values(north=18.0, south=24.5, power=1000.0, north_people=people[0], south_people=people[1])
     got = OccupiedReward(**more).bind(NODE)(sample, WINTER)
     assert got.metrics["degrees_outside"] == pytest.approx(degrees_outside)
     assert got.terms == pytest.approx({"energy": -0.05, "comfort": -0.5 * degrees_outside})
 
 
-def test_zones_without_people_are_left_out_unless_they_are_named() -> None:
+def test_rewards__zones_without_people_are_left_out_unless_they_are_named() -> None:
     node = node_of(*SENSORS[:6])  # the people of the south are not measured
     got = OccupiedReward().bind(node)(values(node, north=19.0, south=0.0, north_people=2.0), WINTER)
     assert got.metrics == pytest.approx({"power_w": 0.0, "degrees_outside": 1.0, "people": 2.0})

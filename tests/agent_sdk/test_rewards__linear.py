@@ -53,7 +53,7 @@ def values(north: float, south: float, power_w: float) -> np.ndarray[Any, np.dty
         (22.0, 28.0, 1000.0, SUMMER, -0.05 - 0.5 * (1.0 + 2.0)),
     ],
 )
-def test_the_hand_and_the_reward_agree(
+def test_rewards__hand_and_the_reward_agree(
     north: float, south: float, power_w: float, begin: datetime, reward: float
 ) -> None:
     got = LinearReward().bind(NODE)(values(north, south, power_w), begin)
@@ -67,12 +67,12 @@ def test_linear_reward__reports_its_terms_and_metrics() -> None:
 
 
 @pytest.mark.parametrize(("weight", "reward"), [(0.0, -3.0), (1.0, -0.1), (0.25, -0.025 - 2.25)])
-def test_the_weight_is_that_of_energy(weight: float, reward: float) -> None:
+def test_rewards__weight_is_that_of_energy(weight: float, reward: float) -> None:
     got = LinearReward(weight=weight).bind(NODE)(values(17.0, 22.0, 1000.0), WINTER)
     assert got.reward == pytest.approx(reward)
 
 
-def test_the_factors_scale_their_terms() -> None:
+def test_rewards__factors_scale_their_terms() -> None:
     bound = LinearReward(lambda_energy=2e-4, lambda_temperature=3.0).bind(NODE)
     terms = bound(values(19.0, 22.0, 1000.0), WINTER).terms
     assert (terms["energy"], terms["comfort"]) == pytest.approx((-0.1, -1.5))
@@ -93,7 +93,7 @@ def test_the_factors_scale_their_terms() -> None:
         (datetime(1999, 7, 1), (23.0, 26.0)),
     ],
 )
-def test_summer_is_from_june_to_september_both_included(day: datetime, band: tuple[float, float]) -> None:
+def test_rewards__summer_is_from_june_to_september_both_included(day: datetime, band: tuple[float, float]) -> None:
     assert LinearReward().band(day) == band
 
 
@@ -104,12 +104,12 @@ def test_summer_is_from_june_to_september_both_included(day: datetime, band: tup
         (11, 30, False),
     ],
 )  # fmt: skip
-def test_a_summer_may_span_new_year(month: int, day: int, summer: bool) -> None:
+def test_rewards__summer_may_span_new_year(month: int, day: int, summer: bool) -> None:
     reward = LinearReward(summer_begin=(12, 1), summer_end=(2, 28))
     assert reward.band(datetime(2016, month, day)) == ((23.0, 26.0) if summer else (20.0, 23.5))
 
 
-def test_a_summer_of_one_day() -> None:
+def test_rewards__summer_of_one_day() -> None:
     reward = LinearReward(summer_begin=(7, 1), summer_end=(7, 1))
     bands = [reward.band(datetime(2017, 7, day)) == reward.summer for day in (1, 2)]
     assert bands == [True, False]
@@ -117,7 +117,7 @@ def test_a_summer_of_one_day() -> None:
 
 
 @given(st.datetimes(datetime(2016, 1, 1), datetime(2017, 12, 31)), st.booleans())
-def test_the_year_and_the_hour_do_not_matter(moment: datetime, spans: bool) -> None:
+def test_rewards__year_and_the_hour_do_not_matter(moment: datetime, spans: bool) -> None:
     reward = LinearReward(summer_begin=(11, 1), summer_end=(3, 31)) if spans else LinearReward()
     summer_months = {11, 12, 1, 2, 3} if spans else {6, 7, 8, 9}
     assert (reward.band(moment) == reward.summer) == (moment.month in summer_months)
@@ -126,7 +126,7 @@ def test_the_year_and_the_hour_do_not_matter(moment: datetime, spans: bool) -> N
 # Shapes
 
 
-def test_one_sample_gives_one_number() -> None:
+def test_rewards__one_sample_gives_one_number() -> None:
     reward, terms, measures = LinearReward().bind(NODE)(values(21.0, 22.0, 1000.0), WINTER)
     assert np.ndim(reward) == 0
     assert isinstance(float(reward), float)
@@ -138,7 +138,7 @@ many = arrays(np.float64, st.tuples(st.integers(0, 3), st.integers(1, 3), st.jus
 
 
 @given(many, st.sampled_from([WINTER, SUMMER]), st.floats(0, 1))
-def test_the_reward_has_the_leading_shape_and_is_that_of_each_sample(
+def test_rewards__reward_has_the_leading_shape_and_is_that_of_each_sample(
     batch: np.ndarray[Any, Any], begin: datetime, weight: float
 ) -> None:
     bound = LinearReward(weight=weight).bind(NODE)
@@ -150,7 +150,7 @@ def test_the_reward_has_the_leading_shape_and_is_that_of_each_sample(
 
 
 @given(finite, finite, st.floats(0, 1e6), st.sampled_from([WINTER, SUMMER]), st.floats(0, 1))
-def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
+def test_rewards__reward_is_the_sum_of_its_terms_and_none_is_positive(
     north: float, south: float, power_w: float, begin: datetime, weight: float
 ) -> None:
     reward, terms, measures = LinearReward(weight=weight).bind(NODE)(values(north, south, power_w), begin)
@@ -161,7 +161,7 @@ def test_the_reward_is_the_sum_of_its_terms_and_none_is_positive(
 
 
 @given(finite, st.floats(0, 10))
-def test_further_out_is_never_better(temperature: float, further: float) -> None:
+def test_rewards__further_out_is_never_better(temperature: float, further: float) -> None:
     bound = LinearReward().bind(NODE)
     away = temperature + (further if temperature >= 22.0 else -further)
     assert bound(values(away, 22.0, 0.0), WINTER)[0] <= bound(values(temperature, 22.0, 0.0), WINTER)[0]
@@ -170,12 +170,12 @@ def test_further_out_is_never_better(temperature: float, further: float) -> None
 # The points
 
 
-def test_points_may_be_named() -> None:
+def test_rewards__points_may_be_named() -> None:
     bound = LinearReward(power="power", temperatures=("south",)).bind(NODE)
     assert bound(values(-30.0, 22.0, 1000.0), WINTER)[0] == pytest.approx(-0.05)
 
 
-def test_several_powers_are_added_up() -> None:
+def test_rewards__several_powers_are_added_up() -> None:
     node = manifest(sensors=[sensor("fans", "Fan Electricity Rate", unit="W"), *NODE.sensors])
     sample = np.array([700.0, *values(21.0, 22.0, 1000.0)[:-1]])
     for named, watts in (("fans", 700.0), (["fans"], 700.0), (("power", "fans"), 1700.0)):
@@ -184,7 +184,7 @@ def test_several_powers_are_added_up() -> None:
         assert reward == pytest.approx(-0.5 * 1e-4 * watts)
 
 
-def test_the_variables_are_found_in_any_case_and_mean_temperatures_serve_where_there_are_no_others() -> None:
+def test_rewards__variables_are_found_in_any_case_and_mean_temperatures_serve_where_there_are_no_others() -> None:
     node = manifest(sensors=[sensor("p", POWER.upper(), unit="W"), sensor("t", "ZONE MEAN AIR TEMPERATURE")])
     assert LinearReward().bind(node)(np.array([0.0, 19.0]), WINTER)[0] == pytest.approx(-0.5)
     both = manifest(sensors=[*node.sensors, sensor("u", "Zone Air Temperature")])
@@ -212,12 +212,12 @@ MISSING: dict[str, tuple[LinearReward, Manifest, str]] = {
 
 
 @pytest.mark.parametrize(("reward", "node", "words"), MISSING.values(), ids=MISSING)
-def test_a_point_that_is_missing_is_named(reward: LinearReward, node: Manifest, words: str) -> None:
+def test_rewards__point_that_is_missing_is_named(reward: LinearReward, node: Manifest, words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
         reward.bind(node)
 
 
-def test_joules_are_not_taken_for_watts() -> None:
+def test_rewards__joules_are_not_taken_for_watts() -> None:
     with pytest.raises(InvalidConfig, match="'electricity'"):
         LinearReward(power="electricity").bind(NODE)
     with pytest.raises(InvalidConfig, match="'electricity'"):
@@ -227,11 +227,11 @@ def test_joules_are_not_taken_for_watts() -> None:
 # As a scenario names it
 
 
-def test_a_kind_alone_is_the_reward_with_its_defaults() -> None:
+def test_rewards__kind_alone_is_the_reward_with_its_defaults() -> None:
     assert read_reward("linear") == read_reward({"kind": "linear"}) == LinearReward()
 
 
-def test_a_scenario_names_the_parameters() -> None:
+def test_rewards__scenario_names_the_parameters() -> None:
     fields = {"kind": "linear", "weight": 0.3, "winter": [19, 22], "summer_begin": [5, 1], "power": "p"}
     named = LinearReward(weight=0.3, winter=(19.0, 22.0), summer_begin=(5, 1), power=("p",))
     assert read_reward(fields) == named
@@ -246,7 +246,7 @@ def test_a_scenario_names_the_parameters() -> None:
     ],
     ids=str,
 )
-def test_a_kind_that_is_not_there_is_refused(fields: Any, words: str) -> None:
+def test_rewards__kind_that_is_not_there_is_refused(fields: Any, words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
         read_reward(fields)
 
@@ -267,12 +267,12 @@ def test_read_reward__reports_all_errors_at_once() -> None:
         {"lambda_temperature": -1.0}, {"winter": (24.0, 20.0)}, {"summer": (23.0, 23.0)}, {"lambda_enrgy": 1.0},
     ],
 )  # fmt: skip
-def test_a_reward_that_cannot_be_is_not_made(wrong: dict[str, Any]) -> None:
+def test_rewards__reward_that_cannot_be_is_not_made(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         LinearReward(**wrong)
 
 
-def test_a_reward_cannot_be_changed() -> None:
+def test_rewards__reward_cannot_be_changed() -> None:
     reward = LinearReward()
     with pytest.raises(ValidationError, match="frozen"):
         reward.weight = 0.1

@@ -73,14 +73,14 @@ UNBINDABLE: dict[str, tuple[RewardConfig, Manifest, str]] = {
 
 
 @pytest.mark.parametrize(("reward", "node", "words"), UNBINDABLE.values(), ids=UNBINDABLE)
-def test_a_point_that_is_missing_is_named_when_the_reward_is_bound(
+def test_rewards__point_that_is_missing_is_named_when_the_reward_is_bound(
     reward: RewardConfig, node: Manifest, words: str
 ) -> None:
     with pytest.raises(InvalidConfig, match=words):
         reward.bind(node)
 
 
-def test_a_file_of_prices_is_read_when_the_reward_is_bound(tmp_path: Path) -> None:
+def test_rewards__file_of_prices_is_read_when_the_reward_is_bound(tmp_path: Path) -> None:
     reward = reward_config(
         "energy_cost", price={"csv": str(tmp_path / "none.csv"), "column": "value", "unit": "EUR/MWh"}
     )
@@ -103,7 +103,7 @@ def test_a_file_of_prices_is_read_when_the_reward_is_bound(tmp_path: Path) -> No
     ],
     ids=str,
 )  # fmt: skip
-def test_a_reward_that_cannot_be(kind: str, wrong: dict[str, Any]) -> None:
+def test_rewards__reward_that_cannot_be(kind: str, wrong: dict[str, Any]) -> None:
     with pytest.raises(InvalidConfig, match=next(iter(wrong))):
         reward_config(kind, **wrong)
 
@@ -115,20 +115,20 @@ def saving(values: Mapping[str, Any], begin: datetime) -> dict[str, Any]:
     return {"energy": -values["power"] / 1000.0, "night": -1.0 if begin.hour < 6 else 0.0}
 
 
-def test_a_function_is_a_reward() -> None:
+def test_rewards__function_is_a_reward() -> None:
     bound = read_reward(saving).bind(NODE)
     got = bound(values(power=2000.0), WINTER.replace(hour=3))
     assert got == Outcome(-3.0, {"energy": -2.0, "night": -1.0}, {})
     assert (bound.state(), type(got.terms["energy"])) == ({}, float)
 
 
-def test_a_function_may_give_one_number() -> None:
+def test_rewards__function_may_give_one_number() -> None:
     for function in (lambda v, b: -v["power"], lambda v, b: {"reward": -v["power"]}):
         got = from_function(function).bind(NODE)(values(power=2.0), WINTER)
         assert (got.reward, got.terms) == (-2.0, {"reward": -2.0})
 
 
-def test_a_function_sees_arrays_where_there_are_slots() -> None:
+def test_rewards__function_sees_arrays_where_there_are_slots() -> None:
     def warm(values: Mapping[str, Any], begin: Sequence[datetime]) -> dict[str, Any]:
         return {"north": -values["north"], "fixed": -1.0, "month": -np.array([b.month for b in begin])}
 
@@ -158,7 +158,7 @@ class Counting:
         self.count = state["count"]
 
 
-def test_a_class_is_made_for_each_use_and_may_remember() -> None:
+def test_rewards__class_is_made_for_each_use_and_may_remember() -> None:
     reward = read_reward(Counting)
     first, second = reward.bind(NODE), reward.bind(NODE)
     assert [first(values(), WINTER).reward for _ in range(3)] == [-1.0, -2.0, -3.0]
@@ -170,7 +170,7 @@ def test_a_class_is_made_for_each_use_and_may_remember() -> None:
     assert read_reward(Counting()).bind(NODE)(values(), WINTER).reward == -1.0
 
 
-def test_what_can_be_bound_is_taken_as_it_is() -> None:
+def test_rewards__what_can_be_bound_is_taken_as_it_is() -> None:
     linear = LinearReward()
     assert read_reward(linear) is linear
     assert read_reward(LinearReward) == linear
@@ -183,7 +183,7 @@ def test_what_can_be_bound_is_taken_as_it_is() -> None:
 
 
 @pytest.mark.parametrize("wrong", [5, None, [1], 2.5], ids=str)
-def test_what_is_no_reward(wrong: Any) -> None:
+def test_rewards__what_is_no_reward(wrong: Any) -> None:
     with pytest.raises(InvalidConfig, match=r"reward: a kind \(linear, .*expected, got"):
         read_reward(wrong)
 
@@ -196,7 +196,7 @@ class Needy:
         return -self.weight
 
 
-def test_a_function_or_class_that_does_not_fit() -> None:
+def test_rewards__function_or_class_that_does_not_fit() -> None:
     for function in (lambda: 0.0, lambda v: 0.0, lambda v, b, more: 0.0, type("Silent", (), {}), object):
         with pytest.raises(InvalidConfig, match=r"should take \(values, begin\)"):
             read_reward(function)
@@ -207,7 +207,7 @@ def test_a_function_or_class_that_does_not_fit() -> None:
 
 
 @pytest.mark.parametrize("term", [float("nan"), float("inf"), None, "much", [1.0, 2.0]], ids=str)
-def test_a_term_that_is_no_number(term: Any) -> None:
+def test_rewards__term_that_is_no_number(term: Any) -> None:
     for gives in (term, {"comfort": term}):
         name = "comfort" if isinstance(gives, dict) else "reward"
         with pytest.raises(InvalidConfig, match=f"returned .* for '{name}'; a finite number expected"):
@@ -219,14 +219,14 @@ def asks_for_norht(values: Mapping[str, Any], begin: datetime) -> float:
 
 
 @pytest.mark.parametrize("slots", [None, 2])
-def test_a_function_that_asks_for_a_point_that_is_not_there(slots: int | None) -> None:
+def test_rewards__function_that_asks_for_a_point_that_is_not_there(slots: int | None) -> None:
     observation = values() if slots is None else np.array([values()] * slots)
     with pytest.raises(UnknownName, match=r"asks_for_norht reads 'norht', .*did you mean 'north'") as raised:
         read_reward(asks_for_norht).bind(NODE)(observation, WINTER if slots is None else [WINTER] * slots)
     assert isinstance(raised.value.__cause__, KeyError)
 
 
-def test_a_function_may_look_whether_a_point_is_there() -> None:
+def test_rewards__function_may_look_whether_a_point_is_there() -> None:
     def careful(values: Mapping[str, Any], begin: datetime) -> float:
         try:
             return float(values["norht"])
@@ -237,7 +237,7 @@ def test_a_function_may_look_whether_a_point_is_there() -> None:
 
 
 @pytest.mark.parametrize("error", [KeyError("tariff"), ZeroDivisionError("by nothing"), InvalidConfig("mine")], ids=str)
-def test_other_exceptions_of_a_function_are_its_own(error: Exception) -> None:
+def test_rewards__other_exceptions_of_a_function_are_its_own(error: Exception) -> None:
     def broken(values: Mapping[str, Any], begin: datetime) -> float:
         raise error
 
@@ -248,7 +248,7 @@ def test_other_exceptions_of_a_function_are_its_own(error: Exception) -> None:
 
 
 @pytest.mark.slow
-def test_the_example() -> None:
+def test_rewards__example() -> None:
     example = Path(__file__).parents[2] / "examples" / "own_reward.py"
     done = subprocess.run([sys.executable, str(example)], capture_output=True, text=True, timeout=120)
     assert done.returncode == 0, done.stderr
@@ -258,5 +258,5 @@ def test_the_example() -> None:
     assert steady.startswith("Steady: reward -")
 
 
-def test_what_is_offered_is_there() -> None:
+def test_rewards__what_is_offered_is_there() -> None:
     assert [name for name in rewards.__all__ if not hasattr(rewards, name)] == []

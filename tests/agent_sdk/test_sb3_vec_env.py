@@ -69,7 +69,7 @@ def same(one: Any, other: Any) -> bool:
 @pytest.mark.parametrize(
     "form", [{}, {"terminate": [WARM]}, {"discrete": 4, "terminate": [WARM]}, {"terminate": [LAST]}], ids=str
 )
-def test_it_is_equal_to_a_dummy_vec_env(form: dict[str, Any]) -> None:
+def test_sb3_vec_env__it_is_equal_to_a_dummy_vec_env(form: dict[str, Any]) -> None:
     """Observations, rewards, dones and infos, through the ends of episodes; some cut by time, some by a limit."""
     ours, theirs = fakes(**form), apart(**form)
     assert ours.observation_space == theirs.observation_space
@@ -95,7 +95,7 @@ def test_it_is_equal_to_a_dummy_vec_env(form: dict[str, Any]) -> None:
     assert ours.reset().tobytes() == theirs.reset().tobytes(), "seeds serve once"
 
 
-def test_attributes_and_methods_of_slots() -> None:
+def test_sb3_vec_env__attributes_and_methods_of_slots() -> None:
     ours, theirs = fakes(equipment_control=True), apart(equipment_control=True)
     for env in (ours, theirs):
         env.reset()
@@ -111,7 +111,7 @@ def test_attributes_and_methods_of_slots() -> None:
     assert (ours.render_mode, ours.num_envs) == (None, 3)
 
 
-def test_gymnasiums_own_statistics_stand_in_the_info_of_the_end() -> None:
+def test_sb3_vec_env__gymnasiums_own_statistics_stand_in_the_info_of_the_end() -> None:
     envs = RecordEpisodeStatistics(FakeVectorEnv(2, zones=1, steps_per_hour=1, autoreset_mode=AutoresetMode.SAME_STEP))
     env = as_sb3(envs)
     env.reset()
@@ -127,7 +127,7 @@ def test_gymnasiums_own_statistics_stand_in_the_info_of_the_end() -> None:
     env.close()
 
 
-def test_wrappers_around_the_vector_are_seen() -> None:
+def test_sb3_vec_env__wrappers_around_the_vector_are_seen() -> None:
     inner = FakeVectorEnv(2, autoreset_mode=SAME, time=("hour",), **DAY)
     env = as_sb3(CyclicTime(inner, ["hour"]))
     assert env.get_attr("observation_names", 1)[0][-1] == "hour_cos"
@@ -146,7 +146,7 @@ def test_wrappers_around_the_vector_are_seen() -> None:
     assert not ended.any()
 
 
-def test_pictures() -> None:
+def test_sb3_vec_env__pictures() -> None:
     pytest.importorskip("matplotlib")
     ours, theirs = fakes(2, render_mode="rgb_array"), apart(2, render_mode="rgb_array")
     for env in (ours, theirs):
@@ -155,7 +155,7 @@ def test_pictures() -> None:
     assert np.array_equal(ours.render(), theirs.render())
 
 
-def test_what_cannot_be() -> None:
+def test_sb3_vec_env__what_cannot_be() -> None:
     with pytest.raises(InvalidConfig, match=r"autoreset_mode is AutoresetMode\.NEXT_STEP: make it with"):
         as_sb3(FakeVectorEnv(2, **DAY))
     env = fakes(2)
@@ -173,7 +173,7 @@ def test_what_cannot_be() -> None:
     env.close()
 
 
-def test_without_stable_baselines_it_says_what_to_install() -> None:
+def test_sb3_vec_env__without_stable_baselines_it_states_what_to_install() -> None:
     program = "import sys; sys.modules['stable_baselines3'] = None\nimport zenostat.agent_sdk.envs.sb3_vec_env"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert "[train]'" in done.stderr
@@ -182,7 +182,7 @@ def test_without_stable_baselines_it_says_what_to_install() -> None:
 # Algorithms
 
 
-def test_ppo_learns_the_same_weights_as_on_a_dummy_vec_env() -> None:
+def test_sb3_vec_env__ppo_learns_the_same_weights_as_on_a_dummy_vec_env() -> None:
     learnt = []
     for env in (fakes(4, terminate=[WARM]), apart(4, terminate=[WARM])):
         scaled = VecNormalize(VecMonitor(env))
@@ -196,7 +196,7 @@ def test_ppo_learns_the_same_weights_as_on_a_dummy_vec_env() -> None:
     assert all(torch.equal(learnt[0][name], learnt[1][name]) for name in learnt[0])
 
 
-def test_evaluation_by_stable_baselines() -> None:
+def test_sb3_vec_env__evaluation_by_stable_baselines() -> None:
     model = SAC("MlpPolicy", fakes(2), learning_starts=16, batch_size=16, buffer_size=200, device="cpu", seed=0)
     model.learn(40)
     evaluations = []
@@ -207,7 +207,7 @@ def test_evaluation_by_stable_baselines() -> None:
     assert evaluations[0][1] == [24] * 4
 
 
-def test_ppo_learns_on_the_slots_of_a_node(scratch: Path) -> None:
+def test_sb3_vec_env__ppo_learns_on_the_slots_of_a_node(scratch: Path) -> None:
     """Through the end of an episode; the same seed gives the same weights."""
     learnt = []
     for _ in range(2):

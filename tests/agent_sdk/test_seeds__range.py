@@ -28,7 +28,7 @@ def zones() -> ZonesEnv:
 
 @WRONG
 @pytest.mark.parametrize("make_env", [lambda: BuildingEnv(link=FakeLink()), zones])
-def test_one_building(make_env: Callable[[], Any], seed: Any) -> None:
+def test_seeds__one_building(make_env: Callable[[], Any], seed: Any) -> None:
     env = make_env()
     with pytest.raises(InvalidConfig, match=RANGE):
         env.reset(seed=seed)
@@ -37,7 +37,7 @@ def test_one_building(make_env: Callable[[], Any], seed: Any) -> None:
 
 
 @WRONG
-def test_slots(seed: Any) -> None:
+def test_seeds__slots(seed: Any) -> None:
     env = BuildingVectorEnv(2, link=FakeSlots([FakeBuilding(), FakeBuilding()]))
     with pytest.raises(InvalidConfig, match=r"seed = .*; an integer from 0 to 2\*\*64 - 2 expected"):
         env.reset(seed=seed)
@@ -48,13 +48,13 @@ def test_slots(seed: Any) -> None:
     env.close()
 
 
-def test_seeds_of_numpy_are_taken() -> None:
+def test_seeds__of_numpy_are_taken() -> None:
     env = BuildingEnv(link=FakeLink())
     assert np.array_equal(env.reset(seed=np.int64(5))[0], env.reset(seed=5)[0])
     env.close()
 
 
-def test_a_controller_without_gymnasium(bus: zenostat.Bus) -> None:
+def test_seeds__controller_without_gymnasium(bus: zenostat.Bus) -> None:
     with bus.controller("office") as link:
         wrong: list[Any] = [2**70, -1, 1.5, [2**70]]
         for seed in wrong:

@@ -26,7 +26,7 @@ def of_the_five_zones(folder: Path, **changed: object) -> Path:
     return path
 
 
-def test_the_initial_context_rules_from_the_first_timestep(scratch: Path) -> None:
+def test_sinergym_config__initial_context_rules_from_the_first_timestep(scratch: Path) -> None:
     path = of_the_five_zones(scratch, context=OCCUPANCY, initial_context=[0.25])
     with gym.make("zenostat/Sinergym-v1", config=path, variant="hot-continuous", **DAY) as env:
         names = [actuator.name for actuator in env.unwrapped.manifest.actuators]
@@ -38,7 +38,7 @@ def test_the_initial_context_rules_from_the_first_timestep(scratch: Path) -> Non
 
 
 @pytest.mark.slow
-def test_arguments_replace_a_reward_and_choices_in_code(scratch: Path) -> None:
+def test_sinergym_config__arguments_replace_a_reward_and_choices_in_code(scratch: Path) -> None:
     path = of_the_five_zones(scratch, reward="mymod:MyReward", action_space_discrete="Discrete(7)")
     with pytest.raises(InvalidConfig, match="reward: unknown reward 'mymod:MyReward'"):
         gym.make("zenostat/Sinergym-v1", config=path, variant="hot-discrete", discrete=5, **DAY)
@@ -61,7 +61,9 @@ def test_arguments_replace_a_reward_and_choices_in_code(scratch: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("arguments", "kept"), [({}, 4), ({"keep_last": 1}, 2)])
-def test_files_of_the_last_episodes_are_kept(arguments: dict[str, int], kept: int, scratch: Path) -> None:
+def test_sinergym_config__files_of_the_last_episodes_are_kept(
+    arguments: dict[str, int], kept: int, scratch: Path
+) -> None:
     """The configuration (`max_ep_store: 3`) or the argument gives their number, beside the running episode's."""
     path = of_the_five_zones(scratch)
     with gym.make("zenostat/Sinergym-v1", config=path, output_dir=scratch / "runs", **arguments, **DAY) as env:

@@ -62,7 +62,7 @@ def column(*values: float) -> Any:
 # The room against the closed form
 
 
-def test_an_hour_of_a_free_room_by_hand() -> None:
+def test_testing_kit__hour_of_a_free_room_by_hand() -> None:
     """From 20 degC towards 0 + 0.01 * 1000 = 10 degC: 10 + 10 e^-0.1, and its mean 10 + 10 * 10 (1 - e^-0.1)."""
     flow = RCZones([ROOM]).step(column(20), 0.0, column(1000), *OFF, 3600.0)
     assert flow.end_degc[0] == pytest.approx(19.0483742, abs=1e-7)
@@ -70,7 +70,7 @@ def test_an_hour_of_a_free_room_by_hand() -> None:
     assert flow.heat_w[0] == 0.0
 
 
-def test_what_holds_a_room_is_what_it_loses() -> None:
+def test_testing_kit__what_holds_a_room_is_what_it_loses() -> None:
     """At 20 degC it loses 20 / 0.01 = 2000 W outdoors at 0 degC: 1000 W of gains leave 1000 W to the heating."""
     flow = RCZones([ROOM]).step(column(20), 0.0, column(1000), column(20), column(25), 3600.0)
     assert flow.heat_w[0] == pytest.approx(1000.0)
@@ -79,7 +79,7 @@ def test_what_holds_a_room_is_what_it_loses() -> None:
     assert warm.heat_w[0] == pytest.approx(-(10.0 / 0.01 + 500.0))
 
 
-def test_a_thermostat_gives_no_more_than_it_can() -> None:
+def test_testing_kit__thermostat_gives_no_more_than_it_can() -> None:
     """5000 W for ever would end at -10 + 0.01 * 5000 = 40 degC; an hour brings 10 degC to 40 - 30 e^-0.1."""
     flow = RCZones([ROOM]).step(column(10), -10.0, column(0), column(22), column(25), 3600.0)
     assert flow.heat_w[0] == 5000.0
@@ -89,7 +89,9 @@ def test_a_thermostat_gives_no_more_than_it_can() -> None:
 
 
 @given(start=temps, outdoor=temps, gains=watts, parts=st.integers(2, 60))
-def test_many_short_timesteps_are_one_long_one(start: float, outdoor: float, gains: float, parts: int) -> None:
+def test_testing_kit__many_short_timesteps_are_one_long_one(
+    start: float, outdoor: float, gains: float, parts: int
+) -> None:
     rooms, now = RCZones([ROOM]), column(start)
     for _ in range(parts):
         now = rooms.step(now, outdoor, column(gains), *OFF, 7200.0 / parts).end_degc
@@ -98,7 +100,7 @@ def test_many_short_timesteps_are_one_long_one(start: float, outdoor: float, gai
 
 
 @given(start=temps, outdoor=temps, gains=watts, heating=st.floats(15, 22.5), cooling=st.floats(22.5, 30))
-def test_heat_that_comes_is_stored_or_goes(
+def test_testing_kit__heat_that_comes_is_stored_or_goes(
     start: float, outdoor: float, gains: float, heating: float, cooling: float
 ) -> None:
     flow = RCZones([ROOM]).step(column(start), outdoor, column(gains), column(heating), column(cooling), 900.0)
@@ -121,7 +123,7 @@ def run(building: FakeBuilding, seed: int = 0) -> list[dict[str, float]]:
     return [dict(zip(names, row.tolist(), strict=True)) for row in rows]
 
 
-def test_each_timestep_of_a_building_keeps_its_energy() -> None:
+def test_testing_kit__each_timestep_of_a_building_keeps_its_energy() -> None:
     building = FakeBuilding(2, cop=2.5)
     nobody = np.full(4, np.nan)
     building.reset(seed=3)
@@ -144,7 +146,7 @@ def test_each_timestep_of_a_building_keeps_its_energy() -> None:
     assert min(heats) < 0.0, "a July day wants cooling"
 
 
-def test_electricity_of_the_equipment_and_people_by_the_clock() -> None:
+def test_testing_kit__electricity_of_the_equipment_and_people_by_the_clock() -> None:
     """Two zones of 600 W and 4 people: open on Monday 8 to 18 o'clock, at a tenth and empty else."""
     rows = run(FakeBuilding(2))
     begins = [datetime(2017, 7, 3) + timedelta(minutes=15 * k) for k in range(96)]
@@ -158,7 +160,7 @@ def test_electricity_of_the_equipment_and_people_by_the_clock() -> None:
     assert {row["zone_2_occupants"] for row in sunday} == {0.0}
 
 
-def test_weather_is_the_sines_that_it_says() -> None:
+def test_testing_kit__weather_is_the_sines_that_it_states() -> None:
     """16 July is 182 days after 15 January: half a year but half a day; 15 o'clock is the day's warmest hour."""
     day = [row["outdoor_temperature"] for row in run(FakeBuilding(1, climate=CALM, begin="07-16"))]
     assert max(day) == day[60]
@@ -168,7 +170,7 @@ def test_weather_is_the_sines_that_it_says() -> None:
     assert winter[36] == pytest.approx(11.0 - 12.0, abs=0.01)
 
 
-def test_the_forecast_is_the_weather_that_comes() -> None:
+def test_testing_kit__forecast_is_the_upcoming_weather() -> None:
     building = FakeBuilding(1)
     outdoor = [row["outdoor_temperature"] for row in run(building, seed=5)]
     series = building.weather(["dry_bulb_temperature", "global_horizontal_radiation"])
@@ -182,7 +184,7 @@ def test_the_forecast_is_the_weather_that_comes() -> None:
         building.weather(["dry_bulb"])
 
 
-def test_noise_has_the_deviation_and_the_memory_that_it_says() -> None:
+def test_testing_kit__noise_has_the_deviation_and_the_memory_that_it_states() -> None:
     climate = Climate(season_k=0.0, day_k=0.0, noise_k=2.0, noise_tau_h=1.0)
     series, _ = climate.series(datetime(2017, 1, 1), 200_000, 900.0, np.random.default_rng(1))
     noise = series - climate.mean_degc
@@ -191,7 +193,7 @@ def test_noise_has_the_deviation_and_the_memory_that_it_says() -> None:
     assert np.corrcoef(noise[:-1], noise[1:])[0, 1] == pytest.approx(math.exp(-0.25), abs=0.01)
 
 
-def test_a_seed_rules_the_weather_and_without_one_it_goes_on() -> None:
+def test_testing_kit__seed_rules_the_weather_and_without_one_it_goes_on() -> None:
     building, other = FakeBuilding(2), FakeBuilding(2)
 
     def first(of: FakeBuilding, seed: int | None) -> float:
@@ -205,7 +207,7 @@ def test_a_seed_rules_the_weather_and_without_one_it_goes_on() -> None:
     assert run(building, 3) == run(other, 3)
 
 
-def test_a_heating_setpoint_above_the_cooling_setpoint_is_refused() -> None:
+def test_testing_kit__heating_setpoint_above_the_cooling_setpoint_is_refused() -> None:
     building = FakeBuilding(1)
     building.reset(0)
     with pytest.raises(ModelError, match=r"zone 'zone_1': heating setpoint 24 is above cooling setpoint 23"):
@@ -232,12 +234,12 @@ def test_a_heating_setpoint_above_the_cooling_setpoint_is_refused() -> None:
         ({"cop": 0.0}, "cop = 0.0; more than 0 expected"),
     ],
 )
-def test_a_building_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
+def test_testing_kit__building_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfig, match=message):
         FakeBuilding(**arguments)
 
 
-def test_a_zone_that_cannot_be() -> None:
+def test_testing_kit__zone_that_cannot_be() -> None:
     with pytest.raises(InvalidConfig, match=r"zone 'x': capacity_j_per_k = 0.0; more than 0 expected"):
         Zone("x", capacity_j_per_k=0.0)
     with pytest.raises(InvalidConfig, match=r"zone 'x': people = -1.0; at least 0 expected"):
@@ -247,7 +249,7 @@ def test_a_zone_that_cannot_be() -> None:
 # The link
 
 
-def test_commands_set_keep_and_release() -> None:
+def test_testing_kit__commands_set_keep_and_release() -> None:
     link = FakeLink(FakeBuilding(1), name="me")
     first = link.reset(seed=0)
     assert first.effective.tolist() == [16.0, 28.0], "Monday at midnight: the building's own setback"
@@ -269,7 +271,7 @@ def test_commands_set_keep_and_release() -> None:
     assert link.receive().effective.tolist() == [16.0, 28.0]
 
 
-def test_what_a_node_refuses_a_fake_refuses() -> None:
+def test_testing_kit__what_a_node_refuses_a_fake_refuses() -> None:
     link = FakeLink(FakeBuilding(1))
     with pytest.raises(PeerError, match=r"call reset\(\) first"):
         link.send({})
@@ -289,7 +291,7 @@ def test_what_a_node_refuses_a_fake_refuses() -> None:
     assert link.receive().step == 1
 
 
-def test_a_controllers_loop_runs_on_it() -> None:
+def test_testing_kit__controllers_loop_runs_on_it() -> None:
     link = FakeLink(FakeBuilding(2))
     rules = RuleBasedController(link.manifest)
     steps = []
@@ -305,7 +307,7 @@ def test_a_controllers_loop_runs_on_it() -> None:
 # The environment
 
 
-def test_it_has_the_spaces_of_its_manifest() -> None:
+def test_testing_kit__it_has_the_spaces_of_its_manifest() -> None:
     env = FakeEnv(2, time=["month", "hour"])
     assert env.observation_names == (
         "month", "hour", "outdoor_temperature", "hvac_and_plant_power", "zone_1_air_temperature", "zone_1_occupants",
@@ -327,7 +329,7 @@ def test_it_has_the_spaces_of_its_manifest() -> None:
         ("point", gym.spaces.MultiDiscrete([3] * 4)),
     ],
 )
-def test_discrete_steps_go_from_the_widest_to_the_tightest(control: str, space: Any) -> None:
+def test_testing_kit__discrete_steps_go_from_the_widest_to_the_tightest(control: str, space: Any) -> None:
     env = FakeEnv(2, control=control, discrete=3)
     assert env.action_space == space
     env.reset(seed=0)
@@ -335,7 +337,7 @@ def test_discrete_steps_go_from_the_widest_to_the_tightest(control: str, space: 
     assert env.step(middle)[-1]["effective"].tolist() == [18.75, 26.25] * 2
 
 
-def test_context_weather_reward_and_limits_are_those_of_a_real_environment() -> None:
+def test_testing_kit__context_weather_reward_and_limits_are_those_of_a_real_environment() -> None:
     env = FakeEnv(
         1,
         equipment_control=True,
@@ -364,7 +366,7 @@ def test_context_weather_reward_and_limits_are_those_of_a_real_environment() -> 
     assert "outdoor_temperature" in info["terminated_by"]
 
 
-def test_a_fake_building_is_on_no_bus() -> None:
+def test_testing_kit__fake_building_is_on_no_bus() -> None:
     with pytest.raises(InvalidConfig, match="render_mode 'rerun' shows a bus"):
         FakeEnv(1, render_mode="rerun")
 
@@ -391,12 +393,12 @@ def test_noise__is_reported_and_drawn_by_seed() -> None:
         lambda manifest: FixedSetpoints(manifest, zone_1_heating_setpoint=20.5),
     ],
 )
-def test_controllers_of_the_house_conform(make: Callable[..., Any]) -> None:
+def test_testing_kit__controllers_of_the_house_conform(make: Callable[..., Any]) -> None:
     report = check_controller(make)
     assert report.passed == tuple(CONTROLLER_CHECKS)
 
 
-def test_one_that_draws_conforms_but_for_what_it_says_of_itself() -> None:
+def test_testing_kit__one_that_draws_conforms_but_for_what_it_states_of_itself() -> None:
     with pytest.raises(ConformanceError) as unseeded:
         check_controller(RandomController)
     assert "the same samples get the same answers" in unseeded.value.report.failed
@@ -409,17 +411,17 @@ def test_one_that_draws_conforms_but_for_what_it_says_of_itself() -> None:
 @pytest.mark.parametrize(
     "reward", [LinearReward(), "exponential", "hourly", {"kind": "occupied", "by": "people"}, "peak"]
 )
-def test_rewards_of_the_house_conform(reward: Any) -> None:
+def test_testing_kit__rewards_of_the_house_conform(reward: Any) -> None:
     assert not check_reward(reward).failed
 
 
 @pytest.mark.parametrize("arguments", [{}, {"control": "building", "discrete": 4}, {"time": ["hour"], "reward": None}])
-def test_environments_of_the_house_conform(arguments: dict[str, Any]) -> None:
+def test_testing_kit__environments_of_the_house_conform(arguments: dict[str, Any]) -> None:
     env = FakeEnv(2, **arguments)
     assert len(check_environment(env).passed) == 11
 
 
-def test_a_manifest_of_ones_own() -> None:
+def test_testing_kit__manifest_of_ones_own() -> None:
     manifest = FakeBuilding([Zone("hall"), Zone("attic")], equipment_control=True).manifest
     report = check_controller(lambda m: FixedSetpoints(m, equipment=0.5), manifest)
     assert report.passed == tuple(CONTROLLER_CHECKS)[:-1], "nothing of the kind can be simulated"

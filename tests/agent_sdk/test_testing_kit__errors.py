@@ -154,7 +154,7 @@ CONTROLLER_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
 }
 
 
-def test_the_mutants_are_all_that_is_wrong_and_no_check_is_without_one() -> None:
+def test_testing_kit__mutants_are_all_that_is_wrong_and_no_check_is_without_one() -> None:
     assert not check_controller(Good).failed
     assert not check_reward(OfMine()).failed
     assert not check_environment(Changed(FakeEnv(1), with_())).failed
@@ -168,7 +168,7 @@ def test_the_mutants_are_all_that_is_wrong_and_no_check_is_without_one() -> None
 
 
 @pytest.mark.parametrize("mutant", CONTROLLER_MUTANTS)
-def test_a_bad_controllers_faults_are_named(mutant: str) -> None:
+def test_testing_kit__bad_controllers_faults_are_named(mutant: str) -> None:
     make, faults = CONTROLLER_MUTANTS[mutant]
     with pytest.raises(ConformanceError) as error:
         check_controller(make)
@@ -181,7 +181,7 @@ def test_a_bad_controllers_faults_are_named(mutant: str) -> None:
         assert len(report.skipped) == len(CONTROLLER_CHECKS) - 1
 
 
-def test_all_failures_are_one_error_in_plain_words() -> None:
+def test_testing_kit__all_failures_are_one_error_in_plain_words() -> None:
     with pytest.raises(AssertionError) as error:
         check_controller(answering(lambda s: {"heating": 20.0, HEAT: float("inf"), COOL: 40.0}))
     lines = str(error.value).splitlines()
@@ -323,7 +323,7 @@ REWARD_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("name", REWARD_MUTANTS)
-def test_a_bad_rewards_faults_are_named(name: str) -> None:
+def test_testing_kit__bad_rewards_faults_are_named(name: str) -> None:
     reward, faults = REWARD_MUTANTS[name]
     with pytest.raises(ConformanceError) as error:
         check_reward(reward)
@@ -436,7 +436,7 @@ ENVIRONMENT_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
 
 
 @pytest.mark.parametrize("name", ENVIRONMENT_MUTANTS)
-def test_a_bad_environments_faults_are_named(name: str) -> None:
+def test_testing_kit__bad_environments_faults_are_named(name: str) -> None:
     change, faults = ENVIRONMENT_MUTANTS[name]
     with pytest.raises(ConformanceError) as error:
         check_environment((Sloppy if name == "lax" else Changed)(FakeEnv(1), change))
@@ -446,14 +446,14 @@ def test_a_bad_environments_faults_are_named(name: str) -> None:
         assert words is None or re.search(words, errors[check]), errors[check]
 
 
-def test_a_name_twice_is_named() -> None:
+def test_testing_kit__name_twice_is_named() -> None:
     with pytest.raises(ConformanceError) as error:
         check_environment(renamed(Changed(FakeEnv(1), with_())))
     assert error.value.report.failed == ("observations have names",)
     assert "observation_names contains a name twice" in str(error.value)
 
 
-def test_the_kit_needs_no_pytest() -> None:
+def test_testing_kit__kit_needs_no_pytest() -> None:
     text = "import sys, zenostat.testing as t; t.check_reward('linear'); print('pytest' in sys.modules)"
     done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

@@ -42,7 +42,7 @@ sys.exit(code)
 _FIELDS = (*DATE, TimeField.HOUR, TimeField.MINUTES, TimeField.CURRENT_TIME)
 
 
-def test_the_clock_is_energyplus_own(tmp_path: Path) -> None:
+def test_time_features__clock_is_energyplus_own(tmp_path: Path) -> None:
     """From a Friday over a weekend and the end of September to a Monday.
 
     The API's minutes and hours of the day count system timesteps, which is the clock where the last one of a
@@ -67,7 +67,7 @@ def fields_of(begin: datetime, end: datetime) -> dict[TimeField, float]:
 
 
 @given(st.dates(max_value=date(9999, 12, 30)), st.sampled_from(DIVISORS), st.data())
-def test_no_value_leaves_its_bounds(day: date, steps_per_hour: int, data: st.DataObject) -> None:
+def test_time_features__no_value_leaves_its_bounds(day: date, steps_per_hour: int, data: st.DataObject) -> None:
     step = data.draw(st.integers(0, 24 * steps_per_hour))
     midnight = datetime(day.year, day.month, day.day)
     end = midnight + timedelta(hours=1) * step / steps_per_hour
@@ -78,7 +78,9 @@ def test_no_value_leaves_its_bounds(day: date, steps_per_hour: int, data: st.Dat
 
 
 @given(st.dates(max_value=date(9999, 12, 30)), st.sampled_from(DIVISORS), st.data())
-def test_the_hour_and_its_minutes_are_the_time_of_the_day(day: date, steps_per_hour: int, data: st.DataObject) -> None:
+def test_time_features__hour_and_its_minutes_are_the_time_of_the_day(
+    day: date, steps_per_hour: int, data: st.DataObject
+) -> None:
     step = data.draw(st.integers(1, 24 * steps_per_hour))
     midnight = datetime(day.year, day.month, day.day)
     begin, end = (midnight + timedelta(hours=1) * k / steps_per_hour for k in (step - 1, step))
@@ -88,12 +90,12 @@ def test_the_hour_and_its_minutes_are_the_time_of_the_day(day: date, steps_per_h
     assert 1 <= fields[TimeField.MINUTES] <= 60
 
 
-def test_each_field_has_bounds() -> None:
+def test_time_features__each_field_has_bounds() -> None:
     assert list(BOUNDS) == list(TimeField)
     assert all(low < high for low, high in BOUNDS.values())
 
 
-def test_sample_0_is_the_begin_of_the_day() -> None:
+def test_time_features__sample_0_is_the_begin_of_the_day() -> None:
     begin = datetime(2016, 12, 31)  # a Saturday, and the 366th day
     assert fields_of(begin, begin) == {
         TimeField.YEAR: 2016,
@@ -107,7 +109,7 @@ def test_sample_0_is_the_begin_of_the_day() -> None:
     }
 
 
-def test_the_last_timestep_of_a_year_belongs_to_it() -> None:
+def test_time_features__last_timestep_of_a_year_belongs_to_it() -> None:
     fields = fields_of(datetime(2016, 12, 31, 23, 45), datetime(2017, 1, 1))
     assert (fields[TimeField.YEAR], fields[TimeField.MONTH], fields[TimeField.DAY_OF_MONTH]) == (2016, 12, 31)
     assert (fields[TimeField.HOUR], fields[TimeField.MINUTES], fields[TimeField.CURRENT_TIME]) == (23, 60, 24)

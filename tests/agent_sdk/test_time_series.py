@@ -63,7 +63,7 @@ def a_year(header: str = "hour;value", hours: int = HOURS) -> list[str]:
         (datetime(2016, 2, 29, 5), 1397),  # a leap day is the day before it
     ],
 )
-def test_a_year_without_a_leap_day(moment: datetime, row: int) -> None:
+def test_time_series__year_without_a_leap_day(moment: datetime, row: int) -> None:
     assert HourlySeries(hourly=YEAR, unit="EUR/kWh").at(moment) == float(row)
 
 
@@ -78,17 +78,17 @@ def test_a_year_without_a_leap_day(moment: datetime, row: int) -> None:
         (datetime(2017, 12, 31, 23), 8783),
     ],
 )
-def test_a_year_with_a_leap_day(moment: datetime, row: int) -> None:
+def test_time_series__year_with_a_leap_day(moment: datetime, row: int) -> None:
     assert HourlySeries(hourly=LEAP_YEAR, unit="EUR/kWh").at(moment) == float(row)
 
 
 @given(st.datetimes(datetime(1990, 1, 1), datetime(2030, 12, 31)))
-def test_the_hour_is_that_of_the_calendar(moment: datetime) -> None:
+def test_time_series__hour_is_that_of_the_calendar(moment: datetime) -> None:
     same = datetime(2000, moment.month, moment.day, moment.hour)
     assert hour_of_leap_year(moment) == (same - datetime(2000, 1, 1)) // timedelta(hours=1)
 
 
-def test_several_moments_give_an_array() -> None:
+def test_time_series__several_moments_give_an_array() -> None:
     moments = [datetime(2017, 1, 1, 3), datetime(2017, 1, 2, 0), datetime(2016, 2, 29, 0)]
     for signal in (
         Constant(value=2.0, unit="EUR/kWh"),
@@ -102,7 +102,7 @@ def test_several_moments_give_an_array() -> None:
 
 
 @pytest.mark.parametrize("length", [0, 1, 8736, 8761, 8785])
-def test_a_series_is_a_year(length: int) -> None:
+def test_time_series__series_is_a_year(length: int) -> None:
     with pytest.raises(ValidationError, match=f"8760 or 8784 hours expected, got {length}"):
         HourlySeries(hourly=(1.0,) * length, unit="EUR/kWh")
 
@@ -141,12 +141,12 @@ TABLE = TimeOfUse.model_validate(
         (datetime(2017, 1, 2, 6, 0), 1.0),
     ],
 )
-def test_the_first_period_that_holds(moment: datetime, value: float) -> None:
+def test_time_series__first_period_that_holds(moment: datetime, value: float) -> None:
     assert TABLE.at(moment) == value
 
 
 @given(st.integers(0, 23), st.integers(0, 24))
-def test_a_span_of_hours_and_its_other_half_are_a_day(first: int, end: int) -> None:
+def test_time_series__span_of_hours_and_its_other_half_are_a_day(first: int, end: int) -> None:
     if first == end or (first, end) == (0, 24):
         return
     inside = [hour for hour in range(24) if in_hours((first, end), hour)]
@@ -163,7 +163,7 @@ def test_a_span_of_hours_and_its_other_half_are_a_day(first: int, end: int) -> N
     ],
     ids=str,
 )  # fmt: skip
-def test_a_period_that_cannot_be(wrong: dict[str, Any]) -> None:
+def test_time_series__period_that_cannot_be(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         SIGNAL.validate_python({"table": [{"value": 1.0} | wrong], "otherwise": 1.0, "unit": "EUR/kWh"})
 
@@ -171,7 +171,7 @@ def test_a_period_that_cannot_be(wrong: dict[str, Any]) -> None:
 # Files
 
 
-def test_a_column_of_a_file(tmp_path: Path) -> None:
+def test_time_series__column_of_a_file(tmp_path: Path) -> None:
     path = written(tmp_path, a_year())
     for column in ("value", 2):
         signal = HourlyFile(csv=path, column=column, unit="EUR/MWh", delimiter=";")
@@ -180,7 +180,7 @@ def test_a_column_of_a_file(tmp_path: Path) -> None:
         assert signal.at(datetime(2016, 2, 29, 1)) == signal.at(datetime(2016, 2, 28, 1)) == (57 * 24 + 25) / 4
 
 
-def test_the_header_may_stand_further_down_or_not_at_all(tmp_path: Path) -> None:
+def test_time_series__header_may_stand_further_down_or_not_at_all(tmp_path: Path) -> None:
     above = written(tmp_path, ["prices of 2023", "", *a_year()], "above.csv")
     signal = HourlyFile(csv=above, column="value", unit="EUR/MWh", delimiter=";", header_row=3)
     assert signal.at(datetime(2017, 1, 1, 1)) == 0.25
@@ -189,7 +189,7 @@ def test_the_header_may_stand_further_down_or_not_at_all(tmp_path: Path) -> None
     assert signal.at(datetime(2017, 1, 1, 1)) == 0.25
 
 
-def test_commas_in_numbers_marks_at_the_beginning_and_leap_years(tmp_path: Path) -> None:
+def test_time_series__commas_in_numbers_marks_at_the_beginning_and_leap_years(tmp_path: Path) -> None:
     path = tmp_path / "comma.csv"
     rows = [row.replace(".", ",") for row in a_year("value;hour", LEAP_HOURS)]
     path.write_text("\n".join(rows), encoding="utf-8-sig")
@@ -200,7 +200,7 @@ def test_commas_in_numbers_marks_at_the_beginning_and_leap_years(tmp_path: Path)
     ) == 9.0  # fmt: skip
 
 
-def test_the_packs_prices() -> None:
+def test_time_series__packs_prices() -> None:
     path = sinergym() / "sinergym/data/energy_cost/PVPC_active_energy_billing_Iberian_Peninsula_2023.csv"
     signal = HourlyFile(csv=path, column="value", unit="EUR/MWh", delimiter=";")
     with path.open(encoding="utf-8", newline="") as file:
@@ -233,7 +233,9 @@ FILES: dict[str, tuple[list[str], dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("rows", "how", "words"), FILES.values(), ids=FILES)
-def test_a_file_that_is_no_year_of_numbers(tmp_path: Path, rows: list[str], how: dict[str, Any], words: str) -> None:
+def test_time_series__file_that_is_no_year_of_numbers(
+    tmp_path: Path, rows: list[str], how: dict[str, Any], words: str
+) -> None:
     path = written(tmp_path, rows)
     signal = HourlyFile.model_validate({"csv": path, "column": "value", "unit": "EUR/MWh", "delimiter": ";"} | how)
     with pytest.raises(InvalidConfig, match=words) as raised:
@@ -241,7 +243,7 @@ def test_a_file_that_is_no_year_of_numbers(tmp_path: Path, rows: list[str], how:
     assert str(path) in str(raised.value)
 
 
-def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
+def test_time_series__file_that_cannot_be_read(tmp_path: Path) -> None:
     latin = tmp_path / "latin.csv"
     latin.write_bytes("hour;value\n0;Término\n".encode("latin-1"))
     errors = {
@@ -261,12 +263,12 @@ def test_a_file_that_cannot_be_read(tmp_path: Path) -> None:
      {"unit": ""}, {"sheet": 1}],
     ids=str,
 )  # fmt: skip
-def test_a_file_that_cannot_be(wrong: dict[str, Any]) -> None:
+def test_time_series__file_that_cannot_be(wrong: dict[str, Any]) -> None:
     with pytest.raises(ValidationError, match=next(iter(wrong))):
         SIGNAL.validate_python({"csv": "x.csv", "column": "value", "unit": "EUR/MWh"} | wrong)
 
 
-def test_what_does_not_fit_together() -> None:
+def test_time_series__what_does_not_fit_together() -> None:
     with pytest.raises(ValidationError, match="cannot be both the delimiter"):
         HourlyFile(csv=Path("x"), column="a", unit="EUR/MWh", decimal=",")
     with pytest.raises(ValidationError, match="the column is a number"):
@@ -277,7 +279,7 @@ def test_what_does_not_fit_together() -> None:
 
 
 @pytest.mark.parametrize("wrong", [0.25, "0.25", None, [], {}, {"unit": "EUR/kWh"}, {"values": 1}], ids=str)
-def test_what_is_no_signal(wrong: Any) -> None:
+def test_time_series__what_is_no_signal(wrong: Any) -> None:
     with pytest.raises(ValidationError, match=r"a time series expected: \{value: 0\.25, unit: EUR/kWh\}"):
         SIGNAL.validate_python(wrong)
 
@@ -305,7 +307,7 @@ signals = st.one_of(
 
 @settings(max_examples=examples(60), deadline=None)
 @given(signals)
-def test_a_signal_that_was_written_is_read_back(fields: dict[str, Any]) -> None:
+def test_time_series__signal_that_was_written_is_read_back(fields: dict[str, Any]) -> None:
     signal = SIGNAL.validate_python(fields)
     plain = {"signal": signal.model_dump(mode="json", exclude_defaults=True)}
     again = SIGNAL.validate_python(yaml12.parse(yaml12.dump(plain), "it")["signal"])
@@ -313,7 +315,7 @@ def test_a_signal_that_was_written_is_read_back(fields: dict[str, Any]) -> None:
     assert type(again) is type(signal)
 
 
-def test_a_signal_that_was_used_is_still_the_same() -> None:
+def test_time_series__signal_that_was_used_is_still_the_same() -> None:
     used, fresh = HourlySeries(hourly=YEAR, unit="EUR/kWh"), HourlySeries(hourly=YEAR, unit="EUR/kWh")
     used.at(datetime(2017, 1, 1))
     assert used == fresh
@@ -325,7 +327,7 @@ def test_a_signal_that_was_used_is_still_the_same() -> None:
 @pytest.mark.parametrize(
     ("unit", "factor"), [("EUR/kWh", 1.0), ("EUR/MWh", 1e-3), ("ct / kWh", 1.0), ("$/Wh", 1e3), ("EUR/GJ", 0.0036)]
 )
-def test_prices_by_energy(unit: str, factor: float) -> None:
+def test_time_series__prices_by_energy(unit: str, factor: float) -> None:
     assert per_kwh(unit) == pytest.approx(factor)
 
 
@@ -333,17 +335,17 @@ def test_prices_by_energy(unit: str, factor: float) -> None:
     ("unit", "factor"),
     [("g/kWh", 1.0), ("kg/MWh", 1.0), ("kg/kWh", 1e3), ("t/MWh", 1e3), ("gCO2eq/kWh", 1.0), ("g CO2/kWh", 1.0)],
 )
-def test_intensities_by_energy(unit: str, factor: float) -> None:
+def test_time_series__intensities_by_energy(unit: str, factor: float) -> None:
     assert grams_per_kwh(unit) == pytest.approx(factor)
 
 
 @pytest.mark.parametrize("unit", ["EUR", "EUR/h", "/kWh", "EUR/", "kWh"])
-def test_a_price_is_by_energy(unit: str) -> None:
+def test_time_series__price_is_by_energy(unit: str) -> None:
     with pytest.raises(ValidationError, match="a unit per energy expected"):
         TypeAdapter(Price).validate_python({"value": 1.0, "unit": unit})
 
 
 @pytest.mark.parametrize("unit", ["EUR/kWh", "lb/MWh", "CO2/kWh"])
-def test_an_intensity_is_a_mass_by_energy(unit: str) -> None:
+def test_time_series__intensity_is_a_mass_by_energy(unit: str) -> None:
     with pytest.raises(ValidationError, match="a mass per energy expected"):
         TypeAdapter(Intensity).validate_python({"value": 1.0, "unit": unit})

@@ -45,7 +45,7 @@ def rollout(env: BuildingEnv, steps: int = 30) -> list[Any]:
     return [first, *(env.step(env.action_space.sample())[0] for _ in range(steps))]
 
 
-def test_an_observation_is_that_of_all_points_without_the_unobserved_ones() -> None:
+def test_unobserved_points__observation_is_that_of_all_points_without_the_unobserved_ones() -> None:
     everything, some = (BuildingEnv(link=FakeLink(building(unobserved=names)), reward=None) for names in ((), HIDDEN))
     kept = [i for i, name in enumerate(everything.observation_names) if name not in HIDDEN]
     assert some.observation_names == tuple(everything.observation_names[i] for i in kept)
@@ -60,7 +60,7 @@ def test_an_observation_is_that_of_all_points_without_the_unobserved_ones() -> N
     assert some.observation_dict(observed[-1])["zone_3_air_temperature"] == observed[-1][kept.index(7)]
 
 
-def test_slots_observe_the_same_as_single_environments() -> None:
+def test_unobserved_points__slots_observe_the_same_as_single_environments() -> None:
     single = BuildingEnv(link=FakeLink(building()))
     vector = BuildingVectorEnv(2, link=FakeSlots([building(), building()]))
     assert vector.single_observation_space == single.observation_space
@@ -71,7 +71,7 @@ def test_slots_observe_the_same_as_single_environments() -> None:
     np.testing.assert_array_equal(np.array(observed)[:, 0], np.array(rollout(single, 5)))
 
 
-def test_agents_of_zones_observe_no_unobserved_point() -> None:
+def test_unobserved_points__agents_of_zones_observe_no_unobserved_point() -> None:
     env = ZonesEnv(link=FakeLink(building()))
     assert env.observation_names("zone_2") == ("hour", "outdoor_temperature", "zone_2_occupants")
     assert env.observation_names("zone_1") == ("hour", "outdoor_temperature", "zone_1_air_temperature")
@@ -84,7 +84,7 @@ def test_agents_of_zones_observe_no_unobserved_point() -> None:
 
 
 @pytest.mark.parametrize("kind", sorted(REWARDS))
-def test_a_reward_without_names_reads_observed_points_only(kind: str) -> None:
+def test_unobserved_points__reward_without_names_reads_observed_points_only(kind: str) -> None:
     whole = building().manifest
     reduced = removed(whole)
     try:
@@ -102,14 +102,14 @@ def test_a_reward_without_names_reads_observed_points_only(kind: str) -> None:
     assert read_reward(kind).bind(whole)(changed.values, sample.time) == outcome
 
 
-def test_a_reward_reads_an_unobserved_point_that_it_names() -> None:
+def test_unobserved_points__reward_reads_an_unobserved_point_that_it_names() -> None:
     whole = building().manifest
     bound = LinearReward(temperatures=["zone_2_air_temperature"], weight=0.0).bind(whole)
     sample = view(whole, zone_2_air_temperature=30.0, zone_1_air_temperature=99.0)
     assert bound(sample.values, sample.time).metrics["degrees_outside"] == pytest.approx(6.5)  # January: 20 to 23.5
 
 
-def test_a_function_gets_the_observed_values_and_the_others_by_name() -> None:
+def test_unobserved_points__function_gets_the_observed_values_and_the_others_by_name() -> None:
     whole = building().manifest
     listed: list[str] = []
 
@@ -123,7 +123,7 @@ def test_a_function_gets_the_observed_values_and_the_others_by_name() -> None:
 
 
 @pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"oracle"}))  # which plans on a real building only
-def test_a_controller_reads_observed_points_only(name: str) -> None:
+def test_unobserved_points__controller_reads_observed_points_only(name: str) -> None:
     whole = building(control="building").manifest
     reduced = removed(whole)
     parameters = {"sensor": "zone_1_air_temperature", "actuator": "heating_setpoint", "setpoint": 21.0}
@@ -138,7 +138,7 @@ def test_a_controller_reads_observed_points_only(name: str) -> None:
         )
 
 
-def test_metrics_use_unobserved_points_and_tell_so() -> None:
+def test_unobserved_points__metrics_use_unobserved_points_and_tell_so() -> None:
     whole = building().manifest
     metrics = MetricsAccumulator(whole)
     assert metrics.sources["electricity_kwh"] == "meter Electricity:Facility"
@@ -147,6 +147,6 @@ def test_metrics_use_unobserved_points_and_tell_so() -> None:
     assert metrics.result().energy_kwh["electricity"] == pytest.approx(2.0)
 
 
-def test_an_environment_with_unobserved_points_passes_all_checks() -> None:
+def test_unobserved_points__environment_with_unobserved_points_passes_all_checks() -> None:
     report = check_environment(BuildingEnv(link=FakeLink(building())))
     assert not report.failed, str(report)

@@ -141,7 +141,7 @@ def run_both(
 
 @each_mode
 @pytest.mark.parametrize("form", FORMS)
-def test_each_slot_is_what_a_single_environment_is(form: str, mode: AutoresetMode) -> None:
+def test_vector_env__each_slot_is_what_a_single_environment_is(form: str, mode: AutoresetMode) -> None:
     ends = run_both([fakes(4, mode, **FORMS[form]), apart(4, mode, **FORMS[form])], mode, 80)
     assert sum(end.sum() for end in ends) >= 8, "each slot has ended twice"
     if "terminate" in FORMS[form]:
@@ -149,18 +149,18 @@ def test_each_slot_is_what_a_single_environment_is(form: str, mode: AutoresetMod
 
 
 @each_mode
-def test_one_slot_is_a_vector_too(mode: AutoresetMode) -> None:
+def test_vector_env__one_slot_is_a_vector_too(mode: AutoresetMode) -> None:
     run_both([fakes(1, mode, **FORMS["limits"]), apart(1, mode, **FORMS["limits"])], mode, 60)
 
 
 @each_mode
 @pytest.mark.parametrize("seed", [None, 0, [5, None, 5]], ids=str)
-def test_seeds_are_a_slots_own(seed: Any, mode: AutoresetMode) -> None:
+def test_vector_env__seeds_are_a_slots_own(seed: Any, mode: AutoresetMode) -> None:
     run_both([fakes(3, mode), apart(3, mode)], mode, 30, seed)
 
 
 @each_mode
-def test_slots_begin_anew_in_the_middle_of_their_episodes(mode: AutoresetMode) -> None:
+def test_vector_env__slots_begin_anew_in_the_middle_of_their_episodes(mode: AutoresetMode) -> None:
     form = {**FORMS["remembers"], "terminate": []}
     envs = [fakes(3, mode, **form), apart(3, mode, **form)]
     reset_both(envs, seed=1)
@@ -172,7 +172,7 @@ def test_slots_begin_anew_in_the_middle_of_their_episodes(mode: AutoresetMode) -
         step_both(envs, envs[0].action_space.sample())
 
 
-def test_a_slot_that_has_ended_may_be_begun_by_hand() -> None:
+def test_vector_env__slot_that_has_ended_may_be_begun_by_hand() -> None:
     """Then it is not begun a second time by the next step."""
     envs = [fakes(2, terminate=[WIDE]), apart(2, terminate=[WIDE])]
     ends = run_both(envs, AutoresetMode.NEXT_STEP, 1)
@@ -204,7 +204,7 @@ def test_infos__belong_to_the_caller() -> None:
 
 
 @each_mode
-def test_the_wrappers_of_vectors_fit(mode: AutoresetMode) -> None:
+def test_vector_env__wrappers_of_vectors_fit(mode: AutoresetMode) -> None:
     """Forecasts ask each slot for its own weather; contexts are set in slots that stand at different times."""
     form = {**FORMS["beside"], "time": ("hour",)}
     chain = [
@@ -217,7 +217,7 @@ def test_the_wrappers_of_vectors_fit(mode: AutoresetMode) -> None:
     assert any(end.any() and not end.all() for end in ends)
 
 
-def test_what_one_slot_gets_beside_its_actions_is_its_own() -> None:
+def test_vector_env__what_one_slot_gets_beside_its_actions_is_its_own() -> None:
     form = {**FORMS["beside"], "terminate": []}
     ours, theirs = envs = [fakes(2, **form), apart(2, **form)]
     reset_both(envs, seed=1)
@@ -236,7 +236,7 @@ def test_what_one_slot_gets_beside_its_actions_is_its_own() -> None:
     assert ours.step(actions)[4]["effective"][:, -1].tolist() == [1.0, 1.0]
 
 
-def test_a_context_that_was_not_used_ends_with_the_episode() -> None:
+def test_vector_env__context_that_was_not_used_ends_with_the_episode() -> None:
     ours = fakes(2, **{**FORMS["beside"], "terminate": []})
     ours.reset(seed=1)
     ours.set_context({"equipment": 0.5})
@@ -244,7 +244,7 @@ def test_a_context_that_was_not_used_ends_with_the_episode() -> None:
     assert ours.step(np.full((2, 1), 24.0))[4]["effective"][:, -1].tolist() == [0.1, 0.5]
 
 
-def test_an_own_reward_gets_arrays_and_a_time_for_each_slot() -> None:
+def test_vector_env__own_reward_gets_arrays_and_a_time_for_each_slot() -> None:
     seen = []
 
     def reward(values: Any, begin: Any) -> Any:
@@ -271,7 +271,7 @@ def test_an_own_reward_gets_arrays_and_a_time_for_each_slot() -> None:
 
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("mode", [None, "vector_entry_point"])
-def test_make_vec(mode: str | None) -> None:
+def test_vector_env__make_vec(mode: str | None) -> None:
     env = gym.make_vec("zenostat/Fake-v1", num_envs=3, vectorization_mode=mode, autoreset_mode="SameStep", **DAY)
     assert isinstance(env, FakeVectorEnv)
     assert (env.num_envs, env.metadata["autoreset_mode"]) == (3, AutoresetMode.SAME_STEP)
@@ -284,7 +284,7 @@ def test_make_vec(mode: str | None) -> None:
         vector.close()
 
 
-def test_all_ids_have_a_vector_of_their_own() -> None:
+def test_vector_env__all_ids_have_a_vector_of_their_own() -> None:
     ours = [spec for name, spec in gym.registry.items() if name.startswith("zenostat/")]
     assert len(ours) > 100
     assert all(spec.vector_entry_point for spec in ours)
@@ -309,7 +309,7 @@ def test_vector_env__answers_call_and_get_attr_of_its_slots() -> None:
 
 
 @each_mode
-def test_pictures(mode: AutoresetMode) -> None:
+def test_vector_env__pictures(mode: AutoresetMode) -> None:
     pytest.importorskip("matplotlib")
     envs = [fakes(2, mode, render_mode="rgb_array"), apart(2, mode, render_mode="rgb_array")]
     reset_both(envs, seed=1)
@@ -325,7 +325,7 @@ def test_pictures(mode: AutoresetMode) -> None:
 # What cannot be
 
 
-def test_actions_that_cannot_be_name_their_slot() -> None:
+def test_vector_env__actions_that_cannot_be_name_their_slot() -> None:
     env = fakes(3)
     env.reset(seed=1)
     before = env.step(env.action_space.sample())[4]["step"]
@@ -346,7 +346,7 @@ def test_actions_that_cannot_be_name_their_slot() -> None:
 
 
 @pytest.mark.parametrize("form", ["one choice", "discrete_actions"])
-def test_choices_that_cannot_be_name_their_slot(form: str) -> None:
+def test_vector_env__choices_that_cannot_be_name_their_slot(form: str) -> None:
     env = fakes(3, **FORMS[form])
     env.reset(seed=1)
     wrong = env.action_space.sample()
@@ -360,7 +360,7 @@ def test_choices_that_cannot_be_name_their_slot(form: str) -> None:
         env.step(np.full(wrong.shape, 0.5))
 
 
-def test_nobody_reads_the_action_of_a_slot_that_begins_anew() -> None:
+def test_vector_env__nobody_reads_the_action_of_a_slot_that_begins_anew() -> None:
     for form in ("limits", "one choice"):
         env = fakes(2, **{**FORMS[form], "terminate": [WIDE]})
         env.action_space.seed(0)
@@ -377,12 +377,12 @@ def test_nobody_reads_the_action_of_a_slot_that_begins_anew() -> None:
         assert np.isnan(infos["action"]).all(axis=-1).tolist() == ended.tolist()
 
 
-def test_unread_actions_are_zeros() -> None:
+def test_vector_env__unread_actions_are_zeros() -> None:
     rows = fakes(3)._actions.rows(np.full((3, 4), np.nan), 3, [0, 1, 2])
     assert rows.tobytes() == np.zeros((3, 4)).tobytes()
 
 
-def test_steps_that_cannot_be() -> None:
+def test_vector_env__steps_that_cannot_be() -> None:
     env = fakes(2, AutoresetMode.DISABLED)
     with pytest.raises(EpisodeChanged, match=r"call reset\(\) before step\(\)"):
         env.step(env.action_space.sample())
@@ -414,7 +414,7 @@ def test_steps_that_cannot_be() -> None:
         ({"options": {"reset_mask": np.array([True])}}, "a bool array of shape (2,)"),
     ],
 )
-def test_resets_that_cannot_be(arguments: dict[str, Any], words: str) -> None:
+def test_vector_env__resets_that_cannot_be(arguments: dict[str, Any], words: str) -> None:
     env = fakes(2)
     env.reset(seed=1)
     with pytest.raises(InvalidConfig, match=re.escape(words)):
@@ -433,12 +433,12 @@ def test_resets_that_cannot_be(arguments: dict[str, Any], words: str) -> None:
         ({}, "name a building and a weather"),
     ],
 )
-def test_vectors_that_cannot_be(arguments: dict[str, Any], words: str, scratch: Path) -> None:
+def test_vector_env__vectors_that_cannot_be(arguments: dict[str, Any], words: str, scratch: Path) -> None:
     with pytest.raises(ZenostatError, match=re.escape(words)):
         BuildingVectorEnv(**{"num_envs": 2, **arguments})
 
 
-def test_a_failed_step_is_not_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_vector_env__failed_step_is_not_the_end(monkeypatch: pytest.MonkeyPatch) -> None:
     env = fakes(2)
     env.reset(seed=1)
 
@@ -483,7 +483,7 @@ def real(request: pytest.FixtureRequest) -> Iterator[list[VectorEnv[Any, Any, An
 
 @pytest.mark.variants
 @each_mode
-def test_each_slot_of_a_node_is_what_a_single_environment_is(
+def test_vector_env__each_slot_of_a_node_is_what_a_single_environment_is(
     real: list[VectorEnv[Any, Any, Any]], mode: AutoresetMode
 ) -> None:
     """Through the ends of episodes, with the weather that comes next; only how an engine began may differ."""
@@ -504,7 +504,7 @@ def small(scratch: Path) -> Iterator[BuildingVectorEnv]:
     env.close()
 
 
-def test_an_engine_that_dies_ends_the_step_and_not_the_environment(small: BuildingVectorEnv) -> None:
+def test_vector_env__engine_that_dies_ends_the_step_and_not_the_environment(small: BuildingVectorEnv) -> None:
     small.reset(seed=1)
     first = small.step(small.action_space.sample())
     assert small.local_node is not None
@@ -517,7 +517,7 @@ def test_an_engine_that_dies_ends_the_step_and_not_the_environment(small: Buildi
     assert again[4]["step"].tolist() == [1, 1, 1]
 
 
-def test_a_wrong_choice_of_slots_claims_nothing(scratch: Path) -> None:
+def test_vector_env__wrong_choice_of_slots_claims_nothing(scratch: Path) -> None:
     with NodeProgram(scratch / "node", **SMALL, slots=2) as node:
         way = {"connect": node.endpoint, "node": "office", "affinity": "off"}
         with pytest.raises(InvalidConfig, match=r"node 'office' has 2 slots, not 3: .*num_envs=2"):
@@ -537,7 +537,7 @@ def test_a_wrong_choice_of_slots_claims_nothing(scratch: Path) -> None:
             env.close()
 
 
-def test_a_plain_node_has_one_slot(scratch: Path) -> None:
+def test_vector_env__plain_node_has_one_slot(scratch: Path) -> None:
     with NodeProgram(scratch / "node", **SMALL) as node:
         way = {"connect": node.endpoint, "node": "office", "affinity": "off"}
         with pytest.raises(InvalidConfig, match="node 'office' has a single slot, not 2"):
@@ -549,7 +549,7 @@ def test_a_plain_node_has_one_slot(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_scenarios_wrappers_are_around_the_vector(scratch: Path) -> None:
+def test_vector_env__scenarios_wrappers_are_around_the_vector(scratch: Path) -> None:
     file = scratch / "mine.yaml"
     wrapped = [{"wrapper": "CyclicTime", "fields": ["hour"]}, {"wrapper": "RescaleAction"}]
     wrapped[1] |= {"min_action": -1.0, "max_action": 1.0}
@@ -574,7 +574,7 @@ def test_a_scenarios_wrappers_are_around_the_vector(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_files_that_are_kept_are_a_slots_own(scratch: Path) -> None:
+def test_vector_env__files_that_are_kept_are_a_slots_own(scratch: Path) -> None:
     settings = {**SMALL, "steps_per_hour": 1, "affinity": "off", "output_dir": scratch / "runs"}
     env = gym.make_vec("zenostat/Building-v1", num_envs=2, autoreset_mode="SameStep", **settings)
     try:
@@ -589,7 +589,7 @@ def test_files_that_are_kept_are_a_slots_own(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_each_slot_tells_the_weather_that_it_reads(scratch: Path) -> None:
+def test_vector_env__each_slot_tells_the_weather_that_it_reads(scratch: Path) -> None:
     settings = {**ONE_DAY, "building": "ref-small-office", "weather": "USA_CO_Denver", "steps_per_hour": 4}
     settings["weather_noise"] = {"dry_bulb_temperature": {"sigma": 3.0, "mu": 0.0, "tau_h": 24.0}}
     settings |= {"reward": None}
@@ -613,7 +613,7 @@ def test_each_slot_tells_the_weather_that_it_reads(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_all_slots_go_back_exactly_any_number_of_times(scratch: Path) -> None:
+def test_vector_env__all_slots_go_back_exactly_any_number_of_times(scratch: Path) -> None:
     """With the weather of each, and what reward and limits remembered; slots had begun at different times."""
     packs.sinergym()
     warm = {"points": ["air_temperature"], "low": 15.0, "high": 40.0, "duration_h": 2.0}
@@ -652,7 +652,7 @@ def test_all_slots_go_back_exactly_any_number_of_times(scratch: Path) -> None:
     envs.close()
 
 
-def test_snapshots_of_slots_that_cannot_be(small: BuildingVectorEnv) -> None:
+def test_vector_env__snapshots_of_slots_that_cannot_be(small: BuildingVectorEnv) -> None:
     with pytest.raises(EpisodeChanged, match=r"call reset\(\) first"):
         small.snapshot()
     small.reset(seed=1)
@@ -688,7 +688,7 @@ def _until_reaped(env: BuildingVectorEnv, count: int) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("mode", [AutoresetMode.DISABLED, AutoresetMode.NEXT_STEP], ids=lambda mode: mode.value)
-def test_a_slot_that_has_ended_leaves_the_others_time(scratch: Path, mode: AutoresetMode) -> None:
+def test_vector_env__slot_that_has_ended_leaves_the_others_time(scratch: Path, mode: AutoresetMode) -> None:
     """However long the agent thinks then, as a learner does: the others go on, and it begins anew."""
     env: Any = gym.make_vec("zenostat/Building-v1", num_envs=2, autoreset_mode=mode, **BOTH)
     actions = np.tile([20.0, 25.0], (2, 1)).astype(np.float32)
@@ -715,7 +715,7 @@ def test_a_slot_that_has_ended_leaves_the_others_time(scratch: Path, mode: Autor
 
 
 @pytest.mark.slow
-def test_rewards_and_limits_know_the_truth_of_what_faults_disturb(scratch: Path) -> None:
+def test_vector_env__rewards_and_limits_know_the_truth_of_what_faults_disturb(scratch: Path) -> None:
     """They equal those of the single environment, to the bit."""
     plan = scratch / "faults.yaml"
     bias = {"kind": "bias", "points": "core_zn_air_temperature", "offset": 9.0}
@@ -751,7 +751,7 @@ def test_rewards_and_limits_know_the_truth_of_what_faults_disturb(scratch: Path)
     many.close()
 
 
-def test_slots_that_cannot_go_back_go_on(scratch: Path) -> None:
+def test_vector_env__slots_that_cannot_go_back_go_on(scratch: Path) -> None:
     env: Any = gym.make_vec("zenostat/Building-v1", num_envs=2, **BOTH)
     actions = np.tile([20.0, 25.0], (2, 1)).astype(np.float32)
     env.reset(seed=1)
@@ -767,7 +767,7 @@ def test_slots_that_cannot_go_back_go_on(scratch: Path) -> None:
     env.close()
 
 
-def test_slots_that_go_back_see_the_clock_that_they_saw(scratch: Path) -> None:
+def test_vector_env__slots_that_go_back_see_the_clock_that_they_saw(scratch: Path) -> None:
     """At an hour's end, where the timestep began within the hour before."""
     fields = ("month", "day_of_month", "hour", "minutes", "current_time")
     env: Any = gym.make_vec("zenostat/Building-v1", num_envs=2, **BOTH, time=fields)

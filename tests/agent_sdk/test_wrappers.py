@@ -80,14 +80,14 @@ each_chain = pytest.mark.parametrize("chain", CHAINS.values(), ids=CHAINS)
 @pytest.mark.filterwarnings("ignore:.*different from the unwrapped version.*")
 @pytest.mark.filterwarnings("ignore:.*The reward returned by `step.*")
 @pytest.mark.filterwarnings("ignore:.*Not able to test alternative render modes.*")
-def test_gymnasiums_checker_passes(chain: list[dict[str, Any]]) -> None:
+def test_wrappers__gymnasiums_checker_passes(chain: list[dict[str, Any]]) -> None:
     fixed = [one for one in chain if one["wrapper"] != "NormalizeReward"]  # statistics go on over a reset
     check_env(w.apply_wrappers(fake(), fixed))
 
 
 @pytest.mark.slow
 @each_chain
-def test_observations_lie_in_their_space_for_a_year(chain: list[dict[str, Any]]) -> None:
+def test_wrappers__observations_lie_in_their_space_for_a_year(chain: list[dict[str, Any]]) -> None:
     env = w.apply_wrappers(fake(begin="2016-01-01T00:00:00", days=366), chain)
     env.action_space.seed(1)
     for observation, _, _, _ in episode(env, env.action_space.sample):
@@ -97,7 +97,7 @@ def test_observations_lie_in_their_space_for_a_year(chain: list[dict[str, Any]])
 
 
 @each_chain
-def test_an_episode_is_the_same_to_the_bit_with_the_same_seed(chain: list[dict[str, Any]]) -> None:
+def test_wrappers__episode_is_the_same_to_the_bit_with_the_same_seed(chain: list[dict[str, Any]]) -> None:
     env = w.apply_wrappers(fake(), chain)
     seen = []
     for seed in (3, 3, 4):
@@ -110,7 +110,7 @@ def test_an_episode_is_the_same_to_the_bit_with_the_same_seed(chain: list[dict[s
 
 @each_chain
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_a_vector_is_equal_to_its_slots(chain: list[dict[str, Any]], mode: AutoresetMode) -> None:
+def test_wrappers__vector_is_equal_to_its_slots(chain: list[dict[str, Any]], mode: AutoresetMode) -> None:
     """Through the end of an episode and into the next, for which there is no seed."""
     if chain[-1]["wrapper"] == "NormalizeReward":
         chain = chain[:-1]  # statistics of all slots together
@@ -152,7 +152,7 @@ def test_a_vector_is_equal_to_its_slots(chain: list[dict[str, Any]], mode: Autor
     many.close()
 
 
-def test_a_reset_of_some_slots_leaves_the_others() -> None:
+def test_wrappers__reset_of_some_slots_leaves_the_others() -> None:
     many = w.apply_wrappers(fakes(2, AutoresetMode.DISABLED), CHAINS["PreviousObservation"])
     many.reset(seed=1)
     actions = np.stack([MIDDLE, MIDDLE])
@@ -166,7 +166,7 @@ def test_a_reset_of_some_slots_leaves_the_others() -> None:
     assert after[:, -2].tolist() == [23.0, 24.5], "one step ago: 23, and 23 + (26 - 23) / 2"
 
 
-def test_a_reset_at_an_episodes_end_is_no_autoreset() -> None:
+def test_wrappers__reset_at_an_episodes_end_is_no_autoreset() -> None:
     many = w.PreviousObservation(fakes(2), ["core"])
     actions = np.stack([MIDDLE, MIDDLE])
     many.reset(seed=1)
@@ -177,7 +177,7 @@ def test_a_reset_at_an_episodes_end_is_no_autoreset() -> None:
     assert seen == [[23.0, 23.0], [24.5, 24.5]]
 
 
-def test_infos_of_a_vector_are_read_by_their_masks() -> None:
+def test_wrappers__infos_of_a_vector_are_read_by_their_masks() -> None:
     terms = {"energy": np.array([1.0, 2.0]), "_energy": np.array([True, False]), "_own": np.array([3.0, 4.0])}
     infos = Infos({"reward_terms": terms, "step": np.array([5, 6]), "_step": np.array([False, True])}, [1, 0])
     assert [infos.get(row, "step") for row in (0, 1)] == [6, None]
@@ -186,7 +186,7 @@ def test_infos_of_a_vector_are_read_by_their_masks() -> None:
 
 
 @each_chain
-def test_chains_are_data(chain: list[dict[str, Any]]) -> None:
+def test_wrappers__chains_are_data(chain: list[dict[str, Any]]) -> None:
     env = w.apply_wrappers(TimeLimit(fake(), 500), chain)
     assert w.wrappers_of(env) == chain == json.loads(json.dumps(w.wrappers_of(env)))
     again = w.apply_wrappers(fake(), w.wrappers_of(env))
@@ -195,7 +195,7 @@ def test_chains_are_data(chain: list[dict[str, Any]]) -> None:
     assert w.wrappers_of(w.apply_wrappers(fakes(), ours)) == ours
 
 
-def test_what_was_wrapped_by_hand_is_data_too() -> None:
+def test_wrappers__what_was_wrapped_by_hand_is_data_too() -> None:
     env = w.CyclicTime(
         FrameStackObservation(RescaleAction(fake(), np.float32(-1.0), np.array([1, 2], np.float32)), 3).env, ("hour",)
     )
@@ -240,13 +240,13 @@ def test_what_was_wrapped_by_hand_is_data_too() -> None:
         ),
     ],
 )
-def test_chains_that_cannot_be(chain: list[Any], text: str) -> None:
+def test_wrappers__chains_that_cannot_be(chain: list[Any], text: str) -> None:
     with pytest.raises(InvalidConfig, match=text):
         w.apply_wrappers(fake(), chain)
 
 
 @pytest.mark.parametrize("low", [-1, -1.0, [-1.0, -0.5]])
-def test_bounds_of_gymnasiums_wrappers_are_plain_numbers(low: Any) -> None:
+def test_wrappers__bounds_of_gymnasiums_wrappers_are_plain_numbers(low: Any) -> None:
     chain = [{"wrapper": "RescaleAction", "min_action": low, "max_action": 1.0}]
     for bare in (fake(), fakes()):
         env = w.apply_wrappers(bare, chain)
@@ -255,7 +255,7 @@ def test_bounds_of_gymnasiums_wrappers_are_plain_numbers(low: Any) -> None:
         assert w.wrappers_of(env) == chain
 
 
-def test_a_wrapper_without_a_vector_form_and_one_that_is_no_data() -> None:
+def test_wrappers__wrapper_without_a_vector_form_and_one_that_is_no_data() -> None:
     with pytest.raises(InvalidConfig, match="FrameStackObservation has no vector form; wrap each environment"):
         w.apply_wrappers(fakes(), [{"wrapper": "FrameStackObservation", "stack_size": 2}])
     plain = fake()
@@ -269,7 +269,7 @@ def test_a_wrapper_without_a_vector_form_and_one_that_is_no_data() -> None:
 # Names
 
 
-def test_names_at_every_level() -> None:
+def test_wrappers__names_at_every_level() -> None:
     inner = w.PreviousObservation(fake(), ["core"])
     outer = w.ReducedObservation(NormalizeObservation(inner), ["previous_core", "hour"])
     assert inner.observation_names == (*NAMES, "previous_core")
@@ -292,7 +292,7 @@ def test_names_at_every_level() -> None:
         w.names_of(Strange(inner))
 
 
-def test_action_names() -> None:
+def test_wrappers__action_names() -> None:
     assert w.action_names_of(w.CyclicTime(fake())) == ("heat", "cool")
     moved = w.apply_wrappers(fake(), CHAINS["DiscreteIncrementalAction"])
     assert w.action_names_of(w.CyclicTime(moved)) == ("cool",)
@@ -306,12 +306,12 @@ def test_action_names() -> None:
         lambda env: w.SetpointDifference(env, {"excess": ("cor", "core_setpoint")}),
     ],
 )
-def test_a_name_that_is_not_there_has_near_names(wrong: Callable[[Any], Any]) -> None:
+def test_wrappers__name_that_is_not_there_has_near_names(wrong: Callable[[Any], Any]) -> None:
     with pytest.raises(InvalidConfig, match="no observation 'cor'; did you mean 'core'"):
         wrong(fake())
 
 
-def test_a_name_that_is_there_already() -> None:
+def test_wrappers__name_that_is_there_already() -> None:
     with pytest.raises(InvalidConfig, match="the observation already has 'core'"):
         w.SetpointDifference(fake(), {"core": ("core", "core_setpoint")})
     with pytest.raises(InvalidConfig, match="'core' is listed twice"):
@@ -333,7 +333,7 @@ def trained(env: Any) -> Any:
 
 @pytest.mark.parametrize("vectors", [False, True])
 @each_chain
-def test_a_chain_goes_on_where_it_was(chain: list[dict[str, Any]], vectors: bool, tmp_path: Path) -> None:
+def test_wrappers__chain_goes_on_where_it_was(chain: list[dict[str, Any]], vectors: bool, tmp_path: Path) -> None:
     def make() -> Any:
         bare = fakes() if vectors else fake()
         return w.apply_wrappers(bare, [*chain, {"wrapper": "NormalizeObservation"}])
@@ -361,7 +361,7 @@ def test_a_chain_goes_on_where_it_was(chain: list[dict[str, Any]], vectors: bool
     assert ends[0] == ends[1]
 
 
-def test_statistics_of_a_vector_serve_one_environment(tmp_path: Path) -> None:
+def test_wrappers__statistics_of_a_vector_serve_one_environment(tmp_path: Path) -> None:
     chain = [*CHAINS["PreviousObservation"], {"wrapper": "NormalizeObservation"}]
     many = trained(w.apply_wrappers(fakes(3), chain))
     w.save_wrappers(many, tmp_path / "state.yaml")
@@ -377,7 +377,7 @@ def test_statistics_of_a_vector_serve_one_environment(tmp_path: Path) -> None:
     assert fresh.envs[1].obs_rms.mean.tolist() == slots.envs[1].obs_rms.mean.tolist()  # type: ignore[attr-defined]
 
 
-def test_a_state_of_another_chain_changes_nothing(tmp_path: Path) -> None:
+def test_wrappers__state_of_another_chain_changes_nothing(tmp_path: Path) -> None:
     path = tmp_path / "state.yaml"
     w.save_wrappers(trained(NormalizeObservation(fake())), path)
     other = NormalizeObservation(w.PreviousObservation(fake(), ["core"]))
@@ -403,7 +403,7 @@ def test_a_state_of_another_chain_changes_nothing(tmp_path: Path) -> None:
         w.restore_wrappers(few, tmp_path / "none.yaml")
 
 
-def test_help_shows_what_a_wrapper_takes() -> None:
+def test_wrappers__help_shows_what_a_wrapper_takes() -> None:
     import inspect
 
     assert str(inspect.signature(w.PreviousObservation)).startswith("(env, names: ")
@@ -411,7 +411,7 @@ def test_help_shows_what_a_wrapper_takes() -> None:
     assert [*inspect.signature(w.WeatherForecast).parameters] == ["env", "columns", "n", "spacing_h", "errors"]
 
 
-def test_one_class_wraps_single_and_vector_environments() -> None:
+def test_wrappers__one_class_wraps_single_and_vector_environments() -> None:
     one, many = w.CyclicTime(fake(), ["hour"]), w.CyclicTime(fakes(2), ["hour"])
     assert isinstance(one, w.CyclicTime)
     assert isinstance(one, gym.Wrapper)
@@ -428,7 +428,7 @@ def test_one_class_wraps_single_and_vector_environments() -> None:
     assert all(issubclass(kind, w.BuildingWrapper) for kind in ours)
 
 
-def test_a_subclass_of_a_wrapper_wraps_both_and_overrides_both() -> None:
+def test_wrappers__subclass_of_a_wrapper_wraps_both_and_overrides_both() -> None:
     class Closed(w.CyclicTime):
         def close(self, **more: Any) -> None:
             closed.append(self.env)
@@ -442,13 +442,13 @@ def test_a_subclass_of_a_wrapper_wraps_both_and_overrides_both() -> None:
         assert closed.pop() is env
 
 
-def test_a_wrapper_can_be_copied() -> None:
+def test_wrappers__wrapper_can_be_copied() -> None:
     for env in (fake(), fakes(2)):
         wrapped = w.PreviousObservation(env, ["core"])
         assert type(copy.copy(wrapped)) is type(wrapped)
 
 
-def test_an_environment_that_is_no_building() -> None:
+def test_wrappers__environment_that_is_no_building() -> None:
     cart = gym.make("CartPole-v1")
     with pytest.raises(
         InvalidConfig, match="has no 'observation_names'; wrap an environment with an id under zenostat/"

@@ -21,7 +21,7 @@ from zenostat.topics.errors import InvalidAction, InvalidConfig
 # Actions
 
 
-def test_incremental_action_by_hand() -> None:
+def test_wrappers__incremental_action_by_hand() -> None:
     env = w.IncrementalAction(fake(), {"cool": [1.0, 0.25]}, {"cool": 29.0})
     assert (env.action_space.low.tolist(), env.action_space.high.tolist()) == ([15.0, -1.0], [22.5, 1.0])
     bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
@@ -33,24 +33,24 @@ def test_incremental_action_by_hand() -> None:
     assert env.get_state() == {"slots": [{"values": [29.75]}]}
 
 
-def test_rounding_is_half_to_even_and_none_without_a_step() -> None:
+def test_wrappers__rounding_is_half_to_even_and_none_without_a_step() -> None:
     most, steps = np.array([1.0, 1.0]), np.array([0.25, 0.0])
     assert rounded(np.array([[0.125, 0.125], [0.375, -0.3]]), steps, most).tolist() == [[0.0, 0.125], [0.5, -0.3]]
 
 
-def test_rounding_does_not_exceed_the_largest_increment() -> None:
+def test_wrappers__rounding_does_not_exceed_the_largest_increment() -> None:
     # 0.6 is 1.5 steps of 0.4: 2 steps would be 0.8
     steps = np.array([0.4, 0.3])
     increments = rounded(np.array([[0.6, 0.6], [-0.6, -0.6]]), steps, np.array([0.6, 0.6]))
     assert increments.tolist() == [[0.4, 0.6], [-0.4, -0.6]]
 
 
-def test_a_seed_may_be_a_numpy_integer() -> None:
+def test_wrappers__seed_may_be_a_numpy_integer() -> None:
     one, other = (w.PreviousObservation(FakeVectorEnv(2), ["outdoor_temperature"]) for _ in range(2))
     np.testing.assert_array_equal(one.reset(seed=np.int64(3))[0], other.reset(seed=3)[0])
 
 
-def test_what_two_reductions_dropped_stands_in_the_info_together() -> None:
+def test_wrappers__what_two_reductions_dropped_is_in_the_info_together() -> None:
     def reduced(env: Any) -> Any:
         names = env.unwrapped.manifest.names
         return w.ReducedObservation(w.ReducedObservation(env, names[:3]), names[:1])
@@ -62,7 +62,7 @@ def test_what_two_reductions_dropped_stands_in_the_info_together() -> None:
 
 
 @pytest.mark.parametrize("action", [[18.0, 1.5], [14.0, 0.0], [18.0, np.nan], [0.0]])
-def test_an_increment_out_of_the_space_changes_nothing(action: list[float]) -> None:
+def test_wrappers__increment_out_of_the_space_changes_nothing(action: list[float]) -> None:
     env = w.IncrementalAction(fake(), {"cool": 1.0}, {"cool": 29.0})
     env.reset()
     with pytest.raises(InvalidAction, match=r"IncrementalAction: action .* is not in Box"):
@@ -71,7 +71,7 @@ def test_an_increment_out_of_the_space_changes_nothing(action: list[float]) -> N
     assert env.unwrapped.commands == []  # type: ignore[attr-defined]
 
 
-def test_several_step_sizes_are_sinergyms_default_of_seventeen_choices() -> None:
+def test_wrappers__several_step_sizes_are_sinergyms_default_of_seventeen_choices() -> None:
     steps = [0.5, 1.0, 1.5, 2.0]
     env = w.DiscreteIncrementalAction(fake(), {"heat": steps, "cool": steps}, {"heat": 19.0, "cool": 26.0})
     assert env.action_space == gym.spaces.Discrete(17)
@@ -84,7 +84,7 @@ def test_several_step_sizes_are_sinergyms_default_of_seventeen_choices() -> None
         assert list(effective)[:2] == pytest.approx([19.0 + heat, 26.0 + cool])
 
 
-def test_discrete_incremental_action_by_hand() -> None:
+def test_wrappers__discrete_incremental_action_by_hand() -> None:
     env = w.DiscreteIncrementalAction(fake(), {"cool": 0.5, "heat": 2.0}, {"heat": 20.0, "cool": 29.5})
     assert env.action_space == gym.spaces.Discrete(5)
     bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
@@ -122,7 +122,7 @@ def test_discrete_incremental_action_by_hand() -> None:
         ),
     ],
 )
-def test_increments_that_cannot_be(wrong: Callable[[Any], Any], text: str) -> None:
+def test_wrappers__increments_that_cannot_be(wrong: Callable[[Any], Any], text: str) -> None:
     with pytest.raises(InvalidConfig, match=text):
         wrong(fake())
 
@@ -154,7 +154,7 @@ def test_reward_vector__has_the_requested_order() -> None:
         },
     ],
 )
-def test_context_follows_its_schedule(schedule: Any) -> None:
+def test_wrappers__context_follows_its_schedule(schedule: Any) -> None:
     env = w.ChangingContext(fake(steps_per_hour=2), schedule)
     bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
     for _ in range(2):
@@ -171,7 +171,7 @@ def test_random_context__depends_on_the_seed() -> None:
     assert len(set(seen[0])) == 24
 
 
-def test_context_that_cannot_be() -> None:
+def test_wrappers__context_that_cannot_be() -> None:
     with pytest.raises(InvalidConfig, match="'7:00' is not a time; write '07:30'"):
         w.ChangingContext(fake(), {"7:00": {}})
     with pytest.raises(InvalidConfig, match="or all like '07-01 07:30'"):

@@ -20,7 +20,7 @@ def rows_of(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-def test_a_log_has_n_rows_with_n_steps(tmp_path: Path) -> None:
+def test_wrappers__log_has_n_rows_with_n_steps(tmp_path: Path) -> None:
     env = w.EpisodeLog(w.ReducedObservation(fake(), ["core", "hour"]), tmp_path / "log")
     steps = episode(env, lambda: MIDDLE)
     rows = rows_of(tmp_path / "log" / "episode-000001.csv")
@@ -35,7 +35,7 @@ def test_a_log_has_n_rows_with_n_steps(tmp_path: Path) -> None:
     assert values == [24.5, 0.0, 20.0, 26.0, 20.0, 26.0, 0.0, -4.5, -4.0, -0.5, 4000.0]
 
 
-def test_files_of_a_log_have_their_names_when_they_are_whole(tmp_path: Path) -> None:
+def test_wrappers__files_of_a_log_have_their_names_when_they_are_whole(tmp_path: Path) -> None:
     env = w.EpisodeLog(fake(), tmp_path)
     env.reset()
     assert list(tmp_path.iterdir()) == [], "sample 0 is no row"
@@ -55,7 +55,7 @@ def test_files_of_a_log_have_their_names_when_they_are_whole(tmp_path: Path) -> 
     assert len(rows_of(tmp_path / "episode-000004.csv")) == 24
 
 
-def test_a_log_of_a_vector_has_a_file_a_slot_and_episode(tmp_path: Path) -> None:
+def test_wrappers__log_of_a_vector_has_a_file_a_slot_and_episode(tmp_path: Path) -> None:
     many = w.EpisodeLog(fakes(2), tmp_path)
     many.reset(seed=1)
     for _ in range(24 + 1 + 3):
@@ -66,7 +66,7 @@ def test_a_log_of_a_vector_has_a_file_a_slot_and_episode(tmp_path: Path) -> None
     }
 
 
-def test_parquet_has_the_same_as_csv(tmp_path: Path) -> None:
+def test_wrappers__parquet_has_the_same_as_csv(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     env = w.EpisodeLog(w.EpisodeLog(fake(), tmp_path / "one"), tmp_path / "two", "parquet")
     episode(env, lambda: MIDDLE)
@@ -75,7 +75,7 @@ def test_parquet_has_the_same_as_csv(tmp_path: Path) -> None:
     assert [{name: str(value) for name, value in row.items()} for row in table] == rows
 
 
-def test_a_log_without_its_extra_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrappers__log_without_its_extra_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for module in ("pyarrow", "tensorboardX", "wandb"):
         monkeypatch.setitem(sys.modules, module, None)
     with pytest.raises(InvalidConfig, match=r"EpisodeLog needs pyarrow .*pip install -e '\S+\[parquet\]'"):
@@ -102,7 +102,7 @@ class Board:
 
 
 @pytest.mark.parametrize("vectors", [False, True])
-def test_means_of_episodes_and_of_n_steps(monkeypatch: pytest.MonkeyPatch, vectors: bool) -> None:
+def test_wrappers__means_of_episodes_and_of_n_steps(monkeypatch: pytest.MonkeyPatch, vectors: bool) -> None:
     boards: list[Board] = []
 
     class Module:
@@ -139,7 +139,7 @@ def test_means_of_episodes_and_of_n_steps(monkeypatch: pytest.MonkeyPatch, vecto
     assert (board.folder, board.closed) == ("here", 1)
 
 
-def test_tensorboards_own_files(tmp_path: Path) -> None:
+def test_wrappers__tensorboards_own_files(tmp_path: Path) -> None:
     pytest.importorskip("tensorboardX")
     env = w.TensorBoardLog(fake(), tmp_path)
     episode(env, lambda: MIDDLE)
@@ -149,7 +149,7 @@ def test_tensorboards_own_files(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_weights_and_biases_offline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrappers__weights_and_biases_offline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("wandb")
     monkeypatch.setenv("WANDB_SILENT", "true")
     (tmp_path / "model.txt").write_text("weights")

@@ -17,7 +17,7 @@ from zenostat.topics.errors import InvalidConfig
 TWO = ["outdoor_temperature", "zone_1_air_temperature"]
 
 
-def test_named_values_are_right_at_every_layer() -> None:
+def test_named_values__are_right_at_every_layer() -> None:
     base = FakeEnv(zones=1)
     plain = base.reset(seed=0)[0]
     reduced = w.ReducedObservation(base, TWO[::-1])
@@ -32,7 +32,7 @@ def test_named_values_are_right_at_every_layer() -> None:
     assert named[TWO[0]][-1] == expected[TWO[0]]
 
 
-def test_a_vector_names_all_slots_or_one() -> None:
+def test_wrappers__vector_names_all_slots_or_one() -> None:
     many = w.ReducedObservation(FakeVectorEnv(2, zones=1), TWO[::-1])
     rows, _ = many.reset(seed=0)
     assert w.observation_dict(many, rows)[TWO[0]].tolist() == rows[:, 1].tolist()
@@ -40,7 +40,7 @@ def test_a_vector_names_all_slots_or_one() -> None:
     assert many.unwrapped.observation_dict(rows[1]) == w.observation_dict(many, rows[1])  # type: ignore[attr-defined]
 
 
-def test_an_order_that_an_array_does_not_tell_is_refused() -> None:
+def test_wrappers__order_that_an_array_does_not_tell_is_refused() -> None:
     base = FakeEnv(zones=1)
     plain = base.reset(seed=0)[0]
     turned = w.ReducedObservation(base, base.observation_names[::-1])
@@ -53,7 +53,7 @@ def test_an_order_that_an_array_does_not_tell_is_refused() -> None:
     assert w.observation_dict(base, plain) == dict(zip(base.observation_names, plain.tolist(), strict=True))
 
 
-def test_an_observation_of_another_layer_is_refused() -> None:
+def test_wrappers__observation_of_another_layer_is_refused() -> None:
     later = TimeAwareObservation(TimeLimit(FakeEnv(zones=1), 9))
     observation, _ = later.reset(seed=0)
     with pytest.raises(InvalidConfig, match=r"shape \(\d+,\) expected, got .*wrappers\.observation_dict"):
@@ -63,7 +63,7 @@ def test_an_observation_of_another_layer_is_refused() -> None:
         w.observation_dict(later, observation[:-1])
 
 
-def test_a_wrapper_without_names_is_refused() -> None:
+def test_wrappers__wrapper_without_names_is_refused() -> None:
     class Strange(gym.ObservationWrapper[Any, Any, Any]):
         def observation(self, observation: Any) -> Any:
             return observation[::-1]

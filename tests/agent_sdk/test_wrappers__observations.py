@@ -18,7 +18,7 @@ from zenostat.agent_sdk.wrappers.weather_forecast import ErrorModel, error_path
 from zenostat.topics.errors import InvalidConfig, UnknownName
 
 
-def test_cyclic_time_by_hand() -> None:
+def test_wrappers__cyclic_time_by_hand() -> None:
     """3 July 2017 is a Monday, day 184 of 365."""
     env = w.CyclicTime(fake(steps_per_hour=4))
     steps = episode(env, lambda: MIDDLE)
@@ -40,12 +40,12 @@ def test_cyclic_time_by_hand() -> None:
         w.CyclicTime(fake(), ["month"])
 
 
-def test_cyclic_works_on_any_leading_shape() -> None:
+def test_wrappers__cyclic_works_on_any_leading_shape() -> None:
     parts = np.array([[[0.25, 0.0]], [[0.5, 0.75]]])
     assert cyclic(parts) == pytest.approx(np.array([[[1.0, 0, 0, 1]], [[0, -1, -1, 0]]]), abs=1e-12)
 
 
-def test_previous_observation_begins_anew() -> None:
+def test_wrappers__previous_observation_begins_anew() -> None:
     env = w.PreviousObservation(fake(), ["core"])
     for _ in range(2):
         env.reset(seed=1)
@@ -54,7 +54,7 @@ def test_previous_observation_begins_anew() -> None:
         assert [values["previous_core"] for values in seen] == [23.0, 24.5, 25.25]
 
 
-def test_setpoint_difference_and_reduced_observation() -> None:
+def test_wrappers__setpoint_difference_and_reduced_observation() -> None:
     env = w.SetpointDifference(fake(), {"excess": ["core", "core_setpoint"]})
     assert named(env, env.reset(seed=1)[0])["excess"] == 23.0 - 26.0
     few = w.ReducedObservation(env, ["excess", "hour"])
@@ -65,7 +65,7 @@ def test_setpoint_difference_and_reduced_observation() -> None:
     assert (info["dropped"]["core"], info["dropped"]["minutes"]) == (24.5, 60.0)
 
 
-def test_the_forecast_is_the_weather_that_comes() -> None:
+def test_wrappers__forecast_is_the_upcoming_weather() -> None:
     env = w.WeatherForecast(fake(), [DRY], n=4, spacing_h=1.0)
     bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
     for seed in (1, 2):
@@ -78,7 +78,7 @@ def test_the_forecast_is_the_weather_that_comes() -> None:
     assert bare.asked == [[DRY], [DRY]], "once an episode, after its reset"
 
 
-def test_the_forecast_is_linear_between_rows_and_holds_beyond_them() -> None:
+def test_wrappers__forecast_is_linear_between_rows_and_holds_beyond_them() -> None:
     env = w.WeatherForecast(fake(steps_per_hour=4), [DRY, WIND], n=2, spacing_h=0.5)
     observation, _ = env.reset(seed=1)
     bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
@@ -97,7 +97,7 @@ def test_the_forecast_is_linear_between_rows_and_holds_beyond_them() -> None:
     assert far.reset(seed=1)[0][-1] == np.float32(far.unwrapped.series[DRY][-1])  # type: ignore[attr-defined]
 
 
-def test_what_a_forecast_cannot_be() -> None:
+def test_wrappers__what_a_forecast_cannot_be() -> None:
     with pytest.raises(UnknownName, match="no weather column 'dry'"):
         w.WeatherForecast(fake(), ["dry"]).reset()
     with pytest.raises(InvalidConfig, match="no values of 'snow_depth'"):
@@ -110,7 +110,7 @@ def test_what_a_forecast_cannot_be() -> None:
         w.WeatherForecast(fake(), [DRY], n=0)
 
 
-def test_errors_by_hand() -> None:
+def test_wrappers__errors_by_hand() -> None:
     """Four standard deviations, each from a formula."""
     one = error_path(np.array([1.0, -2.0]), np.array([6.0, 24.0]), ErrorModel(3.0))
     assert one == pytest.approx([1.5, 1.5 - 2 * 3 * math.sqrt(0.75)])
@@ -140,7 +140,7 @@ def test_forecast_errors__grow_with_the_horizon(error: Any, deviation: Callable[
     assert np.abs(difference.mean(axis=0)).max() < 0.1
 
 
-def test_errors_have_a_mean_limits_and_ranges() -> None:
+def test_wrappers__errors_have_a_mean_limits_and_ranges() -> None:
     """Without a spread the error is its mean: that of a day ahead, or the one that it ends at."""
     truth = w.WeatherForecast(fake(), ["dry_bulb_temperature"], n=3, spacing_h=12.0)
     drifting = w.WeatherForecast(
@@ -165,7 +165,7 @@ def test_errors_have_a_mean_limits_and_ranges() -> None:
     assert max(capped.reset(seed=1)[0][-3:]) <= 1.0 < max(first)
 
 
-def test_two_forecasts_of_a_chain_err_differently_and_a_seed_rules_both() -> None:
+def test_wrappers__two_forecasts_of_a_chain_err_differently_and_a_seed_rules_both() -> None:
     one = w.WeatherForecast(fake(), [DRY], n=1, errors={DRY: 1.0})
     two = w.WeatherForecast(
         w.PreviousObservation(one, ["core"]), ["relative_humidity"], n=1, errors={"relative_humidity": 1.0}
@@ -182,7 +182,7 @@ def test_two_forecasts_of_a_chain_err_differently_and_a_seed_rules_both() -> Non
     assert errors[0][0] != pytest.approx(errors[0][1], abs=1e-4)
 
 
-def test_signals_now_and_ahead() -> None:
+def test_wrappers__signals_now_and_ahead() -> None:
     class Clock:
         def at(self, begin: datetime) -> float:
             return begin.day * 100 + begin.hour

@@ -56,7 +56,7 @@ def episode(env: gym.Env[Any, Any], seed: int, action: Any) -> list[tuple[dict[s
 
 
 @pytest.mark.slow
-def test_the_forecast_is_what_comes(building: gym.Env[Any, Any]) -> None:
+def test_wrappers__forecast_has_upcoming_values(building: gym.Env[Any, Any]) -> None:
     """At whole hours, of the noised weather that this very episode reads, in two episodes of different weather."""
     env = w.WeatherForecast(building, [DRY], n=3)
     days = []
@@ -70,7 +70,7 @@ def test_the_forecast_is_what_comes(building: gym.Env[Any, Any]) -> None:
 
 
 @pytest.mark.slow
-def test_between_the_hours_the_forecast_is_what_comes_too(building: gym.Env[Any, Any]) -> None:
+def test_wrappers__between_the_hours_the_forecast_has_upcoming_values(building: gym.Env[Any, Any]) -> None:
     env = w.WeatherForecast(building, [DRY], n=2, spacing_h=0.25)
     seen = [values for values, _ in episode(env, 1, [26.0])]
     for at in range(4, N - 1):
@@ -79,7 +79,7 @@ def test_between_the_hours_the_forecast_is_what_comes_too(building: gym.Env[Any,
 
 
 @pytest.mark.slow
-def test_context_is_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
+def test_wrappers__context_is_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
     schedule = {"00:00": {"side_cooling": 29.0}, "09:00": {"side_cooling": 24.5}, "18:00": {"side_cooling": 29.0}}
     env = w.ChangingContext(building, schedule)
     for seed in (1, 1):
@@ -87,7 +87,7 @@ def test_context_is_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
         assert effective == [[26.0, 29.0]] * 36 + [[26.0, 24.5]] * 36 + [[26.0, 29.0]] * 24
 
 
-def test_increments_are_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
+def test_wrappers__increments_are_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
     env = w.SetpointDifference(
         w.IncrementalAction(building, {"cooling": [1.0, 0.5]}, {"cooling": 26.0}), {"excess": ["core", "core_setpoint"]}
     )
@@ -99,7 +99,7 @@ def test_increments_are_what_the_building_gets(building: gym.Env[Any, Any]) -> N
         assert values["excess"] == np.float32(values["core"]) - np.float32(28.5)
 
 
-def test_a_log_has_n_rows_with_n_steps(building: gym.Env[Any, Any], tmp_path: Path) -> None:
+def test_wrappers__log_has_n_rows_with_n_steps(building: gym.Env[Any, Any], tmp_path: Path) -> None:
     env = w.EpisodeLog(w.CyclicTime(building), tmp_path)
     seen = episode(env, 1, [26.0])[1:]
     (file,) = tmp_path.iterdir()
@@ -115,7 +115,7 @@ def test_a_log_has_n_rows_with_n_steps(building: gym.Env[Any, Any], tmp_path: Pa
         assert float(row["reward"]) == pytest.approx(sum(terms.values()))
 
 
-def test_a_chain_as_data_around_a_scenario(building: gym.Env[Any, Any]) -> None:
+def test_wrappers__chain_as_data_around_a_scenario(building: gym.Env[Any, Any]) -> None:
     chain: list[dict[str, Any]] = [
         {"wrapper": "WeatherForecast", "columns": [DRY, HUMIDITY], "n": 2, "errors": {DRY: 1.0}},
         {"wrapper": "ReducedObservation", "keep": ["core", f"{HUMIDITY}_in_1h"]},

@@ -51,7 +51,7 @@ def office() -> Iterator[ZonesEnv]:
 # Agents and spaces
 
 
-def test_an_agent_for_each_zone_with_its_own_thermostat_and_sensors() -> None:
+def test_zone_agents__agent_for_each_zone_with_its_own_thermostat_and_sensors() -> None:
     env = fake(2, time=["hour"], shared=["hvac_electricity"])
     assert env.possible_agents == ["zone_1", "zone_2"]
     assert env.action_names("zone_2") == ("zone_2_heating_setpoint", "zone_2_cooling_setpoint")
@@ -65,7 +65,7 @@ def test_an_agent_for_each_zone_with_its_own_thermostat_and_sensors() -> None:
     assert env.state_space == env.env.observation_space
 
 
-def test_what_is_no_single_zones_is_the_buildings() -> None:
+def test_zone_agents__what_is_no_single_zones_is_the_buildings() -> None:
     env = fake(
         2,
         actions={
@@ -87,24 +87,24 @@ def test_what_is_no_single_zones_is_the_buildings() -> None:
     assert infos["zone_1"]["value_source"] == ("zone_1",)
 
 
-def test_a_zone_that_is_called_as_another_agent_gets_a_number() -> None:
+def test_zone_agents__zone_that_is_called_as_another_agent_gets_a_number() -> None:
     from zenostat.agent_sdk.testing import Zone
 
     env = fake([Zone("building"), Zone("a-b"), Zone("plain")], equipment_control=True)
     assert env.possible_agents == ["building_2", "a-b", "plain", "building"]
 
 
-def test_no_zone_decides() -> None:
+def test_zone_agents__no_zone_decides() -> None:
     with pytest.raises(InvalidConfig, match=r"no action of node 'fake' belongs to a single zone; control='zone'"):
         fake(2, control="building")
 
 
-def test_a_plant_of_ones_own_has_no_zones() -> None:
+def test_zone_agents__plant_of_ones_own_has_no_zones() -> None:
     with pytest.raises(InvalidConfig, match=r"a plant of your own has no zones"):
         ZonesEnv(plant="tank.py:Tank")
 
 
-def test_discrete_zones_choose_each_for_itself() -> None:
+def test_zone_agents__discrete_zones_choose_each_for_itself() -> None:
     env = fake(2, control="zone", discrete=4)
     assert env.action_space("zone_1") == gym.spaces.Discrete(4)
     env.reset(seed=0)
@@ -122,7 +122,7 @@ def test_discrete_zones_choose_each_for_itself() -> None:
         env.step({"zone_1": 0, "zone_2": 4})
 
 
-def test_one_zone_alone_is_one_agent() -> None:
+def test_zone_agents__one_zone_alone_is_one_agent() -> None:
     env = fake(1, control="zone", discrete=4)
     env.reset(seed=0)
     assert env.step({"zone_1": 0})[-1]["zone_1"]["effective"].tolist() == [15.0, 30.0]
@@ -131,7 +131,7 @@ def test_one_zone_alone_is_one_agent() -> None:
 # Episodes
 
 
-def test_it_is_the_buildings_environment_cut_in_parts() -> None:
+def test_zone_agents__it_is_the_buildings_environment_cut_in_parts() -> None:
     env, whole = fake(2), FakeEnv(2)
     parts, infos = env.reset(seed=3)
     observation, info = whole.reset(seed=3)
@@ -159,7 +159,7 @@ def test_it_is_the_buildings_environment_cut_in_parts() -> None:
     assert env.agents == ["zone_1", "zone_2"]
 
 
-def test_a_limit_ends_it_for_all() -> None:
+def test_zone_agents__limit_ends_it_for_all() -> None:
     env = fake(2, terminate=[{"points": ["outdoor_temperature"], "low": 100.0}])
     env.reset(seed=0)
     _, _, terminated, truncated, infos = env.step(draw(env))
@@ -168,7 +168,7 @@ def test_a_limit_ends_it_for_all() -> None:
     assert env.agents == []
 
 
-def test_faulty_actions_simulate_nothing() -> None:
+def test_zone_agents__faulty_actions_simulate_nothing() -> None:
     env = fake(2)
     with pytest.raises(EpisodeChanged):
         env.step({})
@@ -202,7 +202,7 @@ def test_faulty_actions_simulate_nothing() -> None:
         {"kind": "linear", "temperatures": ["zone_1_air_temperature"]},
     ],
 )
-def test_own_rewards_add_up_to_the_shared_one(building_reward: Any) -> None:
+def test_zone_agents__own_rewards_add_up_to_the_shared_one(building_reward: Any) -> None:
     own = fake(3, reward="own", building_reward=building_reward, equipment_control=True)
     shared = fake(3, building_reward=building_reward, equipment_control=True)
     own.reset(seed=1)
@@ -223,7 +223,7 @@ def test_own_rewards_add_up_to_the_shared_one(building_reward: Any) -> None:
     assert differ
 
 
-def test_an_own_reward_by_hand() -> None:
+def test_zone_agents__own_reward_by_hand() -> None:
     """Summer band 23 to 26 degC, w = 0.5: -0.5e-4 P / 3 for each, and -0.5 for each degree outside in its own zone."""
     env = fake(2, reward="own", equipment_control=True)
     env.reset(seed=0)
@@ -237,7 +237,7 @@ def test_an_own_reward_by_hand() -> None:
     assert rewards["zone_2"] > rewards["zone_1"], "the warmer zone is nearer to the band"
 
 
-def test_a_function_of_ones_own() -> None:
+def test_zone_agents__function_of_ones_own() -> None:
     begins = []
 
     def reward(values: Any, begin: Any) -> dict[str, float]:
@@ -267,18 +267,18 @@ def test_a_function_of_ones_own() -> None:
         ({"shared": ["power"]}, "no observation is named 'power'; did you mean 'hvac_and_plant_power'"),
     ],
 )
-def test_what_cannot_be(arguments: dict[str, Any], message: str) -> None:
+def test_zone_agents__what_cannot_be(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfig, match=message):
         fake(2, **arguments)
 
 
-def test_without_a_reward_all_get_nothing() -> None:
+def test_zone_agents__without_a_reward_all_get_nothing() -> None:
     env = fake(2, building_reward=None)
     env.reset(seed=0)
     assert env.step(draw(env))[1] == {"zone_1": 0.0, "zone_2": 0.0}
 
 
-def test_strangers_are_named() -> None:
+def test_zone_agents__strangers_are_named() -> None:
     env = fake(1)
     with pytest.raises(InvalidConfig, match="no agent 'zone_9'; did you mean 'zone_1'"):
         env.action_space("zone_9")
@@ -288,18 +288,18 @@ def test_strangers_are_named() -> None:
 
 
 @pytest.mark.parametrize("make", [fake, lambda: fake(2, discrete=5, equipment_control=True, reward="own")])
-def test_pettingzoos_own_checks_pass(make: Callable[[], ZonesEnv]) -> None:
+def test_zone_agents__pettingzoos_own_checks_pass(make: Callable[[], ZonesEnv]) -> None:
     parallel_api_test(make(), num_cycles=200)
     parallel_seed_test(make, num_cycles=50)
 
 
 @pytest.mark.slow
-def test_pettingzoos_own_checks_pass_on_a_real_building(office: ZonesEnv) -> None:
+def test_zone_agents__pettingzoos_own_checks_pass_on_a_real_building(office: ZonesEnv) -> None:
     parallel_api_test(office, num_cycles=200)
     parallel_seed_test(real, num_cycles=5)
 
 
-def test_the_zones_of_a_real_building(office: ZonesEnv) -> None:
+def test_zone_agents__zones_of_a_real_building(office: ZonesEnv) -> None:
     assert office.possible_agents == list(ZONES)
     assert office.env.local_node is not None
     office.reset(seed=2)
@@ -326,7 +326,7 @@ def test_the_zones_of_a_real_building(office: ZonesEnv) -> None:
     assert min(totals) < 0.0
 
 
-def test_only_the_zones_that_are_set_have_agents() -> None:
+def test_zone_agents__only_the_zones_that_are_set_have_agents() -> None:
     cooling = {"cool": COOLING["perimeter_zn_2_cooling_setpoint"]}
     with_one = real(actuators=cooling, discrete=3)
     try:
@@ -337,7 +337,7 @@ def test_only_the_zones_that_are_set_have_agents() -> None:
         with_one.close()
 
 
-def test_without_pettingzoo_one_sentence_says_what_to_do() -> None:
+def test_zone_agents__without_pettingzoo_one_sentence_states_what_to_do() -> None:
     text = "import sys; sys.modules['pettingzoo'] = None; import zenostat.agent_sdk.envs.zone_agents"
     done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True)
     assert done.returncode != 0

@@ -132,7 +132,7 @@ def test_occupied__is_by_the_zone_of_the_point() -> None:
     assert len(node.sample(27.0, people=float("nan"))) == 1  # unknown counts as occupied
 
 
-def test_hours_and_weekdays() -> None:
+def test_alarms__hours_and_weekdays() -> None:
     node = Node(WARM | {"hours": [8, 18], "weekdays": ["mon"]}, step_s=3600.0)
     active = [step for step in range(48) if (node.sample(27.0), node.state()["warm"] == "active")[1]]
     assert active == list(range(8, 18))  # Monday from 8:00, and not on Tuesday
@@ -259,7 +259,7 @@ def test_out_of_service__has_no_limit_unless_one_is_requested() -> None:
     assert raised.alarm.state is ACTIVE
 
 
-def test_an_operators_decision_prevails_over_shelving_and_conditions() -> None:
+def test_alarms__operators_decision_prevails_over_shelving_and_conditions() -> None:
     condition = {"suppress_when": {"point": "core_people", "below": 0.5}}
     node = Node(WARM | condition)
     node.sample(22.0, people=0.0)
@@ -290,7 +290,7 @@ def test_a_value_that_changes_with_the_condition__raises_no_alarm() -> None:
     assert node.monitor.status(0).alarms[0].times_raised == 0
 
 
-def test_requests_without_an_effect__say_why() -> None:
+def test_requests_without_an_effect__state_why() -> None:
     node = Node(WARM | {"max_shelve_s": 3600.0}, WARM | {"name": "vital", "max_shelve_s": 0.0})
     with pytest.raises(RequestRejected, match="no episode has begun"):
         node.monitor.request(Shelve(alarm="warm", duration_s=60.0))
@@ -450,11 +450,11 @@ def test_a_file_with_errors__is_named_with_each_of_them(folder: Path, text: str,
         assert word in str(raised.value)
 
 
-def test_a_file_that_is_not_there_is_named(folder: Path) -> None:
+def test_alarms__file_that_is_not_there_is_named(folder: Path) -> None:
     with pytest.raises(InvalidConfig, match=r"there is no file .*nowhere\.yaml"):
         read_rules(folder / "nowhere.yaml")
 
 
-def test_the_page_shows_the_example() -> None:
+def test_alarms__page_shows_the_example() -> None:
     root = Path(__file__).parents[2]
     assert (root / "examples/alarms.yaml").read_text() in (root / "docs/alarms.md").read_text()

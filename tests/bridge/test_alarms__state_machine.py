@@ -94,7 +94,7 @@ LIMITS = Limits(18.0, 26.0, deadband=1.0)
         (["remove", (22.0, "suppressed"), "return", 22.0], (OK, NORMAL)),
     ],
 )
-def test_schedules(schedule: list[object], state: tuple[EventState, AlarmState]) -> None:
+def test_alarms__schedules(schedule: list[object], state: tuple[EventState, AlarmState]) -> None:
     assert last(LIMITS, *schedule) == state
 
 
@@ -120,7 +120,7 @@ def test_a_return_delay__is_its_own() -> None:
     assert run(limits, 27, 25, 25.8, 25, 25)[-1][0] is HIGH
 
 
-def test_an_event_needs_no_acknowledgment() -> None:
+def test_alarms__event_needs_no_acknowledgment() -> None:
     states = [state for _, state in run(LIMITS, 27, 24, 27, needs_acknowledgment=False)]
     assert states == [ACKNOWLEDGED, NORMAL, ACKNOWLEDGED]
 
@@ -157,7 +157,7 @@ def documented_table() -> dict[tuple[str, str], str]:
     return rows
 
 
-def test_the_docstring_has_the_table() -> None:
+def test_alarms__docstring_has_the_table() -> None:
     entering = {AlarmTransition.SUPPRESS, AlarmTransition.SHELVE, AlarmTransition.REMOVE_FROM_SERVICE}
     to_value = {AlarmTransition.TO_OFFNORMAL, AlarmTransition.TO_FAULT, AlarmTransition.TO_NORMAL}
     rest = {

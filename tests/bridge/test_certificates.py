@@ -32,7 +32,7 @@ def openssl(*arguments: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run(["openssl", *map(str, arguments)], capture_output=True, text=True)
 
 
-def test_a_folder_has_an_authority_and_a_certificate_for_each_role(pki: Path) -> None:
+def test_certificates__folder_has_an_authority_and_a_certificate_for_each_role(pki: Path) -> None:
     names = {"ca", *ROLES}
     assert {path.name for path in pki.iterdir()} == {f"{name}.{kind}" for name in names for kind in ("pem", "key")}
     assert [(one.name, one.role, one.fault) for one in show(pki)] == [
@@ -40,7 +40,7 @@ def test_a_folder_has_an_authority_and_a_certificate_for_each_role(pki: Path) ->
     ]  # fmt: skip
 
 
-def test_keys_can_be_read_by_their_owner_alone(pki: Path) -> None:
+def test_certificates__keys_can_be_read_by_their_owner_alone(pki: Path) -> None:
     assert {path.stat().st_mode & 0o777 for path in pki.glob("*.key")} == {0o600}
     assert pki.stat().st_mode & 0o777 == 0o700
 
@@ -54,7 +54,7 @@ def test_certificate__is_valid_for_the_requested_days(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("role", ROLES)
-def test_openssl_finds_the_chain_and_only_a_node_may_listen(pki: Path, role: str) -> None:
+def test_certificates__openssl_finds_the_chain_and_only_a_node_may_listen(pki: Path, role: str) -> None:
     def verify(purpose: str) -> int:
         return openssl("verify", "-CAfile", pki / "ca.pem", "-purpose", purpose, pki / f"{role}.pem").returncode
 
@@ -62,7 +62,7 @@ def test_openssl_finds_the_chain_and_only_a_node_may_listen(pki: Path, role: str
     assert (verify("sslserver") == 0) == (role == "node")
 
 
-def test_openssl_reads_the_role_the_name_and_the_hosts(pki: Path) -> None:
+def test_certificates__openssl_reads_the_role_the_name_and_the_hosts(pki: Path) -> None:
     add(pki, Role.NODE, "annex", hosts=["lab.example.org", "192.168.1.20", "fe80::1"])
     text = openssl("x509", "-in", pki / "annex.pem", "-noout", "-text").stdout
     assert "CN = zenostat-node, OU = annex" in text or "CN=zenostat-node, OU=annex" in text
@@ -72,11 +72,11 @@ def test_openssl_reads_the_role_the_name_and_the_hosts(pki: Path) -> None:
         assert answer in openssl("x509", "-in", pki / "annex.pem", "-noout", "-checkhost", host).stdout
 
 
-def test_each_certificate_has_a_key_of_its_own(pki: Path) -> None:
+def test_certificates__each_certificate_has_a_key_of_its_own(pki: Path) -> None:
     assert len({path.read_bytes() for path in pki.glob("*.key")}) == 4
 
 
-def test_nothing_is_overwritten_unless_it_is_forced(pki: Path) -> None:
+def test_certificates__nothing_is_overwritten_unless_it_is_forced(pki: Path) -> None:
     before = {path: path.read_bytes() for path in pki.iterdir()}
     with pytest.raises(InvalidConfig, match=r"already has ca\.pem, ca\.key, node\.pem.*--force"):
         make(pki)
@@ -87,13 +87,13 @@ def test_nothing_is_overwritten_unless_it_is_forced(pki: Path) -> None:
     assert not set(before.values()) & {path.read_bytes() for path in pki.iterdir()}
 
 
-def test_a_key_is_never_written_into_a_file_that_others_may_read(pki: Path) -> None:
+def test_certificates__key_is_never_written_into_a_file_that_others_may_read(pki: Path) -> None:
     (pki / "node.key").chmod(0o644)
     make(pki, force=True)
     assert (pki / "node.key").stat().st_mode & 0o777 == 0o600
 
 
-def test_certificates_of_a_former_authority_are_named(pki: Path) -> None:
+def test_certificates__of_a_former_authority_are_named(pki: Path) -> None:
     add(pki, Role.CONTROLLER, "second")
     assert identity(pki, Role.CONTROLLER, "second").key == pki / "second.key"
     make(pki, force=True)
@@ -120,14 +120,16 @@ def test_make__reports_all_errors_of_a_call_at_once(tmp_path: Path) -> None:
         (Role.NODE, "x", {"days": 4000}, "days of validity"),
     ],
 )
-def test_what_cannot_be_added_is_refused(pki: Path, role: Role, name: str, arguments: dict, message: str) -> None:
+def test_certificates__what_cannot_be_added_is_refused(
+    pki: Path, role: Role, name: str, arguments: dict, message: str
+) -> None:
     before = sorted(pki.parent.rglob("*"))
     with pytest.raises(InvalidConfig, match=message):
         add(pki, role, name, **arguments)
     assert sorted(pki.parent.rglob("*")) == before
 
 
-def test_adding_needs_the_authority_s_key(pki: Path) -> None:
+def test_certificates__adding_needs_the_authority_s_key(pki: Path) -> None:
     (pki / "ca.key").unlink()
     with pytest.raises(InvalidConfig, match=r"ca\.key; it is on the machine where the keys were created"):
         add(pki, Role.CONTROLLER, "second")
@@ -136,27 +138,27 @@ def test_adding_needs_the_authority_s_key(pki: Path) -> None:
 # What a program shows on the bus
 
 
-def test_a_program_needs_only_the_authority_s_certificate_and_its_own_files(pki: Path) -> None:
+def test_certificates__program_needs_only_the_authority_s_certificate_and_its_own_files(pki: Path) -> None:
     for other in ("ca.key", "node.pem", "node.key"):
         (pki / other).unlink()
     files = identity(pki, Role.CONTROLLER)
     assert (files.authority, files.certificate) == (pki / "ca.pem", pki / "controller.pem")
 
 
-def test_a_certificate_that_is_not_there(pki: Path) -> None:
+def test_certificates__certificate_that_is_not_there(pki: Path) -> None:
     with pytest.raises(UnknownName, match=r"no certificate 'contoller'.*'controller'.*zenostat keys add controller"):
         identity(pki, Role.CONTROLLER, "contoller")
     with pytest.raises(InvalidConfig, match="zenostat keys init"):
         identity(pki / "nowhere", Role.NODE)
 
 
-def test_an_expired_certificate(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_certificates__expired_certificate(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     expire(pki, "late", monkeypatch)
     with pytest.raises(InvalidConfig, match=r"late\.pem: expired on .*zenostat keys add --force"):
         identity(pki, Role.CONTROLLER, "late")
 
 
-def test_a_certificate_of_the_morrow(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_certificates__certificate_of_the_morrow(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(certificates, "_BACKDATED", timedelta(hours=-5))
     add(pki, Role.CONTROLLER, "early")
     with pytest.raises(InvalidConfig, match=r"not valid before.*clock"):
@@ -174,14 +176,16 @@ def test_identity__reports_all_errors_of_a_certificate_at_once(pki: Path, tmp_pa
         assert fault in str(raised.value)
 
 
-def test_a_key_that_others_may_read(pki: Path) -> None:
+def test_certificates__key_that_others_may_read(pki: Path) -> None:
     (pki / "monitor.key").chmod(0o640)
     with pytest.raises(InvalidConfig, match="chmod 600"):
         identity(pki, Role.MONITOR)
 
 
 @pytest.mark.parametrize("mode", [0o640, 0o604])
-def test_an_authority_whose_key_others_may_read_is_named_and_makes_no_certificate(pki: Path, mode: int) -> None:
+def test_certificates__authority_whose_key_others_may_read_is_named_and_makes_no_certificate(
+    pki: Path, mode: int
+) -> None:
     (pki / "ca.key").chmod(mode)
     faults = {one.name: one.fault for one in show(pki)}
     assert faults.pop("ca") == f"ca.key can be read by other users; restrict its permissions: chmod 600 {pki}/ca.key"
@@ -196,7 +200,7 @@ def test_an_authority_whose_key_others_may_read_is_named_and_makes_no_certificat
 @pytest.mark.parametrize(
     ("name", "message"), [("monitor.pem", "is not a certificate"), ("monitor.key", "is not a private key")]
 )
-def test_a_file_of_something_else(pki: Path, name: str, message: str) -> None:
+def test_certificates__file_of_something_else(pki: Path, name: str, message: str) -> None:
     (pki / name).write_text("hello")
     with pytest.raises(InvalidConfig, match=message):
         identity(pki, Role.MONITOR)
@@ -206,7 +210,7 @@ def test_a_file_of_something_else(pki: Path, name: str, message: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_command_makes_adds_and_shows(tmp_path: Path) -> None:
+def test_certificates__command_makes_adds_and_shows(tmp_path: Path) -> None:
     def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
         return subprocess.run([*ZENOSTAT, "keys", *arguments], capture_output=True, text=True, cwd=tmp_path)
 

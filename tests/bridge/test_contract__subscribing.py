@@ -16,7 +16,7 @@ UNREAD = 1000  # four times what Zenoh's default FIFO holds
 
 
 @pytest.mark.parametrize("way", ["newest", "everything"])
-def test_unread_messages_hold_no_query_up(scratch: Path, way: str) -> None:
+def test_contract__unread_messages_hold_no_query_up(scratch: Path, way: str) -> None:
     section = PAGE.read_text(encoding="utf-8").partition("## How to subscribe")[2]
     code = re.search(r"```python\n(.*?)```", section, re.S)
     assert code is not None

@@ -34,7 +34,7 @@ def holder(state: ControllerState) -> ClaimHolder:
     )
 
 
-def test_the_table_is_that_of_the_drawing() -> None:
+def test_controller_states__table_is_that_of_the_drawing() -> None:
     """Written out by hand from the module's drawing and the sentences below it."""
     drawn = {
         CONNECTED: {ANSWER: CONNECTED, DEADLINE: UNRESPONSIVE, DISCONNECT: DISCONNECTED, RESET: CONNECTED},
@@ -48,7 +48,7 @@ def test_the_table_is_that_of_the_drawing() -> None:
 
 @pytest.mark.parametrize("what", ControllerTrigger)
 @pytest.mark.parametrize("state", ControllerState)
-def test_a_pair_has_a_row_or_is_illegal(state: ControllerState, what: ControllerTrigger) -> None:
+def test_controller_states__pair_has_a_row_or_is_illegal(state: ControllerState, what: ControllerTrigger) -> None:
     agent = holder(state)
     if (state, what) in CONTROLLER_TRANSITIONS:
         assert agent.transition(what) is (CONTROLLER_TRANSITIONS[state, what] is not state)
@@ -61,7 +61,7 @@ def test_a_pair_has_a_row_or_is_illegal(state: ControllerState, what: Controller
     assert agent.state is state
 
 
-def test_whether_it_is_connected_changes_only_where_it_disconnects() -> None:
+def test_controller_states__whether_it_is_connected_changes_only_where_it_disconnects() -> None:
     """Nothing but a new claim brings a disconnected controller back."""
     assert [state for state in ControllerState if state.is_connected] == [CONNECTED, UNRESPONSIVE]
     for (state, what), to in CONTROLLER_TRANSITIONS.items():
@@ -155,7 +155,7 @@ EXPECTED: dict[tuple[ControllerState, str], tuple[ControllerState | None, list[E
 
 
 @pytest.mark.parametrize("policy", [Policy.HOLD, Policy.RELINQUISH])
-def test_the_exchange_reaches_each_state_and_takes_each_transition(policy: Policy) -> None:
+def test_controller_states__exchange_reaches_each_state_and_takes_each_transition(policy: Policy) -> None:
     """All sequences of calls, breadth first, until no new state is reached."""
     begin = Schedule(policy)
     assert begin.state is CONNECTED
@@ -189,7 +189,7 @@ def in_state(state: ControllerState) -> Schedule:
 
 
 @pytest.mark.parametrize("state", ControllerState)
-def test_in_each_state_the_node_waits_for_it_or_does_not(state: ControllerState) -> None:
+def test_controller_states__in_each_state_the_node_waits_for_it_or_does_not(state: ControllerState) -> None:
     """Only one that is bypassed is not waited for; any other has the whole deadline at each sample."""
     at = in_state(state)
     answer(at.exchange, "guard", [16.0, 29.0])
@@ -198,7 +198,9 @@ def test_in_each_state_the_node_waits_for_it_or_does_not(state: ControllerState)
 
 
 @pytest.mark.parametrize("state", ControllerState)
-def test_the_fast_path_serves_connected_controllers_and_the_other_path_all(state: ControllerState) -> None:
+def test_controller_states__fast_path_serves_connected_controllers_and_the_other_path_all(
+    state: ControllerState,
+) -> None:
     at = in_state(state)
     payload = wire(command([20.0, 25.0], step=at.exchange.step, episode=at.exchange.episode))
     assert at.exchange.intake.accept_fast("agent", payload, 0.0) == (state is CONNECTED)

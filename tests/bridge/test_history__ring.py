@@ -48,7 +48,7 @@ def test_values__are_those_of_the_named_points_in_their_order() -> None:
     assert (reply.units, reply.first_step, reply.stride, reply.remaining) == (["K", "degC"], 0, 1, 0)
 
 
-def test_a_plant_without_actuators_has_a_history() -> None:
+def test_history__plant_without_actuators_has_a_history() -> None:
     history = History(plant(actuators=0), 1, 4000)
     history.add(np.array([1.0, 2.0]).tobytes(), b"", [0], [0])
     assert table(history.answer(HistoryQuery(points=["power"]))).tolist() == [[2.0]]
@@ -143,6 +143,6 @@ def test_a_large_reply__is_divided_or_thinned(monkeypatch: pytest.MonkeyPatch) -
     assert (len(table(thinned)), thinned.stride, thinned.remaining) == (9, 3, 0)
 
 
-def test_an_unknown_point_is_named_with_a_near_one() -> None:
+def test_history__unknown_point_is_named_with_a_near_one() -> None:
     with pytest.raises(UnknownName, match="no point 'setpont'; did you mean 'setpoint'"):
         filled(1).answer(HistoryQuery(points=["air", "setpont"]))

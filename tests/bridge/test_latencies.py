@@ -9,14 +9,14 @@ import pytest
 from zenostat.bridge.exchange.latency import LatencyWindow
 
 
-def test_one_that_was_hardly_used_is_small() -> None:
+def test_latencies__one_that_was_hardly_used_is_small() -> None:
     """Each controller that ever came has one: 32 kB each are a hole in the node's heap once it has gone."""
     latencies = LatencyWindow()
     latencies.add(0.001)
     assert sys.getsizeof(latencies._ring) < 512
 
 
-def test_the_latest_4096_and_the_longest_of_all() -> None:
+def test_latencies__latest_4096_and_the_longest_of_all() -> None:
     latencies = LatencyWindow()
     latencies.add(9.0)
     for k in range(2 * 4096):

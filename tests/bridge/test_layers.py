@@ -18,7 +18,7 @@ def check() -> dict[str, Any]:
     return runpy.run_path(str(ROOT / ".ci" / "check_source.py"))
 
 
-def test_this_source_passes(check: dict[str, Any]) -> None:
+def test_layers__this_source_passes(check: dict[str, Any]) -> None:
     assert check["main"]() == 0
 
 
@@ -68,7 +68,7 @@ def test_source_check__prints_file_and_line_of_an_error(
     assert f"{path}:{fault}" in capsys.readouterr().out.splitlines()
 
 
-def test_allowed_imports_are_no_faults(check: dict[str, Any], tmp_path: Path) -> None:
+def test_layers__allowed_imports_are_no_faults(check: dict[str, Any], tmp_path: Path) -> None:
     for path, text in (
         ("bridge/a.py", "import zenostat.topics\nimport zenostat.bridge.node\nimport json\n"),
         (
@@ -91,7 +91,7 @@ def test_allowed_imports_are_no_faults(check: dict[str, Any], tmp_path: Path) ->
         "if TYPE_CHECKING:\n    from zenostat.bridge.a import A\n",
     ],
 )
-def test_a_cycle_is_a_fault_wherever_the_import_is(
+def test_layers__cycle_is_a_fault_wherever_the_import_is(
     check: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str], later: str
 ) -> None:
     (tmp_path / "bridge").mkdir()
@@ -102,7 +102,7 @@ def test_a_cycle_is_a_fault_wherever_the_import_is(
 
 
 @pytest.mark.process
-def test_all_modules_of_bridge_load_without_what_is_above() -> None:
+def test_layers__all_modules_of_bridge_load_without_what_is_above() -> None:
     program = """
 import importlib, pathlib, sys
 paths = sorted(pathlib.Path("bridge").rglob("*.py"))

@@ -31,14 +31,14 @@ def within(count: int, of: int, probability: float) -> bool:
     return abs(count - of * probability) <= 4 * math.sqrt(of * probability * (1 - probability))
 
 
-def test_without_faults_each_message_comes_once_and_at_once() -> None:
+def test_link_faults__without_faults_each_message_comes_once_and_at_once() -> None:
     fine = link()
     assert fine.outgoing(3.0) == fine.incoming("agent", 3.0) == [0.0]
     assert not fine.disturbs_samples
     assert not fine.disturbs_commands
 
 
-def test_latencies_add_up_and_are_those_of_their_direction() -> None:
+def test_link_faults__latencies_add_up_and_are_those_of_their_direction() -> None:
     slow = link(
         {"kind": "latency", "samples": True, "delay_ms": 20},
         {"kind": "latency", "samples": True, "commands": ["rl-*", "person"], "delay_ms": 30},
@@ -48,7 +48,7 @@ def test_latencies_add_up_and_are_those_of_their_direction() -> None:
     assert slow.incoming("other", 0.0) == [0.0]
 
 
-def test_jitter_is_uniform() -> None:
+def test_link_faults__jitter_is_uniform() -> None:
     # messages so far apart that none waits for the former: mean J/2, variance J²/12
     jitter = link({"kind": "jitter", "samples": True, "jitter_ms": 60})
     delays = [delay for k in range(MANY) for delay in jitter.outgoing(float(k))]
@@ -60,7 +60,7 @@ def test_jitter_is_uniform() -> None:
     assert sum((d - mean) ** 2 for d in delays) / MANY == pytest.approx(0.06**2 / 12, rel=0.05)
 
 
-def test_with_jitter_nothing_overtakes() -> None:
+def test_link_faults__with_jitter_nothing_overtakes() -> None:
     jitter = link({"kind": "jitter", "samples": True, "jitter_ms": 500})
     sent = [0.001 * k for k in range(2000)]
     arrivals = [now + delay for now in sent for delay in jitter.outgoing(now)]
@@ -79,13 +79,13 @@ def test_link_faults__lose_and_duplicate_as_often_as_configured(kind: str, copie
     assert faulty.counts == {"it": hit}
 
 
-def test_loss_in_a_row_is_as_frequent_as_by_chance() -> None:
+def test_link_faults__loss_in_a_row_is_as_frequent_as_by_chance() -> None:
     faulty = link({"kind": "loss", "samples": True, "probability": 0.3})
     lost = [not faulty.outgoing(float(k)) for k in range(MANY)]
     assert within(sum(a and b for a, b in zip(lost[::2], lost[1::2], strict=True)), MANY // 2, 0.09)
 
 
-def test_what_is_held_back_is_overtaken() -> None:
+def test_link_faults__what_is_held_back_is_overtaken() -> None:
     faulty = link({"kind": "reorder", "samples": True, "probability": 0.1, "hold_ms": 15})
     sent = [0.01 * k for k in range(MANY)]
     arrivals = sorted((now + faulty.outgoing(now)[0], k) for k, now in enumerate(sent))
@@ -97,7 +97,7 @@ def test_what_is_held_back_is_overtaken() -> None:
     assert sorted(order) == list(range(MANY))
 
 
-def test_certain_loss_loses_all_and_a_window_ends_it() -> None:
+def test_link_faults__certain_loss_loses_all_and_a_window_ends_it() -> None:
     faulty = link(
         {"name": "cut", "kind": "loss", "commands": "*", "probability": 1, "when": {"from_step": 4, "to_step": 6}}
     )
@@ -113,7 +113,7 @@ def test_certain_loss_loses_all_and_a_window_ends_it() -> None:
     assert faulty.drain_transitions() == []
 
 
-def test_no_fault_is_on_before_the_node_says_where_it_is() -> None:
+def test_link_faults__no_fault_is_on_before_the_node_states_where_it_is() -> None:
     faulty = link({"kind": "loss", "samples": True, "probability": 1}, step=None)
     assert faulty.outgoing(0.0) == [0.0]
     faulty.move(0)
@@ -131,12 +131,12 @@ def lost_of(faulty: LinkFaults, n: int = 200) -> list[bool]:
     return [not faulty.outgoing(float(k)) for k in range(n)]
 
 
-def test_one_seed_one_sequence() -> None:
+def test_link_faults__one_seed_one_sequence() -> None:
     assert lost_of(link(LOSS)) == lost_of(link(LOSS))
     assert lost_of(link(LOSS)) != lost_of(link(LOSS, seed=2))
 
 
-def test_a_flow_does_not_depend_on_the_others() -> None:
+def test_link_faults__flow_does_not_depend_on_the_others() -> None:
     alone = link(LOSS)
     mixed = link(LOSS)
     ours = [not alone.incoming("a", 0.0) for _ in range(200)]
@@ -149,7 +149,7 @@ def test_a_flow_does_not_depend_on_the_others() -> None:
     assert ours[: len(theirs)] != theirs[:200]
 
 
-def test_a_reset_with_a_seed_begins_anew() -> None:
+def test_link_faults__reset_with_a_seed_begins_anew() -> None:
     faulty, sequences = link(LOSS), []
     for seed in (5, None, 5, None):
         faulty.reset(seed)
@@ -160,7 +160,7 @@ def test_a_reset_with_a_seed_begins_anew() -> None:
 
 
 @given(before=st.integers(0, 150), n=st.integers(1, 100))
-def test_a_snapshot_goes_on_with_the_same_numbers(before: int, n: int) -> None:
+def test_link_faults__snapshot_goes_on_with_the_same_numbers(before: int, n: int) -> None:
     burst = {**LOSS, "name": "burst", "probability": 0.9, "when": {"probability": 0.2, "lasts_steps": 3}}
     faulty = link(LOSS, burst)
     faulty.reset(11)
@@ -185,7 +185,7 @@ def test_a_snapshot_goes_on_with_the_same_numbers(before: int, n: int) -> None:
     assert go_on(faulty, before) == went_on
 
 
-def test_a_window_without_a_sample_is_refused() -> None:
+def test_link_faults__window_without_a_sample_is_refused() -> None:
     with pytest.raises(InvalidConfig, match=r"'loss 1' is never active.*\n.*'latency 2' is never active") as error:
         link(
             {**LOSS, "when": {"from_s": 10, "to_s": 20}},

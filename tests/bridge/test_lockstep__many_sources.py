@@ -38,7 +38,7 @@ def test_sample__names_each_of_300_controllers() -> None:
 
 
 @pytest.mark.slow
-def test_too_many_claims_are_refused_until_some_have_gone() -> None:
+def test_lockstep__too_many_claims_are_refused_until_some_have_gone() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 1.0) for i in range(MAX_CLAIMS + 1)))
     for number in range(MAX_CLAIMS):
         claim(at, f"c{number}", actuators=[f"a{number}"])
@@ -51,7 +51,7 @@ def test_too_many_claims_are_refused_until_some_have_gone() -> None:
     claim(at, "another", actuators=[f"a{MAX_CLAIMS}"])
 
 
-def test_too_many_sources_are_refused_by_name_and_releasing_makes_place() -> None:
+def test_lockstep__too_many_sources_are_refused_by_name_and_releasing_makes_place() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 1.0) for i in range(MAX_SOURCES)))
     for number in range(1, MAX_SOURCES):
         assert at.intake.write(f"a{number}", Write(value=1.0, source=f"w{number}"), 0.0).kind is EventKind.WRITTEN

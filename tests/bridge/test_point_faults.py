@@ -89,38 +89,38 @@ SOME = {"from_step": 1, "to_step": 3}
     ],
     ids=lambda value: value.get("kind") if isinstance(value, dict) else None,
 )
-def test_a_kind_by_hand(fault: dict[str, Any], values: list[float], expected: list[float]) -> None:
+def test_point_faults__kind_by_hand(fault: dict[str, Any], values: list[float], expected: list[float]) -> None:
     assert series(point_faults(fault), values) == expected
 
 
-def test_a_dropped_point_has_no_value() -> None:
+def test_point_faults__dropped_point_has_no_value() -> None:
     assert np.array_equal(
         series(point_faults(room("drop", when=SOME)), [20.0] * 4), [20.0, NAN, NAN, 20.0], equal_nan=True
     )
 
 
 @pytest.mark.parametrize("n", [1, 3, 7])
-def test_a_delay_is_the_shifted_series(n: int) -> None:
+def test_point_faults__delay_is_the_shifted_series(n: int) -> None:
     values = np.random.default_rng(0).normal(size=40).tolist()
     delayed = series(point_faults(room("delay", steps=n)), values)
     assert np.isnan(delayed[:n]).all()
     assert delayed[n:] == values[:-n]
 
 
-def test_a_delay_knows_what_was_before_its_window() -> None:
+def test_point_faults__delay_knows_what_was_before_its_window() -> None:
     faults = point_faults(room("delay", steps=2, when={"from_step": 3, "to_step": 5}))
     assert series(faults, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]) == [0.0, 1.0, 2.0, 1.0, 2.0, 5.0]
 
 
 @given(st.floats(), st.lists(st.floats(), min_size=1, max_size=5))
-def test_what_is_frozen_holds_to_the_bit(value: float, later: list[float]) -> None:
+def test_point_faults__what_is_frozen_holds_to_the_bit(value: float, later: list[float]) -> None:
     faults = point_faults({"kind": "freeze", "points": "*"})
     raw = np.full((1, 3), value).tobytes()
     for step, other in enumerate([value, *later]):
         assert faults.apply_to_sensors(np.full((1, 3), other), [step]).tobytes() == raw
 
 
-def test_a_fault_that_comes_again_begins_anew() -> None:
+def test_point_faults__fault_that_comes_again_begins_anew() -> None:
     # every day from 0:30 to 1:00, two steps: frozen at the first of them, and drift from zero
     when = {"hours": [0.5, 1]}
     values = [float(k) for k in range(24 * HOUR + 4)]
@@ -132,7 +132,7 @@ def test_a_fault_that_comes_again_begins_anew() -> None:
     assert frozen[4 : 24 * HOUR + 2] == values[4 : 24 * HOUR + 2]
 
 
-def test_faults_of_a_point_act_one_on_the_other_in_order() -> None:
+def test_point_faults__faults_of_a_point_act_one_on_the_other_in_order() -> None:
     bias, gain = room("bias", offset=1.0), room("gain", factor=2.0)
     assert series(point_faults(bias, gain), [20.0]) == [42.0]
     assert series(point_faults(gain, bias), [20.0]) == [41.0]
@@ -141,21 +141,21 @@ def test_faults_of_a_point_act_one_on_the_other_in_order() -> None:
 # Actuators
 
 
-def test_a_command_that_does_not_arrive_leaves_the_former_one() -> None:
+def test_point_faults__command_that_does_not_arrive_leaves_the_former_one() -> None:
     faults = point_faults(cooling("drop", when={"from_step": 2, "to_step": 4}))
     assert commands(faults, [24.0, 25.0, 26.0, NAN, 28.0]) == [24.0, 25.0, 25.0, 25.0, 28.0]
 
 
-def test_where_nothing_was_commanded_before_the_building_goes_on() -> None:
+def test_point_faults__where_nothing_was_commanded_before_the_building_goes_on() -> None:
     assert np.isnan(commands(point_faults(cooling("drop")), [24.0, 25.0])).all()
 
 
-def test_commands_come_later_and_so_does_a_release() -> None:
+def test_point_faults__commands_come_later_and_so_does_a_release() -> None:
     delayed = commands(point_faults(cooling("delay", steps=2)), [24.0, 25.0, NAN, 26.0, 27.0])
     assert np.array_equal(delayed, [NAN, NAN, 24.0, 25.0, NAN], equal_nan=True)
 
 
-def test_what_is_released_stays_so_unless_it_is_stuck() -> None:
+def test_point_faults__what_is_released_stays_so_unless_it_is_stuck() -> None:
     relinquished = [NAN, NAN]
     for kind in (
         {"kind": "bias", "offset": 1.0},
@@ -171,11 +171,11 @@ def test_what_is_released_stays_so_unless_it_is_stuck() -> None:
     assert commands(point_faults(cooling("stuck", value=22.0)), relinquished) == [22.0, 22.0]
 
 
-def test_a_frozen_actuator_is_not_released() -> None:
+def test_point_faults__frozen_actuator_is_not_released() -> None:
     assert commands(point_faults(cooling("freeze", when={"from_step": 1})), [24.0, 25.0, NAN]) == [24.0, 25.0, 25.0]
 
 
-def test_a_disturbed_command_stays_within_the_bounds() -> None:
+def test_point_faults__disturbed_command_stays_within_the_bounds() -> None:
     assert commands(point_faults(cooling("bias", offset=8.0)), [20.0, 25.0]) == [28.0, 30.0]
     assert commands(point_faults(cooling("bias", offset=-8.0)), [20.0, 11.0]) == [12.0, 10.0]
     damper = point_faults({"kind": "bias", "actuators": "damper", "offset": 1e6})
@@ -219,11 +219,11 @@ def moments(on: set[int], begin: datetime = BEGIN) -> list[datetime]:
         ({"from_step": 5, "to_s": 9000}, 5, 10),  # all that is said holds
     ],
 )
-def test_windows_have_their_begin_and_not_their_end(when: dict[str, Any], first: int, end: int) -> None:
+def test_point_faults__windows_have_their_begin_and_not_their_end(when: dict[str, Any], first: int, end: int) -> None:
     assert on_at(when) == set(range(first, end))
 
 
-def test_no_window_is_always() -> None:
+def test_point_faults__no_window_is_always() -> None:
     assert on_at({}, 50) == set(range(50))
 
 
@@ -232,7 +232,7 @@ def test_no_window_is_always() -> None:
     ("hours", "weekdays"),
     [((9, 17), None), ((22, 6), None), ((8.25, 8.5), ("tue",)), (None, ("sat", "sun")), ((23, 24), ("mon", "fri"))],
 )
-def test_the_clock_is_that_of_the_simulated_time(begin: datetime, hours: Any, weekdays: Any) -> None:
+def test_point_faults__clock_is_that_of_the_simulated_time(begin: datetime, hours: Any, weekdays: Any) -> None:
     when = {name: value for name, value in (("hours", hours), ("weekdays", weekdays)) if value}
     steps_on = on_at(when, begin=begin)
 
@@ -248,7 +248,7 @@ def test_the_clock_is_that_of_the_simulated_time(begin: datetime, hours: Any, we
 
 @pytest.mark.variants
 @pytest.mark.parametrize(("probability", "lasts"), [(0.05, 1), (0.02, 6), (0.5, 3), (1, 2)])
-def test_bursts_take_the_share_of_the_time_that_theory_says(probability: float, lasts: int) -> None:
+def test_point_faults__bursts_take_the_share_of_the_time_that_theory_states(probability: float, lasts: int) -> None:
     # a renewal process: n steps on, then on average (1 - p) / p steps until it begins again
     steps = 40_000
     on = on_at({"probability": probability, "lasts_steps": lasts}, steps)
@@ -262,12 +262,12 @@ def test_bursts_take_the_share_of_the_time_that_theory_says(probability: float, 
         assert {run % lasts for run in runs} == {0}
 
 
-def test_a_burst_ends_with_its_window() -> None:
+def test_point_faults__burst_ends_with_its_window() -> None:
     on = on_at({"probability": 1, "lasts_steps": 1000, "hours": [1, 2], "weekdays": ["mon"]})
     assert on == set(range(4, 8)) | set(range(4 + 672, 8 + 672))
 
 
-def test_a_burst_that_its_window_ended_does_not_go_on_in_the_next() -> None:
+def test_point_faults__burst_that_its_window_ended_does_not_go_on_in_the_next() -> None:
     # one sample a day; a burst of 100 steps would reach the next day's
     days = 400
     on = on_at({"probability": 0.3, "lasts_steps": 100, "hours": [1, 1.25]}, days * 24 * HOUR)
@@ -297,7 +297,7 @@ def noise_of(faults: PointFaults, steps: int, slots: int = 1) -> NDArray[np.floa
     return np.array([faults.apply_to_sensors(np.zeros((slots, 3)), [k] * slots) for k in range(steps)])
 
 
-def test_noise_has_its_mean_variance_and_shape() -> None:
+def test_point_faults__noise_has_its_mean_variance_and_shape() -> None:
     noise = noise_of(point_faults({"kind": "noise", "points": "*", "sigma": 0.5}), 20_000)[:, 0]
     n = noise.size
     assert noise.mean() == pytest.approx(0.0, abs=4 * 0.5 / math.sqrt(n))
@@ -323,7 +323,7 @@ NOISE = room("noise", name="n", sigma=1.0)
 
 
 @pytest.mark.parametrize("name", ["", "n"])
-def test_another_fault_does_not_change_the_noise(name: str) -> None:
+def test_point_faults__another_fault_does_not_change_the_noise(name: str) -> None:
     noise = room("noise", name=name, sigma=1.0)
     other = {"kind": "noise", "name": "other", "points": ["power", "hall_temperature"], "sigma": 2.0}
     burst = {"kind": "drop", "points": "power", "when": {"probability": 0.3}}
@@ -333,12 +333,12 @@ def test_another_fault_does_not_change_the_noise(name: str) -> None:
         assert np.array_equal(alone, noise_of(point_faults(other, burst, noise), 200)[:, 0, 0])
 
 
-def test_two_faults_alike_have_noise_of_their_own() -> None:
+def test_point_faults__two_faults_alike_have_noise_of_their_own() -> None:
     noise = noise_of(point_faults(NOISE, {**NOISE, "name": "m", "points": "power"}), 5000)[:, 0]
     assert abs(np.corrcoef(noise[:, 0], noise[:, 2])[0, 1]) < 4 / math.sqrt(5000)
 
 
-def test_points_and_actuators_of_one_fault_have_noise_of_their_own() -> None:
+def test_point_faults__points_and_actuators_of_one_fault_have_noise_of_their_own() -> None:
     faults = point_faults({**NOISE, "actuators": "damper"})
     sensed = noise_of(faults, 2000)[:, 0, 0]
     commanded = np.array([faults.apply_to_commands(np.array([[20.0, 20.0, 0.0]]), [k])[0, 2] for k in range(2000)])
@@ -346,20 +346,20 @@ def test_points_and_actuators_of_one_fault_have_noise_of_their_own() -> None:
     assert abs(np.corrcoef(sensed, commanded)[0, 1]) < 4 / math.sqrt(2000)
 
 
-def test_where_no_spike_is_nothing_is_touched() -> None:
+def test_point_faults__where_no_spike_is_nothing_is_touched() -> None:
     faults = point_faults({"kind": "spike", "points": "*", "amplitude": 5.0, "probability": 0.5})
     raw = np.full((1, 3), -0.0)
     values = {faults.apply_to_sensors(raw, [k])[0, c].tobytes() for k in range(100) for c in range(3)}
     assert values == {np.float64(v).tobytes() for v in (-0.0, 5.0, -5.0)}
 
 
-def test_a_window_does_not_change_the_noise_in_it() -> None:
+def test_point_faults__window_does_not_change_the_noise_in_it() -> None:
     late = noise_of(point_faults({**NOISE, "when": {"from_step": 100}}), 200)[:, 0, 0]
     assert not late[:100].any()
     assert np.array_equal(late[100:], noise_of(point_faults(NOISE), 200)[100:, 0, 0])
 
 
-def test_seeds_and_episodes_give_their_own_sequences() -> None:
+def test_point_faults__seeds_and_episodes_give_their_own_sequences() -> None:
     def episodes(seed: int, resets: list[int | None], steps: int) -> list[bytes]:
         faults, noises = point_faults(NOISE, seed=seed), []
         for reset in resets:
@@ -375,7 +375,7 @@ def test_seeds_and_episodes_give_their_own_sequences() -> None:
         assert not set(episodes(2, [5, None], steps)) & set(one)
 
 
-def test_a_seed_gives_the_same_in_any_slot_and_without_one_slots_differ() -> None:
+def test_point_faults__seed_gives_the_same_in_any_slot_and_without_one_slots_differ() -> None:
     faults = point_faults(NOISE, slots=3)
     unseeded = noise_of(faults, 70, 3)
     assert len({unseeded[:, slot].tobytes() for slot in range(3)}) == 3
@@ -385,7 +385,7 @@ def test_a_seed_gives_the_same_in_any_slot_and_without_one_slots_differ() -> Non
     assert np.array_equal(seeded[:, 1], unseeded[:, 1])
 
 
-def test_a_slot_that_stands_still_says_the_same_again() -> None:
+def test_point_faults__slot_that_does_not_advance_states_the_same_again() -> None:
     everything = [NOISE, room("delay", steps=1), {"kind": "freeze", "points": "power", "when": {"probability": 0.5}}]
     still, moving = point_faults(*everything, slots=2), point_faults(*everything, slots=2)
     for steps, value in (([0, 0], 1.0), ([0, 1], 2.0), ([0, 2], 3.0), ([1, 3], 4.0)):
@@ -455,12 +455,12 @@ def run(faults: PointFaults, values: Any, wanted: Any, first: int = 0) -> list[t
     ]
 
 
-def test_the_random_plans_have_all_kinds_of_points() -> None:
+def test_point_faults__random_plans_have_all_kinds_of_points() -> None:
     assert set(parameters) | {"latency", "jitter", "loss", "duplicate", "reorder"} == set(KINDS)
 
 
 @given(plans, st.integers(0, 1000))
-def test_what_no_fault_names_is_untouched_to_the_bit(plan: list[dict[str, Any]], seed: int) -> None:
+def test_point_faults__what_no_fault_names_is_untouched_to_the_bit(plan: list[dict[str, Any]], seed: int) -> None:
     faults = point_faults(*plan, slots=SLOTS)
     values, wanted = inputs(seed)
     kept = values.tobytes(), wanted.tobytes()
@@ -488,7 +488,7 @@ def test_what_no_fault_names_is_untouched_to_the_bit(plan: list[dict[str, Any]],
 
 
 @given(plans, st.integers(0, STEPS - 1), st.integers(0, 1000))
-def test_a_snapshot_goes_on_as_if_nothing_had_been(plan: list[dict[str, Any]], cut: int, seed: int) -> None:
+def test_point_faults__snapshot_goes_on_as_if_nothing_had_been(plan: list[dict[str, Any]], cut: int, seed: int) -> None:
     values, wanted = inputs(seed)
     whole = point_faults(*plan, slots=SLOTS)
     whole.reset(None, [seed, None])
@@ -503,7 +503,7 @@ def test_a_snapshot_goes_on_as_if_nothing_had_been(plan: list[dict[str, Any]], c
     assert run(whole, values, wanted, cut) == went_on
 
 
-def test_a_branch_of_one_slot_goes_on_in_several() -> None:
+def test_point_faults__branch_of_one_slot_goes_on_in_several() -> None:
     plan = [NOISE, room("freeze", when={"probability": 0.3, "lasts_steps": 3}), room("delay", steps=2)]
     parent, branch = point_faults(*plan, slots=2), point_faults(*plan, slots=3)
     values = np.random.default_rng(3).normal(size=(40, 2, 3))
@@ -516,7 +516,7 @@ def test_a_branch_of_one_slot_goes_on_in_several() -> None:
         assert [row.tobytes() for row in disturbed] == [expected.tobytes()] * 3
 
 
-def test_an_episode_remembers_nothing_of_the_former() -> None:
+def test_point_faults__episode_remembers_nothing_of_the_former() -> None:
     faults = point_faults(room("delay", steps=2), cooling("drop", when={"from_step": 1}))
     assert commands(faults, [24.0, 25.0]) == [24.0, 24.0]
     series(faults, [1.0, 2.0, 3.0])
@@ -529,7 +529,7 @@ def test_an_episode_remembers_nothing_of_the_former() -> None:
 # Files and requests
 
 
-def test_the_example_is_a_plan_and_the_page_shows_it() -> None:
+def test_point_faults__example_is_a_plan_and_the_page_shows_it() -> None:
     path = ROOT / "examples/faults.yaml"
     plan = read_plan(path)
     assert len(plan.faults) == 9
@@ -539,12 +539,12 @@ def test_the_example_is_a_plan_and_the_page_shows_it() -> None:
     assert all(f"`{kind}`" in page for kind in KINDS)
 
 
-def test_a_plan_travels() -> None:
+def test_point_faults__plan_travels() -> None:
     plan = read_plan(ROOT / "examples/faults.yaml")
     assert codec.decode(FaultPlan, codec.encode(plan)) == plan
 
 
-def test_a_plan_without_faults_is_a_node_in_order() -> None:
+def test_point_faults__plan_without_faults_is_a_node_in_order() -> None:
     faults = point_faults()
     values, wanted = inputs(0)
     assert faults.apply_to_sensors(values, [0]) is values
@@ -584,7 +584,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize("text", WRONG)
-def test_a_wrong_file_says_all_that_is_wrong(text: str, tmp_path: Path) -> None:
+def test_point_faults__wrong_file_states_all_that_is_wrong(text: str, tmp_path: Path) -> None:
     path = tmp_path / "faults.yaml"
     path.write_text(text)
     with pytest.raises(InvalidConfig) as error:
@@ -594,12 +594,12 @@ def test_a_wrong_file_says_all_that_is_wrong(text: str, tmp_path: Path) -> None:
         assert message in str(error.value)
 
 
-def test_a_file_that_is_not_there_is_a_mistake_of_the_users(tmp_path: Path) -> None:
+def test_point_faults__file_that_is_not_there_is_a_mistake_of_the_users(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig, match=r"there is no file .*nowhere\.yaml"):
         read_plan(tmp_path / "nowhere.yaml")
 
 
-def test_a_plan_that_does_not_fit_the_node_is_refused_with_all_its_mistakes() -> None:
+def test_point_faults__plan_that_does_not_fit_the_node_is_refused_with_all_its_mistakes() -> None:
     with pytest.raises(InvalidConfig) as error:
         point_faults(
             room("bias", name="far", offset=1.0, when={"from_time": "2018-07-03"}),
@@ -622,7 +622,7 @@ def test_a_plan_that_does_not_fit_the_node_is_refused_with_all_its_mistakes() ->
 
 
 @pytest.mark.parametrize("begins", [7, 8, 9, 10])
-def test_a_delay_that_begins_amid_an_episode_lets_no_former_command_through(begins: int) -> None:
+def test_point_faults__delay_that_begins_amid_an_episode_lets_no_former_command_through(begins: int) -> None:
     faults = point_faults({"kind": "delay", "actuators": "cooling", "steps": 3})
     faults.apply_to_commands(np.array([[29.0, 12.0, NAN]]), [-1])  # what had been commanded last
     commanded = [
@@ -632,12 +632,12 @@ def test_a_delay_that_begins_amid_an_episode_lets_no_former_command_through(begi
     np.testing.assert_array_equal(commanded, [NAN, NAN, NAN, *(10.0 + k / 4 for k in range(begins, begins + 5))])
 
 
-def test_windows_that_last_longer_than_any_episode_are_refused() -> None:
+def test_point_faults__windows_that_last_longer_than_any_episode_are_refused() -> None:
     with pytest.raises(ValueError, match="less than 2147483648"):
         plan_of({"kind": "drop", "points": "power", "when": {"probability": 0.1, "lasts_steps": 2**63}})
 
 
-def test_a_wildcard_leaves_unobserved_points_alone_and_draws_the_same_for_the_others() -> None:
+def test_point_faults__wildcard_leaves_unobserved_points_alone_and_draws_the_same_for_the_others() -> None:
     noise = {"kind": "noise", "points": "*_temperature", "sigma": 1.0}
     plain, monitored = (
         point_faults(noise),

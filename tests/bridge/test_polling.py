@@ -72,7 +72,7 @@ class Machine:
 
 
 @pytest.mark.parametrize(("cores", "enabled"), [(1, True), (None, True), (4, False)])
-def test_it_never_polls_when_disabled_or_without_a_second_core(
+def test_polling__it_never_polls_when_disabled_or_without_a_second_core(
     monkeypatch: pytest.MonkeyPatch, cores: int | None, enabled: bool
 ) -> None:
     machine = Machine(monkeypatch, cores=cores, enabled=enabled)
@@ -82,21 +82,21 @@ def test_it_never_polls_when_disabled_or_without_a_second_core(
 
 
 @pytest.mark.parametrize("got", [0, b"", False, "", "message"])
-def test_only_none_means_nothing_yet(monkeypatch: pytest.MonkeyPatch, got: object) -> None:
+def test_polling__only_none_means_nothing_yet(monkeypatch: pytest.MonkeyPatch, got: object) -> None:
     machine = Machine(monkeypatch)
     machine.settle()
     assert machine.wait(0.0, got) is got
     assert (machine.attempts, machine.sleeps) == (1, 0)
 
 
-def test_it_polls_only_once_it_has_measured_short_cycles(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling__it_polls_only_once_it_has_measured_short_cycles(monkeypatch: pytest.MonkeyPatch) -> None:
     # The average starts at twice the limit: 2 * 0.9**n + 0.25 * (1 - 0.9**n) <= 1 from n = 9 on. The first cycle has
     # no beginning, and counts as a long one.
     machine = Machine(monkeypatch)
     assert machine.waits_until(polls=True, after_s=SHORT_S) == 1 + 9
 
 
-def test_a_short_wait_is_polled_for(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling__short_wait_is_polled_for(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = Machine(monkeypatch)
     machine.settle()
     assert machine.wait(SHORT_S) == "message"
@@ -104,7 +104,7 @@ def test_a_short_wait_is_polled_for(monkeypatch: pytest.MonkeyPatch) -> None:
     assert machine.polled_s == pytest.approx(SHORT_S, abs=machine.attempt_s)
 
 
-def test_it_polls_for_up_to_twice_its_typical_wait(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling__it_polls_for_up_to_twice_its_typical_wait(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = Machine(monkeypatch)
     machine.settle(LIMIT_S / 8)
     machine.wait(1.0)
@@ -113,7 +113,7 @@ def test_it_polls_for_up_to_twice_its_typical_wait(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_it_never_polls_for_longer_than_the_limit(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+def test_polling__it_never_polls_for_longer_than_the_limit(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
     # Short cycles are the most likely, so that it polls; each tenth wait is up to fifty times as long as the limit.
     rng, machine = random.Random(seed), Machine(monkeypatch)
     machine.attempt_s = LIMIT_S / 64
@@ -125,7 +125,7 @@ def test_it_never_polls_for_longer_than_the_limit(monkeypatch: pytest.MonkeyPatc
     assert polled > 0
 
 
-def test_it_stops_after_a_few_long_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling__it_stops_after_a_few_long_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     # The average of the cycle rises from 0.25 of the limit towards 2: 2 - 1.75 * 0.9**n > 1 from n = 6 on.
     machine = Machine(monkeypatch)
     machine.settle()
@@ -135,7 +135,7 @@ def test_it_stops_after_a_few_long_waits(monkeypatch: pytest.MonkeyPatch) -> Non
         assert machine.attempts == 0
 
 
-def test_it_polls_again_after_a_few_short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling__it_polls_again_after_a_few_short_waits(monkeypatch: pytest.MonkeyPatch) -> None:
     # From 2 down to 0.25 of the limit: 0.25 + 1.75 * 0.9**n <= 1 from n = 9 on. An hour counts as much as twice the
     # limit.
     machine = Machine(monkeypatch)
@@ -144,7 +144,7 @@ def test_it_polls_again_after_a_few_short_waits(monkeypatch: pytest.MonkeyPatch)
     assert machine.waits_until(polls=True, after_s=SHORT_S) == 9
 
 
-def test_a_long_pause_does_not_stop_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling__long_pause_does_not_stop_it(monkeypatch: pytest.MonkeyPatch) -> None:
     machine = Machine(monkeypatch)
     machine.settle()
     for _ in range(10):
@@ -155,7 +155,7 @@ def test_a_long_pause_does_not_stop_it(monkeypatch: pytest.MonkeyPatch) -> None:
             assert machine.sleeps == 0
 
 
-def test_a_long_pause_hardly_lengthens_the_polling(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling__long_pause_hardly_lengthens_the_polling(monkeypatch: pytest.MonkeyPatch) -> None:
     # An hour counts as no more than the limit: 0.9**22 of it is less than a tenth.
     machine = Machine(monkeypatch)
     usual_s = LIMIT_S / 8
@@ -168,7 +168,7 @@ def test_a_long_pause_hardly_lengthens_the_polling(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(("work_s", "polls"), [(0.6 * LIMIT_S, True), (0.9 * LIMIT_S, False), (LONG_S, False)])
-def test_the_length_of_the_cycle_decides(monkeypatch: pytest.MonkeyPatch, work_s: float, polls: bool) -> None:
+def test_polling__length_of_the_cycle_decides(monkeypatch: pytest.MonkeyPatch, work_s: float, polls: bool) -> None:
     # The waits are equally short, but a saved wake-up matters less the longer the rest of the cycle.
     machine = Machine(monkeypatch)
     for _ in range(2 * Polling.WINDOW):
@@ -185,7 +185,7 @@ def _polled(machine: Machine, waits: Iterable[float]) -> list[bool]:
     return polled
 
 
-def test_a_shared_core_is_not_polled_on_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling__shared_core_is_not_polled_on_for_a_while(monkeypatch: pytest.MonkeyPatch) -> None:
     # The rest of a window at half a core -> 1024 waits that sleep at once -> polls again
     machine = Machine(monkeypatch)
     machine.settle()
@@ -195,7 +195,7 @@ def test_a_shared_core_is_not_polled_on_for_a_while(monkeypatch: pytest.MonkeyPa
 
 
 @pytest.mark.parametrize(("share", "goes_on"), [(1.0, True), (0.65, True), (0.55, False)])
-def test_the_share_of_the_core_decides(monkeypatch: pytest.MonkeyPatch, share: float, goes_on: bool) -> None:
+def test_polling__share_of_the_core_decides(monkeypatch: pytest.MonkeyPatch, share: float, goes_on: bool) -> None:
     machine = Machine(monkeypatch)
     machine.settle()
     machine.share = share
@@ -204,7 +204,7 @@ def test_the_share_of_the_core_decides(monkeypatch: pytest.MonkeyPatch, share: f
     assert (machine.attempts > 0) is goes_on
 
 
-def test_sleeping_is_not_taken_for_a_lost_core(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling__sleeping_is_not_taken_for_a_lost_core(monkeypatch: pytest.MonkeyPatch) -> None:
     # The thread uses no core while it sleeps; only the time that it polled shows whose the core is. One wait in four
     # outlasts the polling, and the average of the cycle, at most 0.76 of the limit, stays below it.
     machine = Machine(monkeypatch)
@@ -212,7 +212,7 @@ def test_sleeping_is_not_taken_for_a_lost_core(monkeypatch: pytest.MonkeyPatch) 
     assert all(_polled(machine, [SHORT_S, SHORT_S, SHORT_S, LONG_S] * Polling.WINDOW))
 
 
-def test_each_window_is_judged_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_polling__each_window_is_judged_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     # Ten windows with a core to itself do not make up for one without.
     machine = Machine(monkeypatch)
     for _ in range(5):

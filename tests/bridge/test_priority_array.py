@@ -92,7 +92,7 @@ TestAgainstTheModel = Model.TestCase
 TestAgainstTheModel.settings = settings(deadline=None)
 
 
-def test_lower_rules_release_falls_to_the_next_and_empty_is_the_building() -> None:
+def test_priority_array__lower_rules_release_falls_to_the_next_and_empty_is_the_building() -> None:
     # fire@1 over person@8 over controller@10
     array = PriorityArray(1, 1)
     for priority, name, value in ((10, "controller", 24.0), (8, "person", 22.0), (1, "fire", 15.0)):
@@ -104,7 +104,7 @@ def test_lower_rules_release_falls_to_the_next_and_empty_is_the_building() -> No
 
 
 @given(finite)
-def test_a_value_rules_to_the_last_bit(value: float) -> None:
+def test_priority_array__value_rules_to_the_last_bit(value: float) -> None:
     array = PriorityArray(1, 2)
     raw = np.array([value, -0.0]).tobytes()
     array.put_all(10, array.source("a"), raw)
@@ -113,14 +113,14 @@ def test_a_value_rules_to_the_last_bit(value: float) -> None:
     assert array.resolve()[0] == raw
 
 
-def test_another_source_at_the_same_level_is_named() -> None:
+def test_priority_array__another_source_at_the_same_level_is_named() -> None:
     array = PriorityArray(1, 2)
     array.put_all(10, array.source("a"), np.array([1.0, 2.0]).tobytes())
     array.put_all(10, array.source("b"), np.array([3.0, 4.0]).tobytes())
     assert resolved(array) == [(3.0, "b"), (4.0, "b")]
 
 
-def test_a_name_has_one_index_and_the_building_has_the_first() -> None:
+def test_priority_array__name_has_one_index_and_the_building_has_the_first() -> None:
     array = PriorityArray(1, 1)
     assert array.source(BASELINE_SOURCE) == 0
     assert array.source("a") == array.source("a") == 1
@@ -128,7 +128,7 @@ def test_a_name_has_one_index_and_the_building_has_the_first() -> None:
     assert array.names == [BASELINE_SOURCE, "a", "b"]
 
 
-def test_a_flood_of_names_that_hold_nothing_stays_small() -> None:
+def test_priority_array__flood_of_names_that_hold_nothing_stays_small() -> None:
     array = PriorityArray(1, 1)
     indices = [array.source(f"device {i}") for i in range(1000)]
     assert indices[:255] == list(range(1, 256))
@@ -140,5 +140,5 @@ def test_a_flood_of_names_that_hold_nothing_stays_small() -> None:
 
 
 @pytest.mark.parametrize(("slots", "actuators"), [(1, 0), (3, 0), (3, 2)])
-def test_an_array_that_nobody_set_is_the_buildings(slots: int, actuators: int) -> None:
+def test_priority_array__array_that_nobody_set_is_the_buildings(slots: int, actuators: int) -> None:
     assert resolved(PriorityArray(slots, actuators)) == [(None, BASELINE_SOURCE)] * (slots * actuators)

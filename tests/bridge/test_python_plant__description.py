@@ -45,7 +45,7 @@ def errors_of(plant: Any) -> list[str]:
     return str(error.value).splitlines()
 
 
-def test_a_class_needs_a_timestep_points_and_two_methods() -> None:
+def test_python_plant__class_needs_a_timestep_points_and_two_methods() -> None:
     description = describe(Tank())
     assert description.sensors == (Point("temperature", "degC", 0.0, 100.0),)
     assert description.actuators == (Point("heater", "W", 0.0, 3000.0),)
@@ -55,7 +55,7 @@ def test_a_class_needs_a_timestep_points_and_two_methods() -> None:
     assert not description.has_state
 
 
-def test_an_empty_class_gets_everything_that_it_lacks_in_one_error() -> None:
+def test_python_plant__empty_class_gets_everything_that_it_lacks_in_one_error() -> None:
     class Empty:
         pass
 
@@ -69,7 +69,7 @@ def test_an_empty_class_gets_everything_that_it_lacks_in_one_error() -> None:
 @pytest.mark.parametrize(
     ("name", "hyphenated"), [("Tank", "tank"), ("HeatPump", "heat-pump"), ("Room2Zones", "room2-zones")]
 )
-def test_the_plants_name_is_its_classs(name: str, hyphenated: str) -> None:
+def test_python_plant__plants_name_is_its_classs(name: str, hyphenated: str) -> None:
     assert describe(type(name, (Tank,), {})()).name == hyphenated
 
 
@@ -77,25 +77,25 @@ def test_the_plants_name_is_its_classs(name: str, hyphenated: str) -> None:
 
 
 @pytest.mark.parametrize("step_s", [0.1, 1, 1.5, 3600, 86400.0, np.float32(60), np.int64(60)])
-def test_timesteps_from_fractions_of_a_second_to_a_day_are_valid(step_s: Any) -> None:
+def test_python_plant__timesteps_from_fractions_of_a_second_to_a_day_are_valid(step_s: Any) -> None:
     description = described(step_s=step_s)
     assert description.step_s == float(step_s)
     assert description.steps * description.step_s == 86400.0
 
 
 @pytest.mark.parametrize("step_s", [0, -60.0, 86401.0, float("nan"), float("inf"), "60", True, 10**400, 1 / 3, 1e-9])
-def test_other_timesteps_are_refused_by_name(step_s: Any) -> None:
+def test_python_plant__other_timesteps_are_refused_by_name(step_s: Any) -> None:
     (error,) = errors_of(with_attributes(step_s=step_s))
     assert error.startswith("plant Tank: step_s = ")
 
 
 @pytest.mark.parametrize("duration_s", [90.0, 0.0, -60.0, 30.0, float("inf"), "day", 1e13])
-def test_an_episode_is_a_number_of_timesteps_before_the_year_10000(duration_s: Any) -> None:
+def test_python_plant__episode_is_a_number_of_timesteps_before_the_year_10000(duration_s: Any) -> None:
     (error,) = errors_of(with_attributes(duration_s=duration_s))
     assert error.startswith("plant Tank: duration_s = ")
 
 
-def test_begin_is_a_datetime_or_its_text_without_a_time_zone() -> None:
+def test_python_plant__begin_is_a_datetime_or_its_text_without_a_time_zone() -> None:
     assert described(begin="2026-01-01T06:00").begin == "2026-01-01T06:00:00"
     assert described(begin=datetime(2026, 1, 1)).begin == "2026-01-01T00:00:00"
     for wrong in ("soon", 2026, datetime(2026, 1, 1, tzinfo=UTC), "2026-01-01T00:00Z", None):
@@ -103,7 +103,7 @@ def test_begin_is_a_datetime_or_its_text_without_a_time_zone() -> None:
         assert error.startswith("plant Tank: begin = "), wrong
 
 
-def test_time_features_have_the_names_of_the_contract() -> None:
+def test_python_plant__time_features_have_the_names_of_the_contract() -> None:
     assert described(time=["hour", "day_of_week"]).time == ("hour", "day_of_week")
     assert "did you mean 'hour'" in errors_of(with_attributes(time=("hours",)))[0]
     for wrong in ("hour", 0.0, None):  # an attribute of that name may well be the plant's clock
@@ -114,7 +114,7 @@ def test_time_features_have_the_names_of_the_contract() -> None:
 # Points
 
 
-def test_a_point_has_a_unit_and_bounds_and_an_actuator_a_default() -> None:
+def test_python_plant__point_has_a_unit_and_bounds_and_an_actuator_a_default() -> None:
     description = described(
         sensors={"a": "degC", "b": ["K", None, 300], "c": ("W", np.float32(0.5))},
         meters={"energy": "J"},
@@ -140,37 +140,37 @@ def test_a_point_has_a_unit_and_bounds_and_an_actuator_a_default() -> None:
         (("degC", 5.0, 5.0), "low 5 is not below high 5"),
     ],
 )
-def test_a_points_specification_that_is_not_valid_is_named(spec: Any, reason: str) -> None:
+def test_python_plant__points_specification_that_is_not_valid_is_named(spec: Any, reason: str) -> None:
     (error,) = errors_of(with_attributes(sensors={"temperature": spec}))
     assert error.startswith("plant Tank: sensors['temperature']: ")
     assert reason in error
 
 
 @pytest.mark.parametrize("default", [-1.0, 3001.0])
-def test_a_default_is_within_its_bounds(default: float) -> None:
+def test_python_plant__default_is_within_its_bounds(default: float) -> None:
     (error,) = errors_of(with_attributes(actuators={"heater": ("W", 0.0, 3000.0, default)}))
     assert f"the default {default:g} is out of bounds" in error
 
 
 @pytest.mark.parametrize("name", ["water temperature", "a/b", "", "*", "ä", 1, None])
-def test_a_name_must_be_valid_in_a_topic(name: Any) -> None:
+def test_python_plant__name_must_be_valid_in_a_topic(name: Any) -> None:
     for attribute in ("sensors", "meters", "actuators"):
         (error,) = errors_of(with_attributes(**{attribute: {name: "degC"}}))
         assert error.startswith(f"plant Tank: {attribute}[{name!r}]: ")
 
 
-def test_a_sensor_and_a_meter_cannot_share_a_name() -> None:
+def test_python_plant__sensor_and_a_meter_cannot_share_a_name() -> None:
     (error,) = errors_of(with_attributes(meters={"temperature": "J"}))
     assert error == "plant Tank: 'temperature' is both a sensor and a meter"
 
 
 @pytest.mark.parametrize("points", [["temperature"], "temperature", 5])
-def test_points_are_a_mapping(points: Any) -> None:
+def test_python_plant__points_are_a_mapping(points: Any) -> None:
     (error,) = errors_of(with_attributes(sensors=points))
     assert error.startswith("plant Tank: sensors is no mapping")
 
 
-def test_a_plant_measures_something() -> None:
+def test_python_plant__plant_measures_something() -> None:
     (error,) = errors_of(with_attributes(sensors={}))
     assert "at least one sensor or meter" in error
     assert described(sensors={}, meters={"energy": "J"}).sensors == ()
@@ -180,7 +180,7 @@ def test_a_plant_measures_something() -> None:
 # Methods and the rest
 
 
-def test_methods_take_the_arguments_of_the_interface() -> None:
+def test_python_plant__methods_take_the_arguments_of_the_interface() -> None:
     async def coroutine(_self: Any, commands: Any) -> Any:
         return commands
 
@@ -199,7 +199,7 @@ def test_methods_take_the_arguments_of_the_interface() -> None:
     assert described(reset=lambda _self, seed, more=0: {seed: more}, step=lambda _self, *args: args).steps == 1440
 
 
-def test_a_state_is_saved_and_restored_or_neither() -> None:
+def test_python_plant__state_is_saved_and_restored_or_neither() -> None:
     def save(_self: Any) -> float:
         return 0.0
 
@@ -211,13 +211,13 @@ def test_a_state_is_saved_and_restored_or_neither() -> None:
     assert errors_of(with_attributes(restore=restore)) == ["plant Tank: has restore() without save()"]
 
 
-def test_forkable_is_a_boolean() -> None:
+def test_python_plant__forkable_is_a_boolean() -> None:
     assert described(forkable=True).forkable
     assert "forkable = 'no'" in errors_of(with_attributes(forkable="no"))[0]
 
 
 @pytest.mark.parametrize("reward", ["linear", {"weight": 1.0}, {"kind": "linear", "f": print}, {"kind": "x", "n": {1}}])
-def test_a_reward_is_a_kind_with_parameters_that_can_be_sent(reward: Any) -> None:
+def test_python_plant__reward_is_a_kind_with_parameters_that_can_be_sent(reward: Any) -> None:
     assert errors_of(with_attributes(reward=reward))[0].startswith("plant Tank: reward = ")
     assert described(reward={"kind": "linear", "weight": 1}).reward == {"kind": "linear", "weight": 1}
 
@@ -236,7 +236,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
         del sys.modules[name]
 
 
-def test_a_class_is_named_by_file_or_module(folder: Path) -> None:
+def test_python_plant__class_is_named_by_file_or_module(folder: Path) -> None:
     (folder / "my-tank.v2.py").write_text("class Tank:\n    def __init__(self, volume=1): self.volume = volume\n")
     (folder / "plant_package").mkdir()
     (folder / "plant_package" / "tanks.py").write_text("class Tank:\n    volume = 3\n")
@@ -246,12 +246,12 @@ def test_a_class_is_named_by_file_or_module(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("plant", ["tank.py", "tank", ":Tank", "tank.py:", "tank.py:2", "", ".tank:Tank"])
-def test_a_plant_is_written_as_place_and_class(plant: str) -> None:
+def test_python_plant__plant_is_written_as_place_and_class(plant: str) -> None:
     with pytest.raises(InvalidConfig, match=r"write it as FILE:CLASS or MODULE:CLASS"):
         load_class(plant)
 
 
-def test_a_missing_file_module_or_class_is_named(folder: Path) -> None:
+def test_python_plant__missing_file_module_or_class_is_named(folder: Path) -> None:
     (folder / "tank_file.py").write_text("from pathlib import Path\nclass Tank: pass\nTonk = 5\n")
     for plant, reason in {
         "tonk.py:Tank": "no file tonk.py",
@@ -265,7 +265,7 @@ def test_a_missing_file_module_or_class_is_named(folder: Path) -> None:
         assert reason in str(error.value)
 
 
-def test_a_module_that_the_users_own_module_lacks_is_no_missing_plant(folder: Path) -> None:
+def test_python_plant__module_that_the_users_own_module_lacks_is_no_missing_plant(folder: Path) -> None:
     for name in ("tank_file", "tank_module"):
         (folder / f"{name}.py").write_text("import no_such_library\n")
     for plant in ("tank_file.py:Tank", "tank_module:Tank"):
@@ -274,7 +274,9 @@ def test_a_module_that_the_users_own_module_lacks_is_no_missing_plant(folder: Pa
 
 
 @pytest.mark.parametrize("name", ["statistics", "zenostat", "json", "my-tank.v2", "2tanks"])
-def test_a_file_of_any_name_replaces_no_other_module_and_its_instances_can_be_pickled(folder: Path, name: str) -> None:
+def test_python_plant__file_of_any_name_replaces_no_other_module_and_its_instances_can_be_pickled(
+    folder: Path, name: str
+) -> None:
     present = sys.modules.get(name)
     (folder / f"{name}.py").write_text("class Tank: pass\n")
     plant_class = load_class(f"{name}.py:Tank")
@@ -282,14 +284,14 @@ def test_a_file_of_any_name_replaces_no_other_module_and_its_instances_can_be_pi
     assert sys.modules.get(name) is present
 
 
-def test_arguments_that_the_class_does_not_take_are_named(folder: Path) -> None:
+def test_python_plant__arguments_that_the_class_does_not_take_are_named(folder: Path) -> None:
     (folder / "tank_file.py").write_text("class Tank:\n    def __init__(self, volume): pass\n")
     for arguments in ({}, {"volume": 1, "colour": 2}):
         with pytest.raises(InvalidConfig, match=r"tank_file.py:Tank.*(volume|colour).*its arguments: \(volume\)"):
             create("tank_file.py:Tank", arguments)
 
 
-def test_a_file_that_is_written_again_within_a_second_is_the_new_one(
+def test_python_plant__file_that_is_written_again_within_a_second_is_the_new_one(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Python's cached bytecode is valid for a text of the same length and time."""

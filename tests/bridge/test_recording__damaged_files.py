@@ -32,13 +32,13 @@ def read(path: Path) -> tuple[list[int], RecordingReader]:
         return [int.from_bytes(item.payload[:4], "little") for item in reader.messages()], reader
 
 
-def test_the_whole_file_is_read(whole: Path) -> None:
+def test_recording__whole_file_is_read(whole: Path) -> None:
     steps, reader = read(whole)
     assert steps == [*range(SAMPLES)]
     assert (reader.end.is_complete, reader.end.text) == (True, "")
 
 
-def test_a_file_cut_at_any_chunk_is_read_up_to_there(whole: Path, tmp_path: Path) -> None:
+def test_recording__file_cut_at_any_chunk_is_read_up_to_there(whole: Path, tmp_path: Path) -> None:
     data, ends = whole.read_bytes(), chunk_ends(whole)
     assert len(ends) == SAMPLES // 50
     for chunks, end in enumerate(ends, 1):
@@ -51,7 +51,7 @@ def test_a_file_cut_at_any_chunk_is_read_up_to_there(whole: Path, tmp_path: Path
 
 
 @given(place=st.floats(0, 1, exclude_max=True), bit=st.integers(0, 7))
-def test_a_changed_byte_is_never_read_as_a_message(whole: Path, place: float, bit: int) -> None:
+def test_recording__changed_byte_is_never_read_as_a_message(whole: Path, place: float, bit: int) -> None:
     data = bytearray(whole.read_bytes())
     data[int(place * len(data))] ^= 1 << bit
     path = whole.with_name("changed.mcap")
@@ -62,7 +62,7 @@ def test_a_changed_byte_is_never_read_as_a_message(whole: Path, place: float, bi
         assert len(steps) == SAMPLES or reader.end.text
 
 
-def test_a_damaged_chunk_is_named_and_what_is_before_it_is_read(whole: Path, tmp_path: Path) -> None:
+def test_recording__damaged_chunk_is_named_and_what_is_before_it_is_read(whole: Path, tmp_path: Path) -> None:
     data, ends = bytearray(whole.read_bytes()), chunk_ends(whole)
     data[ends[2] - 30] ^= 1
     (tmp_path / "damaged.mcap").write_bytes(data)
@@ -72,7 +72,7 @@ def test_a_damaged_chunk_is_named_and_what_is_before_it_is_read(whole: Path, tmp
     assert "it is damaged at byte" in reader.end.text
 
 
-def test_a_missing_chunk_is_a_gap(whole: Path, tmp_path: Path) -> None:
+def test_recording__missing_chunk_is_a_gap(whole: Path, tmp_path: Path) -> None:
     data, ends = whole.read_bytes(), chunk_ends(whole)
     (tmp_path / "gap.mcap").write_bytes(data[: ends[2]] + data[ends[3] :])
     steps, reader = read(tmp_path / "gap.mcap")
@@ -81,7 +81,7 @@ def test_a_missing_chunk_is_a_gap(whole: Path, tmp_path: Path) -> None:
     assert "messages are missing" in reader.end.text
 
 
-def test_a_last_chunk_that_is_not_recognized_is_a_gap(whole: Path, tmp_path: Path) -> None:
+def test_recording__last_chunk_that_is_not_recognized_is_a_gap(whole: Path, tmp_path: Path) -> None:
     data, end = bytearray(whole.read_bytes()), chunk_ends(whole)[-1]
     heads = (at for at in range(end - 9) if at + 9 + int.from_bytes(data[at + 1 : at + 9], "little") == end)
     data[next(at for at in heads if data[at] == Opcode.CHUNK)] = Opcode.MESSAGE_INDEX
@@ -92,7 +92,7 @@ def test_a_last_chunk_that_is_not_recognized_is_a_gap(whole: Path, tmp_path: Pat
     assert "messages are missing" in reader.end.text
 
 
-def test_a_summary_that_cannot_be_read_is_named(whole: Path, tmp_path: Path) -> None:
+def test_recording__summary_that_cannot_be_read_is_named(whole: Path, tmp_path: Path) -> None:
     data = bytearray(whole.read_bytes())
     place = data.index(SUMMARY.encode())
     for at, byte in ((place - 1, 0xFF), (place, 0x85), (place + len(SUMMARY), 0xFF)):  # lengths, and no UTF-8
@@ -122,7 +122,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_what_is_no_recording_is_one_sentence(case: str, tmp_path: Path) -> None:
+def test_recording__what_is_no_recording_is_one_sentence(case: str, tmp_path: Path) -> None:
     content, expected = BAD[case]
     path = tmp_path / "file.mcap"
     if content is not None:
@@ -132,14 +132,14 @@ def test_what_is_no_recording_is_one_sentence(case: str, tmp_path: Path) -> None
     assert "\n" not in str(caught.value)
 
 
-def test_a_file_that_ends_before_its_first_message_has_nothing(whole: Path, tmp_path: Path) -> None:
+def test_recording__file_that_ends_before_its_first_message_has_nothing(whole: Path, tmp_path: Path) -> None:
     (tmp_path / "begun.mcap").write_bytes(whole.read_bytes()[:200])
     with pytest.raises(InvalidRecording, match="ends before its first message"):
         RecordingReader(tmp_path / "begun.mcap")
 
 
 @pytest.mark.parametrize("field", ["format", "schema_version"])
-def test_a_newer_file_names_the_release_that_wrote_it(whole: Path, tmp_path: Path, field: str) -> None:
+def test_recording__newer_file_names_the_release_that_wrote_it(whole: Path, tmp_path: Path, field: str) -> None:
     path = rewrite(whole, tmp_path / "newer.mcap", about={field: "99", "zenostat": "7.1"})
     with pytest.raises(InvalidRecording, match=rf"was recorded by Zenostat 7\.1 with {field.replace('_', ' ')} 99"):
         RecordingReader(path)

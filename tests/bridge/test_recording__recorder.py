@@ -29,13 +29,13 @@ def numbers(path: Path) -> list[int]:
         return [int.from_bytes(item.payload[:4], "little") for item in reader.messages({"Sample"})]
 
 
-def test_all_messages_are_there_in_order(tmp_path: Path) -> None:
+def test_recording__all_messages_are_there_in_order(tmp_path: Path) -> None:
     path = record_samples(tmp_path / "a.mcap", 6000)
     assert numbers(path) == [*range(6000)]
     assert len(chunk_ends(path)) >= 2
 
 
-def test_the_file_is_what_other_readers_expect(tmp_path: Path) -> None:
+def test_recording__file_is_what_other_readers_expect(tmp_path: Path) -> None:
     path = record_samples(tmp_path / "a.mcap", 6000)
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
@@ -51,7 +51,7 @@ def test_the_file_is_what_other_readers_expect(tmp_path: Path) -> None:
     assert 0 < later < 6000
 
 
-def test_commands_with_an_encoding_of_their_own_have_a_channel_each_others_share_one(tmp_path: Path) -> None:
+def test_recording__commands_with_an_encoding_of_their_own_have_a_channel_each_others_share_one(tmp_path: Path) -> None:
     recorder = new_recorder(tmp_path / "a.mcap")
     recorder.received(keys.COMMAND, "rbc", b"\x80", codec.encoding(Command))
     recorder.received(keys.COMMAND, "rbc", b"\x81", "text/plain")
@@ -81,7 +81,7 @@ class Pipe:
         os.close(self.read_end)
 
 
-def test_a_full_buffer_makes_the_node_wait_and_drops_nothing(tmp_path: Path) -> None:
+def test_recording__full_buffer_makes_the_node_wait_and_drops_nothing(tmp_path: Path) -> None:
     pipe = Pipe()
     recorder = new_recorder(tmp_path / "a.mcap", descriptor=pipe.write_end, buffer_bytes=100_000)
     payload = os.urandom(1000)
@@ -107,7 +107,7 @@ def test_a_full_buffer_makes_the_node_wait_and_drops_nothing(tmp_path: Path) -> 
         assert opened.end.is_complete
 
 
-def test_a_node_that_ends_does_not_wait_for_the_disk(tmp_path: Path) -> None:
+def test_recording__node_that_ends_does_not_wait_for_the_disk(tmp_path: Path) -> None:
     pipe = Pipe()
     recorder = new_recorder(tmp_path / "a.mcap", descriptor=pipe.write_end, buffer_bytes=100_000)
     recorder.is_ending = lambda: True
@@ -158,7 +158,7 @@ def files_up_to(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
-def test_a_full_disk_stops_the_recording_by_name_and_leaves_whole_chunks(tmp_path: Path) -> None:
+def test_recording__full_disk_stops_the_recording_by_name_and_leaves_whole_chunks(tmp_path: Path) -> None:
     reasons = list[str]()
     path = tmp_path / "a.mcap"
     with files_up_to(2_500_000):
@@ -171,7 +171,7 @@ def test_a_full_disk_stops_the_recording_by_name_and_leaves_whole_chunks(tmp_pat
     assert path.stat().st_size < 2_500_000  # what could not be written completely is cut off
 
 
-def test_one_file_has_one_recorder(tmp_path: Path) -> None:
+def test_recording__one_file_has_one_recorder(tmp_path: Path) -> None:
     path = tmp_path / "a.mcap"
     recorder = new_recorder(path)
     for overwrite in (False, True):
@@ -186,7 +186,7 @@ def test_one_file_has_one_recorder(tmp_path: Path) -> None:
     assert path.read_bytes() == b""
 
 
-def test_only_a_recording_is_overwritten(tmp_path: Path) -> None:
+def test_recording__only_a_recording_is_overwritten(tmp_path: Path) -> None:
     path = tmp_path / "thesis.mcap"
     path.write_text("not a recording")
     with pytest.raises(InvalidConfig, match="is not a recording"):
@@ -198,7 +198,7 @@ def test_only_a_recording_is_overwritten(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("kind", ["pipe", "folder", "device", "socket"])
-def test_only_a_regular_file_is_recorded_to_or_read_and_nothing_waits(
+def test_recording__only_a_regular_file_is_recorded_to_or_read_and_nothing_waits(
     tmp_path: Path, kind: str, *, overwrite: bool
 ) -> None:
     path = tmp_path / "a.mcap"
@@ -218,7 +218,7 @@ def test_only_a_regular_file_is_recorded_to_or_read_and_nothing_waits(
         RecordingReader(path)
 
 
-def test_a_removed_file_stops_the_recording_and_is_not_claimed(tmp_path: Path) -> None:
+def test_recording__removed_file_stops_the_recording_and_is_not_claimed(tmp_path: Path) -> None:
     reasons = list[str]()
     path = tmp_path / "runs" / "a.mcap"
     recorder = new_recorder(path, on_stopped=reasons.append)
@@ -233,7 +233,7 @@ def test_a_removed_file_stops_the_recording_and_is_not_claimed(tmp_path: Path) -
     assert not path.parent.exists()
 
 
-def test_a_file_that_is_removed_just_before_the_end_is_not_claimed(tmp_path: Path) -> None:
+def test_recording__file_that_is_removed_just_before_the_end_is_not_claimed(tmp_path: Path) -> None:
     recorder = new_recorder(tmp_path / "a.mcap")
     recorder.add(SAMPLES, bytes(1000))
     (tmp_path / "a.mcap").unlink()
@@ -243,7 +243,7 @@ def test_a_file_that_is_removed_just_before_the_end_is_not_claimed(tmp_path: Pat
     assert "the file has been removed" in status.reason
 
 
-def test_a_moved_file_is_complete_up_to_there(tmp_path: Path) -> None:
+def test_recording__moved_file_is_complete_up_to_there(tmp_path: Path) -> None:
     path, reasons = tmp_path / "a.mcap", list[str]()
     recorder = new_recorder(path, on_stopped=reasons.append)
     for number in range(5):
@@ -260,7 +260,7 @@ def test_a_moved_file_is_complete_up_to_there(tmp_path: Path) -> None:
         assert opened.end.text == reasons[0] == f"{path} has been moved; the moved file ends there"
 
 
-def test_a_folder_gets_a_file_for_each_run(tmp_path: Path) -> None:
+def test_recording__folder_gets_a_file_for_each_run(tmp_path: Path) -> None:
     first = recording_path(tmp_path / "runs", "office")
     assert first.parent == tmp_path / "runs"
     assert first.name.startswith("office-")
@@ -272,7 +272,7 @@ def test_a_folder_gets_a_file_for_each_run(tmp_path: Path) -> None:
         recording_path(tmp_path / "run.rrd", "office")
 
 
-def test_a_folder_that_cannot_be_written_is_an_error_at_once(tmp_path: Path) -> None:
+def test_recording__folder_that_cannot_be_written_is_an_error_at_once(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(InvalidConfig, match="cannot record to"):
         open_recording(tmp_path / "file" / "a.mcap")

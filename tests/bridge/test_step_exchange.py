@@ -18,7 +18,7 @@ PAIRS = [(state, what) for state in State for what in Trigger]
 
 
 @pytest.mark.parametrize(("state", "what"), PAIRS, ids=lambda p: p.value)
-def test_a_pair_has_a_row_or_is_illegal(state: State, what: Trigger) -> None:
+def test_step_exchange__pair_has_a_row_or_is_illegal(state: State, what: Trigger) -> None:
     at = StepExchange((), state=state)
     if (state, what) in TRANSITIONS:
         at.transition(what)
@@ -31,7 +31,7 @@ def test_a_pair_has_a_row_or_is_illegal(state: State, what: Trigger) -> None:
     assert at.state is state
 
 
-def test_the_table_is_that_of_the_drawing() -> None:
+def test_step_exchange__table_is_that_of_the_drawing() -> None:
     """Written out by hand from the module's drawing: each state, what may happen, where it leads."""
     drawn = {
         State.STARTING: {Trigger.READY: State.WAITING, Trigger.FAIL: State.FAILED, Trigger.STOP: State.STOPPED},
@@ -50,7 +50,7 @@ def test_the_table_is_that_of_the_drawing() -> None:
     assert {(state, what): to for state, row in drawn.items() for what, to in row.items()} == TRANSITIONS
 
 
-def test_an_illegal_call_changes_nothing() -> None:
+def test_step_exchange__illegal_call_changes_nothing() -> None:
     at, other = exchange(), exchange()
     other.intake.write("heat", Write(value=20.0), 0.0)
     captured = other.capture()
@@ -72,7 +72,7 @@ def test_an_illegal_call_changes_nothing() -> None:
 
 
 @pytest.mark.parametrize("steps", [1, 2, 24])
-def test_an_episode_of_n_timesteps_has_n_commands_and_n_plus_1_samples(steps: int) -> None:
+def test_step_exchange__episode_of_n_timesteps_has_n_commands_and_n_plus_1_samples(steps: int) -> None:
     # node@0 -> agent@0 -> node@1 -> agent@1 -> ... -> node@N
     at = exchange()
     claim(at, "agent")
@@ -89,7 +89,7 @@ def test_an_episode_of_n_timesteps_has_n_commands_and_n_plus_1_samples(steps: in
     assert not at.ready_to_step()
 
 
-def test_nothing_goes_on_without_a_required_controller() -> None:
+def test_step_exchange__nothing_goes_on_without_a_required_controller() -> None:
     at = exchange()
     assert not at.ready_to_step()
     claim(at, "helper", 12, required=False)
@@ -97,7 +97,7 @@ def test_nothing_goes_on_without_a_required_controller() -> None:
     assert not at.ready_to_step()
 
 
-def test_each_required_controller_is_waited_for() -> None:
+def test_step_exchange__each_required_controller_is_waited_for() -> None:
     # node@0 -> heater@0 -> (waits) -> cooler@0 -> node@1 -> cooler@1 -> (waits) -> heater@1 -> node@2
     at = exchange()
     claim(at, "heater", actuators=["heat"])
@@ -115,7 +115,7 @@ def test_each_required_controller_is_waited_for() -> None:
     assert advance(at) == ([20.0, 26.0], ["heater", "cooler"])
 
 
-def test_one_that_is_not_required_is_heard_but_not_waited_for() -> None:
+def test_step_exchange__one_that_is_not_required_is_heard_but_not_waited_for() -> None:
     # node@0 -> agent@0 -> node@1 -> helper@1 -> agent@1 -> node@2
     at = exchange()
     claim(at, "agent", 10)
@@ -127,7 +127,7 @@ def test_one_that_is_not_required_is_heard_but_not_waited_for() -> None:
     assert advance(at) == ([16.0, 29.0], ["helper", "helper"])
 
 
-def test_a_command_rules_until_the_next_one() -> None:
+def test_step_exchange__command_rules_until_the_next_one() -> None:
     at = exchange()
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
@@ -136,7 +136,7 @@ def test_a_command_rules_until_the_next_one() -> None:
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
 
 
-def test_a_mask_sets_keeps_and_releases() -> None:
+def test_step_exchange__mask_sets_keeps_and_releases() -> None:
     at = exchange(actuator("a"), actuator("b"), actuator("c"))
     claim(at, "agent")
     answer(at, "agent", [1.0, 2.0, 3.0])
@@ -147,7 +147,7 @@ def test_a_mask_sets_keeps_and_releases() -> None:
     assert sources == ["agent", "agent", ""]
 
 
-def test_what_a_mask_does_not_set_is_not_looked_at() -> None:
+def test_step_exchange__what_a_mask_does_not_set_is_not_looked_at() -> None:
     at = exchange()
     claim(at, "agent")
     assert answer(at, "agent", [math.inf, 25.0], [KEEP, SET]) is None
@@ -155,7 +155,7 @@ def test_what_a_mask_does_not_set_is_not_looked_at() -> None:
     assert same(values, [NAN, 25.0])
 
 
-def test_slots_are_commanded_apart() -> None:
+def test_step_exchange__slots_are_commanded_apart() -> None:
     at = exchange(slots=2)
     claim(at, "agent")
     assert at.intake.command("agent", command([16.0, 23.0, 17.0, 24.0], step=[0, 0], episode=[0, 0]), 0.0) is None
@@ -171,7 +171,7 @@ def test_slots_are_commanded_apart() -> None:
     assert sources == ["agent", "agent", "", "agent"]
 
 
-def test_the_bounds_themselves_are_within() -> None:
+def test_step_exchange__bounds_themselves_are_within() -> None:
     at = exchange()
     claim(at, "agent")
     assert answer(at, "agent", [15.0, 30.0]) is None
@@ -184,14 +184,14 @@ def test_the_bounds_themselves_are_within() -> None:
 
 
 @pytest.mark.parametrize("step", [0, 1])
-def test_an_answer_to_a_step_that_is_over_is_late(step: int) -> None:
+def test_step_exchange__answer_to_a_step_that_is_over_is_late(step: int) -> None:
     at = running()
     event = unchanged(at, lambda: at.intake.command("agent", command([21.0, 26.0], step=step), 0.0), count="late")
     check_event(event, EventKind.LATE, f"[{step}]", "[2]")
     assert (event.source, event.episode, event.step) == ("agent", 0, 2)
 
 
-def test_an_answer_to_an_episode_that_is_over_is_late() -> None:
+def test_step_exchange__answer_to_an_episode_that_is_over_is_late() -> None:
     at = running()
     at.reset()
     at.ready(0.0)
@@ -201,7 +201,7 @@ def test_an_answer_to_an_episode_that_is_over_is_late() -> None:
     check_event(event, EventKind.LATE, "episode [0] step [2]", "episode [1] step [0]")
 
 
-def test_a_second_answer_is_a_duplicate() -> None:
+def test_step_exchange__second_answer_is_a_duplicate() -> None:
     at = running()
     claim(at, "second", 11)  # is waited for, so that the node stays at sample 2
     answer(at, "agent", [20.0, 25.0])
@@ -210,14 +210,14 @@ def test_a_second_answer_is_a_duplicate() -> None:
     assert event.source == "agent"
 
 
-def test_a_second_answer_of_one_that_is_not_required_is_a_duplicate_too() -> None:
+def test_step_exchange__second_answer_of_one_that_is_not_required_is_a_duplicate_too() -> None:
     at = running()
     assert answer(at, "helper", [0.0, 28.0], [KEEP, SET]) is None
     event = unchanged(at, lambda: answer(at, "helper", [0.0, 29.0], [KEEP, SET]), count="duplicate")
     check_event(event, EventKind.DUPLICATE)
 
 
-def test_an_answer_to_the_last_sample_is_a_duplicate_of_nothing_that_rules() -> None:
+def test_step_exchange__answer_to_the_last_sample_is_a_duplicate_of_nothing_that_rules() -> None:
     at = running()
     answer(at, "agent", [20.0, 25.0])
     advance(at, last=True)
@@ -254,7 +254,7 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("controller", "sent", "words"), WRONG.values(), ids=WRONG)
-def test_a_wrong_command_is_rejected_in_words(controller: str, sent: Command, words: list[str]) -> None:
+def test_step_exchange__wrong_command_is_rejected_in_words(controller: str, sent: Command, words: list[str]) -> None:
     at = running()
     event = unchanged(at, lambda: at.intake.command(controller, sent, 0.0), count="rejected")
     check_event(event, EventKind.REJECTED, *words)
@@ -264,7 +264,7 @@ def test_a_wrong_command_is_rejected_in_words(controller: str, sent: Command, wo
 
 
 @pytest.mark.parametrize("payload", [b"", b"\xc1", b"\x80", wire(command([20.0, 25.0], step=2))[:-1]])
-def test_bytes_that_are_no_command_are_rejected(payload: bytes) -> None:
+def test_step_exchange__bytes_that_are_no_command_are_rejected(payload: bytes) -> None:
     at = running()
     assert unchanged(at, lambda: at.intake.accept_fast("agent", payload, 0.0), count="") is False
     check_event(
@@ -272,7 +272,7 @@ def test_bytes_that_are_no_command_are_rejected(payload: bytes) -> None:
     )
 
 
-def test_a_command_of_another_version_is_rejected_by_name() -> None:
+def test_step_exchange__command_of_another_version_is_rejected_by_name() -> None:
     at = running()
     payload, other = wire(command([20.0, 25.0], step=2)), "application/msgpack;zenostat/1.Command"
     assert unchanged(at, lambda: at.intake.accept_fast("agent", payload, 0.0, other), count="") is False
@@ -280,7 +280,7 @@ def test_a_command_of_another_version_is_rejected_by_name() -> None:
     check_event(event, EventKind.REJECTED, "zenostat/1.Command", "zenostat/2.Command")
 
 
-def test_every_message_is_counted_once() -> None:
+def test_step_exchange__every_message_is_counted_once() -> None:
     at = running()
     before = at.counts.accepted
     claim(at, "second", 11)
@@ -296,7 +296,7 @@ def test_every_message_is_counted_once() -> None:
 # Free mode
 
 
-def test_in_free_mode_nobody_is_waited_for() -> None:
+def test_step_exchange__in_free_mode_nobody_is_waited_for() -> None:
     at = exchange(mode=Mode.FREE)
     assert at.ready_to_step()
     claim(at, "agent")
@@ -310,7 +310,7 @@ def test_in_free_mode_nobody_is_waited_for() -> None:
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
 
 
-def test_in_free_mode_the_end_is_the_end() -> None:
+def test_step_exchange__in_free_mode_the_end_is_the_end() -> None:
     at = exchange(mode=Mode.FREE)
     advance(at, last=True)
     assert not at.ready_to_step()
@@ -320,7 +320,7 @@ def test_in_free_mode_the_end_is_the_end() -> None:
 
 
 @pytest.mark.parametrize("ended", [False, True])
-def test_a_reset_releases_everything_and_keeps_the_claims(ended: bool) -> None:
+def test_step_exchange__reset_releases_everything_and_keeps_the_claims(ended: bool) -> None:
     at = exchange()
     claim(at, "agent")
     at.intake.write("cool", Write(value=28.0, duration_s=3600.0, source="wall"), 0.0)
@@ -340,7 +340,7 @@ def test_a_reset_releases_everything_and_keeps_the_claims(ended: bool) -> None:
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
 
 
-def test_the_names_are_right_after_a_reset() -> None:
+def test_step_exchange__names_are_right_after_a_reset() -> None:
     at = exchange()
     at.intake.write("cool", Write(value=28.0, source="wall"), 0.0)  # the first name of this episode, not of the next
     claim(at, "agent", 10)
@@ -352,7 +352,7 @@ def test_the_names_are_right_after_a_reset() -> None:
     assert advance(at) == ([16.0, 25.0], ["guard", "agent"])
 
 
-def test_counts_are_of_the_nodes_life() -> None:
+def test_step_exchange__counts_are_of_the_nodes_life() -> None:
     at = running()
     at.intake.command("agent", command([20.0, 25.0], step=0), 0.0)
     at.intake.command("agent", command([20.0, NAN], step=2), 0.0)
@@ -361,7 +361,7 @@ def test_counts_are_of_the_nodes_life() -> None:
     assert (at.counts.accepted, at.counts.late, at.counts.rejected) == (2, 1, 1)
 
 
-def test_touched_tells_whether_sample_0_is_still_that_of_a_fresh_start() -> None:
+def test_step_exchange__touched_tells_whether_sample_0_is_still_that_of_a_fresh_start() -> None:
     at = exchange()
     claim(at, "agent")
     assert at.modified == [False]
@@ -373,13 +373,13 @@ def test_touched_tells_whether_sample_0_is_still_that_of_a_fresh_start() -> None
     assert at.modified == [False]
 
 
-def test_a_write_that_names_nobody_is_of_somebody() -> None:
+def test_step_exchange__write_without_a_name_has_an_anonymous_source() -> None:
     at = exchange(mode=Mode.FREE)
     at.intake.write("cool", Write(value=28.0, source=""), 0.0)
     assert advance(at)[1] == ["", "anonymous"]
 
 
-def test_a_write_after_a_failure_is_refused() -> None:
+def test_step_exchange__write_after_a_failure_is_refused() -> None:
     at = exchange(mode=Mode.FREE)
     at.transition(Trigger.FAIL)
     assert at.intake.write("cool", Write(value=28.0, source="wall"), 0.0).kind is EventKind.REJECTED

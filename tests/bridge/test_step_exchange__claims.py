@@ -10,7 +10,7 @@ from zenostat.topics.errors import RequestRejected
 from zenostat.topics.messages import ControllerState, EventKind
 
 
-def test_a_second_claim_on_a_level_is_refused_by_name() -> None:
+def test_step_exchange__second_claim_on_a_level_is_refused_by_name() -> None:
     at = exchange()
     claim(at, "first", 10, actuators=["cool"])
     with pytest.raises(RequestRejected) as raised:
@@ -21,7 +21,7 @@ def test_a_second_claim_on_a_level_is_refused_by_name() -> None:
 
 
 @pytest.mark.parametrize(("priority", "actuators"), [(11, None), (10, ["heat"])], ids=["priority", "actuators"])
-def test_claims_that_do_not_meet_are_both_taken(priority: int, actuators: list[str] | None) -> None:
+def test_claims__that_do_not_meet_are_both_taken(priority: int, actuators: list[str] | None) -> None:
     at = exchange()
     claim(at, "first", 10, actuators=["cool"])
     (event,) = claim(at, "second", priority, actuators=actuators)
@@ -29,14 +29,14 @@ def test_claims_that_do_not_meet_are_both_taken(priority: int, actuators: list[s
     assert at.awaiting() == ["first", "second"]
 
 
-def test_an_unknown_actuator_is_refused_with_near_names() -> None:
+def test_step_exchange__unknown_actuator_is_refused_with_near_names() -> None:
     at = exchange()
     with pytest.raises(RequestRejected, match=r"no actuator 'coool'; did you mean 'cool'"):
         claim(at, "a", actuators=["coool"])
     assert at.controllers() == []
 
 
-def test_the_lower_level_rules_and_falls_back_on_release() -> None:
+def test_step_exchange__lower_level_rules_and_falls_back_on_release() -> None:
     at = exchange()
     claim(at, "agent", 10)
     claim(at, "guard", 5)
@@ -48,7 +48,7 @@ def test_the_lower_level_rules_and_falls_back_on_release() -> None:
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
 
 
-def test_one_that_has_gone_is_waited_for_until_it_is_back() -> None:
+def test_step_exchange__one_that_has_gone_is_waited_for_until_it_is_back() -> None:
     # node@0 -> agent@0 -> node@1 -> agent leaves -> (waits) -> agent is back -> agent@1 -> node@2
     at = exchange()
     claim(at, "agent")
@@ -67,12 +67,12 @@ def test_one_that_has_gone_is_waited_for_until_it_is_back() -> None:
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
 
 
-def test_one_that_was_never_there_cannot_leave() -> None:
+def test_step_exchange__one_that_was_never_there_cannot_leave() -> None:
     at = exchange()
     assert at.fallback.on_disconnect("nobody", 0.0) == []
 
 
-def test_one_that_has_gone_is_replaced_at_its_level() -> None:
+def test_step_exchange__one_that_has_gone_is_replaced_at_its_level() -> None:
     # agent@0 -> node@1 -> agent leaves -> other takes over -> other@1 -> node@2 -> agent comes back: refused
     at = exchange()
     claim(at, "agent")
@@ -90,7 +90,7 @@ def test_one_that_has_gone_is_replaced_at_its_level() -> None:
     check_event(answer(at, "agent", [20.0, 25.0]), EventKind.REJECTED, "'agent' has claimed nothing")
 
 
-def test_one_that_has_gone_at_another_level_is_not_replaced() -> None:
+def test_step_exchange__one_that_has_gone_at_another_level_is_not_replaced() -> None:
     at = exchange()
     claim(at, "agent", 10)
     at.fallback.on_disconnect("agent", 0.0)
@@ -100,7 +100,7 @@ def test_one_that_has_gone_at_another_level_is_not_replaced() -> None:
     assert not at.ready_to_step()
 
 
-def test_what_one_set_that_was_replaced_does_not_outlive_it() -> None:
+def test_step_exchange__what_one_set_that_was_replaced_does_not_outlive_it() -> None:
     # The new one claims `heat` only: nobody is left who could release `cool`.
     at = exchange()
     claim(at, "agent")
@@ -114,7 +114,7 @@ def test_what_one_set_that_was_replaced_does_not_outlive_it() -> None:
     assert sources == ["other", ""]
 
 
-def test_what_was_set_at_a_level_does_not_outlive_the_claim_on_it() -> None:
+def test_step_exchange__what_was_set_at_a_level_does_not_outlive_the_claim_on_it() -> None:
     # The agent moves from level 10 to 12 and releases all: nobody is left who could release level 10.
     at = exchange()
     claim(at, "agent", 10)
@@ -127,7 +127,7 @@ def test_what_was_set_at_a_level_does_not_outlive_the_claim_on_it() -> None:
     assert sources == ["", ""]
 
 
-def test_one_that_claims_again_answers_again() -> None:
+def test_step_exchange__one_that_claims_again_answers_again() -> None:
     at = exchange()
     claim(at, "agent")
     answer(at, "agent", [20.0, 25.0])
@@ -138,7 +138,7 @@ def test_one_that_claims_again_answers_again() -> None:
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
 
 
-def test_one_that_joins_within_an_episode_is_waited_for_at_once() -> None:
+def test_step_exchange__one_that_joins_within_an_episode_is_waited_for_at_once() -> None:
     at = running()
     answer(at, "agent", [20.0, 25.0])
     claim(at, "late-comer", 11)
@@ -146,7 +146,7 @@ def test_one_that_joins_within_an_episode_is_waited_for_at_once() -> None:
     assert at.awaiting() == ["late-comer"]
 
 
-def test_the_status_tells_of_each_claim() -> None:
+def test_step_exchange__status_tells_of_each_claim() -> None:
     at = running()
     rows = [(c.controller, c.priority, c.actuators, c.required, c.state, c.accepted) for c in at.controllers()]
     assert rows == [

@@ -27,7 +27,7 @@ from zenostat.topics.messages import ControllerState, EventKind, Mode, Policy, S
 
 
 @pytest.mark.parametrize("policy", [Policy.WAIT, *GO_ON])
-def test_the_policy_begins_when_the_time_of_grace_is_over(policy: Policy) -> None:
+def test_step_exchange__policy_begins_when_the_time_of_grace_is_over(policy: Policy) -> None:
     """agent@0 → node@1 → agent gone at 2 s → 5 s of grace → policy"""
     at = with_agent(policy)
     (event,) = at.fallback.on_disconnect("agent", 2.0)
@@ -51,7 +51,7 @@ def test_the_policy_begins_when_the_time_of_grace_is_over(policy: Policy) -> Non
     assert at.fallback.bypass("agent", 7.0, 5.0) == []
 
 
-def test_abort_raises_when_the_time_of_grace_is_over() -> None:
+def test_step_exchange__abort_raises_when_the_time_of_grace_is_over() -> None:
     at = with_agent(Policy.ABORT)
     at.fallback.on_disconnect("agent", 2.0)
     assert at.fallback.bypass("agent", 6.0, 5.0) == []
@@ -60,7 +60,7 @@ def test_abort_raises_when_the_time_of_grace_is_over() -> None:
 
 
 @pytest.mark.parametrize("policy", Policy)
-def test_one_that_is_back_within_the_time_of_grace_goes_on_as_if_nothing_was(policy: Policy) -> None:
+def test_step_exchange__one_that_is_back_within_the_time_of_grace_goes_on_as_if_nothing_was(policy: Policy) -> None:
     at = with_agent(policy)
     at.fallback.on_disconnect("agent", 2.0)
     assert kinds_and_sources(claim(at, "agent", now_s=4.0)) == [(EventKind.CONNECTED, "agent")]
@@ -73,7 +73,7 @@ def test_one_that_is_back_within_the_time_of_grace_goes_on_as_if_nothing_was(pol
 
 
 @pytest.mark.parametrize("policy", [*GO_ON, Policy.ABORT])
-def test_one_that_leaves_again_has_its_time_of_grace_again(policy: Policy) -> None:
+def test_step_exchange__one_that_leaves_again_has_its_time_of_grace_again(policy: Policy) -> None:
     """gone at 2 s → back at 4 s → gone at 6 s → the first grace ends at 7 s, the second at 11 s"""
     at = with_agent(policy)
     at.fallback.on_disconnect("agent", 2.0)
@@ -89,7 +89,7 @@ def test_one_that_leaves_again_has_its_time_of_grace_again(policy: Policy) -> No
 
 
 @pytest.mark.parametrize("policy", GO_ON)
-def test_one_that_is_back_later_resumes_at_the_present_step(policy: Policy) -> None:
+def test_step_exchange__one_that_is_back_later_resumes_at_the_present_step(policy: Policy) -> None:
     """agent@0 → node@1 → gone → node@2 → node@3 → agent is back → agent@3 → node@4"""
     at = with_agent(policy)
     at.fallback.on_disconnect("agent", 1.0)
@@ -109,7 +109,7 @@ def test_one_that_is_back_later_resumes_at_the_present_step(policy: Policy) -> N
 
 
 @pytest.mark.parametrize("policy", GO_ON)
-def test_one_that_is_back_before_the_step_goes_on_has_missed_nothing(policy: Policy) -> None:
+def test_step_exchange__one_that_is_back_before_the_step_goes_on_has_missed_nothing(policy: Policy) -> None:
     """heater gone and waived at sample 1, while the cooler still thinks; the heater is back and answers sample 1"""
     at = with_two(policy)
     at.fallback.on_disconnect("heater", 1.0)
@@ -123,7 +123,7 @@ def test_one_that_is_back_before_the_step_goes_on_has_missed_nothing(policy: Pol
 
 
 @pytest.mark.parametrize("policy", GO_ON)
-def test_one_that_leaves_after_its_answer(policy: Policy) -> None:
+def test_step_exchange__one_that_leaves_after_its_answer(policy: Policy) -> None:
     """Held, its answer rules the timestep that it was for, which is no fallback; released, it does not."""
     at = with_two(policy)
     answer(at, "heater", [21.0, 0.0], [SET, KEEP])
@@ -142,7 +142,7 @@ def test_one_that_leaves_after_its_answer(policy: Policy) -> None:
     assert status(at, "cooler").missed == 0
 
 
-def test_released_falls_to_the_next_level() -> None:
+def test_step_exchange__released_falls_to_the_next_level() -> None:
     """agent@10 over guard@12: the agent goes, and the guard's command rules."""
     at = node(Policy.RELINQUISH)
     claim(at, "agent", 10)
@@ -157,7 +157,7 @@ def test_released_falls_to_the_next_level() -> None:
 
 
 @pytest.mark.parametrize("deadline_s", [None, 5.0])
-def test_the_others_are_not_held_up_by_one_that_is_waived(deadline_s: float | None) -> None:
+def test_step_exchange__others_are_not_held_up_by_one_that_is_waived(deadline_s: float | None) -> None:
     """The cooler has answered already when the heater is waived: the step goes on at once."""
     at = with_two(Policy.HOLD, deadline_s)
     answer(at, "cooler", [0.0, 26.0], [KEEP, SET])
@@ -168,7 +168,7 @@ def test_the_others_are_not_held_up_by_one_that_is_waived(deadline_s: float | No
     assert at.awaiting() == ["cooler"]
 
 
-def test_with_nobody_there_and_no_deadline_the_episode_runs_through() -> None:
+def test_step_exchange__with_nobody_there_and_no_deadline_the_episode_runs_through() -> None:
     at = with_agent(Policy.HOLD)
     at.fallback.on_disconnect("agent", 1.0)
     at.fallback.bypass("agent", 1.0)
@@ -178,7 +178,7 @@ def test_with_nobody_there_and_no_deadline_the_episode_runs_through() -> None:
 
 
 @pytest.mark.parametrize("policy", GO_ON)
-def test_with_nobody_there_the_deadline_sets_the_pace(policy: Policy) -> None:
+def test_step_exchange__with_nobody_there_the_deadline_sets_the_pace(policy: Policy) -> None:
     at = with_agent(policy, 2.0)
     at.fallback.on_disconnect("agent", 1.0)
     at.fallback.bypass("agent", 1.0)
@@ -190,7 +190,7 @@ def test_with_nobody_there_the_deadline_sets_the_pace(policy: Policy) -> None:
     assert at.counts.missed == status(at, "agent").missed == 3
 
 
-def test_with_two_gone_the_deadline_sets_the_pace() -> None:
+def test_step_exchange__with_two_gone_the_deadline_sets_the_pace() -> None:
     at = with_two(Policy.HOLD, 2.0)
     for name in ("heater", "cooler"):
         at.fallback.on_disconnect(name, 1.0)
@@ -202,7 +202,7 @@ def test_with_two_gone_the_deadline_sets_the_pace() -> None:
 
 
 @pytest.mark.parametrize("policy", Policy)
-def test_nothing_goes_on_where_nobody_ever_claimed(policy: Policy) -> None:
+def test_step_exchange__nothing_goes_on_where_nobody_ever_claimed(policy: Policy) -> None:
     at = node(policy, 2.0)
     assert at.fallback.on_deadline(0.0) == []
     assert not at.ready_to_step()
@@ -241,7 +241,7 @@ def test_new_episode__forgets_bypassed_and_late_controllers() -> None:
     assert not at.fallback_active
 
 
-def test_after_an_abort_a_reset_begins_anew() -> None:
+def test_step_exchange__after_an_abort_a_reset_begins_anew() -> None:
     at = with_two(Policy.ABORT, 2.0)
     answer(at, "cooler", [0.0, 26.0], [KEEP, SET])
     with pytest.raises(EpisodeAborted, match=r"^heater sent no command within 2 s$"):
@@ -261,7 +261,7 @@ def test_after_an_abort_a_reset_begins_anew() -> None:
 
 
 @pytest.mark.parametrize("policy", GO_ON)
-def test_one_that_is_silent_beyond_the_deadline(policy: Policy) -> None:
+def test_step_exchange__one_that_is_silent_beyond_the_deadline(policy: Policy) -> None:
     """node@1 at 1 s → silent → 3 s: policy → node@2 → silent → 5 s → node@3: told once, missed twice"""
     at = with_agent(policy, 2.0)
     events = at.fallback.on_deadline(3.0)
@@ -277,7 +277,7 @@ def test_one_that_is_silent_beyond_the_deadline(policy: Policy) -> None:
 
 
 @pytest.mark.parametrize("policy", GO_ON)
-def test_one_that_was_silent_and_answers_again(policy: Policy) -> None:
+def test_step_exchange__one_that_was_silent_and_answers_again(policy: Policy) -> None:
     at = with_agent(policy, 2.0)
     at.fallback.on_deadline(3.0)
     advance(at, now_s=3.0)
@@ -293,7 +293,7 @@ def test_one_that_was_silent_and_answers_again(policy: Policy) -> None:
 
 
 @pytest.mark.parametrize("policy", Policy)
-def test_one_that_answers_in_time_meets_no_policy(policy: Policy) -> None:
+def test_step_exchange__one_that_answers_in_time_meets_no_policy(policy: Policy) -> None:
     at = with_agent(policy, 2.0)
     assert at.intake.accept_fast("agent", wire(command([21.0, 26.0], step=1)), 1.0)
     assert at.fallback.on_deadline(1.0) == []
@@ -302,7 +302,7 @@ def test_one_that_answers_in_time_meets_no_policy(policy: Policy) -> None:
     assert at.counts.late == at.counts.missed == 0
 
 
-def test_waiting_takes_a_late_command_and_says_how_late() -> None:
+def test_step_exchange__waiting_takes_a_late_command_and_states_how_late() -> None:
     """node@1 at 1 s → 3 s: deadline → agent@1 at 4.5 s: taken, 1.5 s late"""
     at = with_agent(Policy.WAIT, 2.0)
     assert at.fallback.on_deadline(3.0) == []
@@ -331,7 +331,7 @@ def test_claim__after_the_deadline_is_not_late() -> None:
 
 
 @pytest.mark.parametrize("policy", [*GO_ON, Policy.ABORT])
-def test_of_two_the_one_that_answered_is_not_blamed(policy: Policy) -> None:
+def test_step_exchange__of_two_the_one_that_answered_is_not_blamed(policy: Policy) -> None:
     at = with_two(policy, 2.0)
     answer(at, "cooler", [0.0, 26.0], [KEEP, SET])
     if policy is Policy.ABORT:
@@ -353,7 +353,7 @@ def test_of_two_the_one_that_answered_is_not_blamed(policy: Policy) -> None:
 
 
 @pytest.mark.parametrize("policy", Policy)
-def test_one_that_is_not_required_stops_nothing_by_leaving(policy: Policy) -> None:
+def test_step_exchange__one_that_is_not_required_stops_nothing_by_leaving(policy: Policy) -> None:
     at = node(policy)
     claim(at, "agent", 10)
     claim(at, "helper", 9, actuators=["cool"], required=False)
@@ -372,7 +372,7 @@ def test_one_that_is_not_required_stops_nothing_by_leaving(policy: Policy) -> No
 
 
 @pytest.mark.parametrize("policy", Policy)
-def test_one_that_is_not_required_has_no_deadline(policy: Policy) -> None:
+def test_step_exchange__one_that_is_not_required_has_no_deadline(policy: Policy) -> None:
     at = node(policy, 2.0)
     claim(at, "agent", 10)
     claim(at, "helper", 9, required=False)
@@ -387,7 +387,9 @@ def test_one_that_is_not_required_has_no_deadline(policy: Policy) -> None:
 
 @pytest.mark.parametrize("mode", [Mode.FREE, Mode.PACED])
 @pytest.mark.parametrize("policy", GO_ON)
-def test_where_time_runs_by_itself_the_policy_says_what_becomes_of_commands(policy: Policy, mode: Mode) -> None:
+def test_step_exchange__where_time_runs_by_itself_the_policy_states_what_becomes_of_commands(
+    policy: Policy, mode: Mode
+) -> None:
     at = with_agent(policy, mode=mode)
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))  # not answered in time, and there: no fallback
     assert not at.fallback_active
@@ -405,7 +407,7 @@ def test_where_time_runs_by_itself_the_policy_says_what_becomes_of_commands(poli
 
 
 @pytest.mark.parametrize("mode", [Mode.FREE, Mode.PACED])
-def test_where_time_runs_by_itself_one_that_is_there_misses_nothing(mode: Mode) -> None:
+def test_step_exchange__where_time_runs_by_itself_one_that_is_there_misses_nothing(mode: Mode) -> None:
     """The heater has gone; the cooler is there and lets what it commanded hold."""
     at = with_two(Policy.HOLD)
     at.mode = mode
@@ -416,7 +418,7 @@ def test_where_time_runs_by_itself_one_that_is_there_misses_nothing(mode: Mode) 
 
 
 @pytest.mark.parametrize("mode", [Mode.FREE, Mode.PACED])
-def test_where_time_runs_by_itself_abort_ends_the_episode_of_one_that_has_gone(mode: Mode) -> None:
+def test_step_exchange__where_time_runs_by_itself_abort_ends_the_episode_of_one_that_has_gone(mode: Mode) -> None:
     at = with_agent(Policy.ABORT, mode=mode)
     at.fallback.on_disconnect("agent", 1.0)
     with pytest.raises(EpisodeAborted):
@@ -424,7 +426,7 @@ def test_where_time_runs_by_itself_abort_ends_the_episode_of_one_that_has_gone(m
 
 
 @pytest.mark.parametrize("mode", [Mode.FREE, Mode.PACED])
-def test_where_time_runs_by_itself_a_late_command_says_how_late(mode: Mode) -> None:
+def test_step_exchange__where_time_runs_by_itself_a_late_command_states_how_late(mode: Mode) -> None:
     """node@2 at 4 s; agent@1 comes at 4.25 s"""
     at = with_agent(Policy.WAIT, mode=mode)
     advance(at, now_s=4.0)
@@ -438,7 +440,7 @@ def test_where_time_runs_by_itself_a_late_command_says_how_late(mode: Mode) -> N
 
 
 @pytest.mark.parametrize("policy", GO_ON)
-def test_all_slots_go_on_without_one_that_is_silent(policy: Policy) -> None:
+def test_step_exchange__all_slots_go_on_without_one_that_is_silent(policy: Policy) -> None:
     at = node(policy, 2.0, slots=2)
     claim(at, "agent")
     values = [20.0, 25.0, 21.0, 26.0]
@@ -451,7 +453,7 @@ def test_all_slots_go_on_without_one_that_is_silent(policy: Policy) -> None:
     assert at.fallback_active
 
 
-def test_a_slot_that_is_over_stays_so_while_the_policy_goes_on() -> None:
+def test_step_exchange__slot_that_is_over_stays_so_while_the_policy_goes_on() -> None:
     at = node(Policy.HOLD, 2.0, slots=2)
     claim(at, "agent")
     at.intake.command("agent", command([20.0, 25.0] * 2, step=at.step, episode=at.episode), 0.0)
@@ -467,7 +469,7 @@ def test_a_slot_that_is_over_stays_so_while_the_policy_goes_on() -> None:
 # Floods
 
 
-def test_a_flood_is_passed_over_and_the_others_are_served() -> None:
+def test_step_exchange__flood_is_passed_over_and_the_others_are_served() -> None:
     at = with_two(Policy.WAIT)
     wrong = wire(command([99.0, 0.0], step=1, operations=[SET, KEEP]))
     events = [at.intake.receive_command("heater", wrong, 1.0) for _ in range(MAX_MESSAGES_PER_STEP + 50)]
@@ -484,7 +486,7 @@ def test_a_flood_is_passed_over_and_the_others_are_served() -> None:
     assert at.awaiting() == ["heater"]
 
 
-def test_a_flood_does_not_stop_a_usual_command_and_ends_with_the_step() -> None:
+def test_step_exchange__flood_does_not_stop_a_usual_command_and_ends_with_the_step() -> None:
     at = with_agent(Policy.WAIT)
     for _ in range(MAX_MESSAGES_PER_STEP + 1):
         at.intake.receive_command("agent", b"", 1.0)
@@ -494,7 +496,7 @@ def test_a_flood_does_not_stop_a_usual_command_and_ends_with_the_step() -> None:
     assert at.counts.rate_limited == 1
 
 
-def test_strangers_of_many_names_are_one_flood() -> None:
+def test_step_exchange__strangers_of_many_names_are_one_flood() -> None:
     at = with_agent(Policy.WAIT)
     events = [at.intake.receive_command(f"stranger-{k}", b"", 1.0) for k in range(MAX_MESSAGES_PER_STEP + 900)]
     assert sum(event is not None for event in events) == MAX_MESSAGES_PER_STEP
@@ -506,7 +508,7 @@ def test_strangers_of_many_names_are_one_flood() -> None:
 # Counts
 
 
-def test_responses_are_counted_from_the_sample_or_from_the_claim() -> None:
+def test_step_exchange__responses_are_counted_from_the_sample_or_from_the_claim() -> None:
     """joined 100 s after sample 0, answers 0.25 s later; sample 1 at 101 s, answered at 101.5 s"""
     at = node(Policy.WAIT)
     claim(at, "agent", now_s=100.0)
@@ -517,7 +519,7 @@ def test_responses_are_counted_from_the_sample_or_from_the_claim() -> None:
     assert (response.count, response.median_ms, response.max_ms) == (2, 250.0, 500.0)
 
 
-def test_a_controller_that_is_back_keeps_its_counts() -> None:
+def test_step_exchange__controller_that_is_back_keeps_its_counts() -> None:
     at = with_agent(Policy.HOLD, 2.0)
     at.intake.receive_command("agent", b"", 1.0)
     at.fallback.on_deadline(1.0)

@@ -33,7 +33,7 @@ def value(name: str, step: int) -> float:
 
 @settings(max_examples=examples(300))
 @given(policy=st.sampled_from([Policy.WAIT, Policy.HOLD, Policy.RELINQUISH]), has_deadline=st.booleans(), moves=MOVES)
-def test_whatever_happens_a_command_rules_its_own_step_and_every_message_is_counted_once(
+def test_step_exchange__whatever_happens_a_command_rules_its_own_step_and_every_message_is_counted_once(
     policy: Policy, has_deadline: bool, moves: list[tuple[str, str, int]]
 ) -> None:
     at = node(policy, 2.0 if has_deadline else None)

@@ -77,7 +77,7 @@ def both_paths_agree(bounds: str, controller: str, sent: Command, *, times: int)
     controller=st.sampled_from(["agent", "agent", "helper", "part", "stranger"]),
     again=st.booleans(),
 )
-def test_the_fast_path_does_what_the_decoded_path_does(
+def test_step_exchange__fast_path_does_what_the_decoded_path_does(
     bounds: str,
     wrong: set[str],
     values: list[float],
@@ -97,7 +97,7 @@ def test_the_fast_path_does_what_the_decoded_path_does(
 
 @pytest.mark.parametrize("index", [0, 1])
 @pytest.mark.parametrize("bounds", BOUNDS)
-def test_the_paths_agree_on_each_unusual_number_among_usual_ones(bounds: str, index: int) -> None:
+def test_step_exchange__paths_agree_on_each_unusual_number_among_usual_ones(bounds: str, index: int) -> None:
     for number in UNUSUAL:
         values = inside(bounds)
         values[index] = number
@@ -105,7 +105,7 @@ def test_the_paths_agree_on_each_unusual_number_among_usual_ones(bounds: str, in
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 40])
-def test_a_usual_command_takes_the_fast_path(count: int) -> None:
+def test_step_exchange__usual_command_takes_the_fast_path(count: int) -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 1.0) for i in range(count)), slots=2) if count else bare()
     claim(at, "agent")
     for k in (0, 1, 2):
@@ -119,7 +119,7 @@ def test_a_usual_command_takes_the_fast_path(count: int) -> None:
         assert at.counts.accepted == k + 1
 
 
-def test_the_fast_path_sets_the_level_that_was_claimed() -> None:
+def test_step_exchange__fast_path_sets_the_level_that_was_claimed() -> None:
     at = exchange()
     claim(at, "agent", 10)
     assert at.intake.accept_fast("agent", wire(command([20.0, 25.0])), 0.0)
@@ -135,7 +135,7 @@ def bare() -> StepExchange:
     return at
 
 
-def test_a_building_without_actuators_is_stepped_all_the_same() -> None:
+def test_step_exchange__building_without_actuators_is_stepped_all_the_same() -> None:
     at = bare()
     claim(at, "agent")
     assert not at.ready_to_step()
@@ -143,7 +143,7 @@ def test_a_building_without_actuators_is_stepped_all_the_same() -> None:
     assert advance(at) == ([], [])
 
 
-def test_the_fast_path_is_closed_during_a_timestep_and_open_at_its_end() -> None:
+def test_step_exchange__fast_path_is_closed_during_a_timestep_and_open_at_its_end() -> None:
     # agent@0 -> node@1 is computed -> the intake is open for answers to it, and for no others
     at = exchange()
     claim(at, "agent")
@@ -156,7 +156,7 @@ def test_the_fast_path_is_closed_during_a_timestep_and_open_at_its_end() -> None
     assert at.ready_to_step()
 
 
-def test_a_sample_is_awaited_and_open_for_answers_from_the_end_of_its_timestep() -> None:
+def test_step_exchange__sample_is_awaited_and_open_for_answers_from_the_end_of_its_timestep() -> None:
     # No other call is needed before the node may wait, tell whom it waits for, or hear an answer.
     at = running()
     assert (at.awaiting(), at.ready_to_step()) == (["agent"], False)

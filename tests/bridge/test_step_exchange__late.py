@@ -19,7 +19,7 @@ from zenostat.topics.messages import ControllerState, EventKind, Policy
 # Late
 
 
-def test_a_late_command_says_how_late_and_rules_nothing() -> None:
+def test_step_exchange__late_command_states_how_late_and_has_no_effect() -> None:
     """node@1 at 1 s → deadline: node@2 at 3 s → agent@1 at 7.5 s: 4.5 s late → 8 s: deadline: node@3"""
     at = with_agent(Policy.HOLD, 2.0)
     at.fallback.on_deadline(3.0)
@@ -35,7 +35,7 @@ def test_a_late_command_says_how_late_and_rules_nothing() -> None:
     check_ruled(at, expected_under(Policy.HOLD), now_s=7.5)
 
 
-def test_lateness_is_counted_from_the_step_that_the_command_answers() -> None:
+def test_step_exchange__lateness_is_counted_from_the_step_that_the_command_answers() -> None:
     """Steps 1, 2, 3 went on at 3, 5 and 7 s; the commands for them all come at 10 s."""
     at = with_agent(Policy.HOLD, 2.0)
     for now_s in (3.0, 5.0, 7.0):
@@ -45,7 +45,7 @@ def test_lateness_is_counted_from_the_step_that_the_command_answers() -> None:
     assert [event.late_s for event in late if event is not None] == [7.0, 5.0, 3.0]
 
 
-def test_of_several_slots_the_one_that_was_answered_says_how_late() -> None:
+def test_step_exchange__of_several_slots_the_one_that_was_answered_states_how_late() -> None:
     """Slot 1 alone moves at 4 s, both move at 6 s; at 10 s a command for slot 1's sample 1, and one for slot 0's."""
     at = node(Policy.HOLD, 2.0, slots=2)
     claim(at, "agent")
@@ -66,7 +66,7 @@ def test_of_several_slots_the_one_that_was_answered_says_how_late() -> None:
     assert (slot_1.late_s, slot_0.late_s) == (6.0, 4.0)  # slot 0 stood at sample 1 until 6 s
 
 
-def test_how_late_is_not_invented_once_it_is_forgotten() -> None:
+def test_step_exchange__how_late_is_not_invented_once_it_is_forgotten() -> None:
     at = with_agent(Policy.HOLD)
     at.fallback.on_disconnect("agent", 1.0)
     at.fallback.bypass("agent", 1.0)
@@ -83,7 +83,9 @@ def test_how_late_is_not_invented_once_it_is_forgotten() -> None:
 
 @pytest.mark.parametrize("deadline_s", [None, 2.0])
 @pytest.mark.parametrize("policy", Policy)
-def test_another_program_takes_over_within_the_time_of_grace(policy: Policy, deadline_s: float | None) -> None:
+def test_step_exchange__another_program_takes_over_within_the_time_of_grace(
+    policy: Policy, deadline_s: float | None
+) -> None:
     """agent@0 → node@1 → agent gone → other claims → other@1 → node@2: no timestep without a ruler"""
     at = with_agent(policy, deadline_s)
     at.fallback.on_disconnect("agent", 1.5)
@@ -99,7 +101,7 @@ def test_another_program_takes_over_within_the_time_of_grace(policy: Policy, dea
     assert at.counts.missed == 0
 
 
-def test_another_program_takes_over_from_one_that_is_waived() -> None:
+def test_step_exchange__another_program_takes_over_from_one_that_is_waived() -> None:
     """The first one's command holds until the other's first answer, also if that misses a deadline."""
     at = with_agent(Policy.HOLD, 2.0)
     at.fallback.on_disconnect("agent", 1.0)
@@ -114,7 +116,7 @@ def test_another_program_takes_over_from_one_that_is_waived() -> None:
     assert not at.fallback_active
 
 
-def test_one_that_was_replaced_is_not_counted_any_more() -> None:
+def test_step_exchange__one_that_was_replaced_is_not_counted_any_more() -> None:
     at = with_agent(Policy.HOLD)
     at.fallback.on_disconnect("agent", 1.0)
     at.fallback.bypass("agent", 1.0)

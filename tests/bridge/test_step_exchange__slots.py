@@ -44,7 +44,7 @@ def three() -> StepExchange:
 # Standing still
 
 
-def test_a_slot_that_is_not_answered_stands_still_and_keeps_what_it_had() -> None:
+def test_step_exchange__slot_that_is_not_answered_hangs_and_keeps_what_it_had() -> None:
     at = three()
     assert answer(at, "agent", [20.0, 25.0] * 3) is None
     assert go(at)[0] == [0, 1, 2]
@@ -58,7 +58,7 @@ def test_a_slot_that_is_not_answered_stands_still_and_keeps_what_it_had() -> Non
     assert at.step == [3, 2, 3]
 
 
-def test_a_value_for_a_slot_that_stands_still_is_not_looked_at() -> None:
+def test_step_exchange__value_for_a_slot_that_does_not_advance_is_not_looked_at() -> None:
     """Not even whether it is within its bounds; in a slot that moves it is."""
     at = three()
     steps, values = [0, None, 0], np.array([20.0, 25.0, 1e9, NAN, 20.0, 25.0])
@@ -74,7 +74,7 @@ def test_a_value_for_a_slot_that_stands_still_is_not_looked_at() -> None:
     assert not at.ready_to_step()
 
 
-def test_no_slot_at_all_is_no_answer() -> None:
+def test_step_exchange__no_slot_at_all_is_no_answer() -> None:
     at = three()
     event = answers(at, "agent", {})
     assert event is not None
@@ -82,7 +82,7 @@ def test_no_slot_at_all_is_no_answer() -> None:
     assert not at.ready_to_step()
 
 
-def test_the_slots_that_any_required_controller_answers_move() -> None:
+def test_step_exchange__slots_that_any_required_controller_answers_move() -> None:
     """A helper's answer sets its values, yet moves nobody."""
     at = three()
     claim(at, "second", 9, actuators=["heat"])
@@ -112,7 +112,7 @@ def test_the_slots_that_any_required_controller_answers_move() -> None:
 
 
 @pytest.mark.parametrize("wrong", [(1, 0), (0, 1)], ids=["a later step", "a later episode"])
-def test_only_the_slots_that_are_answered_are_compared_with_the_present(wrong: tuple[int, int]) -> None:
+def test_step_exchange__only_the_slots_that_are_answered_are_compared_with_the_present(wrong: tuple[int, int]) -> None:
     at = three()
     assert answers(at, "agent", {0: (20.0, 25.0)}) is None
     go(at)
@@ -127,7 +127,7 @@ def test_only_the_slots_that_are_answered_are_compared_with_the_present(wrong: t
     assert at.step == [2, 0, 1]
 
 
-def test_a_slot_that_was_left_behind_is_late_only_where_all_are() -> None:
+def test_step_exchange__slot_that_was_left_behind_is_late_only_where_all_are() -> None:
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
     go(at)
@@ -145,7 +145,7 @@ def test_a_slot_that_was_left_behind_is_late_only_where_all_are() -> None:
 # Ends and beginnings
 
 
-def test_the_exchange_ends_with_its_last_slot() -> None:
+def test_step_exchange__exchange_ends_with_its_last_slot() -> None:
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
     go(at, last=(1,))
@@ -168,7 +168,7 @@ def test_finished_slot__awaits_no_command() -> None:
     assert at.step == [1, 2]
 
 
-def test_a_slot_begins_anew_while_the_others_stand() -> None:
+def test_step_exchange__slot_begins_anew_while_the_others_stand() -> None:
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
     go(at, last=(1,))
@@ -186,7 +186,7 @@ def test_a_slot_begins_anew_while_the_others_stand() -> None:
     assert at.step == [2, 1, 2]
 
 
-def test_an_answer_from_before_another_slot_began_anew_is_given_again() -> None:
+def test_step_exchange__answer_from_before_another_slot_began_anew_is_given_again() -> None:
     """The sample is published again; what was answered to the former one moves nobody."""
     at = three()
     assert answers(at, "agent", {0: (20.0, 25.0)}) is None
@@ -201,7 +201,7 @@ def test_an_answer_from_before_another_slot_began_anew_is_given_again() -> None:
     assert go(at)[0] == [2]
 
 
-def test_when_all_are_over_one_may_begin_anew() -> None:
+def test_step_exchange__when_all_are_over_one_may_begin_anew() -> None:
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
     go(at, last=(0, 1, 2))
@@ -215,7 +215,7 @@ def test_when_all_are_over_one_may_begin_anew() -> None:
 
 
 @pytest.mark.parametrize("slots", [None, [0, 1, 2], [2, 0, 1, 1]])
-def test_all_slots_begin_anew_by_any_name_of_them(slots: list[int] | None) -> None:
+def test_step_exchange__all_slots_begin_anew_by_any_name_of_them(slots: list[int] | None) -> None:
     at = three()
     answer(at, "agent", [20.0, 25.0] * 3)
     at.intake.write("heat", Write(value=18.0, priority=8, duration_s=1e6), 0.0)
@@ -227,7 +227,7 @@ def test_all_slots_begin_anew_by_any_name_of_them(slots: list[int] | None) -> No
     assert ruling(at)[1] == [""] * 6
 
 
-def test_a_written_value_outlives_the_beginning_of_one_slot_elsewhere() -> None:
+def test_step_exchange__written_value_outlives_the_beginning_of_one_slot_elsewhere() -> None:
     at = exchange(slots=2)
     claim(at, "agent")
     at.intake.write("heat", Write(value=18.0, priority=8), 0.0)
@@ -250,7 +250,7 @@ def held() -> StepExchange:
     return at
 
 
-def test_what_held_holds_again_and_what_came_later_does_not() -> None:
+def test_step_exchange__what_held_holds_again_and_what_came_later_does_not() -> None:
     at = held()
     kept, before = at.capture(), ruling(at)
     answer(at, "agent", [22.0, 30.0] * 3)
@@ -270,7 +270,7 @@ def test_what_held_holds_again_and_what_came_later_does_not() -> None:
         go(at)
 
 
-def test_whoever_claimed_since_keeps_its_claim_and_rules_under_its_own_name() -> None:
+def test_step_exchange__whoever_claimed_since_keeps_its_claim_and_rules_under_its_own_name() -> None:
     """The names of who rules go back, too; a newcomer's is added to them."""
     at = held()
     kept = at.capture()
@@ -291,7 +291,7 @@ def commanded(at: StepExchange) -> list[list[float]]:
     return np.frombuffer(at.commanded).reshape(at.shape).tolist()
 
 
-def test_samples_report_the_commands_of_each_slots_latest_timestep() -> None:
+def test_step_exchange__samples_report_the_commands_of_each_slots_latest_timestep() -> None:
     at = three()
     assert np.isnan(commanded(at)).all()
     answer(at, "agent", [20.0, 25.0] * 3)
@@ -315,7 +315,7 @@ def test_samples_report_the_commands_of_each_slots_latest_timestep() -> None:
     assert commanded(branch) == [[21.0, 26.0]] * 2
 
 
-def test_what_held_in_one_slot_goes_along_to_as_many_as_are_wanted() -> None:
+def test_step_exchange__what_held_in_one_slot_goes_along_to_as_many_as_are_wanted() -> None:
     at = held()
     for slot, expected in enumerate([[20.0, 29.0], [21.0, 29.0], [20.0, 29.0]]):
         branch = exchange(slots=2)
@@ -329,7 +329,7 @@ def test_what_held_in_one_slot_goes_along_to_as_many_as_are_wanted() -> None:
     assert ruling(at)[0] == [20.0, 29.0, 21.0, 29.0, 20.0, 29.0]
 
 
-def test_what_is_written_for_a_time_holds_so_long_whichever_slot_begins_anew_or_is_over() -> None:
+def test_step_exchange__what_is_written_for_a_time_holds_so_long_whichever_slot_begins_anew_or_is_over() -> None:
     """Its clock is the node's, not a slot's: it counts the timesteps since all slots began."""
     at = three()
     for _ in range(4):
@@ -397,7 +397,7 @@ def resolved(array: PriorityArray) -> list[list[tuple[str, str]]]:
 
 
 @given(rows, rows)
-def test_a_copy_is_the_same_and_on_its_own(before: list, after: list) -> None:
+def test_step_exchange__copy_is_the_same_and_on_its_own(before: list, after: list) -> None:
     array, twin = arrays(before), arrays(before)
     copy = array.copy()
     assert resolved(copy) == resolved(array)
@@ -410,7 +410,7 @@ def test_a_copy_is_the_same_and_on_its_own(before: list, after: list) -> None:
 
 
 @given(rows, rows, st.integers(0, SLOTS - 1))
-def test_a_slots_part_rules_as_that_slot_does(before: list, after: list, slot: int) -> None:
+def test_step_exchange__slots_part_rules_as_that_slot_does(before: list, after: list, slot: int) -> None:
     array = arrays(before)
     part = array.of_slot(slot, SLOTS)
     assert resolved(part) == [resolved(array)[slot]] * SLOTS
@@ -419,14 +419,14 @@ def test_a_slots_part_rules_as_that_slot_does(before: list, after: list, slot: i
 
 
 @given(rows, st.sets(st.integers(0, SLOTS - 1), min_size=1))
-def test_releasing_slots_leaves_the_others_as_they_are(puts: list, slots: set[int]) -> None:
+def test_step_exchange__releasing_slots_leaves_the_others_as_they_are(puts: list, slots: set[int]) -> None:
     array = arrays(puts)
     expected = [[("nan", "")] * ACTUATORS if slot in slots else row for slot, row in enumerate(resolved(array))]
     array.relinquish_slots(sorted(slots))
     assert resolved(array) == expected
 
 
-def test_a_source_s_place_is_given_on_once_nothing_of_it_holds() -> None:
+def test_step_exchange__source_s_place_is_given_on_once_nothing_of_it_holds() -> None:
     """Three hundred who each write and release, one after another: the one who rules is told by its own name."""
     array = PriorityArray(1, 2)
     holder = array.source("holder")

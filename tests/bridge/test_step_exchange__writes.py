@@ -11,7 +11,7 @@ from support.exchange_checks import KEEP, RELEASE, check_event, running, same, u
 from zenostat.topics.messages import EventKind, Mode, Write
 
 
-def test_a_write_rules_over_a_controller_until_it_is_released() -> None:
+def test_step_exchange__write_rules_over_a_controller_until_it_is_released() -> None:
     # person@8 over agent@10
     at = exchange()
     claim(at, "agent", 10)
@@ -35,7 +35,7 @@ def test_a_write_rules_over_a_controller_until_it_is_released() -> None:
     assert advance(at) == ([20.0, 24.0], ["agent", "agent"])
 
 
-def test_a_write_below_a_controller_waits_for_its_turn() -> None:
+def test_step_exchange__write_below_a_controller_waits_for_its_turn() -> None:
     at = exchange()
     claim(at, "agent", 10)
     answer(at, "agent", [20.0, 25.0])
@@ -45,14 +45,14 @@ def test_a_write_below_a_controller_waits_for_its_turn() -> None:
     assert advance(at) == ([20.0, 28.0], ["agent", "plan"])
 
 
-def test_a_write_answers_nothing() -> None:
+def test_step_exchange__write_answers_nothing() -> None:
     at = exchange()
     claim(at, "agent")
     at.intake.write("cool", Write(value=28.0), 0.0)
     assert not at.ready_to_step()
 
 
-def test_a_write_reaches_all_slots() -> None:
+def test_step_exchange__write_reaches_all_slots() -> None:
     at = exchange(slots=2, mode=Mode.FREE)
     at.intake.write("cool", Write(value=28.0, source="wall"), 0.0)
     values, sources = advance(at)
@@ -61,7 +61,7 @@ def test_a_write_reaches_all_slots() -> None:
 
 
 @pytest.mark.parametrize("priority", [8, 12])
-def test_a_write_for_1800_s_rules_two_timesteps_of_900_s(priority: int) -> None:
+def test_step_exchange__write_for_1800_s_rules_two_timesteps_of_900_s(priority: int) -> None:
     at = exchange(mode=Mode.FREE)
     at.intake.write("cool", Write(value=28.0, duration_s=1800.0, priority=priority, source="wall"), 0.0)
     sources, told_of = [], []
@@ -73,7 +73,7 @@ def test_a_write_for_1800_s_rules_two_timesteps_of_900_s(priority: int) -> None:
     assert not at.commands.has_expiries
 
 
-def test_a_write_once_the_episode_is_over_is_refused() -> None:
+def test_step_exchange__write_once_the_episode_is_over_is_refused() -> None:
     at = exchange(mode=Mode.FREE)
     at.begin_step(0.0)
     at.finish_step([True], 0.0)
@@ -86,7 +86,7 @@ def test_a_write_once_the_episode_is_over_is_refused() -> None:
 
 
 @pytest.mark.parametrize("duration_s", [600.0, 2700.0], ids=["shorter", "longer"])
-def test_a_later_write_has_its_own_time(duration_s: float) -> None:
+def test_step_exchange__later_write_has_its_own_time(duration_s: float) -> None:
     at = exchange(mode=Mode.FREE)
     at.intake.write("cool", Write(value=28.0, duration_s=1800.0), 0.0)
     at.intake.write("cool", Write(value=27.0, duration_s=duration_s), 0.0)
@@ -94,7 +94,7 @@ def test_a_later_write_has_its_own_time(duration_s: float) -> None:
     assert over == [math.ceil(duration_s / 900.0)]
 
 
-def test_each_write_has_a_time_of_its_own() -> None:
+def test_step_exchange__each_write_has_a_time_of_its_own() -> None:
     at = exchange(mode=Mode.FREE)
     at.intake.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
     at.intake.write("heat", Write(value=16.0, duration_s=1800.0), 0.0)
@@ -106,7 +106,7 @@ def test_each_write_has_a_time_of_its_own() -> None:
     ]
 
 
-def test_a_write_without_a_time_after_one_with_a_time_stays() -> None:
+def test_step_exchange__write_without_a_time_after_one_with_a_time_stays() -> None:
     at = exchange(mode=Mode.FREE)
     at.intake.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
     at.intake.write("cool", Write(value=27.0, source="wall"), 0.0)
@@ -114,7 +114,7 @@ def test_a_write_without_a_time_after_one_with_a_time_stays() -> None:
     assert ruling(at)[1] == ["", "wall"]
 
 
-def test_a_release_takes_the_expiry_with_it() -> None:
+def test_step_exchange__release_takes_the_expiry_with_it() -> None:
     at = exchange(mode=Mode.FREE)
     at.intake.write("cool", Write(value=28.0, duration_s=900.0), 0.0)
     at.intake.write("cool", Write(value=None), 0.0)
@@ -122,7 +122,7 @@ def test_a_release_takes_the_expiry_with_it() -> None:
     assert at.intake.expire(1e9) == []
 
 
-def test_an_expiry_releases_what_was_written_and_nothing_else() -> None:
+def test_step_exchange__expiry_releases_what_was_written_and_nothing_else() -> None:
     # The wall writes at 10 for half an hour, then an agent claims that very level.
     at = exchange()
     at.intake.write("cool", Write(value=28.0, duration_s=1800.0, priority=10, source="wall"), 0.0)
@@ -144,11 +144,11 @@ REFUSED_WRITES = {
 
 
 @pytest.mark.parametrize(("name", "write", "words"), REFUSED_WRITES.values(), ids=REFUSED_WRITES)
-def test_a_wrong_write_is_rejected_in_words(name: str, write: Write, words: list[str]) -> None:
+def test_step_exchange__wrong_write_is_rejected_in_words(name: str, write: Write, words: list[str]) -> None:
     at = running()
     check_event(unchanged(at, lambda: at.intake.write(name, write, 0.0), count="rejected"), EventKind.REJECTED, *words)
 
 
-def test_a_level_is_claimed_only_on_the_actuators_that_were_claimed() -> None:
+def test_step_exchange__level_is_claimed_only_on_the_actuators_that_were_claimed() -> None:
     at = running()  # `helper` holds level 9 of `cool`
     check_event(at.intake.write("heat", Write(value=20.0, priority=9), 0.0), EventKind.WRITTEN)

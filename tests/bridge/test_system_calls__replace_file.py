@@ -9,7 +9,7 @@ import pytest
 from zenostat.bridge.engine.system_calls import replace_file
 
 
-def test_reading_continues_at_the_same_offset_of_the_other_file(folder: Path) -> None:
+def test_system_calls__reading_continues_at_the_same_offset_of_the_other_file(folder: Path) -> None:
     first, second = folder / "first", folder / "second"
     first.write_bytes(b"common-one")
     second.write_bytes(b"common-two")
@@ -19,7 +19,7 @@ def test_reading_continues_at_the_same_offset_of_the_other_file(folder: Path) ->
         assert file.read() == b"on-two"
 
 
-def test_a_file_that_was_read_too_far_is_not_replaced(folder: Path) -> None:
+def test_system_calls__file_that_was_read_too_far_is_not_replaced(folder: Path) -> None:
     first, second = folder / "first", folder / "second"
     first.write_bytes(b"common-one")
     second.write_bytes(b"common-two")
@@ -30,7 +30,7 @@ def test_a_file_that_was_read_too_far_is_not_replaced(folder: Path) -> None:
         assert file.read() == b"ne"
 
 
-def test_a_file_that_is_not_open_is_named(folder: Path) -> None:
+def test_system_calls__file_that_is_not_open_is_named(folder: Path) -> None:
     (folder / "first").touch()
     with pytest.raises(RuntimeError, match="first is not open"):
         replace_file(str(folder / "first"), str(folder / "first"), limit=0)

@@ -43,7 +43,7 @@ times = st.floats(0, 100)
 
 
 @given(st.lists(times, max_size=30), st.sets(st.integers(0, 30)), times)
-def test_what_is_due_comes_in_order_and_the_rest_stays(dues: list[float], removed: set[int], now_s: float) -> None:
+def test_timer__due_calls_run_in_order_and_the_rest_wait(dues: list[float], removed: set[int], now_s: float) -> None:
     clock, calls, ended = Clock(), list[int](), threading.Event()
     clock.now_s = -1.0  # nothing is due before all are there
     with Timer(clock) as timer:
@@ -62,14 +62,14 @@ def test_what_is_due_comes_in_order_and_the_rest_stays(dues: list[float], remove
         assert [event.time for event in timer._scheduler.queue] == sorted(later)
 
 
-def test_deadlines_that_were_met_do_not_pile_up(clock: Clock, timer: Timer) -> None:
+def test_timer__deadlines_that_were_met_do_not_pile_up(clock: Clock, timer: Timer) -> None:
     kept = timer.at(1e9, nothing)
     for step in range(10_000):
         timer.cancel(timer.at(step + 10.0, nothing))
     assert timer._scheduler.queue == [kept]
 
 
-def test_an_alarm_that_is_set_anew_each_step_does_not_wake_the_thread(clock: Clock, timer: Timer) -> None:
+def test_timer__alarm_that_is_set_anew_each_step_does_not_wake_the_thread(clock: Clock, timer: Timer) -> None:
     alarm = timer.at(1000.0, nothing)
     until(lambda: timer._wakes_at_s == 1000.0, "the thread's waiting")
     for step in range(100):
@@ -78,12 +78,12 @@ def test_an_alarm_that_is_set_anew_each_step_does_not_wake_the_thread(clock: Clo
         assert not timer._wakeup.is_set()
 
 
-def test_no_thread_before_it_is_used() -> None:
+def test_timer__no_thread_before_it_is_used() -> None:
     with Timer():
         assert not [thread for thread in threading.enumerate() if thread.name == "timer"]
 
 
-def test_calls_come_when_the_clock_says_so_and_in_order(clock: Clock, timer: Timer) -> None:
+def test_timer__calls_are_due_by_the_clock_and_in_order(clock: Clock, timer: Timer) -> None:
     # due at 3000, 1000, 2000 s; the clock goes 0 → 2000 → 3000
     calls: list[int] = []
     for due in (3000, 1000, 2000):
@@ -98,7 +98,7 @@ def test_calls_come_when_the_clock_says_so_and_in_order(clock: Clock, timer: Tim
     until(lambda: calls == [0, 1000, 2000, 3000], "what is due at 3000")
 
 
-def test_an_earlier_call_is_not_kept_waiting_by_a_later_one() -> None:
+def test_timer__earlier_call_is_not_kept_waiting_by_a_later_one() -> None:
     called = threading.Event()
     with Timer() as timer:
         timer.at(timer.clock() + 1e6, nothing)
@@ -107,7 +107,7 @@ def test_an_earlier_call_is_not_kept_waiting_by_a_later_one() -> None:
         until(called.is_set, "the earlier call")
 
 
-def test_what_was_cancelled_does_not_come(clock: Clock, timer: Timer) -> None:
+def test_timer__what_was_cancelled_does_not_come(clock: Clock, timer: Timer) -> None:
     calls: list[str] = []
     first = timer.at(1000.0, lambda: calls.append("cancelled"))
     second = timer.at(1000.0, lambda: calls.append("kept"))
@@ -119,7 +119,7 @@ def test_what_was_cancelled_does_not_come(clock: Clock, timer: Timer) -> None:
     assert not timer.cancel(second)
 
 
-def test_a_call_may_ask_for_another(clock: Clock, timer: Timer) -> None:
+def test_timer__call_may_ask_for_another(clock: Clock, timer: Timer) -> None:
     calls: list[str] = []
     timer.at(0.0, lambda: timer.at(0.0, lambda: calls.append("second")))
     until(lambda: calls == ["second"], "the call of a call")
@@ -141,7 +141,7 @@ def test_timer__reports_what_a_call_raises_and_makes_the_next_one(
     assert messages == ["a mistake"]
 
 
-def test_close_ends_the_thread_and_nothing_comes_after(clock: Clock) -> None:
+def test_timer__close_ends_the_thread_and_nothing_follows(clock: Clock) -> None:
     timer, calls = Timer(clock), []
     timer.at(5.0, lambda: calls.append("late"))
     (thread,) = [thread for thread in threading.enumerate() if thread.name == "timer"]
@@ -154,21 +154,21 @@ def test_close_ends_the_thread_and_nothing_comes_after(clock: Clock) -> None:
     assert calls == []
 
 
-def test_a_timer_that_was_closed_starts_no_thread(clock: Clock) -> None:
+def test_timer__timer_that_was_closed_starts_no_thread(clock: Clock) -> None:
     timer = Timer(clock)
     timer.close()
     timer.at(0.0, nothing)
     assert timer._thread is None
 
 
-def test_a_call_may_close_the_timer(clock: Clock) -> None:
+def test_timer__call_may_close_the_timer(clock: Clock) -> None:
     timer = Timer(clock)
     timer.at(0.0, timer.close)
     until(lambda: not [t for t in threading.enumerate() if t.name == "timer"], "the end of the thread")
     timer.close()
 
 
-def test_a_call_in_a_million_years_holds_up_nobody() -> None:
+def test_timer__call_in_a_million_years_holds_up_nobody() -> None:
     """A slow pace has its next timestep then; waiting so long at once is more than a thread can."""
     timer, called = Timer(), threading.Event()
     timer.at(timer.clock() + 3e13, nothing)

@@ -32,7 +32,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 @pytest.mark.variants
 @pytest.mark.timeout(600)
 @pytest.mark.parametrize(("seconds", "seed"), [(10, 2026), (45, 6), (120, 6)])
-def test_a_run_with_this_seed_holds(seconds: int, seed: int, scratch: Path) -> None:
+def test_chaos__run_with_this_seed_holds(seconds: int, seed: int, scratch: Path) -> None:
     """On a failure, the seed and what broke stand in the output."""
     done = subprocess.run(
         [sys.executable, "-P", "-m", "chaos", "--seconds", str(seconds), "--seed", str(seed)],
@@ -50,7 +50,7 @@ def test_a_run_with_this_seed_holds(seconds: int, seed: int, scratch: Path) -> N
 
 @pytest.mark.slow
 @pytest.mark.timeout(400)
-def test_recordings_of_killed_nodes_verify_up_to_their_ends(scratch: Path) -> None:
+def test_chaos__recordings_of_killed_nodes_verify_up_to_their_ends(scratch: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-P", "-m", "chaos.recordings", "--seconds", "20", "--seed", "3"],
         env=environment(),
@@ -67,7 +67,9 @@ def test_recordings_of_killed_nodes_verify_up_to_their_ends(scratch: Path) -> No
     ("seconds", "grown_mb", "flat"),
     [(900.0, 64.0, False), (900.0, 6.0, True), (180.0, 64.0, False), (180.0, 10.0, True)],
 )
-def test_memory_that_grows_all_the_time_is_seen(seconds: float, grown_mb: float, flat: bool, tmp_path: Path) -> None:
+def test_chaos__memory_that_grows_all_the_time_is_seen(
+    seconds: float, grown_mb: float, flat: bool, tmp_path: Path
+) -> None:
     """A node that reads messages of 8 MB now and then, and grows steadily."""
     held = []
     for second in range(int(seconds)):
@@ -78,7 +80,7 @@ def test_memory_that_grows_all_the_time_is_seen(seconds: float, grown_mb: float,
     assert [fault.partition(" grew")[0] for fault in faults] == ([] if flat else ["the node's resident bytes"])
 
 
-def test_one_seed_is_one_script_that_has_every_disturbance() -> None:
+def test_chaos__one_seed_is_one_script_that_has_every_disturbance() -> None:
     one, again, other = (list(itertools.islice(script(seed, 120.0), 200)) for seed in (6, 6, 7))
     assert one == again
     assert one != other
@@ -86,11 +88,11 @@ def test_one_seed_is_one_script_that_has_every_disturbance() -> None:
     assert all(step.pause_s >= 0 and 0 <= step.draw < 1 and 0 <= step.amount < 1 for step in one)
 
 
-def test_a_short_run_has_no_freeze_that_outlasts_it() -> None:
+def test_chaos__short_run_has_no_freeze_that_outlasts_it() -> None:
     assert Disturbance.FREEZE_LONG not in {step.disturbance for step in itertools.islice(script(6, 20.0), 200)}
 
 
-def test_the_page_has_a_row_for_every_disturbance_and_lost_nothing() -> None:
+def test_chaos__page_has_a_row_for_every_disturbance_and_lost_nothing() -> None:
     table = PAGE.read_text().partition(BEGIN)[2].partition(END)[0]
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines() if line[:2] == "| "]
     assert [row[0] for row in rows[1:]] == [str(disturbance) for disturbance in Disturbance]
@@ -124,7 +126,7 @@ WHOLE = Episode(0, [sample(step) for step in range(4)])
 STOPPED = Episode(1, [sample(step, episode=1) for step in range(2)])
 
 
-def test_whole_and_stopped_episodes_are_contiguous() -> None:
+def test_chaos__whole_and_stopped_episodes_are_contiguous() -> None:
     assert _contiguous([WHOLE, STOPPED, replace(STOPPED, number=2)], steps=3) == []
 
 
@@ -141,7 +143,7 @@ def test_whole_and_stopped_episodes_are_contiguous() -> None:
     ],
     ids=["none", "an episode", "the first", "a gap", "twice", "no end", "an early end"],
 )
-def test_what_is_missing_or_there_twice_is_seen(episodes: list[Episode]) -> None:
+def test_chaos__what_is_missing_or_there_twice_is_seen(episodes: list[Episode]) -> None:
     assert _contiguous(episodes, steps=3)
 
 
@@ -196,7 +198,7 @@ def account(*stream: Event | Sample, commands: list[Sent] = COMMANDS) -> Account
     return kept
 
 
-def test_a_day_in_lockstep() -> None:
+def test_chaos__day_in_lockstep() -> None:
     kept = account(
         sample(1, value_source=BOTH, rows="30 21"),
         sample(2, value_source=BOTH, rows="31 23"),
@@ -217,11 +219,11 @@ def test_a_day_in_lockstep() -> None:
     ],
     ids=["of another step", "the last bit", "passed over", "not applied", "somebody else"],
 )
-def test_a_wrong_command_is_seen(wrong: Sample) -> None:
+def test_chaos__wrong_command_is_seen(wrong: Sample) -> None:
     assert account(wrong).faults
 
 
-def test_a_timestep_without_a_command_must_say_so() -> None:
+def test_chaos__timestep_without_a_command_must_state_so() -> None:
     only_first = [one for one in COMMANDS if one.step == 0 or one.name == BASE]
     first, held = sample(1, value_source=BOTH, rows="30 21"), {"value_source": BOTH, "rows": "30 23"}
     assert account(first, sample(2, **held), commands=only_first).faults
@@ -229,14 +231,14 @@ def test_a_timestep_without_a_command_must_say_so() -> None:
     assert account(first, sample(2, value_source=f"{BASE} {BASE}", rows="22 23", flags=2), commands=only_first).faults
 
 
-def test_what_came_too_late_may_rule_no_other_step() -> None:
+def test_chaos__what_came_too_late_may_rule_no_other_step() -> None:
     """north's command 1 was late; held is its command 0, and then its command 2 releases."""
     late = [sample(1, value_source=BOTH, rows="30 21"), sample(2, value_source=BOTH, rows="30 23", flags=Flag.FALLBACK)]
     assert account(*late, sample(3, value_source=f"{BASE} {BASE}", rows="24 25")).faults == []
     assert account(*late, sample(3, value_source=BOTH, rows="31 25")).faults
 
 
-def test_another_takes_over_and_what_was_commanded_holds_until_it_commands() -> None:
+def test_chaos__another_takes_over_and_what_was_commanded_holds_until_it_commands() -> None:
     second = "north-3-0"
     stream: list[Event | Sample] = [
         sample(1, value_source=BOTH, rows="30 21"),
@@ -249,7 +251,7 @@ def test_another_takes_over_and_what_was_commanded_holds_until_it_commands() -> 
     assert account(*stream, commands=mine).faults
 
 
-def test_a_person_rules_until_the_time_is_over() -> None:
+def test_chaos__person_rules_until_the_time_is_over() -> None:
     person = f"person {BASE}"
     write = event(EventKind.WRITTEN, "a = 26.5 C at priority 8", "person")
     over = event(EventKind.EXPIRED, "a relinquished at priority 8", "person")
@@ -260,7 +262,7 @@ def test_a_person_rules_until_the_time_is_over() -> None:
     assert account(write, override, over, sample(2, value_source=person, rows="26.5 23")).faults
 
 
-def test_nothing_of_an_episode_rules_the_next() -> None:
+def test_chaos__nothing_of_an_episode_controls_the_next() -> None:
     def after(next_one: Callable[[], Sample]) -> list[str]:
         return account(
             sample(1, value_source=BOTH, rows="30 21"),
@@ -275,7 +277,7 @@ def test_nothing_of_an_episode_rules_the_next() -> None:
     assert after(lambda: sample(1, episode=1, value_source=BOTH, rows="30 21"))
 
 
-def test_a_controller_that_leaves_is_not_ended_by_the_signal_to_repeat(tmp_path: Path) -> None:
+def test_chaos__controller_that_leaves_is_not_ended_by_the_signal_to_repeat(tmp_path: Path) -> None:
     """The signal comes again and again, also while the interpreter ends."""
     settings = {"endpoint": f"unixsock-stream/{tmp_path}/none", "journal": str(tmp_path / "journal")}
     previous = signal.signal(signal.SIGUSR1, signal.SIG_IGN)  # inherited, as in a run

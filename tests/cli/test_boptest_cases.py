@@ -21,7 +21,7 @@ from zenostat.topics.scenario_ids import BUILDINGS
 SCENARIO = "building: office-small\nweather: [USA_FL_Miami, USA_CO_Denver]\nsteps_per_hour: 6\n"
 
 
-def test_each_bundled_building_is_a_test_case_in_its_own_weather_with_a_timestep_that_divides_15_minutes():
+def test_boptest_cases__bundled_building_has_its_own_weather_and_a_timestep_that_divides_15_minutes() -> None:
     cases = BundledTestCases()
     assert {*BUILDINGS} <= {*cases.names()}
     assert dict(cases.find("office-small").arguments) == {
@@ -32,7 +32,7 @@ def test_each_bundled_building_is_a_test_case_in_its_own_weather_with_a_timestep
     assert cases.find("office-small-USA_FL_Miami").arguments["weather"] == "USA_FL_Miami"
 
 
-def test_scenarios_are_test_cases_without_noise_and_with_one_weather(tmp_path):
+def test_boptest_cases__scenarios_are_test_cases_without_noise_and_with_one_weather(tmp_path):
     packs.sinergym()
     file = tmp_path / "mine.yaml"
     file.write_text(SCENARIO)
@@ -47,7 +47,7 @@ def test_scenarios_are_test_cases_without_noise_and_with_one_weather(tmp_path):
     assert cases.find("5zone-hot-continuous-stochastic-v1").arguments["weather_noise"] == {}
 
 
-def test_days_are_kept_until_the_scenario_changes(tmp_path, monkeypatch):
+def test_boptest_cases__days_are_kept_until_the_scenario_changes(tmp_path, monkeypatch):
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "cache"))
     file = tmp_path / "mine.yaml"
     file.write_text(SCENARIO)
@@ -59,7 +59,7 @@ def test_days_are_kept_until_the_scenario_changes(tmp_path, monkeypatch):
     assert BundledTestCases([file]).find("mine").days is None
 
 
-def test_unknown_names_list_similar_ones_and_bad_files_are_refused(tmp_path: Path):
+def test_boptest_cases__unknown_names_list_similar_ones_and_bad_files_are_refused(tmp_path: Path):
     with pytest.raises(UnknownName, match="office-small"):
         BundledTestCases().find("ofice-small")
     with pytest.raises(UnknownName, match="there is no file"):
@@ -76,12 +76,12 @@ def test_unknown_names_list_similar_ones_and_bad_files_are_refused(tmp_path: Pat
         (["--address", "127.0.0.1:0", "ofice-small"], "no test case 'ofice-small'"),
     ],
 )
-def test_the_command_refuses_before_it_serves(arguments, text):
+def test_boptest_cases__command_refuses_before_it_serves(arguments, text):
     result = CliRunner().invoke(typer.main.get_command(app), ["gateway", "boptest", *arguments])
     assert text in f"{result.exception}"
 
 
-def test_an_address_in_use_is_refused():
+def test_boptest_cases__address_in_use_is_refused():
     with socket.create_server(("127.0.0.1", 0)) as taken:
         address = f"127.0.0.1:{taken.getsockname()[1]}"
         result = CliRunner().invoke(typer.main.get_command(app), ["gateway", "boptest", "--address", address])

@@ -52,7 +52,7 @@ def test_values_that_are_all_missing__give_an_empty_chart() -> None:
     assert not any("*" in row for row in body)
 
 
-def test_a_single_sample_is_a_dot() -> None:
+def test_chart__single_sample_is_a_dot() -> None:
     assert sum(row.count("*") for row in drawn([line([5.0])], is_unicode=False)) == 1
 
 

@@ -26,7 +26,7 @@ ID = "zenostat/office/mixed-v0"
 
 
 @pytest.mark.slow
-def test_a_data_set_of_a_scenario_file_has_its_environment_within_it(
+def test_cli__data_set_of_a_scenario_file_has_its_environment_within_it(
     scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (scratch / "office.yaml").write_text(SCENARIO)
@@ -61,7 +61,7 @@ def test_a_data_set_of_a_scenario_file_has_its_environment_within_it(
     assert t == 95
 
 
-def test_errors_are_one_sentence(scratch: Path) -> None:
+def test_cli__errors_are_one_sentence(scratch: Path) -> None:
     call = ["ref-small-office-USA_CO_Denver-continuous-v1", "--out", str(scratch)]
     done = run_in_process("dataset", *call, "--controller", "baseline", "--id", ID)
     assert done.returncode == 2

@@ -37,7 +37,7 @@ def test_metric_text__after_the_sign_stands_half_the_interval_as_in_reports() ->
 
 
 @pytest.mark.slow
-def test_two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> None:
+def test_cli__two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     (scratch / "office.yaml").write_text(SCENARIO)
     call = ["office.yaml", "--controller", "baseline", "--controller", "rbc", "--set", "margin=0.5", "--episodes", "2"]
@@ -62,7 +62,7 @@ def test_two_runs_give_the_same_table_and_the_same_parquet(scratch: Path) -> Non
 
 
 @pytest.mark.slow
-def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> None:
+def test_cli__json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> None:
     (scratch / "mine.py").write_text(
         "from zenostat.agent_sdk.controllers import FixedSetpoints\n\n\n"
         "class Mine(FixedSetpoints):\n    def __init__(self, manifest, *, core=26.0):\n"
@@ -102,7 +102,7 @@ def test_json_is_the_table_of_the_episodes_and_csv_the_same(scratch: Path) -> No
         (["--controller", "rbc", "--emissions", "electricity=-1"], "electricity has the factor -1"),
     ],
 )
-def test_mistakes_are_one_sentence(scratch: Path, arguments: list[str], message: str) -> None:
+def test_cli__mistakes_are_one_sentence(scratch: Path, arguments: list[str], message: str) -> None:
     done = run_in_process("evaluate", "ref-small-office-USA_CO_Denver-continuous-v1", *arguments, cwd=scratch)
     assert done.returncode == 2
     assert message in plain(done.stderr)
@@ -110,7 +110,7 @@ def test_mistakes_are_one_sentence(scratch: Path, arguments: list[str], message:
     assert list(scratch.glob("rows*")) == []
 
 
-def test_an_unknown_scenario_lists_near_ones(scratch: Path) -> None:
+def test_cli__unknown_scenario_lists_near_ones(scratch: Path) -> None:
     scenario = "ref-smal-office-USA_CO_Denver-continuous-v1"
     done = run_in_process("evaluate", scenario, "--controller", "rbc", cwd=scratch)
     assert done.returncode == 2
@@ -139,14 +139,14 @@ def test_write__creates_the_folder_of_a_table(tmp_path: Path) -> None:
     assert path.read_text() == "a,b\n1,\n"
 
 
-def test_parquet_needs_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_cli__parquet_needs_its_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with pytest.raises(InvalidConfig, match=r"pip install -e '\S+\[parquet\]'"):
         check_file(tmp_path / "rows.parquet")
     check_file(tmp_path / "rows.csv")
 
 
-def test_a_file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
+def test_cli__file_is_there_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="dict contains fields"):
         write([{"controller": "rbc"}, {"else": 1}], tmp_path / "rows.csv")
     assert list(tmp_path.iterdir()) == []

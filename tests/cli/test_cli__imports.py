@@ -41,7 +41,7 @@ def imported(*arguments: str) -> set[str]:
     return set(done.stderr.splitlines())
 
 
-def test_the_list_of_commands_imports_no_command_and_nothing_large() -> None:
+def test_cli__list_of_commands_imports_no_command_and_nothing_large() -> None:
     modules = imported("--help")
     assert not modules & (SLOW | {"msgpack", "numpy", "pydantic", "yaml", "zenoh"})
     assert {name for name in modules if name.startswith("zenostat.cli.")} == {
@@ -59,14 +59,14 @@ def test_the_list_of_commands_imports_no_command_and_nothing_large() -> None:
         ("asyncapi", set()),
     ],
 )
-def test_the_help_of_a_command_imports_its_own_module(command: str, others: set[str]) -> None:
+def test_cli__help_of_a_command_imports_its_own_module(command: str, others: set[str]) -> None:
     modules = imported(command, "--help")
     assert not modules & SLOW
     own = {f"zenostat.cli.{place.split('.')[0]}" for places in GROUPS.values() for place in places}
     assert {name for name in modules if name in own} <= {f"zenostat.cli.{command}"} | others
 
 
-def test_the_list_has_the_first_paragraph_of_each_command() -> None:
+def test_cli__list_has_the_first_paragraph_of_each_command() -> None:
     group = typer.main.get_command(app)
     context = typer.Context(group)
     assert group.list_commands(context) == NAMES

@@ -55,7 +55,7 @@ def actuator_of(endpoint: str) -> dict[str, Any]:
 # write and release
 
 
-def test_a_write_rules_until_it_is_released(bus: zenostat.Bus) -> None:
+def test_cli__write_rules_until_it_is_released(bus: zenostat.Bus) -> None:
     """ann writes 26 → node@1 → ann releases → node@2; by programs"""
     connect = ("--connect", bus.endpoint)
     written = run_program("write", "office", POINT, "26", "--source", "ann", *connect)
@@ -71,14 +71,14 @@ def test_a_write_rules_until_it_is_released(bus: zenostat.Bus) -> None:
         assert actuator_of(bus.endpoint)["value_source"] == ""
 
 
-def test_a_write_for_half_an_hour_rules_two_quarters(bus: zenostat.Bus) -> None:
+def test_cli__write_for_half_an_hour_rules_two_quarters(bus: zenostat.Bus) -> None:
     written = run_zenostat(bus.endpoint, "write", "office", POINT, "26", "--duration", "30min", "--source", "ann")
     assert written.stdout == f"office: {POINT} = 26 degC at priority 8 for 30min\n"
     with bus.controller("office") as link:
         assert [source for _, source in sources(link, 4)] == ["ann", "ann", "", ""]
 
 
-def test_the_higher_priority_rules_and_a_release_is_of_one_level(bus: zenostat.Bus) -> None:
+def test_cli__higher_priority_rules_and_a_release_is_of_one_level(bus: zenostat.Bus) -> None:
     for value, priority, source in (("25", "9", "low"), ("27", "3", "high")):
         done = run_zenostat(bus.endpoint, "write", "office", POINT, value, "--priority", priority, "--source", source)
         assert done.returncode == 0, done.stderr
@@ -95,7 +95,7 @@ def test_write__has_user_and_host_as_default_source(bus: zenostat.Bus) -> None:
     assert re.fullmatch(r"[^@]+@.+", source)
 
 
-def test_what_the_node_refuses_ends_with_1_and_its_reason(bus: zenostat.Bus) -> None:
+def test_cli__what_the_node_refuses_ends_with_1_and_its_reason(bus: zenostat.Bus) -> None:
     before = bus.status("office").rejected
     low, high = next((a.low, a.high) for a in bus.manifest("office").actuators if a.name == POINT)
     for value in ("99", "-5"):
@@ -126,7 +126,7 @@ def test_what_the_node_refuses_ends_with_1_and_its_reason(bus: zenostat.Bus) -> 
         (["watch", "ofice"], 1, ["no node 'ofice'", "'office'"]),
     ],
 )
-def test_mistakes_are_named_before_anything_is_sent(
+def test_cli__mistakes_are_named_before_anything_is_sent(
     bus: zenostat.Bus, arguments: list[str], code: int, words: list[str]
 ) -> None:
     before = bus.status("office").rejected
@@ -141,12 +141,12 @@ def test_mistakes_are_named_before_anything_is_sent(
 @pytest.mark.parametrize(
     ("text", "expected"), [("90s", 90.0), ("15min", 900.0), ("2h", 7200.0), ("1d", 86400.0), ("1.5h", 5400.0)]
 )
-def test_times(text: str, expected: float) -> None:
+def test_cli__times(text: str, expected: float) -> None:
     assert seconds(text) == expected
 
 
 @pytest.mark.parametrize("text", ["", "2", "h", "0h", "-1h", "2 h", "2H", "1e3s", "15m"])
-def test_times_that_are_none(text: str) -> None:
+def test_cli__times_that_are_none(text: str) -> None:
     with pytest.raises(InvalidConfig, match="90s, 15min, 2h, 1d"):
         seconds(text)
 
@@ -154,7 +154,7 @@ def test_times_that_are_none(text: str) -> None:
 # From Python
 
 
-def test_each_writer_hears_of_its_own_write(bus: zenostat.Bus) -> None:
+def test_cli__each_writer_hears_of_its_own_write(bus: zenostat.Bus) -> None:
     """Four write at once under one name, some of it refused; each is told what it wrote."""
     values = [20.0, 26.0, 27.0, 40.0]
     replies: dict[float, list[str]] = {value: [] for value in values}
@@ -190,7 +190,7 @@ def test_each_writer_hears_of_its_own_write(bus: zenostat.Bus) -> None:
     ],
     ids=str,
 )
-def test_a_write_that_cannot_be_is_not_sent(bus: zenostat.Bus, wrong: dict[str, Any]) -> None:
+def test_cli__write_that_cannot_be_is_not_sent(bus: zenostat.Bus, wrong: dict[str, Any]) -> None:
     before = bus.status("office").rejected
     with pytest.raises(InvalidAction, match=POINT):
         bus.write("office", POINT, **wrong)
@@ -199,7 +199,7 @@ def test_a_write_that_cannot_be_is_not_sent(bus: zenostat.Bus, wrong: dict[str, 
     assert bus.status("office").rejected == before
 
 
-def test_a_node_that_dies_under_a_write_is_named(node: NodeProgram, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cli__node_that_dies_under_a_write_is_named(node: NodeProgram, monkeypatch: pytest.MonkeyPatch) -> None:
     with zenostat.connect(node.endpoint, affinity="off") as bus:
         manifest = bus.manifest
 
@@ -216,7 +216,7 @@ def test_a_node_that_dies_under_a_write_is_named(node: NodeProgram, monkeypatch:
 # read
 
 
-def test_read_shows_the_latest_sample(bus: zenostat.Bus) -> None:
+def test_cli__read_shows_the_latest_sample(bus: zenostat.Bus) -> None:
     with bus.controller("office") as link:
         sample = link.current()
         sample.send()
@@ -262,7 +262,7 @@ def watching(endpoint: str, *arguments: str) -> subprocess.Popen[str]:
     )
 
 
-def test_watch_tells_each_sample_once_from_the_present_one_on(bus: zenostat.Bus) -> None:
+def test_cli__watch_tells_each_sample_once_from_the_present_one_on(bus: zenostat.Bus) -> None:
     with watching(bus.endpoint, AIR, POINT, "--json", "--steps", "6") as watch, bus.controller("office") as link:
         first = json.loads(watch.stdout.readline())
         sample = link.current()
@@ -284,7 +284,7 @@ def test_watch_tells_each_sample_once_from_the_present_one_on(bus: zenostat.Bus)
         assert line["actuators"] == {POINT: None if np.isnan(effective) else effective}
 
 
-def test_the_table_has_the_extremes_since_it_began(bus: zenostat.Bus) -> None:
+def test_cli__table_has_the_extremes_since_it_began(bus: zenostat.Bus) -> None:
     (episode,) = bus.status("office").episode
     screen, terminal = os.openpty()
     drawn = bytearray()
@@ -312,7 +312,7 @@ def test_the_table_has_the_extremes_since_it_began(bus: zenostat.Bus) -> None:
     assert re.findall(r"-?\d+\.\d+", row) == [f"{value:.6g}" for value in (values[-1], min(values), max(values))]
 
 
-def test_watch_ends_with_the_node(node: NodeProgram) -> None:
+def test_cli__watch_ends_with_the_node(node: NodeProgram) -> None:
     with watching(node.endpoint, "--json") as watch:
         assert json.loads(watch.stdout.readline())["step"] == 0
         node.interrupt()
@@ -321,7 +321,7 @@ def test_watch_ends_with_the_node(node: NodeProgram) -> None:
     assert "node 'office' is gone" in err
 
 
-def test_watch_ends_with_ctrl_c(bus: zenostat.Bus) -> None:
+def test_cli__watch_ends_with_ctrl_c(bus: zenostat.Bus) -> None:
     with watching(bus.endpoint, "--json") as watch:
         assert json.loads(watch.stdout.readline())["step"] == 0
         watch.send_signal(signal.SIGINT)

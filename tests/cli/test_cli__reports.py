@@ -24,7 +24,7 @@ reward: {{kind: linear}}
 
 
 @pytest.mark.slow
-def test_an_evaluation_writes_report_and_figures_with_its_own_numbers(scratch: Path) -> None:
+def test_cli__evaluation_writes_report_and_figures_with_its_own_numbers(scratch: Path) -> None:
     pytest.importorskip("matplotlib")
     (scratch / "my office.yaml").write_text(SCENARIO)
     call = ["my office.yaml", "--controller", "baseline", "--controller", "rbc", "--json", "--price", "electricity=0.2"]
@@ -62,7 +62,7 @@ def test_an_evaluation_writes_report_and_figures_with_its_own_numbers(scratch: P
         (["--figures", "nowhere/figures"], "--figures nowhere/figures: there is no folder"),
     ],
 )
-def test_a_wrong_path_is_one_sentence_before_anything_starts(
+def test_cli__wrong_path_is_one_sentence_before_anything_starts(
     command: list[str], options: list[str], message: str, tmp_path: Path
 ) -> None:
     pytest.importorskip("matplotlib")
@@ -74,7 +74,7 @@ def test_a_wrong_path_is_one_sentence_before_anything_starts(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.html"]
 
 
-def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_cli__without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     import sys
 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)

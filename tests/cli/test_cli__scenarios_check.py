@@ -38,7 +38,7 @@ def truncated(folder: Path, *, cut_bytes: int) -> str:
 
 
 @pytest.mark.process
-def test_points_of_the_reward_and_arguments_of_wrappers_are_checked_together(tmp_path: Path) -> None:
+def test_cli__points_of_the_reward_and_arguments_of_wrappers_are_checked_together(tmp_path: Path) -> None:
     text = errors_of(
         scenario(
             tmp_path,
@@ -59,7 +59,7 @@ def test_points_of_the_reward_and_arguments_of_wrappers_are_checked_together(tmp
     [(200_000, "has 7,"), (20, "its last record is cut off")],
     ids=["hours missing", "last line cut"],
 )
-def test_a_truncated_weather_file_is_found_beside_other_errors(tmp_path: Path, cut_bytes: int, text: str) -> None:
+def test_cli__truncated_weather_file_is_found_beside_other_errors(tmp_path: Path, cut_bytes: int, text: str) -> None:
     weather = truncated(tmp_path, cut_bytes=cut_bytes)
     errors = errors_of(scenario(tmp_path, "reward: {kind: linear, power: powr}\n", weather))
     assert "is incomplete" in errors
@@ -68,7 +68,7 @@ def test_a_truncated_weather_file_is_found_beside_other_errors(tmp_path: Path, c
 
 
 @pytest.mark.process
-def test_a_scenario_that_can_run_passes(tmp_path: Path) -> None:
+def test_cli__scenario_that_can_run_passes(tmp_path: Path) -> None:
     file = scenario(
         tmp_path,
         "time: [hour]\nreward: {kind: linear, temperatures: core_zn_air_temperature}\n"

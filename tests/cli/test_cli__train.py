@@ -54,7 +54,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("command", ["train", "tune"])
-def test_help_has_an_example_and_fits_80_columns(command: str) -> None:
+def test_cli__help_has_an_example_and_fits_80_columns(command: str) -> None:
     done = run_in_process(command, "--help")
     assert done.returncode == 0
     assert f"Example: zenostat {command} examples/{'train' if command == 'train' else 'tune'}.yaml" in plain(
@@ -99,7 +99,7 @@ def test_help_has_an_example_and_fits_80_columns(command: str) -> None:
         (["tune", "s.yaml", "--set", "training.algorithm=pro"], "did you mean 'ppo'"),
     ],
 )
-def test_bad_input_is_one_sentence_before_anything_starts(command: list[str], text: str, tmp_path: Path) -> None:
+def test_cli__bad_input_is_one_sentence_before_anything_starts(command: list[str], text: str, tmp_path: Path) -> None:
     if command[0] == "tune":
         pytest.importorskip("optuna")
     write(tmp_path, "t.yaml", TRAINING)
@@ -118,13 +118,13 @@ def test_bad_input_is_one_sentence_before_anything_starts(command: list[str], te
         (["out", "--resume", "--seed", "4"], "out is another training and cannot be resumed: seed was 0, now 4"),
     ],
 )
-def test_a_folder_that_exists_is_not_overwritten(command: list[str], text: str, trained: Path) -> None:
+def test_cli__folder_that_exists_is_not_overwritten(command: list[str], text: str, trained: Path) -> None:
     before = (trained / "out" / "model.zip").read_bytes()
     assert text in error_of("train", *command, cwd=trained)
     assert (trained / "out" / "model.zip").read_bytes() == before
 
 
-def test_a_folder_of_an_older_version_is_one_sentence(trained: Path, tmp_path: Path) -> None:
+def test_cli__folder_of_an_older_version_is_one_sentence(trained: Path, tmp_path: Path) -> None:
     shutil.copytree(trained / "out", tmp_path / "old")
     versions = tmp_path / "old" / "versions.json"
     versions.write_text(json.dumps({**json.loads(versions.read_text()), "format": 0, "zenostat": "0.0.9"}))
@@ -133,7 +133,7 @@ def test_a_folder_of_an_older_version_is_one_sentence(trained: Path, tmp_path: P
     assert text in error_of("report", "old", "--out", "r.html", cwd=tmp_path)
 
 
-def test_options_override_the_file_and_resume_continues(trained: Path, tmp_path: Path) -> None:
+def test_cli__options_override_the_file_and_resume_continues(trained: Path, tmp_path: Path) -> None:
     write(tmp_path, "t.yaml", TRAINING)
     first = run_in_process("train", "t.yaml", "--steps", "10", "--output", "short", cwd=tmp_path)
     assert first.returncode == 0, first.stderr
@@ -142,7 +142,7 @@ def test_options_override_the_file_and_resume_continues(trained: Path, tmp_path:
     assert weights(tmp_path / "short") == weights(trained / "out")
 
 
-def test_a_study_whose_trainings_are_invalid_ends_with_the_reason(tmp_path: Path) -> None:
+def test_cli__study_whose_trainings_are_invalid_ends_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("optuna")
     from zenostat.lab.training.study import Tuning
     from zenostat.lab.training.tuning_config import load_tuning
@@ -165,7 +165,7 @@ def weights(folder: Path) -> list[tuple[str, bytes]]:
 
 
 @pytest.mark.slow
-def test_the_log_of_tensorboard_has_the_values_of_the_csv_file(tmp_path: Path) -> None:
+def test_cli__log_of_tensorboard_has_the_values_of_the_csv_file(tmp_path: Path) -> None:
     pytest.importorskip("tensorboardX")
     write(tmp_path, "t.yaml", TRAINING, log=["tensorboard"], steps=1000, normalization=False)
     done = run_in_process("train", "t.yaml", cwd=tmp_path)
@@ -194,7 +194,7 @@ def scalars(folder: Path, name: str) -> dict[int, float]:
     return values
 
 
-def test_tensorboards_own_reader_reads_the_log(tmp_path: Path) -> None:
+def test_cli__tensorboards_own_reader_reads_the_log(tmp_path: Path) -> None:
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     pytest.importorskip("tensorboardX")
     write(tmp_path, "t.yaml", TRAINING, log=["tensorboard"], steps=1000)
@@ -205,7 +205,7 @@ def test_tensorboards_own_reader_reads_the_log(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.process
-def test_weights_and_biases_offline(tmp_path: Path) -> None:
+def test_cli__weights_and_biases_offline(tmp_path: Path) -> None:
     pytest.importorskip("wandb")
     settings = {"mode": "offline", "project": "office"}
     write(tmp_path, "t.yaml", TRAINING, log=["wandb"], wandb=settings, steps=1000)

@@ -27,7 +27,7 @@ def drawn(width: int, wrap: tuple[str, ...]) -> str:
 
 @pytest.mark.parametrize("width", [20, 40, 60, 80, 120, 200])
 @pytest.mark.parametrize("wrap", [(), ("name",), ("name", "key")], ids=str)
-def test_every_cell_is_whole(width: int, wrap: tuple[str, ...]) -> None:
+def test_cli_tables__every_cell_is_whole(width: int, wrap: tuple[str, ...]) -> None:
     text = drawn(width, wrap)
     assert "…" not in text
     assert max(len(line.rstrip()) for line in text.splitlines()) <= width
@@ -39,14 +39,14 @@ def test_every_cell_is_whole(width: int, wrap: tuple[str, ...]) -> None:
         assert sorted(re.sub(r"[\s─]", "", text)) == sorted(whole)
 
 
-def test_a_wide_terminal_has_a_line_a_row_and_a_narrow_one_paragraphs() -> None:
+def test_cli_tables__wide_terminal_has_a_line_a_row_and_a_narrow_one_paragraphs() -> None:
     assert len(drawn(120, ("name",)).splitlines()) == 2 + 1 + len(ROWS)
     narrow = drawn(30, ("name",)).splitlines()
     assert narrow[1].rstrip() == ROWS[0][1]
     assert narrow[2].startswith("  kind: sensor; key:")
 
 
-def test_no_help_cuts_anything_at_80_columns_and_each_command_stands_in_a_group() -> None:
+def test_cli_tables__no_help_cuts_anything_at_80_columns_and_each_command_is_in_a_group() -> None:
     groups = run_program("--help").stdout
     names = re.findall(r"^│ ([\w-]+) ", groups.split("Simulate and control")[1], re.M)
     registered = {command_name(place) for places in GROUPS.values() for place in places}
@@ -60,7 +60,7 @@ def test_no_help_cuts_anything_at_80_columns_and_each_command_stands_in_a_group(
         assert max(map(len, shown.splitlines())) <= 80
 
 
-def test_scenarios_have_a_row_for_each_family_and_their_numbers_add_up() -> None:
+def test_cli_tables__scenarios_have_a_row_for_each_family_and_their_numbers_add_up() -> None:
     done = run_program("scenarios")
     head, *rows = done.stdout.splitlines()
     assert head.split() == ["building", "weathers", "actions", "ids", "from"]

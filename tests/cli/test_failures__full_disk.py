@@ -19,7 +19,7 @@ from zenostat.cli.failures import print_failure
         (PermissionError(errno.EACCES, "Permission denied", Path("/x")), "error: /x: Permission denied"),
     ],
 )
-def test_a_file_that_cannot_be_written_is_one_sentence(
+def test_failures__file_that_cannot_be_written_is_one_sentence(
     error: OSError, text: str, capfd: pytest.CaptureFixture[str]
 ) -> None:
     assert print_failure(error) == 1
@@ -27,6 +27,6 @@ def test_a_file_that_cannot_be_written_is_one_sentence(
 
 
 @pytest.mark.parametrize("error", [OSError("without a number"), OSError(errno.EBADF, "a defect"), ValueError("no")])
-def test_other_errors_are_raised_again(error: Exception) -> None:
+def test_failures__other_errors_are_raised_again(error: Exception) -> None:
     with pytest.raises(type(error)):
         print_failure(error)

@@ -30,7 +30,7 @@ class _Server:
     manifest = type("Manifest", (), {"steps": 96})
 
 
-def test_a_node_reports_once_that_its_recording_stopped() -> None:
+def test_recording__node_reports_once_that_its_recording_stopped() -> None:
     console = Console(file=io.StringIO(), width=200)
     server: Any = _Server()
     bar = _ProgressBar(Progress(console=console), "office")
@@ -54,7 +54,7 @@ def test_a_node_reports_once_that_its_recording_stopped() -> None:
         (STOPPED, "there is no recording at /x/run.mcap: No space left on device"),
     ],
 )
-def test_an_ended_recording_is_described(status: RecordingStatus, expected: str) -> None:
+def test_recording__ended_recording_is_described(status: RecordingStatus, expected: str) -> None:
     assert expected in describe_recording(status)
 
 
@@ -77,7 +77,7 @@ def test_verify_text__does_not_call_a_damaged_file_identical() -> None:
         ({"end": "cut", "tolerance": 0.5}, "compared: 0 steps, 4 points, 1 actuators; all are within 0.5"),
     ],
 )
-def test_the_end_of_a_file_is_part_of_the_one_sentence_on_it(fields: dict[str, Any], expected: str) -> None:
+def test_recording__end_of_a_file_is_part_of_the_one_sentence_on_it(fields: dict[str, Any], expected: str) -> None:
     text = str(Verification(**({"episodes": 2, "points": 4, "actuators": 1} | fields)))
     assert text.startswith(expected)
     assert text.endswith("; the recording ends early: cut")

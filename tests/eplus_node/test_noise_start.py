@@ -229,7 +229,7 @@ def refusal(**settings: Any) -> str:
     return str(refused.value)
 
 
-def test_a_run_period_that_ends_before_the_noise_is_refused() -> None:
+def test_noise_start__run_period_that_ends_before_the_noise_is_refused() -> None:
     text = refusal(noise_start="third_day", end="07-04")
     assert text == (
         "noise_start: third_day needs a run period of at least 3 days; this one has 2 days, and they would have no "
@@ -240,11 +240,11 @@ def test_a_run_period_that_ends_before_the_noise_is_refused() -> None:
     )  # no noise
 
 
-def test_an_unknown_start_is_refused() -> None:
+def test_noise_start__unknown_start_is_refused() -> None:
     assert "'episode' or 'third_day'" in refusal(noise_start="fourth_day")
 
 
-def test_a_model_that_reads_the_whole_weather_before_is_refused() -> None:
+def test_noise_start__model_that_reads_the_whole_weather_before_is_refused() -> None:
     mains = {"Site:WaterMainsTemperature": {"*": {"calculation_method": "CorrelationFromWeatherFile"}}}
     text = refusal(noise_start="third_day", edits=mains)
     assert "Site:WaterMainsTemperature reads the whole weather file before the episode starts" in text

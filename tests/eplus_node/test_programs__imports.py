@@ -14,7 +14,7 @@ THIRD_PARTY = {"cryptography", "gymnasium", "numpy", "psutil", "pydantic", "rich
     ("program", "needed"),
     [("zenostat.eplus_node", {"numpy", "psutil", "pydantic", "zenoh"}), ("zenostat.eplus_node.engine", set())],
 )
-def test_a_program_imports_only_what_each_start_needs(program: str, needed: set[str]) -> None:
+def test_programs__program_imports_only_what_each_start_needs(program: str, needed: set[str]) -> None:
     text = f"import sys, {program}.__main__; print(*sys.modules)"
     loaded = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True).stdout
     assert {name.partition(".")[0] for name in loaded.split()} & THIRD_PARTY == needed

@@ -37,14 +37,14 @@ def manifest(**points: tuple) -> Manifest:
 
 
 @given(st.sets(st.text("abc_", min_size=1, max_size=8), max_size=40))
-def test_instance_numbers_are_distinct_valid_and_do_not_depend_on_order(names: set[str]) -> None:
+def test_bacnet__instance_numbers_are_distinct_valid_and_do_not_depend_on_order(names: set[str]) -> None:
     numbers = instance_numbers(names)
     assert numbers == instance_numbers(sorted(names, reverse=True))
     assert len(set(numbers.values())) == len(names)
     assert all(1000 <= number <= MAX_INSTANCE for number in numbers.values())
 
 
-def test_a_further_point_changes_no_other_number() -> None:
+def test_bacnet__further_point_changes_no_other_number() -> None:
     names = [f"zone_{number}_air_temperature" for number in range(100)]
     before = instance_numbers(names)
     after = instance_numbers([*names, "a_new_sensor"])
@@ -52,7 +52,7 @@ def test_a_further_point_changes_no_other_number() -> None:
     assert before["zone_7_air_temperature"] == instance_number("zone_7_air_temperature")
 
 
-def test_two_names_with_one_number_get_two() -> None:
+def test_bacnet__two_names_with_one_number_get_two() -> None:
     seen: dict[int, str] = {}
     first = second = ""
     for count in range(100_000):  # about 1,200 pairs are expected
@@ -64,7 +64,7 @@ def test_two_names_with_one_number_get_two() -> None:
     assert instance_numbers([second, first]) == {first: number, second: number + 1}
 
 
-def test_a_meter_is_its_mean_rate_and_a_unit_that_bacnet_lacks_is_in_the_description() -> None:
+def test_bacnet__meter_is_its_mean_rate_and_a_unit_that_bacnet_lacks_is_in_the_description() -> None:
     specs = {
         spec.name: spec
         for spec in point_specs(
@@ -80,7 +80,7 @@ def test_a_meter_is_its_mean_rate_and_a_unit_that_bacnet_lacks_is_in_the_descrip
     assert specs["infiltration"].description == "Air Change Rate, Z; unit: ach"
 
 
-def test_names_are_unique_also_where_the_bus_has_one_name_for_several_things() -> None:
+def test_bacnet__names_are_unique_also_where_the_bus_has_one_name_for_several_things() -> None:
     twice = {"unit": "degC", "name": "supply"}
     specs = point_specs(
         manifest(sensors=(Sensor(**twice), Sensor(name="office", unit="1")), actuators=(Actuator(**twice),))
@@ -92,7 +92,7 @@ def test_names_are_unique_also_where_the_bus_has_one_name_for_several_things() -
     ]
 
 
-def test_each_unit_is_in_the_enumeration_of_the_standard() -> None:
+def test_bacnet__each_unit_is_in_the_enumeration_of_the_standard() -> None:
     for unit, entry in units._UNITS.items():
         assert isinstance(getattr(basetypes.EngineeringUnits, entry.name), int), unit
     # Numbers of ASHRAE 135, clause 21.
@@ -101,13 +101,13 @@ def test_each_unit_is_in_the_enumeration_of_the_standard() -> None:
 
 
 @given(st.floats(width=32, allow_nan=False, allow_infinity=False))
-def test_a_number_in_single_precision_is_read_with_the_fewest_digits(value: float) -> None:
+def test_bacnet__number_in_single_precision_is_read_with_the_fewest_digits(value: float) -> None:
     shortest = double(value)
     assert struct.pack(">f", shortest) == struct.pack(">f", value)
     assert len(repr(shortest).strip("-0.")) <= len(repr(value).strip("-0."))
 
 
-def test_a_decimal_survives_the_way_through_single_precision() -> None:
+def test_bacnet__decimal_survives_the_way_through_single_precision() -> None:
     for text in ("21.1", "26.75", "0.35", "-17.8", "100000"):
         assert double(struct.unpack(">f", struct.pack(">f", float(text)))[0]) == float(text)
     assert (real(1e300), real(-1e300)) == (float("inf"), float("-inf"))

@@ -21,7 +21,7 @@ DAY_S = 86400
     # Stationary mean mu / (1 - F) and deviation K / sqrt(1 - F^2) of a first-order autoregression.
     [("low", 0.0, 0.4 / np.sqrt(1 - 0.92**2)), ("high", -0.015 / 0.05, 0.7 / np.sqrt(1 - 0.95**2))],
 )
-def test_temperature_errors_have_the_moments_of_their_autoregression(level, mean, deviation):
+def test_boptest_forecasts__temperature_errors_have_the_moments_of_their_autoregression(level, mean, deviation):
     last = np.array([forecast_errors.temperature_errors(level, 80, seed)[-1] for seed in range(3000)])
     assert last.mean() == pytest.approx(mean, abs=4 * deviation / np.sqrt(3000))
     assert last.std() == pytest.approx(deviation, rel=0.06)
@@ -30,12 +30,12 @@ def test_temperature_errors_have_the_moments_of_their_autoregression(level, mean
     )
 
 
-def test_the_first_temperature_error_is_numpys_legacy_draw():
+def test_boptest_forecasts__first_temperature_error_is_numpys_legacy_draw():
     assert forecast_errors.temperature_errors("medium", 1, 12)[0] == np.random.RandomState(12).normal(0.15, 1.2)
 
 
 @pytest.mark.parametrize("level", forecast_errors.LEVELS)
-def test_solar_forecasts_stay_within_their_share_of_the_truth_and_nights_stay_dark(level):
+def test_boptest_forecasts__solar_forecasts_stay_within_their_share_of_the_truth_and_nights_stay_dark(level):
     truth = np.maximum(0.0, 700.0 * np.sin(np.arange(49) / 24 * 2 * np.pi - np.pi / 2))
     forecast = forecast_errors.solar_forecast(level, truth, 5)
     assert (forecast[truth == 0.0] == 0.0).all()
@@ -45,7 +45,7 @@ def test_solar_forecasts_stay_within_their_share_of_the_truth_and_nights_stay_da
     assert (forecast_errors.solar_forecast(level, truth, 5) == forecast).all()
 
 
-def test_test_periods_follow_their_definitions():
+def test_boptest_forecasts__test_periods_follow_their_definitions():
     days, bins = 365, 96
     heating, cooling = np.zeros((days, bins)), np.zeros((days, bins))
     heating[:120, 30] = np.linspace(9000, 3100, 120)  # falls day by day
@@ -62,12 +62,12 @@ def test_test_periods_follow_their_definitions():
     assert overlap[periods["mix_day"]] == overlap[14:358].max()
 
 
-def test_periods_of_a_load_that_the_building_lacks_are_left_out():
+def test_boptest_forecasts__periods_of_a_load_that_the_building_lacks_are_left_out():
     cooling = np.random.default_rng(0).uniform(100, 1000, 365 * 96)
     assert {*find_test_periods(np.zeros(365 * 96), cooling, 900)} == {"peak_cool_day", "typical_cool_day"}
 
 
-def test_peaks_are_means_of_15_minutes():
+def test_boptest_forecasts__peaks_are_means_of_15_minutes():
     load = np.zeros(365 * 288)
     load[100 * 288] = 3000.0  # five minutes: a mean of 1000 W
     load[200 * 288 : 200 * 288 + 3] = 1500.0
@@ -82,7 +82,7 @@ def weather(**columns):
     return Weather(0.0, 3600.0, all_columns, 40.0, -105.0, -7.0)
 
 
-def test_weather_is_linear_between_hours_and_gaps_are_filled():
+def test_boptest_forecasts__weather_is_linear_between_hours_and_gaps_are_filled():
     series = weather(dry_bulb_temperature=[0.0, 10.0, np.nan, 30.0])
     assert "relHum" not in series.points
     assert series.at("TDryBul", np.array([3600.0, 5400.0, 3 * 3600.0])) == pytest.approx([273.15, 278.15, 293.15])
@@ -90,7 +90,7 @@ def test_weather_is_linear_between_hours_and_gaps_are_filled():
     assert [*series.now(5400.0)] == [*series.points]
 
 
-def test_the_sun_is_in_the_south_at_solar_noon_and_as_high_as_geometry_says():
+def test_boptest_forecasts__sun_is_in_the_south_at_solar_noon_and_as_high_as_geometry_states():
     series = weather(dry_bulb_temperature=[0.0])
     times = 171 * DAY_S + np.arange(0.0, DAY_S, 60.0)  # the solstice: declination 23.45 degrees
     altitude, hour_angle = series.at("solAlt", times), series.at("solHouAng", times)
@@ -103,7 +103,7 @@ def test_the_sun_is_in_the_south_at_solar_noon_and_as_high_as_geometry_says():
     assert (series.at("solAlt", equinox) > 0).mean() == pytest.approx(0.5, abs=0.01)
 
 
-def test_wet_bulb_temperatures():
+def test_boptest_forecasts__wet_bulb_temperatures():
     air = np.array([293.15, 293.15, 303.15])
     humidity, pressure = np.array([1.0, 0.5, 0.2]), 101_325.0
     wet, dry = wet_bulb(air, humidity, np.full(3, pressure)) - 273.15, air - 273.15
@@ -116,7 +116,7 @@ def test_wet_bulb_temperatures():
     assert ratio == pytest.approx(0.621945 * vapor / (pressure - vapor), rel=0.05)
 
 
-def test_prices_can_be_set_by_scenario_or_all_at_once():
+def test_boptest_forecasts__prices_can_be_set_by_scenario_or_all_at_once():
     rates = read_rates({"dynamic": 0.5, "gas": 0.01})
     assert rates.prices_of("dynamic")["electricity"].series.at(datetime(2017, 1, 2)) == 0.5
     assert rate_at(rates.points["PriceGasPower"][0], np.array([0.0, 7200.0])).tolist() == [0.01, 0.01]

@@ -16,7 +16,7 @@ JSON = "application/json"
 FORM = "application/x-www-form-urlencoded"
 
 
-def test_bodies_of_all_forms():
+def test_boptest_parsing__bodies_of_all_forms():
     assert parsing.parse_body(b"", JSON) == {}
     assert parsing.parse_body(b'{"step": 900}', JSON) == {"step": 900}
     assert parsing.parse_body(b'{"step": 900}', "text/plain") == {"step": 900}
@@ -29,13 +29,13 @@ def test_bodies_of_all_forms():
 @pytest.mark.parametrize(
     "body", [b"[1]", b"{", b"\xff", b'"a"', b"[" * 100_000, b'{"a": "\\ud800"}', b"x" * (parsing.MAX_BYTES + 1)]
 )
-def test_other_bodies_are_refused(body):
+def test_boptest_parsing__other_bodies_are_refused(body):
     with pytest.raises(BadRequest):
         parsing.parse_body(body, JSON)
 
 
 @given(st.binary(max_size=200), st.sampled_from([JSON, FORM, "", "multipart/form-data"]))
-def test_any_bytes_are_fields_or_a_bad_request(body, content_type):
+def test_boptest_parsing__any_bytes_are_fields_or_a_bad_request(body, content_type):
     try:
         fields = parsing.parse_body(body, content_type)
     except BadRequest:
@@ -44,7 +44,7 @@ def test_any_bytes_are_fields_or_a_bad_request(body, content_type):
 
 
 @given(st.recursive(st.none() | st.booleans() | st.floats() | st.integers() | st.text(), st.lists, max_leaves=5))
-def test_any_value_is_a_number_and_a_switch_or_a_bad_request(value):
+def test_boptest_parsing__any_value_is_a_number_and_a_switch_or_a_bad_request(value):
     for read, kind in ((parsing.number, float), (parsing.switch, bool), (parsing.names, list)):
         try:
             result = read(value, "x")
@@ -55,18 +55,18 @@ def test_any_value_is_a_number_and_a_switch_or_a_bad_request(value):
 
 
 @pytest.mark.parametrize("value", [math.nan, "nan", True, None, "", "1,5", [1], {}, 10**400])
-def test_other_values_are_no_numbers(value):
+def test_boptest_parsing__other_values_are_no_numbers(value):
     with pytest.raises(BadRequest, match="for x"):
         parsing.number(value, "x")
 
 
 @pytest.mark.parametrize("value", [1, True, 1.0, "1", "True", "true"])
-def test_switches_that_are_on(value):
+def test_boptest_parsing__switches_that_are_on(value):
     assert parsing.switch(value, "x") is True
     assert parsing.switch(json.loads("0"), "x") is False
 
 
 @pytest.mark.parametrize("value", [1.2, "1.2", "invalid", 2, None, [1]])
-def test_switches_that_are_neither(value):
+def test_boptest_parsing__switches_that_are_neither(value):
     with pytest.raises(BadRequest, match="for x"):
         parsing.switch(value, "x")

@@ -20,7 +20,7 @@ def table(**fields):
     return PointTable(manifest), manifest.step_s
 
 
-def test_values_are_converted_to_si_units_and_meters_to_mean_power():
+def test_boptest_points__values_are_converted_to_si_units_and_meters_to_mean_power():
     sensors = tuple(
         Sensor(name=name, unit=unit)
         for name, unit in (("t", "degC"), ("rh", "percent"), ("wind", "deg"), ("co2", "ppm"), ("dt", "delta_degC"))
@@ -31,7 +31,7 @@ def test_values_are_converted_to_si_units_and_meters_to_mean_power():
     assert values == pytest.approx([293.15, 0.5, np.pi, 400.0, 2.0, 900.0 / step_s])
 
 
-def test_inputs_have_bounds_and_convert_back():
+def test_boptest_points__inputs_have_bounds_and_convert_back():
     bounded = Actuator(name="setpoint", unit="degC", low=15.0, high=30.0)
     points, _ = table(actuators=(bounded, Actuator(name="valve", unit="1")))
     assert [(p.name, p.minimum, p.maximum) for p in points.inputs] == [
@@ -43,19 +43,19 @@ def test_inputs_have_bounds_and_convert_back():
     assert points.si_inputs(np.array([22.0, 1.0])) == pytest.approx([295.15, 1.0])
 
 
-def test_clients_that_replace_u_anywhere_in_a_name_reach_the_switch():
+def test_boptest_points__clients_that_replace_u_anywhere_in_a_name_reach_the_switch():
     name = "core_upper_zone_unit_setpoint"
     points, _ = table(actuators=(Actuator(name=name, unit="degC", low=15.0, high=30.0),))
     assert points.inputs[0].name.replace("_u", "_activate") == points.activates[0]
     assert points.inputs[0].name == "core_Upper_zone_Unit_setpoint_u"
 
 
-def test_names_that_coincide_are_refused():
+def test_boptest_points__names_that_coincide_are_refused():
     with pytest.raises(InvalidConfig, match="differ only by case"):
         table(sensors=(Sensor(name="a_ub", unit="1"), Sensor(name="a_Ub", unit="1")))
 
 
-def test_rows_are_those_of_a_closed_range_of_times():
+def test_boptest_points__rows_are_those_of_a_closed_range_of_times():
     for start, final, rows in (
         (1000, 1600, (0, 3)),
         (1001, 1599, (1, 2)),

@@ -19,7 +19,7 @@ from zenostat.topics.messages import Aggregation, Manifest, Meter, Mode, Policy,
         (Sensor(name="x", unit="degC", aggregation=Aggregation.MEAN), "degC", 1.0, ""),
     ],
 )
-def test_amounts_of_a_timestep_are_read_as_mean_rates(point, unit, divisor, note):
+def test_gateways__amounts_of_a_timestep_are_read_as_mean_rates(point, unit, divisor, note):
     kind = {"meters" if isinstance(point, Meter) else "sensors": (point,)}
     manifest = Manifest(
         **{"sensors": (), "meters": (), "actuators": (), **kind},

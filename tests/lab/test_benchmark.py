@@ -49,7 +49,7 @@ def row(controller: str, building: str = OFFICE, seed: int = 1, reward: float = 
 # Scores
 
 
-def test_a_score_is_the_share_of_the_baseline_that_is_saved() -> None:
+def test_benchmark__score_is_the_share_of_the_baseline_that_is_saved() -> None:
     assert relative_score(-10.0, -10.0) == 0.0
     assert relative_score(-7.5, -10.0) == 0.25
     assert relative_score(-15.0, -10.0) == -0.5
@@ -58,12 +58,12 @@ def test_a_score_is_the_share_of_the_baseline_that_is_saved() -> None:
     assert relative_score(-1.0, 0.0) is None
 
 
-def test_the_interquartile_mean_ignores_the_outer_quarters() -> None:
+def test_benchmark__interquartile_mean_ignores_the_outer_quarters() -> None:
     assert interquartile_mean([8.0, 1e6, 3.0, 4.0, 5.0, 6.0, 2.0, -1e6]) == pytest.approx((3 + 4 + 5 + 6) / 4)
     assert interquartile_mean([1.0, 2.0, 6.0]) == 3.0  # a quarter of three, rounded down, is none
 
 
-def test_the_bootstrap_resamples_within_strata() -> None:
+def test_benchmark__bootstrap_resamples_within_strata() -> None:
     """With no variance within the buildings there is none in the result, however much the buildings differ."""
     assert dataclasses.astuple(bootstrap_interval([[0.0] * 6, [1.0] * 6])) == (0.5, 0.5, 0.5, 12)
     mixed = bootstrap_interval([[0.0, 1.0] * 3, [0.0, 1.0] * 3])
@@ -71,18 +71,18 @@ def test_the_bootstrap_resamples_within_strata() -> None:
     assert mixed == bootstrap_interval([[0.0, 1.0] * 3, [0.0, 1.0] * 3])
 
 
-def test_a_bootstrap_interval_is_about_that_of_normal_samples() -> None:
+def test_benchmark__bootstrap_interval_is_about_that_of_normal_samples() -> None:
     """The mean of the middle half of n normal values has a variance of about 1.2/n (Stigler 1973)."""
     sample = np.random.default_rng(5).normal(size=400)
     interval = bootstrap_interval([sample[:200], sample[200:]])
     assert interval.high - interval.low == pytest.approx(2 * 1.96 * np.sqrt(1.2 / 400), rel=0.2)
 
 
-def test_one_episode_has_no_interval() -> None:
+def test_benchmark__one_episode_has_no_interval() -> None:
     assert np.isnan(bootstrap_interval([[0.5]]).low)
 
 
-def test_only_episodes_of_all_controllers_are_compared() -> None:
+def test_benchmark__only_episodes_of_all_controllers_are_compared() -> None:
     rows = [row("baseline"), row("baseline", seed=2), row("rbc", reward=-8.0), row("fixed", reward=-12.0)]
     rows += [row("fixed", seed=2, reward=-1.0)]
     scores = score_rows(rows)
@@ -92,7 +92,7 @@ def test_only_episodes_of_all_controllers_are_compared() -> None:
     assert score_rows(rows, "linear")[0].overall.value == 0.0
 
 
-def test_scores_need_the_baseline_control_and_common_episodes() -> None:
+def test_benchmark__scores_need_the_baseline_control_and_common_episodes() -> None:
     with pytest.raises(InvalidConfig, match="run the controller 'baseline' too"):
         score_rows([row("rbc")])
     with pytest.raises(InvalidConfig, match="no episode has rows of all controllers"):
@@ -104,7 +104,7 @@ def test_scores_need_the_baseline_control_and_common_episodes() -> None:
 # The definition
 
 
-def test_what_is_scored_was_not_trained_on() -> None:
+def test_benchmark__what_is_scored_was_not_trained_on() -> None:
     assert not set(definition.TRAINING_WEATHERS) & set(definition.HELD_OUT_WEATHERS)
     for benchmark_set in SETS.values():
         assert set(benchmark_set.weathers) <= set(definition.HELD_OUT_WEATHERS)
@@ -114,7 +114,7 @@ def test_what_is_scored_was_not_trained_on() -> None:
             assert training["arguments"]["weather"] == list(definition.TRAINING_WEATHERS)
 
 
-def test_all_names_exist() -> None:
+def test_benchmark__all_names_exist() -> None:
     assert len(definition.BUILDINGS) == 5
     assert {find_building(name).name for name in definition.BUILDINGS} == set(definition.BUILDINGS)
     weathers = {*definition.TRAINING_WEATHERS, *definition.HELD_OUT_WEATHERS}
@@ -122,7 +122,7 @@ def test_all_names_exist() -> None:
 
 
 @pytest.mark.slow
-def test_trainings_of_all_sets_are_valid() -> None:
+def test_benchmark__trainings_of_all_sets_are_valid() -> None:
     from zenostat.lab.training import read_training
     from zenostat.lab.training.run import check_training
 
@@ -146,14 +146,14 @@ def saved(tmp_path: Path) -> Path:
     return tmp_path / "results.json"
 
 
-def test_results_are_read_back(saved: Path) -> None:
+def test_benchmark__results_are_read_back(saved: Path) -> None:
     text, results = saved.read_text(), load_results(saved)
     results.save(saved)
     assert saved.read_text() == text
     assert results.rows[("rbc", OFFICE, "summer", "USA_IL_Chicago", 2)].reward == -9.0 + 2 / 7
 
 
-def test_the_order_of_runs_does_not_matter(saved: Path, tmp_path: Path) -> None:
+def test_benchmark__order_of_runs_does_not_matter(saved: Path, tmp_path: Path) -> None:
     results = load_results(saved)
     again = Results("smoke", hashes={OFFICE: "ab"})
     again.add(reversed(list(results.rows.values())))
@@ -161,7 +161,7 @@ def test_the_order_of_runs_does_not_matter(saved: Path, tmp_path: Path) -> None:
     assert (tmp_path / "again.json").read_text() == saved.read_text()
 
 
-def test_edited_or_foreign_results_are_refused(saved: Path, tmp_path: Path) -> None:
+def test_benchmark__edited_or_foreign_results_are_refused(saved: Path, tmp_path: Path) -> None:
     content = json.loads(saved.read_text())
     for change, text in (
         ({"rows": [*content["rows"][:-1]]}, "their hash differs"),
@@ -179,7 +179,7 @@ def test_edited_or_foreign_results_are_refused(saved: Path, tmp_path: Path) -> N
         load_results(tmp_path / "none.json")
 
 
-def test_rows_of_other_versions_or_files_are_not_mixed(saved: Path) -> None:
+def test_benchmark__rows_of_other_versions_or_files_are_not_mixed(saved: Path) -> None:
     with pytest.raises(InvalidConfig, match=f"rows of another file {OFFICE}"):
         run_benchmark("smoke", saved, ["rbc"], hashes={OFFICE: "cd"})
     with pytest.raises(InvalidConfig, match="results of the set 'smoke'"):
@@ -191,7 +191,7 @@ def test_rows_of_other_versions_or_files_are_not_mixed(saved: Path) -> None:
         run_benchmark("smoke", saved, ["rbc"])
 
 
-def test_unknown_names_are_refused_before_anything_starts(tmp_path: Path) -> None:
+def test_benchmark__unknown_names_are_refused_before_anything_starts(tmp_path: Path) -> None:
     with pytest.raises(UnknownName, match="no set 'quik'; did you mean"):
         run_benchmark("quik", tmp_path / "r.json")
     with pytest.raises(UnknownName, match="no controller 'rcb'"):
@@ -201,7 +201,7 @@ def test_unknown_names_are_refused_before_anything_starts(tmp_path: Path) -> Non
     assert not list(tmp_path.iterdir())
 
 
-def test_results_are_written_by_one_process_at_a_time(saved: Path) -> None:
+def test_benchmark__results_are_written_by_one_process_at_a_time(saved: Path) -> None:
     former = saved.read_bytes()
     refusal = r"results\.json: another process is writing results there"
     with locked(saved.with_name(f".{saved.name}.lock"), "not raised"), pytest.raises(InvalidConfig, match=refusal):
@@ -212,7 +212,7 @@ def test_results_are_written_by_one_process_at_a_time(saved: Path) -> None:
     assert sorted(path.name for path in saved.parent.iterdir()) == [saved.name]
 
 
-def test_a_page_has_tables_and_figures(saved: Path, tmp_path: Path) -> None:
+def test_benchmark__page_has_tables_and_figures(saved: Path, tmp_path: Path) -> None:
     results = load_results(saved)
     results.add([row("awful", building, seed, -90.0) for building in (OFFICE, WAREHOUSE) for seed in (1, 2)])
     figures = write_page(results, tmp_path / "page.md")
@@ -224,7 +224,7 @@ def test_a_page_has_tables_and_figures(saved: Path, tmp_path: Path) -> None:
     assert "-8.0" in (tmp_path / "page" / "scores.svg").read_text()  # far below the axis, so as a number
 
 
-def test_the_command_shows_results_and_names_what_is_missing(saved: Path) -> None:
+def test_benchmark__command_shows_results_and_names_what_is_missing(saved: Path) -> None:
     shown = CliRunner().invoke(app, ["benchmark", "--show", str(saved)])
     assert shown.exit_code == 0
     assert "rbc" in shown.output
@@ -235,7 +235,7 @@ def test_the_command_shows_results_and_names_what_is_missing(saved: Path) -> Non
     assert "expected a .md file" in str(page.exception)
 
 
-def test_check_runs_the_selected_rows_and_prints_its_progress_without_a_terminal(
+def test_benchmark__check_runs_the_selected_rows_and_prints_its_progress_without_a_terminal(
     saved: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     episodes: list[tuple[str, str, int]] = []
@@ -266,13 +266,13 @@ def test_check_runs_the_selected_rows_and_prints_its_progress_without_a_terminal
         (["--seed", "7", "--weather", "Paris"], "no rows of the seed 7"),
     ],
 )
-def test_a_selection_without_rows_is_refused(saved: Path, options: list[str], text: str) -> None:
+def test_benchmark__selection_without_rows_is_refused(saved: Path, options: list[str], text: str) -> None:
     done = CliRunner().invoke(app, ["benchmark", "--check", str(saved), *options])
     assert isinstance(done.exception, UsageError)
     assert text in str(done.exception)
 
 
-def test_a_selection_needs_rows_to_check(saved: Path) -> None:
+def test_benchmark__selection_needs_rows_to_check(saved: Path) -> None:
     done = CliRunner().invoke(app, ["benchmark", "--show", str(saved), "--season", "summer"])
     assert isinstance(done.exception, InvalidConfig)
     assert "--season: only with --check" in str(done.exception)
@@ -281,7 +281,7 @@ def test_a_selection_needs_rows_to_check(saved: Path) -> None:
 # What is published
 
 
-def test_the_published_tables_and_figures_are_those_of_the_published_rows(tmp_path: Path) -> None:
+def test_benchmark__published_tables_and_figures_are_those_of_the_published_rows(tmp_path: Path) -> None:
     results, text = load_results(benchmark_page.PUBLISHED), benchmark_page.PAGE.read_text(encoding="utf-8")
     assert benchmark_page.page(text) == text
     planning = benchmark_page.PLANNING.read_text(encoding="utf-8")
@@ -307,7 +307,7 @@ def interrupt_after_the_first() -> None:
 
 
 @pytest.mark.process
-def test_workers_end_with_an_error_or_signal() -> None:
+def test_benchmark__workers_end_with_an_error_or_signal() -> None:
     """Without waiting for their present episodes."""
     before = multiprocessing.active_children()
     with pytest.raises(KeyboardInterrupt):
@@ -332,7 +332,7 @@ class Failing(Warm):
 @pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.usefixtures("small_set")
-def test_episodes_are_resumed_and_run_again_to_the_bit(tmp_path: Path) -> None:
+def test_benchmark__episodes_are_resumed_and_run_again_to_the_bit(tmp_path: Path) -> None:
     path, stages = tmp_path / "results.json", list[str]()
     (tmp_path / "mine.py").write_text(CONTROLLERS)
     mine, failing = f"{tmp_path}/mine.py:Warm", f"{tmp_path}/mine.py:Failing"
@@ -361,7 +361,7 @@ def test_episodes_are_resumed_and_run_again_to_the_bit(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.process
-def test_trained_controllers_and_workers_give_the_same_rows(tmp_path: Path) -> None:
+def test_benchmark__trained_controllers_and_workers_give_the_same_rows(tmp_path: Path) -> None:
     one, errors = run_benchmark("smoke", tmp_path / "one.json", ["ppo", "pid", "rbc"])
     two, _ = run_benchmark("smoke", tmp_path / "two.json", ["rbc", "pid", "ppo"], workers=2)
     assert errors == []

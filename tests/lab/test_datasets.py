@@ -40,7 +40,7 @@ def hashes(folder: Path) -> dict[str, str]:
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
 
 
-def test_minari_reads_the_episodes_that_the_controller_makes_in_the_environment(folder: Path) -> None:
+def test_datasets__minari_reads_the_episodes_that_the_controller_makes_in_the_environment(folder: Path) -> None:
     env = fake()
     path = write_dataset(env, ["rbc"], ID, episodes=2, seed=5, author="somebody")
     assert path == folder / ID
@@ -76,7 +76,7 @@ def test_minari_reads_the_episodes_that_the_controller_makes_in_the_environment(
     assert [(about["seed"], about["controller"]) for about in episodes] == [(5, "rbc"), (6, "rbc")]
 
 
-def test_a_reader_without_minari_finds_the_same_arrays(folder: Path) -> None:
+def test_datasets__reader_without_minari_finds_the_same_arrays(folder: Path) -> None:
     path = write_dataset(fake(), ["random"], ID, seed=1)
     (episode,) = minari.load_dataset(ID).iterate_episodes()
     with h5py.File(path / "data" / "main_data.hdf5") as file:
@@ -89,7 +89,7 @@ def test_a_reader_without_minari_finds_the_same_arrays(folder: Path) -> None:
         assert group.attrs["return"] == pytest.approx(episode.rewards.sum())
 
 
-def test_a_loader_of_transitions_gets_the_recovered_environments_own_steps(folder: Path) -> None:
+def test_datasets__loader_of_transitions_gets_the_recovered_environments_own_steps(folder: Path) -> None:
     """d3rlpy's loader does so: observations without the last, actions, rewards, ends; then the environment."""
     assert folder.is_dir()
     write_dataset(fake(), ["rbc", "random"], ID, episodes=2, seed=3, epsilon=0.3)
@@ -109,7 +109,7 @@ def test_a_loader_of_transitions_gets_the_recovered_environments_own_steps(folde
             assert actual == reward
 
 
-def test_the_same_call_writes_the_same_bytes(tmp_path: Path) -> None:
+def test_datasets__same_call_writes_the_same_bytes(tmp_path: Path) -> None:
     for run in ("one", "other"):
         write_dataset(fake(), ["rbc", "random"], ID, seed=2, epsilon=0.5, folder=tmp_path / run)
     write_dataset(fake(), ["rbc", "random"], ID, seed=3, epsilon=0.5, folder=tmp_path / "third")
@@ -119,7 +119,7 @@ def test_the_same_call_writes_the_same_bytes(tmp_path: Path) -> None:
     assert first != hashes(tmp_path / "third")
 
 
-def test_epsilon_is_the_share_of_random_actions(folder: Path) -> None:
+def test_datasets__epsilon_is_the_share_of_random_actions(folder: Path) -> None:
     assert folder.is_dir()
     write_dataset(fake(), ["fixed"], ID, episodes=40, epsilon=0.25)
     episodes = list(minari.load_dataset(ID).iterate_episodes())
@@ -131,7 +131,7 @@ def test_epsilon_is_the_share_of_random_actions(folder: Path) -> None:
     assert 180 < is_random.sum() < 300
 
 
-def test_discrete_actions_are_integers(folder: Path) -> None:
+def test_datasets__discrete_actions_are_integers(folder: Path) -> None:
     assert folder.is_dir()
     env = fake(discrete=6)
     write_dataset(env, ["rbc"], ID)
@@ -140,7 +140,7 @@ def test_discrete_actions_are_integers(folder: Path) -> None:
     assert all(env.action_space.contains(action) for action in episode.actions)
 
 
-def test_wrapped_observations_are_written_as_the_wrappers_give_them(folder: Path) -> None:
+def test_datasets__wrapped_observations_are_written_as_the_wrappers_give_them(folder: Path) -> None:
     assert folder.is_dir()
     env = gym.wrappers.TransformObservation(fake(), lambda o: o / 2, fake().observation_space)
     with pytest.warns(UserWarning, match="Minari will not recover"):  # a lambda is no JSON
@@ -163,7 +163,7 @@ def test_wrapped_observations_are_written_as_the_wrappers_give_them(folder: Path
         ({"parameters": {"margn": 1}}, r"'margn'; did you mean 'margin'"),
     ],
 )
-def test_errors_name_what_is_wrong_before_the_environment_is_made(
+def test_datasets__errors_name_what_is_wrong_before_the_environment_is_made(
     folder: Path, changes: dict[str, Any], text: str
 ) -> None:
     arguments = {"controllers": ["rbc"], "dataset_id": ID} | changes
@@ -172,7 +172,7 @@ def test_errors_name_what_is_wrong_before_the_environment_is_made(
     assert list(folder.iterdir()) == []
 
 
-def test_unknown_controllers_and_existing_data_sets_are_reported(folder: Path) -> None:
+def test_datasets__unknown_controllers_and_existing_data_sets_are_reported(folder: Path) -> None:
     with pytest.raises(UnknownName, match="no controller 'rbx'"):
         write_dataset(fake, ["rbx"], ID)
     write_dataset(fake, ["rbc"], ID)
@@ -182,7 +182,7 @@ def test_unknown_controllers_and_existing_data_sets_are_reported(folder: Path) -
     assert hashes(folder) == before
 
 
-def test_wrappers_that_change_actions_are_refused(folder: Path) -> None:
+def test_datasets__wrappers_that_change_actions_are_refused(folder: Path) -> None:
     assert folder.is_dir()
     env = gym.wrappers.RescaleAction(fake(), np.float32(-1), np.float32(1))
     with pytest.raises(InvalidConfig, match="change the actions from Box"):
@@ -191,7 +191,7 @@ def test_wrappers_that_change_actions_are_refused(folder: Path) -> None:
         write_dataset(gym.make("CartPole-v1"), ["rbc"], ID)
 
 
-def test_nothing_is_left_of_a_data_set_that_was_not_completed(folder: Path) -> None:
+def test_datasets__nothing_is_left_of_a_data_set_that_was_not_completed(folder: Path) -> None:
     def stop(controller: str, episode: int, step: int, steps: int) -> None:
         assert (controller, steps) == ("rbc", 24)
         if episode == 1 and step == 3:
@@ -205,7 +205,7 @@ def test_nothing_is_left_of_a_data_set_that_was_not_completed(folder: Path) -> N
     assert list(folder.rglob("*")) == []
 
 
-def test_the_environment_that_a_function_makes_is_closed_and_a_given_one_is_not(folder: Path) -> None:
+def test_datasets__environment_that_a_function_makes_is_closed_and_a_given_one_is_not(folder: Path) -> None:
     assert folder.is_dir()
     closed: list[str] = []
 
@@ -220,7 +220,7 @@ def test_the_environment_that_a_function_makes_is_closed_and_a_given_one_is_not(
     assert closed == ["closed"]
 
 
-def test_jax_is_neither_required_nor_imported(tmp_path: Path) -> None:
+def test_datasets__jax_is_neither_required_nor_imported(tmp_path: Path) -> None:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
     extra = project["optional-dependencies"]["dataset"]
     assert not any("jax" in text or "create" in text for text in extra)
@@ -236,7 +236,7 @@ def test_jax_is_neither_required_nor_imported(tmp_path: Path) -> None:
     assert (done.returncode, done.stdout.strip()) == (0, "96"), done.stderr
 
 
-def test_the_folder_is_minaris_own_unless_one_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_datasets__folder_is_minaris_own_unless_one_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.delenv("MINARI_DATASETS_PATH", raising=False)
     assert datasets_folder() == Path.home() / ".minari" / "datasets"
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))

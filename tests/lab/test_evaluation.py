@@ -76,7 +76,7 @@ OFFICE = manifest(
 )
 
 
-def test_an_episode_by_hand() -> None:
+def test_evaluation__episode_by_hand() -> None:
     # The band of July is 23 to 26 degC. Each timestep has a quarter of an hour.
     result = tallied(
         OFFICE,
@@ -114,7 +114,7 @@ def test_an_episode_by_hand() -> None:
 
 
 @pytest.mark.parametrize("aggregation", [Aggregation.INSTANT, Aggregation.MEAN])
-def test_without_meters_power_times_the_timestep_counts_and_is_called_so(aggregation: Aggregation) -> None:
+def test_evaluation__without_meters_power_times_the_timestep_counts_and_is_called_so(aggregation: Aggregation) -> None:
     power = sensor("demand", "Facility Total HVAC Electricity Demand Rate", "Whole Building", "W")
     of = manifest(sensors=[sensor("core"), power.model_copy(update={"aggregation": aggregation})])
     result = tallied(of, [24.0, 1000.0], [24.0, 3000.0])
@@ -127,7 +127,7 @@ def test_without_meters_power_times_the_timestep_counts_and_is_called_so(aggrega
     assert ("approximation" in source) == (aggregation is Aggregation.INSTANT)
 
 
-def test_what_a_scenario_does_not_tell_is_absent() -> None:
+def test_evaluation__what_a_scenario_does_not_tell_is_absent() -> None:
     of = manifest(sensors=[sensor("outdoors", "Site Outdoor Air Drybulb Temperature")])
     result = tallied(of, [30.0])
     known = {name: value for name, value in result.metrics().items() if value is not None}
@@ -135,7 +135,7 @@ def test_what_a_scenario_does_not_tell_is_absent() -> None:
     assert MetricsAccumulator(of).sources == {}
 
 
-def test_without_a_timestep_nothing_is_known() -> None:
+def test_evaluation__without_a_timestep_nothing_is_known() -> None:
     result = tallied(OFFICE)
     assert (result.steps, result.reward, result.energy_kwh) == (0, None, {})
     assert (result.mean_power_w, result.peak_kw, result.mean_deviation_k, result.outside_percent) == (None,) * 4
@@ -155,7 +155,7 @@ def test_without_a_timestep_nothing_is_known() -> None:
         (rewarded(temperatures=["north"]), None, None),
     ],
 )
-def test_the_band_is_that_of_the_reward(task: Task, reward: Any, degrees: list[float] | None) -> None:
+def test_evaluation__band_is_that_of_the_reward(task: Task, reward: Any, degrees: list[float] | None) -> None:
     of = OFFICE.model_copy(update={"task": task})
     result = tallied(of, [27.0, 22.5, 1.0, 0.0, 0.0, 0.0, 0.0, 0.0], reward=reward)
     if degrees is None:
@@ -165,7 +165,7 @@ def test_the_band_is_that_of_the_reward(task: Task, reward: Any, degrees: list[f
         assert result.outside_percent == (100.0 if any(degrees) else 0.0)
 
 
-def test_zones_with_setpoints_of_their_own() -> None:
+def test_evaluation__zones_with_setpoints_of_their_own() -> None:
     setpoints = [
         sensor("h", "Zone Thermostat Heating Setpoint Temperature", "core"),
         sensor("c", "Zone Thermostat Cooling Setpoint Temperature", "core"),
@@ -175,7 +175,7 @@ def test_zones_with_setpoints_of_their_own() -> None:
     assert result.mean_deviation_k == pytest.approx(1.5 / 2)
 
 
-def test_messages_that_were_refused_in_this_episode_and_a_second_one() -> None:
+def test_evaluation__messages_that_were_refused_in_this_episode_and_a_second_one() -> None:
     tally = MetricsAccumulator(OFFICE)
     row = [24.0, 24.0, 0.0, KWH, 0.0, 0.0, 0.0, 0.0]
     tally.add(view(OFFICE, 0, row, late=7, rejected=2))
@@ -195,7 +195,7 @@ def result(reward: float | None) -> EpisodeMetrics:
     return EpisodeMetrics(1, reward, {}, {}, {}, None, None, None, None, None, None, 0, 0, terminated=False)
 
 
-def test_mean_standard_deviation_and_interval(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_evaluation__mean_standard_deviation_and_interval(monkeypatch: pytest.MonkeyPatch) -> None:
     evaluation = Evaluation(
         tuple(EpisodeRecord("rbc", k, k, "", result(value)) for k, value in enumerate((1.0, 2.0, 6.0))), {}
     )
@@ -221,7 +221,7 @@ def building(**arguments: Any) -> dict[str, Any]:
     return {"link": FakeLink(fake)}
 
 
-def test_the_same_call_gives_the_same_tables_and_the_same_seeds_to_all() -> None:
+def test_evaluation__same_call_gives_the_same_tables_and_the_same_seeds_to_all() -> None:
     controllers = {"rbc": "rbc", "warm": partial(FixedSetpoints, zone_1_cooling_setpoint=29.0), "random": "random"}
     evaluation = evaluate(building(), controllers, episodes=2, seed=5)
     assert [(row.controller, row.episode, row.seed) for row in evaluation.rows] == [
@@ -237,7 +237,7 @@ def test_the_same_call_gives_the_same_tables_and_the_same_seeds_to_all() -> None
     assert evaluate(building(), ["random"], episodes=2, seed=6).table()[0] != table[4]
 
 
-def test_the_sum_of_an_episode_is_that_of_the_environment() -> None:
+def test_evaluation__sum_of_an_episode_is_that_of_the_environment() -> None:
     (row,) = evaluate(building(), ["rbc"], seed=3).rows
     with BuildingEnv(**building()) as env:
         agent, rewards, ended = Agent(RuleBasedController(env.manifest)), [], False
@@ -249,20 +249,20 @@ def test_the_sum_of_an_episode_is_that_of_the_environment() -> None:
     assert row.result.steps == len(rewards)
 
 
-def test_a_limit_that_is_broken_ends_the_episode() -> None:
+def test_evaluation__limit_that_is_broken_ends_the_episode() -> None:
     limit = {"points": ["zone_1_air_temperature"], "high": 26.5}
     (row,) = evaluate(building(terminate=[limit]), {"hot": partial(FixedSetpoints, zone_1_cooling_setpoint=30.0)}).rows
     assert row.result.terminated
     assert 0 < row.result.steps < 96
 
 
-def test_progress_tells_each_timestep() -> None:
+def test_evaluation__progress_tells_each_timestep() -> None:
     progress: list[tuple[str, int, int, int]] = []
     evaluate(building(steps_per_hour=1), ["rbc"], episodes=2, progress=lambda *now: progress.append(now))
     assert progress == [("rbc", k, step, 24) for k in range(2) for step in range(1, 25)]
 
 
-def test_parameters_go_to_those_that_take_them() -> None:
+def test_evaluation__parameters_go_to_those_that_take_them() -> None:
     parameters: dict[str, dict[str, Any]] = {}
 
     def maker(name: str) -> Any:
@@ -322,7 +322,7 @@ def test_evaluate__reports_the_last_controllers_error_before_the_first_one_runs(
     assert progress == []
 
 
-def test_what_faults_do_to_points_does_not_count() -> None:
+def test_evaluation__what_faults_do_to_points_does_not_count() -> None:
     """Metrics are of the building, as rewards are: a point that was dropped has the value that EnergyPlus gave."""
     values = [22.0, 30.0, 1.0, KWH, KWH, 0.0, 0.0, 0.0]
     disturbed = view(OFFICE, 1, [NAN] * len(values))
@@ -334,7 +334,7 @@ def test_what_faults_do_to_points_does_not_count() -> None:
     assert tally.result() == plain.result()
 
 
-def test_the_meters_of_a_plant_are_named_as_the_metrics() -> None:
+def test_evaluation__meters_of_a_plant_are_named_as_the_metrics() -> None:
     of = manifest(
         sensors=[sensor("core")],
         meters=[

@@ -54,7 +54,7 @@ def office() -> ProbeReport:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("begin", ["01-16", "07-03"])
-def test_the_one_zone_data_centre_does_not_feel_its_only_action(begin: str, scratch: Path) -> None:
+def test_probe__one_zone_data_centre_does_not_feel_its_only_action(begin: str, scratch: Path) -> None:
     """Approach temperatures rule its supply air; the node knows it from the model, and the probe sees it."""
     packs.sinergym()
     result = probe("smalldatacenter-hot-continuous-v1", days=1, begin=begin, end=begin, affinity="off")
@@ -70,7 +70,7 @@ def test_the_one_zone_data_centre_does_not_feel_its_only_action(begin: str, scra
     assert any("FlowControlWithApproachTemperatures" in note for note in effect.notes)
 
 
-def test_the_two_zone_data_centre_does(scratch: Path) -> None:
+def test_probe__two_zone_data_centre_does(scratch: Path) -> None:
     packs.sinergym()
     result = probe("datacenter_dx-hot-continuous-v1", days=1, begin="07-03", end="07-03", affinity="off")
     (effect,) = result.effects
@@ -78,7 +78,9 @@ def test_the_two_zone_data_centre_does(scratch: Path) -> None:
     assert effect.pass_through == ("cooling_setpoint",)
 
 
-def test_a_cooling_setpoint_is_felt_by_its_zone_and_the_meter_and_by_nothing_that_is_given(office: ProbeReport) -> None:
+def test_probe__cooling_setpoint_is_felt_by_its_zone_and_the_meter_and_by_nothing_that_is_given(
+    office: ProbeReport,
+) -> None:
     cooling, _ = office.effects
     felt = {one.point: one for one in cooling.responses}
     assert set(felt) == {"core_air", "electricity"}  # neither weather nor people
@@ -90,13 +92,13 @@ def test_a_cooling_setpoint_is_felt_by_its_zone_and_the_meter_and_by_nothing_tha
     assert cooling.pass_through == ("core_asked",)
 
 
-def test_a_heating_setpoint_far_below_a_summer_s_day_changes_nothing(office: ProbeReport) -> None:
+def test_probe__heating_setpoint_far_below_a_summer_s_day_changes_nothing(office: ProbeReport) -> None:
     _, heating = office.effects
     assert (heating.responses, heating.identical, heating.pass_through) == ((), True, ())
 
 
 @pytest.mark.slow
-def test_branching_is_only_a_shortcut(scratch: Path) -> None:
+def test_probe__branching_is_only_a_shortcut(scratch: Path) -> None:
     """Three whole episodes, two of them held from 15 o'clock on, differ as the branches do, to the last bit."""
     step, length = 15 * 4, 8
     holds = {"alone": {}, "low": {"core_cooling": 22.5}, "high": {"core_cooling": 29.0}}
@@ -119,7 +121,7 @@ def test_branching_is_only_a_shortcut(scratch: Path) -> None:
         assert one.difference == by_side[one.side][round(one.after_min / 15.0) - 1]
 
 
-def test_a_branch_that_energyplus_gives_up_in_is_a_note(scratch: Path) -> None:
+def test_probe__branch_that_energyplus_gives_up_in_is_a_note(scratch: Path) -> None:
     """A heating setpoint above the cooling setpoint ends EnergyPlus; the others' branches go on."""
     wide = ("Zone Temperature Control", "Heating Setpoint", "Core_ZN", 15.0, 40.0)
     actuators = OFFICE["actuators"] | {"core_heating": wide}
@@ -160,7 +162,7 @@ def test_probe__reports_all_errors_at_once(scratch: Path) -> None:
         ({"wether": "USA_CO_Denver"}, "did you mean 'weather'"),
     ],
 )
-def test_a_mistake(arguments: dict[str, Any], message: str, scratch: Path) -> None:
+def test_probe__mistake(arguments: dict[str, Any], message: str, scratch: Path) -> None:
     with pytest.raises(InvalidConfig, match=re.escape(message)):
         probe(OFFICE, **arguments)
 
@@ -195,7 +197,7 @@ def _manifest(**fields: Any) -> Manifest:
     return Manifest(**{**whole, **fields})
 
 
-def test_a_temperature_without_bounds_is_held_two_kelvin_from_what_it_was() -> None:
+def test_probe__temperature_without_bounds_is_held_two_kelvin_from_what_it_was() -> None:
     (bounded,) = _manifest().actuators
     free = bounded.model_copy(update={"unit": "degC", "low": None, "high": None})
     asked = ProbeRequest(_manifest(actuators=(free,)), 1.0, 1, (7,), (), {}, {})
@@ -215,7 +217,7 @@ def test_a_temperature_without_bounds_is_held_two_kelvin_from_what_it_was() -> N
         ("2017-07-08", 96, 1, ["2017-07-08"]),  # nothing but a Saturday
     ],
 )
-def test_branches_are_spread_over_the_working_days(begin: str, steps: int, days: int, times: list[str]) -> None:
+def test_probe__branches_are_spread_over_the_working_days(begin: str, steps: int, days: int, times: list[str]) -> None:
     manifest = _manifest(begin=f"{begin}T00:00:00", steps=steps)
     first = datetime.fromisoformat(begin)
     starts = [
@@ -235,7 +237,7 @@ def _effect(
     return effect_of(manifest, manifest.actuators[0], [one], range(4), ranges.spans)
 
 
-def test_the_share_is_of_the_range_and_the_first_felt_is_the_end_of_its_timestep() -> None:
+def test_probe__share_is_of_the_range_and_the_first_felt_is_the_end_of_its_timestep() -> None:
     alone = [[22.0, 24.0, 0.0, 5.0], [20.0, 24.0, 0.0, 5.0], [21.0, 24.0, 0.0, 5.0]]
     points = [[22.0, 30.0, 0.0, 5.0], [20.5, 30.0, 0.0, 5.0], [24.0, 30.0, 0.0, 6.0]]
     effect = _effect(points, alone)
@@ -247,18 +249,18 @@ def test_the_share_is_of_the_range_and_the_first_felt_is_the_end_of_its_timestep
     assert effect.pass_through == ("asked",)
 
 
-def test_rounding_is_no_effect_and_not_identical() -> None:
+def test_probe__rounding_is_no_effect_and_not_identical() -> None:
     effect = _effect([[22.0 * (1 + 1e-12), 30.0, 0.0, 5.0]], [[22.0, 24.0, 0.0, 5.0]])
     assert (effect.responses, effect.first_min, effect.identical) == ((), None, False)
 
 
-def test_a_load_that_is_what_it_was_set_to_is_an_effect() -> None:
+def test_probe__load_that_is_what_it_was_set_to_is_an_effect() -> None:
     """Only variables that say what is asked for are echoes: power that repeats the command is real."""
     effect = _effect([[22.0, 30.0, 30.0, 5.0]], [[22.0, 24.0, 0.0, 5.0]])
     assert [felt.point for felt in effect.responses] == ["lamp"]
 
 
-def test_a_warning_of_the_node_stands_with_its_actuator() -> None:
+def test_probe__warning_of_the_node_is_with_its_actuator() -> None:
     warnings = ("actuator 'setpoint': an EMS program sets it", "actuator 'other': nothing")
     same = [[22.0, 24.0, 0.0, 5.0]]
     assert _effect(same, same, warnings=warnings).notes == warnings[:1]
@@ -276,7 +278,7 @@ DAY = ["--begin", "07-03", "--end", "07-03", "--days", "1", "--at", "15", "--hou
 
 
 @pytest.mark.slow
-def test_the_command_tells_json_and_a_table(scratch: Path) -> None:
+def test_probe__command_tells_json_and_a_table(scratch: Path) -> None:
     zones = ["--set", "control=zone", *DAY]
     done = _probe(SCENARIO, *zones, "--json", cwd=scratch)
     assert done.returncode == 0, done.stderr
@@ -299,7 +301,7 @@ def test_the_command_tells_json_and_a_table(scratch: Path) -> None:
         (["--points", "roof"], "no sensor or meter 'roof'"),
     ],
 )
-def test_mistakes_in_the_call_are_sentences(scratch: Path, arguments: list[str], message: str) -> None:
+def test_probe__mistakes_in_the_call_are_sentences(scratch: Path, arguments: list[str], message: str) -> None:
     done = run_in_process("probe", SCENARIO, *DAY, *arguments, cwd=scratch)
     assert done.returncode == 2
     assert message in " ".join(done.stderr.split())
@@ -307,7 +309,7 @@ def test_mistakes_in_the_call_are_sentences(scratch: Path, arguments: list[str],
 
 
 @pytest.mark.slow
-def test_ctrl_c_leaves_nothing_behind(scratch: Path) -> None:
+def test_probe__ctrl_c_leaves_nothing_behind(scratch: Path) -> None:
     """In the midst of the branches: a year's probe with more engines than the trunk's."""
     command = [*ZENOSTAT, SCENARIO, "--set", "control=zone", "--begin", "07-03", "--hours", "24", "--json"]
 

@@ -86,7 +86,7 @@ def ppo(env: Any, **arguments: Any) -> Any:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_algorithms_learn_on_a_real_building(name: str, scratch: Path) -> None:
+def test_training__algorithms_learn_on_a_real_building(name: str, scratch: Path) -> None:
     algorithm, settings = ALGORITHMS[name]
     with real(name) as env:
         model = algorithm("MlpPolicy", env, policy_kwargs=dict(NET), seed=0, device="cpu", **settings)
@@ -116,7 +116,7 @@ def test_algorithms_learn_on_a_real_building(name: str, scratch: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ppo", "dqn"])
-def test_the_checker_of_stable_baselines3_passes(name: str, scratch: Path) -> None:
+def test_training__checker_of_stable_baselines3_passes(name: str, scratch: Path) -> None:
     with real(name) as env, warnings.catch_warnings(record=True) as warned:
         warnings.simplefilter("always")
         check_env(env.unwrapped, skip_render_check=True)
@@ -149,7 +149,7 @@ def steps_and_draws(env: gym.Env[Any, Any]) -> list[Any]:
 
 
 @pytest.mark.parametrize("name", ALGORITHMS)
-def test_a_training_is_the_same_with_and_without_evaluations(name: str) -> None:
+def test_training__training_is_the_same_with_and_without_evaluations(name: str) -> None:
     algorithm, settings = ALGORITHMS[name]
     form = {"discrete": 5, "control": "building"} if name == "dqn" else {}
 
@@ -188,7 +188,7 @@ class Written(KVWriter):
         pass
 
 
-def test_evaluations_are_logged_and_the_best_model_is_kept(tmp_path: Path) -> None:
+def test_training__evaluations_are_logged_and_the_best_model_is_kept(tmp_path: Path) -> None:
     best, written, environments = tmp_path / "best.zip", Written(), []
 
     def make_env() -> gym.Env[Any, Any]:
@@ -221,7 +221,7 @@ def test_evaluations_are_logged_and_the_best_model_is_kept(tmp_path: Path) -> No
     assert list(callback.results) == [50, 100, 150, 200, 250]  # in a new environment, at multiples of the interval
 
 
-def test_what_a_training_has_learnt_of_its_observations_is_used_and_kept(tmp_path: Path) -> None:
+def test_training__what_a_training_has_learnt_of_its_observations_is_used_and_kept(tmp_path: Path) -> None:
     best = tmp_path / "best.zip"
     training = VecNormalize(DummyVecEnv([scaled]), norm_reward=True)
     model = ppo(training)
@@ -235,7 +235,7 @@ def test_what_a_training_has_learnt_of_its_observations_is_used_and_kept(tmp_pat
         evaluate_model(PPO.load(best, device="cpu"), scaled())
 
 
-def test_what_wrappers_have_learnt_is_used_and_kept(tmp_path: Path) -> None:
+def test_training__what_wrappers_have_learnt_is_used_and_kept(tmp_path: Path) -> None:
     from zenostat.agent_sdk.wrappers import restore_wrappers
 
     def make_env() -> gym.Env[Any, Any]:
@@ -252,7 +252,7 @@ def test_what_wrappers_have_learnt_is_used_and_kept(tmp_path: Path) -> None:
     assert blank != callback.results[48][0]
 
 
-def test_mistakes_in_a_callback(tmp_path: Path) -> None:
+def test_training__mistakes_in_a_callback(tmp_path: Path) -> None:
     for arguments in ({"every": 0}, {"every": 1, "episodes": 0}):
         with pytest.raises(InvalidConfig, match="numbers of at least 1 expected"):
             EvaluationCallback(fake, **arguments)
@@ -269,7 +269,7 @@ def test_mistakes_in_a_callback(tmp_path: Path) -> None:
 # Models as controllers
 
 
-def test_a_model_as_a_controller_acts_as_in_its_environment(tmp_path: Path) -> None:
+def test_training__model_as_a_controller_acts_as_in_its_environment(tmp_path: Path) -> None:
     settings = {"zones": 2, "begin": "07-03", "time": ("month", "hour", "day_of_week")}
     env = FakeEnv(**settings)
     model = SAC("MlpPolicy", env, policy_kwargs=dict(NET), seed=1, device="cpu", **OFF_POLICY)
@@ -284,7 +284,7 @@ def test_a_model_as_a_controller_acts_as_in_its_environment(tmp_path: Path) -> N
     assert state == (np.random.get_state()[1].tobytes(), torch.random.get_rng_state().numpy().tobytes())
 
 
-def test_a_model_of_other_observations_is_refused() -> None:
+def test_training__model_of_other_observations_is_refused() -> None:
     model = ppo(gym.wrappers.NormalizeObservation(fake()))
     with pytest.raises(InvalidConfig, match=r"other observations than those of 'fake'.*behind wrappers"):
         PolicyController(fake().unwrapped.manifest, model)
@@ -292,7 +292,7 @@ def test_a_model_of_other_observations_is_refused() -> None:
         PolicyController(manifest(), ppo(fake()))
 
 
-def test_files_that_are_no_models(tmp_path: Path) -> None:
+def test_training__files_that_are_no_models(tmp_path: Path) -> None:
     (tmp_path / "text.zip").write_text("nothing")
     ppo(fake()).save(tmp_path / "model.zip")
     for text, error, message in (
@@ -306,7 +306,7 @@ def test_files_that_are_no_models(tmp_path: Path) -> None:
             load_policy(text)
 
 
-def test_without_the_extra_it_is_one_sentence() -> None:
+def test_training__without_the_extra_it_is_one_sentence() -> None:
     program = "import sys; sys.modules['stable_baselines3'] = None; import zenostat.lab.training"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
     assert "InvalidConfig: training needs stable-baselines3" in done.stderr

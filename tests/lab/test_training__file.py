@@ -83,7 +83,7 @@ def one_thread() -> Iterator[None]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("name", PARAMETERS)
-def test_the_weights_are_those_of_stable_baselines3_driven_by_hand(name: str, tmp_path: Path) -> None:
+def test_training__weights_are_those_of_stable_baselines3_driven_by_hand(name: str, tmp_path: Path) -> None:
     training = fields(
         name, tmp_path / "file", normalization=False, evaluation={"every_episodes": 2}, checkpoint_steps=30
     )
@@ -102,7 +102,7 @@ def test_the_weights_are_those_of_stable_baselines3_driven_by_hand(name: str, tm
     assert same(content(tmp_path / "file" / "model.zip"), content(tmp_path / "hand.zip"))
 
 
-def test_slots_and_normalization_are_those_of_the_documented_program(tmp_path: Path) -> None:
+def test_training__slots_and_normalization_are_those_of_the_documented_program(tmp_path: Path) -> None:
     training = fields("ppo", tmp_path / "file", slots=3, steps=96)
     train(read_training(training))
     mode = gym.VectorizeMode.VECTOR_ENTRY_POINT
@@ -118,7 +118,7 @@ def test_slots_and_normalization_are_those_of_the_documented_program(tmp_path: P
 
 @pytest.mark.variants
 @pytest.mark.parametrize(("name", "slots"), [(name, slots) for name in PARAMETERS for slots in (1, 3)])
-def test_a_resumed_training_equals_an_uninterrupted_one(name: str, slots: int, tmp_path: Path) -> None:
+def test_training__resumed_training_equals_an_uninterrupted_one(name: str, slots: int, tmp_path: Path) -> None:
     changes: dict[str, Any] = {"slots": slots, "evaluation": {"every_steps": 50}, "checkpoint_steps": 70}
     if slots == 1:
         changes["wrappers"] = [{"wrapper": "NormalizeObservation"}]
@@ -139,7 +139,7 @@ def test_a_resumed_training_equals_an_uninterrupted_one(name: str, slots: int, t
         assert (whole.folder / file).read_text() == (again.folder / file).read_text()
 
 
-def test_evaluations_are_counted_in_episodes(tmp_path: Path) -> None:
+def test_training__evaluations_are_counted_in_episodes(tmp_path: Path) -> None:
     train(read_training(fields("a2c", tmp_path, evaluation={"every_episodes": 2}, arguments=DAY, steps=130)))
     with (tmp_path / "evaluations.csv").open() as file:
         assert [int(row["step"]) for row in csv.DictReader(file)] == [48, 96]  # an episode has 24 steps
@@ -147,7 +147,7 @@ def test_evaluations_are_counted_in_episodes(tmp_path: Path) -> None:
         assert [int(row["step"]) for row in csv.DictReader(file)] == [24, 48, 72, 96, 120]
 
 
-def test_the_folder_of_a_training_behind_wrappers_is_a_controller(tmp_path: Path) -> None:
+def test_training__folder_of_a_training_behind_wrappers_is_a_controller(tmp_path: Path) -> None:
     wrappers = [
         {"wrapper": "PreviousObservation", "names": ["zone_1_air_temperature"]},
         {"wrapper": "NormalizeObservation"},
@@ -163,7 +163,7 @@ def test_the_folder_of_a_training_behind_wrappers_is_a_controller(tmp_path: Path
                 assert metrics.reward == result.best_reward
 
 
-def test_a_folder_of_an_older_version_is_one_sentence(tmp_path: Path) -> None:
+def test_training__folder_of_an_older_version_is_one_sentence(tmp_path: Path) -> None:
     training = fields("a2c", tmp_path, arguments=DAY, steps=5)
     train(read_training(training))
     versions = json.loads((tmp_path / "versions.json").read_text())
@@ -173,7 +173,7 @@ def test_a_folder_of_an_older_version_is_one_sentence(tmp_path: Path) -> None:
             use()
 
 
-def test_a_folder_is_neither_overwritten_nor_resumed_with_another_training(tmp_path: Path) -> None:
+def test_training__folder_is_neither_overwritten_nor_resumed_with_another_training(tmp_path: Path) -> None:
     training = fields("a2c", tmp_path, arguments=DAY, steps=5)
     train(read_training(training))
     with pytest.raises(InvalidConfig, match="already has a training"):
@@ -200,7 +200,7 @@ def test_a_folder_is_neither_overwritten_nor_resumed_with_another_training(tmp_p
         ("ppo", {"policy": "MlpLstmPolicy"}, "ppo has no 'MlpLstmPolicy'"),
     ],
 )
-def test_bad_input_is_reported_before_anything_starts(
+def test_training__bad_input_is_reported_before_anything_starts(
     name: str, changes: dict[str, Any], text: str, tmp_path: Path
 ) -> None:
     with pytest.raises((InvalidConfig, UnknownName), match=text):
@@ -208,7 +208,7 @@ def test_bad_input_is_reported_before_anything_starts(
     assert not (tmp_path / "output").exists()
 
 
-def test_an_algorithm_that_cannot_have_the_actions_says_what_can(tmp_path: Path) -> None:
+def test_training__algorithm_that_cannot_have_the_actions_states_what_can(tmp_path: Path) -> None:
     dqn = {**fields("dqn", tmp_path / "dqn"), "arguments": DAY}
     with pytest.raises(InvalidConfig, match="dqn needs one discrete action, and Fake-v1 has continuous actions"):
         train(read_training(dqn))
@@ -218,14 +218,14 @@ def test_an_algorithm_that_cannot_have_the_actions_says_what_can(tmp_path: Path)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_folder_has_one_training_at_a_time(tmp_path: Path) -> None:
+def test_training__folder_has_one_training_at_a_time(tmp_path: Path) -> None:
     ppo = {**fields("ppo", tmp_path / "ppo"), "arguments": DAY}
     (tmp_path / "ppo").mkdir()
     with locked(tmp_path / "ppo" / ".lock", "not raised"), pytest.raises(InvalidConfig, match="is training there"):
         train(read_training(ppo))
 
 
-def test_two_intervals_exclude_each_other() -> None:
+def test_training__two_intervals_exclude_each_other() -> None:
     with pytest.raises(InvalidConfig, match="every_steps and every_episodes exclude each other"):
         read_training(
             {"algorithm": "ppo", "scenario": "x", "steps": 1, "evaluation": {"every_steps": 1, "every_episodes": 1}}

@@ -48,7 +48,7 @@ def played(policy: Any) -> float | None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_normalization_beside_a_model_is_loaded(kind: str, tmp_path: Path) -> None:
+def test_training__normalization_beside_a_model_is_loaded(kind: str, tmp_path: Path) -> None:
     path = tmp_path / "model.zip"
     model = trained(kind, path)
     with fake() as env:
@@ -61,14 +61,14 @@ def test_the_normalization_beside_a_model_is_loaded(kind: str, tmp_path: Path) -
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_model_of_raw_observations_needs_none(kind: str, tmp_path: Path) -> None:
+def test_training__model_of_raw_observations_needs_none(kind: str, tmp_path: Path) -> None:
     model = trained(kind, tmp_path / "model.zip", normalized=False)
     with fake() as env:
         (expected,) = evaluate_model(model, env, seed=1)
     assert played(load_policy(f"{kind}:{tmp_path / 'model.zip'}")) == expected.reward
 
 
-def test_a_model_that_was_loaded_without_its_normalization_is_refused(tmp_path: Path) -> None:
+def test_training__model_that_was_loaded_without_its_normalization_is_refused(tmp_path: Path) -> None:
     trained("ppo", tmp_path / "model.zip")
     alone = PPO.load(tmp_path / "model.zip", device="cpu")
     with fake() as env, pytest.raises(InvalidConfig, match="loaded without its normalization"):
@@ -77,7 +77,7 @@ def test_a_model_that_was_loaded_without_its_normalization_is_refused(tmp_path: 
         PolicyController(env.manifest, alone)
 
 
-def test_the_callback_marks_its_models_and_drops_a_former_normalization(tmp_path: Path) -> None:
+def test_training__callback_marks_its_models_and_drops_a_former_normalization(tmp_path: Path) -> None:
     best, beside = tmp_path / "best.zip", tmp_path / "best.vecnormalize.pkl"
     for normalized in (True, False):
         with EvaluationCallback(fake, every=24, best_model_path=best) as callback:
@@ -90,7 +90,7 @@ def test_the_callback_marks_its_models_and_drops_a_former_normalization(tmp_path
         load_policy(f"ppo:{best}")
 
 
-def test_evaluate_refuses_before_it_simulates(tmp_path: Path) -> None:
+def test_training__evaluate_refuses_before_it_simulates(tmp_path: Path) -> None:
     trained("ppo", tmp_path / "model.zip")
     with pytest.raises(InvalidConfig, match="its normalization is missing"):
         evaluate(
@@ -98,7 +98,7 @@ def test_evaluate_refuses_before_it_simulates(tmp_path: Path) -> None:
         )
 
 
-def test_statistics_of_other_observations_are_refused(tmp_path: Path) -> None:
+def test_training__statistics_of_other_observations_are_refused(tmp_path: Path) -> None:
     trained("ppo", tmp_path / "model.zip")
     other = VecNormalize(DummyVecEnv([lambda: FakeEnv(**{**DAY, "zones": 3})]))
     other.reset()

@@ -36,7 +36,7 @@ def study(output: Path, **changes: Any) -> TuningConfig:
     return read_tuning({**fields, "output": str(output), **changes})
 
 
-def test_a_grid_has_all_combinations_in_order(tmp_path: Path) -> None:
+def test_tuning__grid_has_all_combinations_in_order(tmp_path: Path) -> None:
     searched = {"parameters.n_steps": {"low": 5, "high": 15, "step": 5}, "slots": [1, 2]}
     config = study(tmp_path, parameters=searched, sampler="grid", trials=None)
     points = [(5, 1), (5, 2), (10, 1), (10, 2), (15, 1), (15, 2)]
@@ -58,7 +58,7 @@ def test_a_grid_has_all_combinations_in_order(tmp_path: Path) -> None:
         ({"choices": [[8], [8, 8]]}, optuna.distributions.CategoricalDistribution(("[8]", "[8, 8]"))),
     ],
 )
-def test_ranges_are_the_distributions_of_optuna(searched: dict[str, Any], expected: Any) -> None:
+def test_tuning__ranges_are_the_distributions_of_optuna(searched: dict[str, Any], expected: Any) -> None:
     assert distribution(Range.model_validate(searched)) == expected
 
 
@@ -74,26 +74,28 @@ def test_ranges_are_the_distributions_of_optuna(searched: dict[str, Any], expect
         ({"training": {**TRAINING, "step": 3}}, "step: there is no such field; did you mean 'steps'"),
     ],
 )
-def test_bad_input_is_one_sentence(changes: dict[str, Any], text: str, tmp_path: Path) -> None:
+def test_tuning__bad_input_is_one_sentence(changes: dict[str, Any], text: str, tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig, match=text):
         study(tmp_path, **changes)
 
 
-def test_a_parameter_that_the_algorithm_does_not_have_is_found_before_the_study_is_created(tmp_path: Path) -> None:
+def test_tuning__parameter_that_the_algorithm_does_not_have_is_found_before_the_study_is_created(
+    tmp_path: Path,
+) -> None:
     config = study(tmp_path, parameters={"parameters.gama": [0.9]})
     with pytest.raises(InvalidConfig, match="a2c has no 'gama'; did you mean 'gamma'"):
         Tuning(config)
     assert not (tmp_path / "study.db").exists()
 
 
-def test_a_study_that_exists_with_other_settings_is_one_sentence(tmp_path: Path) -> None:
+def test_tuning__study_that_exists_with_other_settings_is_one_sentence(tmp_path: Path) -> None:
     open_study(study(tmp_path))
     assert len(open_study(study(tmp_path, trials=7, workers=2)).trials) == 0  # these may differ
     with pytest.raises(InvalidConfig, match=r"the study 's' exists .*with other settings \(seed\)"):
         open_study(study(tmp_path, seed=1))
 
 
-def test_a_database_that_is_not_there_is_one_sentence_without_its_password(tmp_path: Path) -> None:
+def test_tuning__database_that_is_not_there_is_one_sentence_without_its_password(tmp_path: Path) -> None:
     pytest.importorskip("psycopg")
     url = "postgresql://me:secret@127.0.0.1:1/none?connect_timeout=2"
     with pytest.raises(
@@ -113,7 +115,7 @@ def test_a_database_that_is_not_there_is_one_sentence_without_its_password(tmp_p
         ("oracel://me:secret@host/none", "storage: oracel://me@host/none: Can't load plugin"),
     ],
 )
-def test_errors_name_the_database_as_the_user_did(url: str, text: str, tmp_path: Path) -> None:
+def test_tuning__errors_name_the_database_as_the_user_did(url: str, text: str, tmp_path: Path) -> None:
     pytest.importorskip("psycopg")
     with pytest.raises(InvalidConfig, match=re.escape(text)) as error:
         open_study(study(tmp_path, storage=url))
@@ -122,7 +124,7 @@ def test_errors_name_the_database_as_the_user_did(url: str, text: str, tmp_path:
 
 @pytest.mark.filterwarnings("ignore:Heartbeat of storage")
 @pytest.mark.parametrize("sampler", ["tpe", "random"])
-def test_processes_with_one_seed_draw_what_one_process_draws(sampler: str, tmp_path: Path) -> None:
+def test_tuning__processes_with_one_seed_draw_what_one_process_draws(sampler: str, tmp_path: Path) -> None:
     config, other = study(tmp_path / "a", sampler=sampler), study(tmp_path / "b", sampler=sampler)
     searched = {name: distribution(parameter) for name, parameter in config.parameters.items()}
     alone = open_study(other)
@@ -138,7 +140,7 @@ def test_processes_with_one_seed_draw_what_one_process_draws(sampler: str, tmp_p
 
 @pytest.mark.slow
 @pytest.mark.process
-def test_a_killed_process_fails_its_trial_and_no_other(tmp_path: Path) -> None:
+def test_tuning__killed_process_fails_its_trial_and_no_other(tmp_path: Path) -> None:
     ended: list[Any] = []
     tuning = Tuning(study(tmp_path, workers=2, retries=1), ended.append)
     start, killed = tuning._start, []
@@ -166,7 +168,7 @@ def test_a_killed_process_fails_its_trial_and_no_other(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.process
-def test_a_stopped_study_repeats_its_trials_and_gives_the_same_as_another(tmp_path: Path) -> None:
+def test_tuning__stopped_study_repeats_its_trials_and_gives_the_same_as_another(tmp_path: Path) -> None:
     stop = threading.Event()
     tuning = Tuning(study(tmp_path / "a", trials=2))
     start = tuning._start

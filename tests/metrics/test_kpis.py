@@ -66,7 +66,7 @@ def kpi(metrics: EpisodeMetrics, name: str) -> float:
     return value
 
 
-def test_three_timesteps_by_hand() -> None:
+def test_kpis__three_timesteps_by_hand() -> None:
     # The band of July is 23 to 26 degC. Timesteps of a quarter of an hour on 100 m2.
     metrics = accumulated(
         office(),
@@ -94,7 +94,7 @@ def test_three_timesteps_by_hand() -> None:
     assert [name for name in metrics.metrics() if name.startswith("kpi.")] == [f"kpi.{name}" for name in KPIS]
 
 
-def test_what_is_unknown_is_none() -> None:
+def test_kpis__what_is_unknown_is_none() -> None:
     row = {"cooling": KWH}
     for rows in ([row], []):  # not a single timestep
         metrics = accumulated(office(), rows).metrics()
@@ -112,7 +112,7 @@ def test_what_is_unknown_is_none() -> None:
     assert (electric.kpis["pgas_tot"], electric.kpis["pdih_tot"]) == (None, None)
 
 
-def test_a_cost_without_a_price_for_a_fuel_in_use_is_unknown() -> None:
+def test_kpis__cost_without_a_price_for_a_fuel_in_use_is_unknown() -> None:
     only_electricity: dict[str, Any] = {"prices": {"electricity": 0.3}}
     idle, heated = {"cooling": KWH}, {"heating_gas": KWH}
     assert kpi(accumulated(office(), [idle, idle], **only_electricity), "cost_tot") == pytest.approx(0.003)
@@ -121,20 +121,20 @@ def test_a_cost_without_a_price_for_a_fuel_in_use_is_unknown() -> None:
     assert text.endswith("unknown if natural_gas, district_heating_water is used, for which no price was given")
 
 
-def test_the_price_is_that_of_the_hour_in_which_a_timestep_begins() -> None:
+def test_kpis__price_is_that_of_the_hour_in_which_a_timestep_begins() -> None:
     table = {"table": [{"value": 300.0, "hours": [1, 2]}], "otherwise": 100.0, "unit": "EUR/MWh"}
     metrics = accumulated(office(), [{"cooling": KWH}] * 10, prices={"electricity": table})  # 0:00 to 2:15
     assert kpi(metrics, "cost_tot") == pytest.approx((4 * 0.1 + 4 * 0.3 + 1 * 0.1) / 100)
 
 
-def test_means_over_the_timestep_are_not_averaged_again() -> None:
+def test_kpis__means_over_the_timestep_are_not_averaged_again() -> None:
     mean = {"aggregation": Aggregation.MEAN}
     of = office(sensors=(SENSORS[0].model_copy(update=mean), *SENSORS[1:]))
     metrics = accumulated(of, [{"core": 30.0}, {"core": 28.0}, {"core": 27.0}])
     assert kpi(metrics, "tdis_tot") == pytest.approx((2 + 1) * 0.25 / 2)
 
 
-def test_an_excess_of_carbon_dioxide_counts_for_all_zones_with_a_sensor() -> None:
+def test_kpis__excess_of_carbon_dioxide_counts_for_all_zones_with_a_sensor() -> None:
     sensors = (*SENSORS, *(sensor(f"co2_{n}", "Zone Air CO2 Concentration", n, "ppm") for n in ("core", "south")))
     metrics = accumulated(
         office(sensors=sensors), [{}, {"co2_core": CO2_LIMIT_PPM + 100, "co2_south": CO2_LIMIT_PPM}, {}]
@@ -142,7 +142,7 @@ def test_an_excess_of_carbon_dioxide_counts_for_all_zones_with_a_sensor() -> Non
     assert kpi(metrics, "idis_tot") == pytest.approx((100 / 2 + 100 / 2) * 0.25 / 2)
 
 
-def test_the_season_of_an_interval_holds_at_both_of_its_ends() -> None:
+def test_kpis__season_of_an_interval_holds_at_both_of_its_ends() -> None:
     of = office()
     metrics = MetricsAccumulator(of)
     for step in range(2):  # the last quarter of an hour of September: 23 to 26 degC, and not 20 to 23.5
@@ -164,7 +164,7 @@ def test_the_season_of_an_interval_holds_at_both_of_its_ends() -> None:
         ((meter("cooling", "Cooling:Electricity"),), SENSORS[:2], None, None),
     ],
 )  # fmt: skip
-def test_the_best_points_are_used_and_named(
+def test_kpis__best_points_are_used_and_named(
     meters: Any, sensors: Any, electricity: str | None, gas: str | None
 ) -> None:
     sources = {fuel: source.source for fuel, source in hvac_sources(office(meters=meters, sensors=sensors)).items()}
@@ -214,7 +214,7 @@ def resampled(durations_s: list[float], kw: list[float], begin_s: float) -> floa
     kw=st.lists(st.floats(0.0, 100.0), min_size=1, max_size=20),
     begin_min=st.integers(0, 40),
 )
-def test_a_peak_is_the_highest_mean_of_a_quarter_of_an_hour(step_s: int, kw: list[float], begin_min: int) -> None:
+def test_kpis__peak_is_the_highest_mean_of_a_quarter_of_an_hour(step_s: int, kw: list[float], begin_min: int) -> None:
     begin_s, peak = 60.0 * begin_min, PeakPower(2)
     for number, power in enumerate(kw):
         peak.add(begin_s + number * step_s, begin_s + (number + 1) * step_s, np.array([power, -power]))
@@ -222,7 +222,7 @@ def test_a_peak_is_the_highest_mean_of_a_quarter_of_an_hour(step_s: int, kw: lis
     assert peak.result()[0] == pytest.approx(expected, rel=1e-9, abs=1e-9)
 
 
-def test_a_timestep_of_ten_minutes_is_split_between_bins() -> None:
+def test_kpis__timestep_of_ten_minutes_is_split_between_bins() -> None:
     of = office(step_s=600.0)
     metrics = accumulated(of, [{}, {"cooling": 1 * KWH}, {"cooling": 3 * KWH}, {"cooling": 0.0}])
     # 6 kW and 18 kW: ten minutes of the first and five of the second; then five of the second and ten of nothing.
@@ -232,7 +232,7 @@ def test_a_timestep_of_ten_minutes_is_split_between_bins() -> None:
 # Rates
 
 
-def test_forms_of_a_rate(tmp_path: Path) -> None:
+def test_kpis__forms_of_a_rate(tmp_path: Path) -> None:
     hours = [0.1 + 0.01 * (hour % 24) for hour in range(8760)]
     plain, dated, described = tmp_path / "plain.csv", tmp_path / "dated.csv", tmp_path / "tariff.yaml"
     plain.write_text("\n".join(map(str, hours)))
@@ -269,7 +269,7 @@ def test_forms_of_a_rate(tmp_path: Path) -> None:
         (0.3, "a mapping from fuels to numbers or time series expected, got 0.3"),
     ],
 )
-def test_mistakes_are_one_sentence(rates: Any, text: str, tmp_path: Path) -> None:
+def test_kpis__mistakes_are_one_sentence(rates: Any, text: str, tmp_path: Path) -> None:
     (tmp_path / "short.csv").write_text("\n".join(["0.1"] * 24))
     (tmp_path / "text.csv").write_text("price\n0.1\nnan\n" + "\n".join(["0.1"] * 8758))
     files = {"SHORT": tmp_path / "short.csv", "TEXT": tmp_path / "text.csv"}
@@ -280,7 +280,7 @@ def test_mistakes_are_one_sentence(rates: Any, text: str, tmp_path: Path) -> Non
             read(rates)
 
 
-def test_emission_factors_are_not_negative() -> None:
+def test_kpis__emission_factors_are_not_negative() -> None:
     factors = [0.4] * 8760
     factors[5000] = -0.1
     for wrong in (-0.1, factors):
@@ -288,12 +288,12 @@ def test_emission_factors_are_not_negative() -> None:
             read_emissions({"electricity": wrong})
 
 
-def test_a_wrong_rate_is_an_error_before_anything_starts() -> None:
+def test_kpis__wrong_rate_is_an_error_before_anything_starts() -> None:
     with pytest.raises(InvalidConfig, match="no fuel 'wood'"):
         evaluate({"link": None}, ["no-such-controller"], prices={"wood": 0.1})
 
 
-def test_all_controllers_of_a_comparison_have_the_same_rates() -> None:
+def test_kpis__all_controllers_of_a_comparison_have_the_same_rates() -> None:
     link = FakeLink(FakeBuilding(2))
     link.building.manifest = link.manifest = link.manifest.model_copy(update={"floor_area_m2": 50.0})
     evaluation = evaluate({"link": link}, ["rbc", "fixed"], prices={"electricity": 0.5})
@@ -308,7 +308,7 @@ def test_all_controllers_of_a_comparison_have_the_same_rates() -> None:
 
 
 @pytest.mark.process
-def test_energy_is_that_of_energyplus_own_meters_and_of_its_demand_rate() -> None:
+def test_kpis__energy_is_that_of_energyplus_own_meters_and_of_its_demand_rate() -> None:
     with gym.make(
         "zenostat/Building-v1", **{**SMALL, "begin": "01-17", "end": "01-17"}, monitoring=True, affinity="off"
     ) as env:

@@ -58,7 +58,7 @@ OFFICE = manifest(
 )
 
 
-def test_roles_by_hand() -> None:
+def test_roles__by_hand() -> None:
     identified = roles(OFFICE)
     first, second = identified.zones
     assert (first.key, first.label, first.place, first.temperature) == (
@@ -96,7 +96,7 @@ def test_hvac_power__is_that_of_the_end_uses_where_they_are_measured() -> None:
     assert without.hvac_power == PowerSource(10, to_kw, "HVAC without plant")  # type: ignore[arg-type]
 
 
-def test_a_zone_has_its_place_and_color_in_the_building_whatever_is_measured() -> None:
+def test_roles__zone_has_its_place_and_color_in_the_building_whatever_is_measured() -> None:
     zones = ("Attic", "Core_bottom", "Perimeter_bot_ZN_1")
     whole = roles(OFFICE.model_copy(update={"zones": zones}))
     assert [(zone.key, zone.place) for zone in whole.zones] == [
@@ -106,7 +106,7 @@ def test_a_zone_has_its_place_and_color_in_the_building_whatever_is_measured() -
     assert [(zone.label, zone.place) for zone in part.zones] == [("Perimeter bottom 1", 2)]
 
 
-def test_setpoints_that_are_schedules_serve_the_zones_that_their_names_tell() -> None:
+def test_roles__setpoints_that_are_schedules_serve_the_zones_that_their_names_tell() -> None:
     air = [sensor(safe_name(zone), key=zone) for zone in ("Zone1 Office", "Zone2 Fine Storage", "First Plenum")]
     one = roles(manifest(sensors=air, actuators=[schedule("Heating_Setpoint_RL"), schedule("fan_speed")]))
     assert [zone.heating_actuator for zone in one.zones] == [0, 0, None]  # a plenum has no thermostat
@@ -123,13 +123,15 @@ def test_setpoints_that_are_schedules_serve_the_zones_that_their_names_tell() ->
     assert watts.zones[0].heating_actuator is None
 
 
-def test_an_empty_manifest_has_no_roles() -> None:
+def test_roles__empty_manifest_has_no_roles() -> None:
     identified = roles(manifest())
     assert (identified.zones, identified.others, identified.end_uses, identified.hvac_power) == ((), {}, (), None)
 
 
 @pytest.mark.parametrize("is_energyplus", [True, False])
-def test_a_fake_building_has_zones_and_powers_under_energyplus_names_and_as_a_plant(*, is_energyplus: bool) -> None:
+def test_roles__fake_building_has_zones_and_powers_under_energyplus_names_and_as_a_plant(
+    *, is_energyplus: bool
+) -> None:
     of = FakeBuilding(2).manifest
     if not is_energyplus:  # as a node describes a Python plant: names, units and bounds
         of = of.model_copy(
@@ -150,7 +152,7 @@ def test_a_fake_building_has_zones_and_powers_under_energyplus_names_and_as_a_pl
     )  # fmt: skip
 
 
-def test_a_plant_of_ones_own_has_a_room_and_its_tank_is_none() -> None:
+def test_roles__plant_of_ones_own_has_a_room_and_its_tank_is_none() -> None:
     example = Path(__file__).parents[2] / "examples" / "own_plant.py"
     plant = describe(load_class(f"{example}:HeatPumpRoom")())
     of = manifest(
@@ -167,7 +169,7 @@ def test_a_plant_of_ones_own_has_a_room_and_its_tank_is_none() -> None:
     assert [names[index] for indices in identified.others.values() for index in indices] == ["tank_temperature", "cop"]
 
 
-def test_the_only_power_sensor_of_a_plant_is_its_power() -> None:
+def test_roles__only_power_sensor_of_a_plant_is_its_power() -> None:
     identified = roles(manifest(sensors=[Sensor(name="temperature", unit="degC"), Sensor(name="heat_pump", unit="kW")]))
     assert identified.facility_power == PowerSource(1, 1.0, "Whole building")
     assert [zone.label for zone in identified.zones] == ["Zone"]
@@ -193,7 +195,7 @@ ZONES = {
 """By building: zones with a temperature, and those whose heating setpoint an action sets (plenums have none)."""
 
 
-def test_the_scenarios_of_the_data_pack() -> None:
+def test_roles__scenarios_of_the_data_pack() -> None:
     sinergym()
     from zenostat.models.sinergym.scenarios import pack_scenarios
 
@@ -211,7 +213,7 @@ def test_the_scenarios_of_the_data_pack() -> None:
 # Comfort
 
 
-def test_the_band_of_a_reward_has_its_zones_in_metrics_and_all_zones_in_pictures() -> None:
+def test_roles__band_of_a_reward_has_its_zones_in_metrics_and_all_zones_in_pictures() -> None:
     of = FakeBuilding(3, reward={"kind": "linear", "temperatures": ["zone_2_air_temperature"]}).manifest
     values = np.full(len(of.points), 27.5)
     rated, shown = comfort(of), display_comfort(of)
@@ -226,7 +228,7 @@ def test_the_band_of_a_reward_has_its_zones_in_metrics_and_all_zones_in_pictures
     np.testing.assert_allclose(shown.deviations(values - 3.0, JULY), 0.0)
 
 
-def test_pictures_have_a_band_where_the_reward_has_none_or_there_is_no_reward() -> None:
+def test_roles__pictures_have_a_band_where_the_reward_has_none_or_there_is_no_reward() -> None:
     of = FakeBuilding(2, reward=None).manifest
     assert comfort(of) is None
     shown = display_comfort(of)
@@ -237,7 +239,7 @@ def test_pictures_have_a_band_where_the_reward_has_none_or_there_is_no_reward() 
     assert display_comfort(of.model_copy(update={"sensors": ()})) is None
 
 
-def test_setpoints_of_zones_are_their_bands_and_others_have_the_band_of_pictures() -> None:
+def test_roles__setpoints_of_zones_are_their_bands_and_others_have_the_band_of_pictures() -> None:
     of = OFFICE.model_copy(update={"task": Task(reward={"kind": "multi_zone", "zones": {"b": ["b_heat", "b_cool"]}})})
     values = {"b": 24.0, "a": 27.0, "b_heat": 21.0, "b_cool": 23.0}
     row = np.array([values.get(name, 0.0) for name in of.names])

@@ -19,7 +19,7 @@ OFFICE = office(("core",), steps=4)
 VALUES = [24.0, 2.0, 1e6, 5e5, 4e5, 3e5, 3e5]
 
 
-def test_rows_are_samples_and_terms_belong_to_the_timesteps_between_them() -> None:
+def test_trajectory__rows_are_samples_and_terms_belong_to_the_timesteps_between_them() -> None:
     recorder = TrajectoryRecorder(OFFICE)
     for step in range(5):
         row = [20.0 + step, *VALUES[1:]]
@@ -32,7 +32,7 @@ def test_rows_are_samples_and_terms_belong_to_the_timesteps_between_them() -> No
     assert [begin.minute for begin in trajectory.begins()] == [0, 15, 30, 45]
 
 
-def test_an_episode_joined_late_and_ended_early_has_the_timesteps_between() -> None:
+def test_trajectory__episode_joined_late_and_ended_early_has_the_timesteps_between() -> None:
     recorder = TrajectoryRecorder(OFFICE)
     recorder.add(sample(OFFICE, 1, VALUES))
     recorder.add(sample(OFFICE, 3, VALUES))  # sample 2 was missed
@@ -43,7 +43,7 @@ def test_an_episode_joined_late_and_ended_early_has_the_timesteps_between() -> N
     assert trajectory.values[2].tolist() == VALUES
 
 
-def test_sample_0_starts_again() -> None:
+def test_trajectory__sample_0_starts_again() -> None:
     recorder = TrajectoryRecorder(OFFICE)
     for step in (0, 1, 2, 0, 1):
         recorder.add(sample(OFFICE, step, VALUES), {"energy": -1.0} if step else None)
@@ -52,7 +52,7 @@ def test_sample_0_starts_again() -> None:
     assert trajectory.terms["energy"].tolist() == [-1.0]
 
 
-def test_sources_keep_their_numbers_and_get_names_for_readers() -> None:
+def test_trajectory__sources_keep_their_numbers_and_get_names_for_readers() -> None:
     recorder = TrajectoryRecorder(OFFICE)
     for step, source in enumerate((0, 1, 2, 1)):
         recorder.add(sample(OFFICE, step, VALUES, source=source))
@@ -60,7 +60,7 @@ def test_sources_keep_their_numbers_and_get_names_for_readers() -> None:
     assert [trajectory.sources[number] for number in trajectory.source_index[:, 0]] == ["", "rbc", "operator", "rbc"]
 
 
-def test_a_changed_list_of_sources_does_not_mix_them_up() -> None:
+def test_trajectory__changed_list_of_sources_does_not_mix_them_up() -> None:
     recorder = TrajectoryRecorder(OFFICE)
     for step, sources in enumerate((["", "env-1"], ["", "operator"], ["", "operator", "env-1"])):
         view = sample(OFFICE, step, VALUES, source=len(sources) - 1)
@@ -79,7 +79,7 @@ def recorded(steps: int = 9) -> Trajectory:
     return recorder.trajectory()
 
 
-def test_parts_by_name_step_and_time_are_views() -> None:
+def test_trajectory__parts_by_name_step_and_time_are_views() -> None:
     whole = recorded()
     assert whole["core_air_temperature"].tolist() == [*map(float, range(10))]
     assert whole.units["core_air_temperature"] == "degC"
@@ -95,7 +95,7 @@ def test_parts_by_name_step_and_time_are_views() -> None:
     assert whole.between().step.tolist() == whole.step.tolist()
 
 
-def test_longer_timesteps_have_means_of_sensors_and_sums_of_meters_and_terms() -> None:
+def test_trajectory__longer_timesteps_have_means_of_sensors_and_sums_of_meters_and_terms() -> None:
     hourly = recorded().between_steps(1).resample(timedelta(hours=1))  # from step 4, the first whole hour
     assert hourly.time.astype("datetime64[m]").astype(str).tolist() == ["2017-07-03T01:00", "2017-07-03T02:00"]
     assert hourly["core_air_temperature"].tolist() == [4.0, 6.5]
@@ -106,14 +106,14 @@ def test_longer_timesteps_have_means_of_sensors_and_sums_of_meters_and_terms() -
         recorded().resample(timedelta(seconds=1000))
 
 
-def test_the_table_has_rewards_in_the_rows_of_the_samples_that_close_their_timesteps() -> None:
+def test_trajectory__table_has_rewards_in_the_rows_of_the_samples_that_close_their_timesteps() -> None:
     table = recorded(2).columns()
     assert table["step"].tolist() == [0, 1, 2]
     assert np.array_equal(table["reward.energy"], [np.nan, -1.0, -1.0], equal_nan=True)
     assert table["core_cooling_setpoint.source"].tolist() == [""] * 3
 
 
-def test_a_parquet_file_has_the_table_and_its_units(tmp_path: Path) -> None:
+def test_trajectory__parquet_file_has_the_table_and_its_units(tmp_path: Path) -> None:
     parquet = pytest.importorskip("pyarrow.parquet")
     whole = recorded()
     whole.to_parquet(tmp_path / "run.parquet")
@@ -123,7 +123,7 @@ def test_a_parquet_file_has_the_table_and_its_units(tmp_path: Path) -> None:
     assert table.schema.field("core_air_temperature").metadata == {b"unit": b"degC"}
 
 
-def test_values_without_faults_are_kept_from_the_first_fault_on() -> None:
+def test_trajectory__values_without_faults_are_kept_from_the_first_fault_on() -> None:
     recorder = TrajectoryRecorder(OFFICE)
     for step in range(3):
         view = sample(OFFICE, step, VALUES)
@@ -137,7 +137,7 @@ def test_values_without_faults_are_kept_from_the_first_fault_on() -> None:
     assert trajectory.fault_free_values[:, 0].tolist() == [24.0] * 3
 
 
-def test_the_run_under_baseline_control_has_its_values_and_no_other_source() -> None:
+def test_trajectory__run_under_baseline_control_has_its_values_and_no_other_source() -> None:
     of = OFFICE.model_copy(update={"baseline": True})
     recorder = TrajectoryRecorder(of)
     for step in range(2):
@@ -153,7 +153,7 @@ def test_the_run_under_baseline_control_has_its_values_and_no_other_source() -> 
         recorded().under_baseline()
 
 
-def test_a_copied_recorder_continues_by_itself() -> None:
+def test_trajectory__copied_recorder_continues_by_itself() -> None:
     recorder = TrajectoryRecorder(OFFICE)
     for step in range(2):
         recorder.add(sample(OFFICE, step, VALUES), orders=np.full(1, 24.0))
@@ -165,7 +165,7 @@ def test_a_copied_recorder_continues_by_itself() -> None:
     assert recorder.trajectory().orders[:, 0].tolist() == [24.0, 24.0, 25.0]
 
 
-def test_nothing_recorded_is_an_error() -> None:
+def test_trajectory__nothing_recorded_is_an_error() -> None:
     recorder = TrajectoryRecorder(OFFICE)
     with pytest.raises(UsageError, match="no timestep"):
         recorder.trajectory()
@@ -174,7 +174,7 @@ def test_nothing_recorded_is_an_error() -> None:
         recorder.trajectory()
 
 
-def test_the_weather_ends_with_the_episode_and_radiation_is_a_power() -> None:
+def test_trajectory__weather_ends_with_the_episode_and_radiation_is_a_power() -> None:
     table = np.array([[10.0, 100.0], [11.0, 200.0], [12.0, 300.0]])
     columns = ["dry_bulb_temperature", "global_horizontal_radiation"]
     series = WeatherSeries(

@@ -33,7 +33,7 @@ def only(objects: Mapping[str, Any], *, complete: bool = True) -> str:
 
 
 @pytest.mark.parametrize("entry", buildings(), ids=lambda entry: entry.name)
-def test_no_bundled_model_has_a_fault(entry: Entry) -> None:
+def test_building_schema__no_bundled_model_has_a_fault(entry: Entry) -> None:
     assert schema.schema_errors(read_building(entry).objects, complete=True) == []
 
 
@@ -72,7 +72,7 @@ CASES: dict[str, tuple[str, str, Any, bool]] = {
 
 @pytest.mark.variants
 @pytest.mark.parametrize("case", CASES)
-def test_a_fault_is_what_energyplus_refuses(case: str, office: dict[str, Any], folder: Path) -> None:
+def test_building_schema__fault_is_what_energyplus_refuses(case: str, office: dict[str, Any], folder: Path) -> None:
     kind, field, value, refused = CASES[case]
     objects = copy.deepcopy(office)
     next(iter(objects[kind].values()))[field] = value
@@ -84,7 +84,7 @@ def test_a_fault_is_what_energyplus_refuses(case: str, office: dict[str, Any], f
 
 
 @pytest.mark.slow
-def test_types_fields_and_required_fields_are_those_of_the_wheels_own_classes() -> None:
+def test_building_schema__types_fields_and_required_fields_are_those_of_the_wheels_own_classes() -> None:
     program = """
 import json
 from pyenergyplus.model import EnergyPlusModel
@@ -109,11 +109,11 @@ print(json.dumps(found))
 # What is said
 
 
-def test_a_right_object_has_no_fault() -> None:
+def test_building_schema__right_object_has_no_fault() -> None:
     assert schema.schema_errors(material(), complete=True) == []
 
 
-def test_unknown_names_list_near_ones() -> None:
+def test_building_schema__unknown_names_list_near_ones() -> None:
     assert only({"Materiall": {}}).startswith("EnergyPlus has no object type 'Materiall'; did you mean 'Material'")
     assert only({"MATERIAL": {}}) == "EnergyPlus has no object type 'MATERIAL'; EnergyPlus spells it 'Material'"
     assert only(material(thicknes=0.1)).startswith("Material 'brick' has no field 'thicknes'; did you mean 'thickness'")
@@ -150,7 +150,7 @@ def test_schema_errors__name_the_place_in_a_list() -> None:
     assert lacking.endswith(" in schedule_weeks[0]")
 
 
-def test_missing_fields_are_faults_of_complete_objects_only() -> None:
+def test_building_schema__missing_fields_are_faults_of_complete_objects_only() -> None:
     assert schema.schema_errors({"Material": {"brick": {"density": 1.0}}}, complete=False) == []
     fault = only({"Material": {"brick": {"density": 1.0}}})
     assert fault == "Material 'brick' lacks 'roughness', 'thickness', 'conductivity', 'specific_heat'"
@@ -163,7 +163,7 @@ def test_schema_errors__name_objects_that_are_none() -> None:
     assert "a model has only one, got 2" in only({"Timestep": {"a": {}, "b": {}}})
 
 
-def test_what_converters_leave_behind_is_no_fault() -> None:
+def test_building_schema__what_converters_leave_behind_is_no_fault() -> None:
     assert (
         schema.schema_errors(material(idf_order=3, idf_max_fields=9, idf_max_extensible_fields=0), complete=True) == []
     )
@@ -178,18 +178,18 @@ def test_schema_errors__come_all_at_once() -> None:
 
 
 @given(st.sampled_from(["Smooth", "MediumRough", "VeryRough"]), st.randoms())
-def test_words_in_any_case_are_respelled(word: str, random: Any) -> None:
+def test_building_schema__words_in_any_case_are_respelled(word: str, random: Any) -> None:
     mixed = "".join(random.choice((c.upper(), c.lower())) for c in word)
     assert schema.canonical_fields("Material", {"roughness": mixed}) == {"roughness": word}
 
 
 @given(st.floats(allow_nan=False))
-def test_a_number_is_a_fault_where_it_is_out_of_range(value: float) -> None:
+def test_building_schema__number_is_a_fault_where_it_is_out_of_range(value: float) -> None:
     wrong = not (value > 0 and value != float("inf"))
     assert bool(schema.schema_errors(material(conductivity=value), complete=True)) == wrong
 
 
-def test_whole_floats_become_integers_where_they_must_and_only_there() -> None:
+def test_building_schema__whole_floats_become_integers_where_they_must_and_only_there() -> None:
     right = schema.canonical_fields("Building", {"maximum_number_of_warmup_days": 25.0, "north_axis": 25.0})
     assert [(name, type(value)) for name, value in right.items()] == [
         ("maximum_number_of_warmup_days", int),
@@ -210,7 +210,7 @@ def fresh(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     schema._schema.cache_clear()
 
 
-def test_the_schema_is_read_out_of_the_library_once(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_building_schema__schema_is_read_out_of_the_library_once(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "Material" in schema.types()
     monkeypatch.setattr(schema, "_embedded", None)
     schema._schema.cache_clear()

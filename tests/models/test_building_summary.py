@@ -74,14 +74,18 @@ def reports(tmp_path_factory: pytest.TempPathFactory) -> dict[str, EngineReport]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
-def test_the_floor_area_of_each_zone_is_energyplus_own(reports: dict[str, EngineReport], name: str) -> None:
+def test_building_summary__floor_area_of_each_zone_is_energyplus_own(
+    reports: dict[str, EngineReport], name: str
+) -> None:
     rows = reports[name].of("Zone Information")
     areas = {zone.upper(): area for zone, area in zone_areas(reports[name].building.objects).items()}
     assert areas == pytest.approx({row[1]: float(row[-8]) for row in rows}, rel=0.005, abs=0.006)
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_the_buildings_areas_and_zones_are_energyplus_own(reports: dict[str, EngineReport], name: str) -> None:
+def test_building_summary__buildings_areas_and_zones_are_energyplus_own(
+    reports: dict[str, EngineReport], name: str
+) -> None:
     rows = reports[name].of("Zone Information")
     controlled = {row[1] for row in reports[name].of("Controlled Zone")}
     counted = {row[1]: float(row[-8]) * int(row[10]) * int(row[11]) for row in rows if row[-1] == "Yes"}
@@ -100,7 +104,7 @@ def test_models__have_multipliers_and_zones_that_do_not_count(reports: dict[str,
 
 
 @pytest.mark.parametrize("entry", catalog.bundled_buildings(), ids=lambda e: e.name)
-def test_facts_of_all_buildings_hold_together(entry: catalog.Entry) -> None:
+def test_building_summary__facts_of_all_buildings_hold_together(entry: catalog.Entry) -> None:
     summary = listed_summaries(entry)
     assert 0 < summary.conditioned_area_m2 <= summary.floor_area_m2 * (1 + 1e-9)
     assert 0 < summary.conditioned_zones <= summary.zones
@@ -114,7 +118,7 @@ def test_facts_of_all_buildings_hold_together(entry: catalog.Entry) -> None:
     ("new", "old"),
     [("office-medium", "ref-medium-office"), ("school-primary", "ref-primary-school"), ("warehouse", "ref-warehouse")],
 )
-def test_a_building_has_one_area_in_both_generations(new: str, old: str) -> None:
+def test_building_summary__building_has_one_area_in_both_generations(new: str, old: str) -> None:
     areas = [listed_summaries(catalog.find_building(name)).floor_area_m2 for name in (new, old)]
     assert areas[0] == pytest.approx(areas[1], rel=0.001)
 
@@ -123,7 +127,7 @@ def test_a_building_has_one_area_in_both_generations(new: str, old: str) -> None
 
 
 @pytest.mark.parametrize("name", ["ref-small-office", "office-medium", "ref-super-market", "hotel-small"])
-def test_fuels_are_those_that_energyplus_meters(name: str) -> None:
+def test_building_summary__fuels_are_those_that_energyplus_meters(name: str) -> None:
     building = read_building(catalog.find_building(name))
     meters = {m.name.upper() for m in discover(building, catalog.bundled_weathers()[0].path).meters}
     all_fuels = ("electricity", "natural gas", "propane", "district cooling", "district heating water", "coal")
@@ -181,7 +185,9 @@ def model(**kinds: dict[str, dict[str, Any]]) -> Building:
         ),
     ],
 )  # fmt: skip
-def test_systems_and_fuels_are_read_from_the_objects(kinds: dict[str, Any], hvac: str, fuels: tuple[str, ...]) -> None:
+def test_building_summary__systems_and_fuels_are_read_from_the_objects(
+    kinds: dict[str, Any], hvac: str, fuels: tuple[str, ...]
+) -> None:
     summary = building_summary(model(**kinds))
     assert (summary.hvac, summary.fuels) == (hvac, fuels)
 
@@ -199,25 +205,25 @@ TILTED = polygon((0, 0, 0), (3, 0, 4), (3, 2, 4), (0, 2, 0))  # 5 m along the sl
 
 
 @pytest.mark.parametrize(("vertices", "area"), [(SQUARE, 4.0), (L_SHAPE, 6.0), (TILTED, 10.0)])
-def test_a_floors_area_is_its_polygons(vertices: list[dict[str, float]], area: float) -> None:
+def test_building_summary__floors_area_is_its_polygons(vertices: list[dict[str, float]], area: float) -> None:
     surface = {"surface_type": "Floor", "zone_name": "A", "vertices": vertices}
     objects = model(Zone={"a": {}}, BuildingSurface__Detailed={"f": surface}).objects
     assert zone_areas(objects) == {"a": pytest.approx(area)}
 
 
-def test_walls_and_roofs_are_no_floor_and_a_zone_without_one_has_no_area() -> None:
+def test_building_summary__walls_and_roofs_are_no_floor_and_a_zone_without_one_has_no_area() -> None:
     walls = {n: {"surface_type": n, "zone_name": "a", "vertices": SQUARE} for n in ("Wall", "Roof", "Ceiling")}
     assert zone_areas(model(Zone={"a": {}}, BuildingSurface__Detailed=walls).objects) == {"a": 0.0}
 
 
-def test_the_zones_own_field_comes_before_its_floors_and_autocalculate_is_none() -> None:
+def test_building_summary__zones_own_field_comes_before_its_floors_and_autocalculate_is_none() -> None:
     floors = {n: {"surface_type": "floor", "zone_name": n, "vertices": SQUARE} for n in ("a", "b")}
     zones = {"a": {"floor_area": 7.5}, "b": {"floor_area": "Autocalculate"}}
     objects = model(Zone=zones, BuildingSurface__Detailed=floors).objects
     assert zone_areas(objects) == {"a": 7.5, "b": pytest.approx(4.0)}
 
 
-def test_a_rectangular_floor_and_the_floor_that_a_ceiling_implies_count() -> None:
+def test_building_summary__rectangular_floor_and_the_floor_that_a_ceiling_implies_count() -> None:
     objects = model(
         Zone={"below": {}, "above": {}},
         Floor__GroundContact={"g": {"zone_name": "below", "length": 3.0, "width": 2.5}},
@@ -234,7 +240,7 @@ def test_a_rectangular_floor_and_the_floor_that_a_ceiling_implies_count() -> Non
     assert zone_areas(objects) == {"below": 7.5, "above": pytest.approx(4.0)}
 
 
-def test_spaces_add_up_to_their_zone() -> None:
+def test_building_summary__spaces_add_up_to_their_zone() -> None:
     floor = {"surface_type": "Floor", "zone_name": "a", "vertices": SQUARE}
     objects = model(
         Zone={"a": {}},
@@ -244,7 +250,7 @@ def test_spaces_add_up_to_their_zone() -> None:
     assert zone_areas(objects) == {"a": pytest.approx(4.0 + 10.0 + 4.0)}
 
 
-def test_multipliers_of_zones_and_lists_count_and_an_attic_does_not() -> None:
+def test_building_summary__multipliers_of_zones_and_lists_count_and_an_attic_does_not() -> None:
     summary = building_summary(
         model(
             Zone={
@@ -261,7 +267,7 @@ def test_multipliers_of_zones_and_lists_count_and_an_attic_does_not() -> None:
     assert (summary.zones, summary.conditioned_zones) == (3, 1)
 
 
-def test_a_thermostat_on_a_list_of_zones_conditions_each() -> None:
+def test_building_summary__thermostat_on_a_list_of_zones_conditions_each() -> None:
     summary = building_summary(
         model(
             Zone={"a": {}, "b": {}, "c": {}},
@@ -272,7 +278,7 @@ def test_a_thermostat_on_a_list_of_zones_conditions_each() -> None:
     assert summary.conditioned_zones == 2
 
 
-def test_facts_are_made_once_for_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_building_summary__facts_are_made_once_for_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "cache"))
     path = tmp_path / "b.epJSON"
     path.write_text('{"Building": {"b": {}}, "Zone": {"a": {"floor_area": 5.0}}, "Timestep": {}}')
@@ -288,7 +294,7 @@ def test_facts_are_made_once_for_a_file(tmp_path: Path, monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_nodes_equipment_and_branches_are_where_energyplus_has_them(
+def test_building_summary__nodes_equipment_and_branches_are_where_energyplus_has_them(
     reports: dict[str, EngineReport], name: str
 ) -> None:
     where = {key: place.upper() for key, place in locations(reports[name].building.objects).items()}
@@ -304,7 +310,7 @@ def test_nodes_equipment_and_branches_are_where_energyplus_has_them(
     assert {key: where.get(key) for key in expected} == expected
 
 
-def test_names_lead_to_the_zone_or_the_loop() -> None:
+def test_building_summary__names_lead_to_the_zone_or_the_loop() -> None:
     places = locations(
         model(
             Zone={"Hall": {}, "Attic": {}},

@@ -43,13 +43,13 @@ def text(content: str) -> Callable[[Path], None]:
     return lambda target: target.write_text(content) and None
 
 
-def test_a_file_is_made_once(cache: Path) -> None:
+def test_cache__file_is_made_once(cache: Path) -> None:
     assert cached_bytes("models/a.json", text("made")) == b"made"
     assert cached_bytes("models/a.json", never) == b"made"
     assert files(cache) == ["v2/models/a.json"]
 
 
-def test_a_maker_has_a_folder_of_its_own_on_the_same_disk_and_keeps_the_files_name(cache: Path) -> None:
+def test_cache__maker_has_a_folder_of_its_own_on_the_same_disk_and_keeps_the_files_name(cache: Path) -> None:
     seen: list[Path] = []
 
     def make(target: Path) -> None:
@@ -65,7 +65,7 @@ def test_a_maker_has_a_folder_of_its_own_on_the_same_disk_and_keeps_the_files_na
     assert files(cache) == ["v2/models/a.json"]
 
 
-def test_a_maker_that_fails_leaves_nothing_behind(cache: Path) -> None:
+def test_cache__maker_that_fails_leaves_nothing_behind(cache: Path) -> None:
     def half(target: Path) -> None:
         target.write_text("half")
         raise RuntimeError("the power went out")
@@ -105,7 +105,7 @@ DAMAGES = {
 
 
 @pytest.mark.parametrize("damage", DAMAGES.values(), ids=DAMAGES)
-def test_a_damaged_file_is_made_again_with_one_line_of_notice(
+def test_cache__damaged_file_is_made_again_with_one_line_of_notice(
     cache: Path, damage: Callable[[Path], object], capsys: pytest.CaptureFixture[str]
 ) -> None:
     cached_bytes("models/a.json", text("made"))
@@ -117,7 +117,7 @@ def test_a_damaged_file_is_made_again_with_one_line_of_notice(
     assert not capsys.readouterr().err
 
 
-def test_a_file_in_the_place_of_a_folder_gives_way(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_cache__file_in_the_place_of_a_folder_gives_way(cache: Path, capsys: pytest.CaptureFixture[str]) -> None:
     cache.joinpath("packs").mkdir(parents=True)
     cache.joinpath("packs", "p").write_text("no folder")
     path = cached_dir("packs/p", lambda target: (target / "file").write_text("made") and None)
@@ -130,7 +130,7 @@ def test_a_file_in_the_place_of_a_folder_gives_way(cache: Path, capsys: pytest.C
 
 @pytest.mark.parametrize("make", [cached_bytes, cached_dir])
 @pytest.mark.parametrize("place", ["/proc/nowhere", "file/below"])
-def test_a_cache_that_cannot_be_written_is_one_error_that_names_the_variable(
+def test_cache__cache_that_cannot_be_written_is_one_error_that_names_the_variable(
     make: Callable[..., object],
     place: str,
     tmp_path: Path,
@@ -145,7 +145,7 @@ def test_a_cache_that_cannot_be_written_is_one_error_that_names_the_variable(
     assert not capsys.readouterr().err, "no notice of a damaged file beside the error"
 
 
-def test_a_full_disk_is_an_error_of_the_cache(cache: Path) -> None:
+def test_cache__full_disk_is_an_error_of_the_cache(cache: Path) -> None:
     def fill(_: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
@@ -153,7 +153,7 @@ def test_a_full_disk_is_an_error_of_the_cache(cache: Path) -> None:
         cached_bytes("models/a.json", fill)
 
 
-def test_an_error_of_another_file_stays_what_it_is(cache: Path) -> None:
+def test_cache__error_of_another_file_stays_what_it_is(cache: Path) -> None:
     def look(_: Path) -> None:
         (cache / "not there").read_bytes()
 
@@ -161,7 +161,7 @@ def test_an_error_of_another_file_stays_what_it_is(cache: Path) -> None:
         cached_bytes("models/a.json", look)
 
 
-def test_without_a_home_folder_the_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_cache__without_a_home_folder_the_variable_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     def unknown_user(_: int) -> NoReturn:
         raise KeyError("no such user")
 
@@ -192,7 +192,7 @@ def _make_together(folder: str, barrier: Barrier, own: str) -> None:
     assert content in (b"a" * 2000, b"b" * 2000), content[:20]
 
 
-def test_two_processes_that_make_the_same_file_at_once_do_not_disturb_each_other(cache: Path) -> None:
+def test_cache__two_processes_that_make_the_same_file_at_once_do_not_disturb_each_other(cache: Path) -> None:
     spawn = multiprocessing.get_context("spawn")
     barrier = spawn.Barrier(2)
     both = [spawn.Process(target=_make_together, args=(str(cache), barrier, own)) for own in "ab"]
@@ -208,7 +208,7 @@ def test_two_processes_that_make_the_same_file_at_once_do_not_disturb_each_other
 # Keys of content
 
 
-def test_a_key_is_24_hexadecimal_digits_of_the_content() -> None:
+def test_cache__key_is_24_hexadecimal_digits_of_the_content() -> None:
     key = digest("a", b"b")
     assert len(key) == 24
     assert set(key) <= set("0123456789abcdef")
@@ -216,17 +216,17 @@ def test_a_key_is_24_hexadecimal_digits_of_the_content() -> None:
     assert digest("a", "c") != key
 
 
-def test_text_is_its_utf_8_bytes() -> None:
+def test_cache__text_is_its_utf_8_bytes() -> None:
     assert digest("é") == digest("é".encode())
 
 
 @given(st.lists(st.binary(max_size=3), max_size=4), st.lists(st.binary(max_size=3), max_size=4))
-def test_keys_are_equal_only_where_all_parts_are(one: list[bytes], other: list[bytes]) -> None:
+def test_cache__keys_are_equal_only_where_all_parts_are(one: list[bytes], other: list[bytes]) -> None:
     assert (digest(*one) == digest(*other)) == (one == other)
 
 
 @given(st.binary(max_size=6), st.integers(0, 6), st.integers(0, 6))
-def test_where_the_parts_meet_matters(whole: bytes, cut: int, other: int) -> None:
+def test_cache__where_the_parts_meet_matters(whole: bytes, cut: int, other: int) -> None:
     one, two = (whole[:cut], whole[cut:]), (whole[:other], whole[other:])
     assert (digest(*one) == digest(*two)) == (one == two)
 
@@ -234,7 +234,7 @@ def test_where_the_parts_meet_matters(whole: bytes, cut: int, other: int) -> Non
 # Where it is
 
 
-def test_the_store_is_where_the_environment_says(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_cache__store_is_where_the_environment_states(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     assert cache_module.cache_dir() == tmp_path / "cache"

@@ -13,7 +13,7 @@ from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.keys import safe_name
 
 
-def test_the_wheel_has_32_buildings_and_16_weathers() -> None:
+def test_catalog__wheel_has_32_buildings_and_16_weathers() -> None:
     assert len(catalog.bundled_buildings()) == 32
     assert len(catalog.bundled_weathers()) == 16
 
@@ -21,26 +21,26 @@ def test_the_wheel_has_32_buildings_and_16_weathers() -> None:
 @pytest.mark.parametrize(
     "entries", [catalog.bundled_buildings(), catalog.bundled_weathers()], ids=["buildings", "weathers"]
 )
-def test_names_are_sorted_unique_and_of_files(entries: tuple[Entry, ...]) -> None:
+def test_catalog__names_are_sorted_unique_and_of_files(entries: tuple[Entry, ...]) -> None:
     names = [entry.name for entry in entries]
     assert names == sorted(set(names))
     assert len({name.casefold() for name in names}) == len(names)
     assert all(entry.path.is_file() for entry in entries)
 
 
-def test_a_buildings_name_can_be_the_name_of_a_node() -> None:
+def test_catalog__buildings_name_can_be_the_name_of_a_node() -> None:
     for entry in catalog.bundled_buildings():
         assert entry.name == safe_name(entry.name)
 
 
 @pytest.mark.parametrize("entry", catalog.bundled_buildings(), ids=lambda e: e.name)
-def test_a_building_is_found_by_its_name_and_by_its_file(entry: Entry) -> None:
+def test_catalog__building_is_found_by_its_name_and_by_its_file(entry: Entry) -> None:
     for text in (entry.name, entry.name.upper(), entry.path.stem, str(entry.path)):
         assert find_building(text).path == entry.path
 
 
 @pytest.mark.parametrize("entry", catalog.bundled_weathers(), ids=lambda e: e.name)
-def test_a_weather_is_found_and_covers_a_year(entry: Entry) -> None:
+def test_catalog__weather_is_found_and_covers_a_year(entry: Entry) -> None:
     for text in (entry.name, entry.name.lower(), entry.path.stem, str(entry.path)):
         assert find_weather(text).path == entry.path
     header = read_header(entry.path)
@@ -63,7 +63,7 @@ def test_a_weather_is_found_and_covers_a_year(entry: Entry) -> None:
         ("MyHouse", "MyHouse"),
     ],
 )
-def test_a_buildings_name_is_short(stem: str, name: str) -> None:
+def test_catalog__buildings_name_is_short(stem: str, name: str) -> None:
     assert building_name(stem) == name
 
 
@@ -77,7 +77,7 @@ def test_a_buildings_name_is_short(stem: str, name: str) -> None:
         ("here", "here"),
     ],
 )
-def test_a_weathers_name_is_its_place(stem: str, name: str) -> None:
+def test_catalog__weathers_name_is_its_place(stem: str, name: str) -> None:
     assert weather_name(stem) == name
 
 
@@ -85,21 +85,21 @@ def test_a_weathers_name_is_its_place(stem: str, name: str) -> None:
     ("part", "name"),
     [("sit-down", "restaurant-sit-down"), ("SUPER", "ref-super-market"), ("BldgMediumOffice", "ref-medium-office")],
 )
-def test_a_part_that_fits_one_building_is_enough(part: str, name: str) -> None:
+def test_catalog__part_that_fits_one_building_is_enough(part: str, name: str) -> None:
     assert find_building(part).name == name
 
 
 @pytest.mark.parametrize(("part", "name"), [("denver", "USA_CO_Denver"), ("722020", "USA_FL_Miami")])
-def test_a_part_that_fits_one_weather_is_enough(part: str, name: str) -> None:
+def test_catalog__part_that_fits_one_weather_is_enough(part: str, name: str) -> None:
     assert find_weather(part).name == name
 
 
-def test_a_whole_name_is_meant_even_where_it_is_a_part_of_another() -> None:
+def test_catalog__whole_name_is_meant_even_where_it_is_a_part_of_another() -> None:
     assert find_building("hospital").name == "hospital"
     assert find_building("ref-hospital").name == "ref-hospital"
 
 
-def test_a_part_that_fits_several_names_them_all() -> None:
+def test_catalog__part_that_fits_several_names_them_all() -> None:
     with pytest.raises(UnknownName) as raised:
         find_building("hotel")
     message = str(raised.value)
@@ -108,7 +108,7 @@ def test_a_part_that_fits_several_names_them_all() -> None:
     assert "hospital" not in message
 
 
-def test_a_misspelt_name_lists_near_ones() -> None:
+def test_catalog__misspelt_name_lists_near_ones() -> None:
     with pytest.raises(UnknownName, match=r"no building 'ofice-medium'; did you mean .*'office-medium'"):
         find_building("ofice-medium")
     with pytest.raises(UnknownName, match=r"no weather 'USA_CO_Denvr'; did you mean .*'USA_CO_Denver'"):
@@ -116,7 +116,7 @@ def test_a_misspelt_name_lists_near_ones() -> None:
 
 
 @pytest.mark.parametrize("text", ["", "qqq"])
-def test_what_is_like_nothing_lists_what_there_is(text: str) -> None:
+def test_catalog__what_is_like_nothing_lists_what_there_is(text: str) -> None:
     with pytest.raises(UnknownName, match=r"there are: 'apartment-high-rise'.* and \d+ more"):
         find_building(text)
 
@@ -124,21 +124,21 @@ def test_what_is_like_nothing_lists_what_there_is(text: str) -> None:
 # Paths
 
 
-def test_a_path_is_a_building_of_that_name(tmp_path: Path) -> None:
+def test_catalog__path_is_a_building_of_that_name(tmp_path: Path) -> None:
     for name in ("house.idf", "house.IDF", "house.epJSON"):
         path = tmp_path / name
         path.write_text("")
         assert find_building(str(path)) == Entry("house", path)
 
 
-def test_a_relative_path_is_made_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_catalog__relative_path_is_made_absolute(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "here.epw").write_text("")
     monkeypatch.chdir(tmp_path)
     for text in ("here.epw", "./here.epw"):
         assert find_weather(text).path == tmp_path / "here.epw"
 
 
-def test_a_path_may_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_catalog__path_may_begin_at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "house.idf").write_text("")
     monkeypatch.setenv("HOME", str(tmp_path))
     assert find_building("~/house.idf").path == tmp_path / "house.idf"
@@ -151,12 +151,12 @@ def test_missing_path__is_named_in_full(text: str) -> None:
     assert str(Path(text).absolute()) in str(raised.value)
 
 
-def test_a_home_that_is_not_there_is_unknown() -> None:
+def test_catalog__home_that_is_not_there_is_unknown() -> None:
     with pytest.raises(UnknownName):
         find_building("~nobody-of-that-name/house.idf")
 
 
-def test_a_file_of_another_kind_is_refused_with_the_right_one(tmp_path: Path) -> None:
+def test_catalog__file_of_another_kind_is_refused_with_the_right_one(tmp_path: Path) -> None:
     path = tmp_path / "house.txt"
     path.write_text("")
     with pytest.raises(UnknownName, match=r"house\.txt is not a building file: its suffix should be \.epjson or \.idf"):
@@ -165,7 +165,7 @@ def test_a_file_of_another_kind_is_refused_with_the_right_one(tmp_path: Path) ->
         find_weather(str(path))
 
 
-def test_a_folder_is_no_building(tmp_path: Path) -> None:
+def test_catalog__folder_is_no_building(tmp_path: Path) -> None:
     (tmp_path / "house.idf").mkdir()
     with pytest.raises(UnknownName, match="no building file at"):
         find_building(str(tmp_path / "house.idf"))
@@ -184,7 +184,7 @@ LOCATION = "LOCATION,Denver,CO,USA,TMY3,724695,39.8,-104.7,-7.0,1650.0"
 PERIODS = "DATA PERIODS,1,1,Data,Sunday, 5/ 1, 9/30"
 
 
-def test_a_header_is_read(tmp_path: Path) -> None:
+def test_catalog__header_is_read(tmp_path: Path) -> None:
     header = read_header(epw(tmp_path / "a.epw", location=LOCATION, periods=PERIODS))
     assert header.place == "Denver, CO, USA"
     assert (header.latitude_deg, header.longitude_deg) == (39.8, -104.7)
@@ -202,7 +202,9 @@ def test_a_header_is_read(tmp_path: Path) -> None:
         ("", ""),
     ],
 )
-def test_a_header_that_is_none_is_refused_with_the_files_name(tmp_path: Path, location: str, periods: str) -> None:
+def test_catalog__header_that_is_none_is_refused_with_the_files_name(
+    tmp_path: Path, location: str, periods: str
+) -> None:
     path = epw(tmp_path / "broken.epw", location=location, periods=periods)
     with pytest.raises(InvalidConfig, match=r"broken\.epw"):
         read_header(path)

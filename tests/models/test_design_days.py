@@ -83,7 +83,7 @@ def outdoors(folder: Path, where: Site, **more: Any) -> Outdoors:
 
 
 @pytest.mark.parametrize("name", ["Ort.ddy", "Ort.DDY"])
-def test_the_ddy_beside_a_weather_file_says_place_and_days(folder: Path, name: str) -> None:
+def test_design_days__ddy_beside_a_weather_file_states_place_and_days(folder: Path, name: str) -> None:
     design = site(*beside(folder, LOCATION + HEATING + OTHER + COOLING, name=name))
     assert design.source == f"design days from {name}"
     assert design.location == {
@@ -116,13 +116,15 @@ def test_the_ddy_beside_a_weather_file_says_place_and_days(folder: Path, name: s
     "ddy",
     [LOCATION + HEATING, LOCATION + COOLING, HEATING + COOLING, LOCATION + HEATING + OTHER, "", "no objects at all\n"],
 )
-def test_a_ddy_that_lacks_something_is_not_taken_and_the_source_says_so(folder: Path, ddy: str) -> None:
+def test_design_days__ddy_that_lacks_something_is_not_taken_and_the_source_is_reported(folder: Path, ddy: str) -> None:
     design = site(*beside(folder, ddy))
     assert design.source.startswith("design days from the header of Ort.epw (Ort.ddy lacks")
     assert [d["maximum_dry_bulb_temperature"] for d in design.design_days.values()] == [-17.9, 33.9]  # Denver's
 
 
-def test_a_ddy_that_energyplus_cannot_convert_is_refused(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_design_days__ddy_that_energyplus_cannot_convert_is_refused(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from zenostat.models.weather import design_days
     from zenostat.topics.errors import ModelError
 
@@ -135,7 +137,7 @@ def test_a_ddy_that_energyplus_cannot_convert_is_refused(folder: Path, monkeypat
         site(*beside(folder, LOCATION + HEATING + COOLING))
 
 
-def test_a_ddy_is_converted_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_design_days__ddy_is_converted_once(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from zenostat.models.weather import design_days
 
     monkeypatch.setenv("ZENOSTAT_CACHE", str(folder / "cache"))
@@ -145,14 +147,14 @@ def test_a_ddy_is_converted_once(folder: Path, monkeypatch: pytest.MonkeyPatch) 
     assert site(epw, header) == first
 
 
-def test_without_a_ddy_the_header_says_them() -> None:
+def test_design_days__without_a_ddy_the_header_states_them() -> None:
     design = site(DENVER, read_header(DENVER))
     assert design.source == f"design days from the header of {DENVER.name}"
     (place,) = design.location.values()
     assert place == {"latitude": 39.72, "longitude": -104.75, "time_zone": -7.0, "elevation": 1726.0}
 
 
-def test_the_header_of_denver_says_what_the_model_of_denver_was_sized_for() -> None:
+def test_design_days__header_of_denver_states_what_the_model_of_denver_was_sized_for() -> None:
     # The wheel's models for Denver carry the design days of Denver's DDY; those of the header differ in the sky.
     own = read_building(find_building("office-small")).objects["SizingPeriod:DesignDay"]
     days = site(DENVER, read_header(DENVER)).design_days
@@ -169,7 +171,7 @@ def test_the_header_of_denver_says_what_the_model_of_denver_was_sized_for() -> N
         assert {k: v for k, v in ours.items() if k not in but} == {k: v for k, v in theirs.items() if k not in but}
 
 
-def test_a_header_without_design_conditions_leaves_the_models_own() -> None:
+def test_design_days__header_without_design_conditions_leaves_the_models_own() -> None:
     design = site(BOULDER, read_header(BOULDER))
     assert design.design_days == {}
     assert design.source == f"{BOULDER.name} has no design conditions: the model's own design days are kept"
@@ -182,7 +184,7 @@ def test_a_header_without_design_conditions_leaves_the_models_own() -> None:
     # ASHRAE Handbook of Fundamentals, chapter 1, table 1 (kPa): standard atmosphere.
     [(-500, 107_478), (0, 101_325), (500, 95_461), (1000, 89_875), (1500, 84_556), (3000, 70_108)],
 )
-def test_standard_pressure_is_that_of_the_table(elevation_m: float, pascal: float) -> None:
+def test_design_days__standard_pressure_is_that_of_the_table(elevation_m: float, pascal: float) -> None:
     assert standard_pressure(elevation_m) == pytest.approx(pascal, rel=2e-4)
 
 
@@ -200,7 +202,7 @@ SOUTH = DesignConditions(
 )
 
 
-def test_energyplus_has_the_days_of_a_header(folder: Path) -> None:
+def test_design_days__energyplus_has_the_days_of_a_header(folder: Path) -> None:
     header = replace(read_header(DENVER), place="Sydney, AUS", latitude_deg=-33.95, elevation_m=3.0)
     days = from_header(header, SOUTH)
     ran = outdoors(folder, Site({"x": {"latitude": -33.95, "longitude": 151.18, "time_zone": 10}}, days))
@@ -231,23 +233,23 @@ PLACE = {"here": {"latitude": 2.0}}
 DAYS = {"cold": {"month": 2}, "hot": {"month": 8}}
 
 
-def test_location_and_days_are_replaced_and_nothing_else() -> None:
+def test_design_days__location_and_days_are_replaced_and_nothing_else() -> None:
     before = {kind: dict(items) for kind, items in MODEL.items()}
     assert apply(MODEL, Site(PLACE, DAYS, "")) == MODEL | {"Site:Location": PLACE, "SizingPeriod:DesignDay": DAYS}
     assert before == MODEL
 
 
-def test_the_models_days_stay_where_there_are_no_others() -> None:
+def test_design_days__models_days_stay_where_there_are_no_others() -> None:
     assert apply(MODEL, Site(PLACE)) == MODEL | {"Site:Location": PLACE}
 
 
-def test_a_model_without_design_days_gets_none() -> None:
+def test_design_days__model_without_design_days_gets_none() -> None:
     bare = {kind: items for kind, items in MODEL.items() if kind != "SizingPeriod:DesignDay"}
     assert apply(bare, Site(PLACE, DAYS)) == bare | {"Site:Location": PLACE}
 
 
 @pytest.mark.slow
-def test_a_real_building_is_sized_for_the_header(folder: Path) -> None:
+def test_design_days__real_building_is_sized_for_the_header(folder: Path) -> None:
     phoenix = find_weather("USA_AZ_Phoenix").path
     objects = for_episode(read_building(find_building("office-small")), Period(date(2017, 7, 1), date(2017, 7, 1), 4))
     (silent,) = objects["OutputControl:Files"].values()

@@ -45,7 +45,9 @@ def seeded(sources: int, order: Any, seed: int | None, *, noisy: bool = True) ->
 
 
 @given(SEEDS, st.integers(1, 20), st.sampled_from(ORDERS), st.booleans(), st.integers(0, 9))
-def test_a_seed_begins_the_same_draws_anew(seed: int, sources: int, order: str, noisy: bool, before: int) -> None:
+def test_episode_files__seed_begins_the_same_draws_anew(
+    seed: int, sources: int, order: str, noisy: bool, before: int
+) -> None:
     sampler = seeded(sources, order, seed, noisy=noisy)
     first = draws(sampler, 10)
     draws(sampler, before)
@@ -54,14 +56,14 @@ def test_a_seed_begins_the_same_draws_anew(seed: int, sources: int, order: str, 
     assert draws(seeded(sources, order, seed, noisy=noisy), 10) == first
 
 
-def test_without_a_seed_the_draws_differ_from_run_to_run() -> None:
+def test_episode_files__without_a_seed_the_draws_differ_from_run_to_run() -> None:
     """Two noise seeds of 63 bits are the same once in 10^19 times."""
     one, other = (WeatherSampler(1, "random", noisy=True) for _ in range(2))
     assert one.next() != other.next()
     assert seeded(1, "random", None).next() != seeded(1, "random", None).next()
 
 
-def test_seeds_and_episodes_each_have_a_noise_of_their_own() -> None:
+def test_episode_files__seeds_and_episodes_each_have_a_noise_of_their_own() -> None:
     """20,000 seeds of 63 bits: two are the same with a chance of 2e8 / 2^63 = 2e-11, and these are fixed."""
     noises = [draw.noise for seed in range(1000) for draw in draws(seeded(3, "random", seed), 20)]
     assert len(set(noises)) == len(noises)
@@ -69,7 +71,7 @@ def test_seeds_and_episodes_each_have_a_noise_of_their_own() -> None:
 
 
 @given(SEEDS, st.integers(1, 9))
-def test_a_sequence_goes_round_and_a_seed_begins_it_anew(seed: int, sources: int) -> None:
+def test_episode_files__sequence_goes_round_and_a_seed_begins_it_anew(seed: int, sources: int) -> None:
     sampler = seeded(sources, "sequence", seed)
     round_and_round = [k % sources for k in range(3 * sources + 1)]
     assert [draw.source for draw in draws(sampler, 3 * sources + 1)] == round_and_round
@@ -78,7 +80,7 @@ def test_a_sequence_goes_round_and_a_seed_begins_it_anew(seed: int, sources: int
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_draws_go_on_from_episode_to_episode(order: str) -> None:
+def test_episode_files__draws_go_on_from_episode_to_episode(order: str) -> None:
     """The noise of no two of a hundred episodes is the same: a chance of 5e-16 that it were."""
     assert len({draw.noise for draw in draws(seeded(4, order, 0), 100)}) == 100
 
@@ -90,7 +92,7 @@ def within_five_deviations(counts: Counter[int], sources: int, total: int) -> bo
 
 
 @pytest.mark.parametrize("sources", [2, 3, 7, 16])
-def test_random_draws_reach_all_sources_alike(sources: int) -> None:
+def test_episode_files__random_draws_reach_all_sources_alike(sources: int) -> None:
     """Within the episodes of one seed, and as the first episode of many seeds."""
     total = 4000
     one = Counter(draw.source for draw in draws(seeded(sources, "random", 1), total))
@@ -100,7 +102,7 @@ def test_random_draws_reach_all_sources_alike(sources: int) -> None:
     assert within_five_deviations(many, sources, total)
 
 
-def test_random_draws_do_not_follow_from_the_one_before() -> None:
+def test_episode_files__random_draws_do_not_follow_from_the_one_before() -> None:
     """Nine pairs of three sources, alike within 5 standard deviations."""
     drawn = [draw.source for draw in draws(seeded(3, "random", 2), 9001)]
     pairs = Counter(3 * before + after for before, after in pairwise(drawn))
@@ -108,24 +110,24 @@ def test_random_draws_do_not_follow_from_the_one_before() -> None:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_without_noise_there_is_no_noise_seed(order: str) -> None:
+def test_episode_files__without_noise_there_is_no_noise_seed(order: str) -> None:
     assert {draw.noise for draw in draws(seeded(3, order, 5, noisy=False), 20)} == {0}
 
 
 @given(SEEDS, st.integers(1, 9))
-def test_noise_does_not_change_which_weather_is_drawn(seed: int, sources: int) -> None:
+def test_episode_files__noise_does_not_change_which_weather_is_drawn(seed: int, sources: int) -> None:
     with_noise, without = (draws(seeded(sources, "random", seed, noisy=noisy), 10) for noisy in (True, False))
     assert [draw.source for draw in with_noise] == [draw.source for draw in without]
 
 
 @given(SEEDS, st.integers(1, 9))
-def test_the_order_of_the_weathers_does_not_change_the_noise(seed: int, sources: int) -> None:
+def test_episode_files__order_of_the_weathers_does_not_change_the_noise(seed: int, sources: int) -> None:
     random, sequence = (draws(seeded(sources, order, seed), 10) for order in ORDERS)
     assert [draw.noise for draw in random] == [draw.noise for draw in sequence]
 
 
 @pytest.mark.parametrize(("few", "more"), list(combinations((1, 2, 3, 5, 16), 2)))
-def test_the_number_of_weathers_does_not_change_the_noise(few: int, more: int) -> None:
+def test_episode_files__number_of_weathers_does_not_change_the_noise(few: int, more: int) -> None:
     for seed in range(20):
         one, other = (draws(seeded(sources, "random", seed), 10) for sources in (few, more))
         assert [draw.noise for draw in one] == [draw.noise for draw in other]
@@ -164,7 +166,7 @@ def objects(files: EpisodeFiles) -> dict[str, Any]:
     return dict(json.loads(files.model.read_text()))
 
 
-def test_the_same_draw_gives_the_same_files(small: Building, tmp_path: Path) -> None:
+def test_episode_files__same_draw_gives_the_same_files(small: Building, tmp_path: Path) -> None:
     """Also from other episodes, and after others: nothing but the draw counts."""
     used, fresh = (episodes(small, [source(DENVER), source(MIAMI)], NOISE) for _ in range(2))
     first = prepared(used, WeatherDraw(1, 12345), tmp_path / "first")
@@ -180,7 +182,7 @@ def test_the_same_draw_gives_the_same_files(small: Building, tmp_path: Path) -> 
         assert other.noise_parameters == first.noise_parameters
 
 
-def test_noise_is_put_on_the_weather_that_was_drawn(small: Building, tmp_path: Path) -> None:
+def test_episode_files__noise_is_put_on_the_weather_that_was_drawn(small: Building, tmp_path: Path) -> None:
     """Miami is some 14 K warmer than Denver; noise of mean 0 shifts a year's mean by less than 1 K."""
     sources = [source(DENVER), source(MIAMI)]
     factory = episodes(small, sources, NOISE)
@@ -194,7 +196,7 @@ def test_noise_is_put_on_the_weather_that_was_drawn(small: Building, tmp_path: P
         assert abs(np.mean(shift)) < 1.0
 
 
-def test_another_noise_is_another_weather_and_the_same_model(small: Building, tmp_path: Path) -> None:
+def test_episode_files__another_noise_is_another_weather_and_the_same_model(small: Building, tmp_path: Path) -> None:
     factory = episodes(small, [source(DENVER)], NOISE)
     one, other = (
         prepared(factory, WeatherDraw(0, 1), tmp_path / "one"),
@@ -205,7 +207,7 @@ def test_another_noise_is_another_weather_and_the_same_model(small: Building, tm
     assert one.model.read_bytes() == other.model.read_bytes()
 
 
-def test_noise_changes_the_weather_by_about_what_was_drawn(small: Building, tmp_path: Path) -> None:
+def test_episode_files__noise_changes_the_weather_by_about_what_was_drawn(small: Building, tmp_path: Path) -> None:
     """8760 hours with a correlation of 12 h are some 365 independent ones: the deviation is known to 4 %.
 
     Its error is sigma / sqrt(2 * 365), that of the mean sigma / sqrt(365); five of either are allowed.
@@ -220,7 +222,7 @@ def test_noise_changes_the_weather_by_about_what_was_drawn(small: Building, tmp_
     assert abs(np.mean(after - before)) < 5 * sigma / np.sqrt(365)
 
 
-def test_noisy_weather_is_written_beside_the_model_and_the_original_is_left_alone(
+def test_episode_files__noisy_weather_is_written_beside_the_model_and_the_original_is_left_alone(
     small: Building, tmp_path: Path
 ) -> None:
     original = source(DENVER).path
@@ -231,7 +233,7 @@ def test_noisy_weather_is_written_beside_the_model_and_the_original_is_left_alon
     assert original.read_bytes() == before
 
 
-def test_without_variability_the_file_itself_is_read(small: Building, tmp_path: Path) -> None:
+def test_episode_files__without_variability_the_file_itself_is_read(small: Building, tmp_path: Path) -> None:
     factory = episodes(small, [source(DENVER), source(MIAMI)])
     prepared_files = [prepared(factory, WeatherDraw(k, 0), tmp_path / str(k)) for k in range(2)]
     assert [files.weather for files in prepared_files] == [find_weather(name).path for name in (DENVER, MIAMI)]
@@ -239,7 +241,7 @@ def test_without_variability_the_file_itself_is_read(small: Building, tmp_path: 
     assert [file.name for file in (tmp_path / "0").iterdir()] == ["in.epJSON"]
 
 
-def test_the_location_and_design_days_follow_the_weather(small: Building, tmp_path: Path) -> None:
+def test_episode_files__location_and_design_days_follow_the_weather(small: Building, tmp_path: Path) -> None:
     """Denver lies at 39.7 degrees north and 1.7 km up, Miami at 25.8 degrees and at the sea."""
     factory = episodes(small, [source(DENVER), source(MIAMI)])
     denver, miami = (objects(prepared(factory, WeatherDraw(k), tmp_path / str(k))) for k in range(2))
@@ -261,7 +263,7 @@ def test_design_days_model__keeps_the_models_location_and_days(small: Building, 
         assert model[kind] == small.objects[kind]
 
 
-def test_the_run_period_is_that_of_the_episode(small: Building, tmp_path: Path) -> None:
+def test_episode_files__run_period_is_that_of_the_episode(small: Building, tmp_path: Path) -> None:
     model = objects(prepared(episodes(small, [source(DENVER)]), WeatherDraw(), tmp_path / "own"))
     (run,) = model["RunPeriod"].values()
     days = [run[f"{end}_{part}"] for end in ("begin", "end") for part in ("month", "day_of_month")]

@@ -43,7 +43,7 @@ def with_leap_day(lines: list[str], observed: str) -> list[str]:
 # The header
 
 
-def test_the_header_says_place_days_and_design_conditions() -> None:
+def test_epw__header_states_place_days_and_design_conditions() -> None:
     # Read off the file by hand; the design conditions are those of ASHRAE for Buckley.
     header = read_header(DENVER)
     assert (header.place, header.wmo) == ("Denver-Aurora-Buckley AFB, CO, USA", "724695")
@@ -69,7 +69,7 @@ def test_the_header_says_place_days_and_design_conditions() -> None:
     )
 
 
-def test_a_header_without_design_conditions_has_none() -> None:
+def test_epw__header_without_design_conditions_has_none() -> None:
     assert read_header(find_weather("USA_CO_Boulder").path).design is None
 
 
@@ -84,7 +84,7 @@ def test_a_header_without_design_conditions_has_none() -> None:
         (",Cooling,", ",Elsewhere,"),
     ],
 )
-def test_design_conditions_that_cannot_be_are_none(folder: Path, old: str, new: str) -> None:
+def test_epw__design_conditions_that_cannot_be_are_none(folder: Path, old: str, new: str) -> None:
     def change(lines: list[str]) -> list[str]:
         assert old in lines[1]
         return [lines[0], lines[1].replace(old, new), *lines[2:]]
@@ -94,7 +94,7 @@ def test_design_conditions_that_cannot_be_are_none(folder: Path, old: str, new: 
     assert header.wmo == "724695"  # the rest of the header holds
 
 
-def test_a_file_that_is_no_epw_is_refused(folder: Path) -> None:
+def test_epw__file_that_is_no_epw_is_refused(folder: Path) -> None:
     path = folder / "no.epw"
     path.write_text("Version,25.2;\n")
     for reader in (read_header, read):
@@ -108,16 +108,16 @@ def test_a_file_that_is_no_epw_is_refused(folder: Path) -> None:
 @pytest.mark.parametrize(
     "text", ["dry_bulb_temperature", "Dry Bulb Temperature", "DRY-BULB temperature ", "dry_bulb", "DryBulb"]
 )
-def test_a_column_is_found_however_it_is_spelled(text: str) -> None:
+def test_epw__column_is_found_however_it_is_spelled(text: str) -> None:
     assert find_column(text) is COLUMNS["dry_bulb_temperature"]
 
 
-def test_an_unknown_column_names_near_ones() -> None:
+def test_epw__unknown_column_names_near_ones() -> None:
     with pytest.raises(UnknownName, match=r"no weather column 'wet bulb temperature'.*'dry_bulb_temperature'"):
         find_column("wet bulb temperature")
 
 
-def test_columns_are_where_the_dictionary_has_them() -> None:
+def test_epw__columns_are_where_the_dictionary_has_them() -> None:
     # Line 21 of the file (1 January, 13:00) by eye, in the order of EnergyPlus's EPW data dictionary.
     weather = read(DENVER)
     assert weather.times[12].tolist() == [2005, 1, 1, 13, 0]
@@ -155,7 +155,7 @@ def test_columns_are_where_the_dictionary_has_them() -> None:
     assert weather.column("wind_speed").shape == (len(weather),) == (YEAR,)
 
 
-def test_a_column_cannot_be_written_to() -> None:
+def test_epw__column_cannot_be_written_to() -> None:
     with pytest.raises(ValueError, match="read-only"):
         read(DENVER).column("wind_speed")[0] = 1.0
 
@@ -164,7 +164,7 @@ def test_a_column_cannot_be_written_to() -> None:
 
 
 @pytest.mark.parametrize("name", ["USA_CO_Denver", "USA_FL_Miami", "USA_IL_Chicago"])
-def test_a_file_comes_back_byte_for_byte_where_nothing_changed(folder: Path, name: str) -> None:
+def test_epw__file_returns_byte_for_byte_where_nothing_changed(folder: Path, name: str) -> None:
     source = find_weather(name).path
     weather = read(source)
     write(weather, folder / "none.epw", {})
@@ -174,7 +174,7 @@ def test_a_file_comes_back_byte_for_byte_where_nothing_changed(folder: Path, nam
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])
 @pytest.mark.parametrize("tail", ["", "x", "x x "])
-def test_line_ends_and_what_follows_the_last_row_are_kept(folder: Path, end: str, tail: str) -> None:
+def test_epw__line_ends_and_what_follows_the_last_row_are_kept(folder: Path, end: str, tail: str) -> None:
     # As it came, with one line end after the last row, and with blank lines after it.
     text = end.join(lines_of(DENVER)[:-1]) + tail.replace("x", end)
     path = folder / "ends.epw"
@@ -187,7 +187,7 @@ def test_line_ends_and_what_follows_the_last_row_are_kept(folder: Path, end: str
     assert [row.rpartition(",")[0] for row in lines[8 : 8 + YEAR]] == [r.rpartition(",")[0] for r in weather.rows]
 
 
-def test_only_the_columns_that_were_given_change(folder: Path) -> None:
+def test_epw__only_the_columns_that_were_given_change(folder: Path) -> None:
     weather = read(DENVER)
     dry, wind = weather.column("dry_bulb") + np.linspace(0.1, 1.0, YEAR), weather.column("wind_speed").copy()
     wind[100] += 0.12345
@@ -209,7 +209,7 @@ def test_only_the_columns_that_were_given_change(folder: Path) -> None:
         (np.r_[np.zeros(YEAR - 1), np.inf], "row 8759 is not finite"),
     ],
 )
-def test_values_that_cannot_be_written_are_refused(folder: Path, values: np.ndarray, words: str) -> None:
+def test_epw__values_that_cannot_be_written_are_refused(folder: Path, values: np.ndarray, words: str) -> None:
     with pytest.raises(InvalidConfig, match=f"wind_speed: .*{words}"):
         write(read(DENVER), folder / "out.epw", {"wind_speed": values})
     assert not (folder / "out.epw").exists()
@@ -253,7 +253,7 @@ def cell(line: int, index: int, text: str) -> Callable[[list[str]], list[str]]:
          r"there are 8760 rows, DATA PERIODS requires 8784 .*with 29 February"),
     ],
 )  # fmt: skip
-def test_a_file_that_is_not_sound_is_refused_with_the_line(
+def test_epw__file_that_is_not_sound_is_refused_with_the_line(
     folder: Path, change: Callable[[list[str]], list[str]], words: str
 ) -> None:
     with pytest.raises(InvalidConfig, match=words) as raised:
@@ -261,7 +261,7 @@ def test_a_file_that_is_not_sound_is_refused_with_the_line(
     assert "edited.epw" in str(raised.value)
 
 
-def test_all_faults_are_in_one_report_that_stays_short(folder: Path) -> None:
+def test_epw__all_faults_are_in_one_report_that_stays_short(folder: Path) -> None:
     def change(lines: list[str]) -> list[str]:
         lines = [*lines[:300], ""]
         for line in range(20, 30):
@@ -281,7 +281,7 @@ def test_all_faults_are_in_one_report_that_stays_short(folder: Path) -> None:
 
 
 @pytest.mark.parametrize("observed", ["Yes", "No"])
-def test_a_file_with_29_february_is_read(folder: Path, observed: str) -> None:
+def test_epw__file_with_29_february_is_read(folder: Path, observed: str) -> None:
     # Where the header denies the day, EnergyPlus skips it.
     weather = read(edited(folder, lambda lines: with_leap_day(lines, observed)))
     assert len(weather) == YEAR + 24
@@ -289,13 +289,13 @@ def test_a_file_with_29_february_is_read(folder: Path, observed: str) -> None:
 
 
 @pytest.mark.parametrize("days", ["1/ 1/2016,12/31/2016", "1/1/2017,12/31/2017"])
-def test_data_periods_may_have_years(folder: Path, days: str) -> None:
+def test_epw__data_periods_may_have_years(folder: Path, days: str) -> None:
     # A leap year whose 29 February the header denies has 365 days.
     weather = read(edited(folder, lambda lines: [*lines[:7], f"DATA PERIODS,1,1,Data,Friday,{days}", *lines[8:]]))
     assert (weather.header.first, weather.header.last) == ((1, 1), (12, 31))
 
 
-def test_data_may_go_from_autumn_to_spring(folder: Path) -> None:
+def test_epw__data_may_go_from_autumn_to_spring(folder: Path) -> None:
     def change(lines: list[str]) -> list[str]:
         winter, autumn = lines[8 : 8 + 90 * 24], lines[8 + 273 * 24 : -1]  # to 31 March, from 1 October
         return [*lines[:7], "DATA PERIODS,1,1,Data,Sunday,10/1,3/31", *autumn, *winter, ""]
@@ -303,7 +303,7 @@ def test_data_may_go_from_autumn_to_spring(folder: Path) -> None:
     assert len(read(edited(folder, change))) == (92 + 90) * 24
 
 
-def test_half_hours_are_read(folder: Path) -> None:
+def test_epw__half_hours_are_read(folder: Path) -> None:
     def change(lines: list[str]) -> list[str]:
         lines[7] = lines[7].replace("DATA PERIODS,1,1,", "DATA PERIODS,1,2,")
         return lines[:8] + [row for row in lines[8:-1] for _ in range(2)] + [""]
@@ -332,7 +332,7 @@ PART = Header("", 0.0, 0.0, 0.0, 0.0, first=(2, 1), last=(9, 30))
         (PART, date(2016, 3, 1), date(2016, 9, 30)),
     ],
 )
-def test_a_run_period_that_the_file_has_is_taken(header: Header, begin: date, end: date) -> None:
+def test_epw__run_period_that_the_file_has_is_taken(header: Header, begin: date, end: date) -> None:
     check_covers(header, Period(begin, end, 4), "x")
 
 
@@ -348,7 +348,7 @@ def test_a_run_period_that_the_file_has_is_taken(header: Header, begin: date, en
         (PART, date(2016, 2, 2), date(2016, 9, 30), "contains 2016-02-29"),
     ],
 )  # fmt: skip
-def test_a_run_period_that_the_file_has_not_is_refused(header: Header, begin: date, end: date, words: str) -> None:
+def test_epw__run_period_that_the_file_has_not_is_refused(header: Header, begin: date, end: date, words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
         check_covers(header, Period(begin, end, 4), "x")
 
@@ -356,7 +356,7 @@ def test_a_run_period_that_the_file_has_not_is_refused(header: Header, begin: da
 # What EnergyPlus does with them: the reasons for the above
 
 
-def test_energyplus_goes_on_with_the_files_begin_after_new_year(folder: Path) -> None:
+def test_epw__energyplus_goes_on_with_the_files_begin_after_new_year(folder: Path) -> None:
     period = Period(date(2017, 12, 30), date(2018, 1, 2), STEPS_PER_HOUR)
     ran = run(folder, DENVER, period.begin, period.end)
     assert ran.code == 0
@@ -367,24 +367,26 @@ def test_energyplus_goes_on_with_the_files_begin_after_new_year(folder: Path) ->
     assert np.array_equal(values[STEPS_PER_HOUR - 1 :: STEPS_PER_HOUR, 0], np.r_[dry[-48:], dry[:48]])
 
 
-def test_energyplus_leaves_29_february_out_where_the_file_has_none(folder: Path) -> None:
+def test_epw__energyplus_leaves_29_february_out_where_the_file_has_none(folder: Path) -> None:
     ran = run(folder, DENVER, date(2016, 2, 28), date(2016, 3, 2))
     assert ran.code == 0
     assert ran.days == [[(2, 28, "Sunday"), (3, 1, "Monday"), (3, 2, "Tuesday")]]  # 1 March 2016 was a Tuesday
     assert "** Warning **" not in ran.errors
 
 
-def test_energyplus_gives_up_on_a_run_period_that_begins_on_29_february_where_the_file_has_none(folder: Path) -> None:
+def test_epw__energyplus_gives_up_on_a_run_period_that_begins_on_29_february_where_the_file_has_none(
+    folder: Path,
+) -> None:
     ran = run(folder, DENVER, date(2016, 2, 29), date(2016, 3, 2))
     assert ran.code == 1
     assert "searching for first day 2/29" in ran.errors
 
 
-def test_energyplus_has_29_february_where_the_file_has_it(folder: Path) -> None:
+def test_epw__energyplus_has_29_february_where_the_file_has_it(folder: Path) -> None:
     path = edited(folder, lambda lines: with_leap_day(lines, "Yes"))
     ran = run(folder / "run", path, date(2016, 2, 28), date(2016, 3, 1))
     assert ran.days == [[(2, 28, "Sunday"), (2, 29, "Monday"), (3, 1, "Tuesday")]]
 
 
-def test_each_file_of_the_wheel_is_sound() -> None:
+def test_epw__each_file_of_the_wheel_is_sound() -> None:
     assert {len(read(entry.path)) for entry in weathers()} == {YEAR}

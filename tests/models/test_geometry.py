@@ -52,7 +52,7 @@ def check_whole(building: Building) -> None:
 
 
 @pytest.mark.parametrize("name", [entry.name for entry in catalog.bundled_buildings()])
-def test_every_bundled_building_has_a_geometry(name: str) -> None:
+def test_geometry__every_bundled_building_has_a_geometry(name: str) -> None:
     building = read_building(catalog.find_building(name))
     check_whole(building)
     floors: dict[int, float] = {}
@@ -67,14 +67,14 @@ def test_every_bundled_building_has_a_geometry(name: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_packs_buildings_have_a_geometry() -> None:
+def test_geometry__packs_buildings_have_a_geometry() -> None:
     data_packs.sinergym()
     for entry in catalog.buildings():
         if entry.pack:
             check_whole(read_building(entry))
 
 
-def test_storeys_of_the_medium_office_hold_their_plena() -> None:
+def test_geometry__storeys_of_the_medium_office_hold_their_plena() -> None:
     geometry, _ = decoded(read_building(catalog.find_building("office-medium")))
     assert geometry.storeys == pytest.approx((0.0, 3.96, 7.92), abs=0.01)
     storeys = {zone.name: (zone.storey, zone.is_conditioned) for zone in geometry.zones}
@@ -84,7 +84,7 @@ def test_storeys_of_the_medium_office_hold_their_plena() -> None:
     assert storeys["Perimeter_top_ZN_3"] == (2, True)
 
 
-def test_kinds_boundaries_and_zones_of_a_house() -> None:
+def test_geometry__kinds_boundaries_and_zones_of_a_house() -> None:
     house = box("A", 0, 0, 0, (8, 6, 3), above="Adiabatic")
     house["inner"] = surface("Wall", "A", "Surface", (4, 0, 3), (4, 0, 0), (4, 6, 0), (4, 6, 3), other="inner")
     window = {
@@ -107,7 +107,7 @@ def test_kinds_boundaries_and_zones_of_a_house() -> None:
     assert (glass.kind, glass.is_exposed, glass.area_m2, glass.zone) == (SurfaceKind.WINDOW, True, 2, 0)
 
 
-def test_the_north_axis_turns_the_building_clockwise_as_seen_from_above() -> None:
+def test_geometry__north_axis_turns_the_building_clockwise_as_seen_from_above() -> None:
     objects = NEED | {"Building": {"b": {"north_axis": 90}}}
     _, parts = decoded(model(**objects, **{"BuildingSurface:Detailed": box("A", 10, 0, 0, (8, 6, 3))}))
     assert parts[0].azimuth_deg == pytest.approx(270)  # the south wall faces west
@@ -134,14 +134,14 @@ def zones_of(
     return geometry.storeys, {zone.name: zone.storey for zone in geometry.zones}
 
 
-def test_plena_attics_and_crawl_spaces_have_no_storey_of_their_own() -> None:
+def test_geometry__plena_attics_and_crawl_spaces_have_no_storey_of_their_own() -> None:
     levels = (("crawl", -1.5, 1.5), ("low", 0, 2.7), ("plenum", 2.7, 1.3), ("high", 4, 2.7), ("attic", 6.7, 3))
     storeys, storey_of = zones_of(*levels, hvac=("low", "high"))
     assert storeys == (0.0, 4.0)
     assert storey_of == {"crawl": 0, "low": 0, "plenum": 0, "high": 1, "attic": 1}
 
 
-def test_a_storey_without_hvac_but_with_people_is_one() -> None:
+def test_geometry__storey_without_hvac_but_with_people_is_one() -> None:
     storeys, storey_of = zones_of(
         ("garage", -3, 3), ("shop", 0, 3), ("flat", 3, 3), people=("garage",), hvac=("shop", "flat")
     )
@@ -149,13 +149,13 @@ def test_a_storey_without_hvac_but_with_people_is_one() -> None:
     assert storey_of == {"garage": 0, "shop": 1, "flat": 2}
 
 
-def test_floors_that_differ_by_a_step_are_one_storey() -> None:
+def test_geometry__floors_that_differ_by_a_step_are_one_storey() -> None:
     storeys, storey_of = zones_of(("a", 0, 3), ("b", 0.4, 3), ("c", 0.9, 3), ("d", 3.2, 3))
     assert storeys == (0.0, pytest.approx(3.2))
     assert storey_of == {"a": 0, "b": 0, "c": 0, "d": 1}
 
 
-def test_multipliers_are_those_of_the_zone_and_of_its_group() -> None:
+def test_geometry__multipliers_are_those_of_the_zone_and_of_its_group() -> None:
     objects: dict[str, Any] = {
         "Zone": {"A": {"multiplier": 2}},
         "ZoneList": {"list": {"zones": [{"zone_name": "a"}]}},
@@ -166,7 +166,7 @@ def test_multipliers_are_those_of_the_zone_and_of_its_group() -> None:
     assert (geometry.zones[0].multiplier, geometry.zones[0].floor_area_m2) == (6, 48)
 
 
-def test_photovoltaics_replace_a_shading_surface_and_lie_on_a_roof() -> None:
+def test_geometry__photovoltaics_replace_a_shading_surface_and_lie_on_a_roof() -> None:
     objects = {
         "BuildingSurface:Detailed": box("A", 0, 0, 0, (8, 6, 3)),
         "Shading:Building:Detailed": {"panel": {"vertices": vertices((0, 0, 4), (4, 0, 4), (4, 2, 5))}},
@@ -206,7 +206,7 @@ BROKEN = {
 
 
 @pytest.mark.parametrize("name", BROKEN)
-def test_a_broken_surface_is_left_out_and_named(name: str) -> None:
+def test_geometry__broken_surface_is_left_out_and_named(name: str) -> None:
     fields, reason = BROKEN[name]
     walls = box("A", 0, 0, 0, (8, 6, 3)) | {name: fields}
     geometry, note = building_geometry(model(**NEED, **{"BuildingSurface:Detailed": walls}), DENVER)
@@ -217,7 +217,7 @@ def test_a_broken_surface_is_left_out_and_named(name: str) -> None:
     )
 
 
-def test_a_window_without_its_wall_is_left_out_and_named() -> None:
+def test_geometry__window_without_its_wall_is_left_out_and_named() -> None:
     objects = {
         "BuildingSurface:Detailed": box("A", 0, 0, 0, (8, 6, 3)),
         "Window": {"w": {"building_surface_name": "gone", "length": 1, "height": 1}},
@@ -228,20 +228,20 @@ def test_a_window_without_its_wall_is_left_out_and_named() -> None:
 
 
 @pytest.mark.parametrize("objects", [{}, {"BuildingSurface:Detailed": {"line": BROKEN["line"][0]}}])
-def test_a_model_without_a_usable_surface_has_no_geometry(objects: dict[str, Objects]) -> None:
+def test_geometry__model_without_a_usable_surface_has_no_geometry(objects: dict[str, Objects]) -> None:
     geometry, note = building_geometry(model(**NEED, **objects), DENVER)
     assert geometry is None
     assert note.startswith("model has no surface that can be drawn")
 
 
-def test_a_model_of_shading_only_has_one_storey() -> None:
+def test_geometry__model_of_shading_only_has_one_storey() -> None:
     shade = {"azimuth_angle": 180, "length": 3, "height": 2}
     geometry, parts = decoded(model(**NEED, **{"Shading:Site": {"tree": shade}}))
     assert [part.area_m2 for part in parts] == [pytest.approx(6)]
     assert (geometry.zones[0].storey, geometry.storeys) == (0, (0.0,))
 
 
-def test_floor_areas_are_those_of_the_summary() -> None:
+def test_geometry__floor_areas_are_those_of_the_summary() -> None:
     building = Building("every form", EVERY_FORM | rules(), "digest")
     geometry, _ = decoded(building)
     assert {zone.name: zone.floor_area_m2 for zone in geometry.zones} == zone_areas(building.objects)

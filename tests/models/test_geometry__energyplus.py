@@ -80,7 +80,7 @@ def check(objects: Mapping[str, Objects], folder: Path, extra: Mapping[str, Obje
 
 @pytest.mark.variants
 @pytest.mark.parametrize("system", SYSTEMS)
-def test_every_form_of_surface_is_where_energyplus_places_it(system: str, scratch: Path) -> None:
+def test_geometry__every_form_of_surface_is_where_energyplus_places_it(system: str, scratch: Path) -> None:
     assert check(EVERY_FORM | SYSTEMS[system], scratch / "run") == 38
 
 
@@ -88,12 +88,12 @@ def test_every_form_of_surface_is_where_energyplus_places_it(system: str, scratc
 @pytest.mark.parametrize(
     "name", sorted((e.name for e in catalog.bundled_buildings()), key=lambda name: name != "warehouse")
 )
-def test_a_bundled_building_has_energypluss_areas_and_directions(name: str, scratch: Path) -> None:
+def test_geometry__bundled_building_has_energypluss_areas_and_directions(name: str, scratch: Path) -> None:
     check(read_building(catalog.find_building(name)).objects, scratch / "run")
 
 
 @pytest.mark.slow
-def test_the_packs_buildings_have_energypluss_areas_and_directions(scratch: Path) -> None:
+def test_geometry__packs_buildings_have_energypluss_areas_and_directions(scratch: Path) -> None:
     data_packs.sinergym()
     names = [entry.name for entry in catalog.buildings() if entry.name.startswith("sinergym/")]
     assert len(names) == 9
@@ -101,7 +101,7 @@ def test_the_packs_buildings_have_energypluss_areas_and_directions(scratch: Path
         check(read_building(catalog.find_building(name)).objects, scratch / name.replace("/", "-"))
 
 
-def test_the_sun_stands_where_energyplus_has_it(scratch: Path) -> None:
+def test_geometry__sun_is_where_energyplus_has_it(scratch: Path) -> None:
     variables = ("Site Solar Azimuth Angle", "Site Solar Altitude Angle")
     days = {
         str(month): {

@@ -37,7 +37,7 @@ class RowLog(BuildingWrapper):
     logic = RowCore
 
 
-def test_a_logger_of_ones_own_has_a_row_for_each_episode() -> None:
+def test_loggers_and_statistics__logger_of_ones_own_has_a_row_for_each_episode() -> None:
     rows: list[dict[str, float]] = []
     env = RowLog(FakeEnv(), rows)
     returns, largest = [], []
@@ -56,7 +56,7 @@ def test_a_logger_of_ones_own_has_a_row_for_each_episode() -> None:
     assert [row["episode/largest_action"] for row in rows] == pytest.approx(largest)
 
 
-def test_statistics_that_sinergym_saved_normalize_observations(tmp_path: Path) -> None:
+def test_loggers_and_statistics__statistics_that_sinergym_saved_normalize_observations(tmp_path: Path) -> None:
     env = gym.wrappers.NormalizeObservation(FakeEnv())
     size = env.observation_space.shape[0]
     mean, var = np.arange(size, dtype=float), np.arange(1, size + 1, dtype=float)
@@ -70,7 +70,7 @@ def test_statistics_that_sinergym_saved_normalize_observations(tmp_path: Path) -
     assert env.obs_rms.count == 500.0
 
 
-def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+def test_loggers_and_statistics__statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig, match="has no NormalizeObservation"):
         w.restore_normalization(FakeEnv(), tmp_path)
     env = gym.wrappers.NormalizeObservation(FakeEnv())
@@ -82,7 +82,9 @@ def test_statistics_that_do_not_fit_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("tau_h", "percent"), [(24.0, 1), (2.0, 15), (1.0, 41)])
-def test_the_deviation_of_sinergyms_noise_is_what_the_page_says(tau_h: float, percent: int) -> None:
+def test_loggers_and_statistics__deviation_of_sinergyms_noise_is_what_the_page_states(
+    tau_h: float, percent: int
+) -> None:
     """Its Euler step of an hour, from its variance in the stationary state; ours has sigma."""
     keep, kick = 1.0 - 1.0 / tau_h, np.sqrt(2.0 / tau_h)
     euler = kick / np.sqrt(1.0 - keep**2)
@@ -94,7 +96,7 @@ def test_the_deviation_of_sinergyms_noise_is_what_the_page_says(tau_h: float, pe
     assert f"{percent} % " in page
 
 
-def test_a_normalized_reward_whose_maxima_stay_is_sinergyms() -> None:
+def test_loggers_and_statistics__normalized_reward_whose_maxima_stay_is_sinergyms() -> None:
     """Its penalties are negative and its maxima positive, so the maxima never move."""
     fixed = {"kind": "normalized", "moving": False, "max_power_w": 8.0, "max_degrees": 12.0, "weight": 0.5}
     env = FakeEnv(reward=fixed)

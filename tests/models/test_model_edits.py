@@ -32,7 +32,7 @@ def refused(edits: Any, model: dict[str, Any] = MODEL) -> list[str]:
     return str(raised.value).split("\n")
 
 
-def test_a_field_changes_and_the_rest_is_shared_and_untouched() -> None:
+def test_model_edits__field_changes_and_the_rest_is_shared_and_untouched() -> None:
     before = copy.deepcopy(MODEL)
     result = apply_edits(MODEL, {"Material": {"Brick": {"conductivity": 0.4}}})
     assert result["Material"]["Brick"] == {**BRICK, "conductivity": 0.4}
@@ -41,14 +41,14 @@ def test_a_field_changes_and_the_rest_is_shared_and_untouched() -> None:
     assert result["Material"]["Gypsum"] is MODEL["Material"]["Gypsum"]
 
 
-def test_types_names_and_words_are_found_in_any_case() -> None:
+def test_model_edits__types_names_and_words_are_found_in_any_case() -> None:
     result = apply_edits(MODEL, {"MATERIAL": {"brick": {"roughness": "veryROUGH"}}})
     assert result["Material"]["Brick"]["roughness"] == "VeryRough"
     assert list(result) == list(MODEL)
     assert list(result["Material"]) == ["Brick", "Gypsum"]
 
 
-def test_an_exact_name_goes_before_one_in_another_case() -> None:
+def test_model_edits__exact_name_goes_before_one_in_another_case() -> None:
     model = {"Zone": {"core": {}, "Core": {}}}
     assert apply_edits(model, {"Zone": {"Core": {"multiplier": 2}}})["Zone"] == {"core": {}, "Core": {"multiplier": 2}}
     assert refused({"Zone": {"CORE": {"multiplier": 2}}}, model) == [
@@ -56,31 +56,31 @@ def test_an_exact_name_goes_before_one_in_another_case() -> None:
     ]
 
 
-def test_none_removes_a_field_and_an_object() -> None:
+def test_model_edits__none_removes_a_field_and_an_object() -> None:
     result = apply_edits(MODEL, {"Material": {"Gypsum": {"solar_absorptance": None}, "Brick": None}})
     assert result["Material"] == {"Gypsum": BRICK}
     assert "Timestep" not in apply_edits(MODEL, {"Timestep": {"*": None}})
 
 
-def test_a_star_is_every_object_of_the_type() -> None:
+def test_model_edits__star_is_every_object_of_the_type() -> None:
     result = apply_edits(MODEL, {"Material": {"*": {"thickness": 0.3}}})
     assert {name: fields["thickness"] for name, fields in result["Material"].items()} == {"Brick": 0.3, "Gypsum": 0.3}
 
 
-def test_a_new_name_adds_a_complete_object() -> None:
+def test_model_edits__new_name_adds_a_complete_object() -> None:
     result = apply_edits(MODEL, {"Material": {"Straw": BRICK}, "Schedule:Constant": {"Always": {"hourly_value": 1}}})
     assert list(result["Material"]) == ["Brick", "Gypsum", "Straw"]
     assert result["Schedule:Constant"] == {"Always": {"hourly_value": 1}}
 
 
-def test_a_list_is_replaced_as_a_whole() -> None:
+def test_model_edits__list_is_replaced_as_a_whole() -> None:
     lines = [{"program_line": "SET a = 1"}, {"program_line": "SET b = 2"}]
     model = {"EnergyManagementSystem:Program": {"P": {"lines": lines}}}
     result = apply_edits(model, {"EnergyManagementSystem:Program": {"P": {"lines": lines[:1]}}})
     assert result["EnergyManagementSystem:Program"]["P"]["lines"] == lines[:1]
 
 
-def test_a_misspelled_name_says_the_near_one_and_what_a_new_object_would_lack() -> None:
+def test_model_edits__misspelled_name_states_the_near_one_and_what_a_new_object_would_lack() -> None:
     assert refused({"Material": {"Gypsumm": {"conductivity": 0.4}}}) == [
         "Material 'Gypsumm': the model has no such object (did you mean 'Gypsum'?); "
         "a new one needs 'roughness', 'thickness', 'density', 'specific_heat'"
@@ -104,23 +104,23 @@ def test_a_misspelled_name_says_the_near_one_and_what_a_new_object_would_lack() 
          "Timestep 'mine': a model has only one object of this type, here 'Timestep 1'; '*' refers to it as well"),
     ],
 )  # fmt: skip
-def test_a_wrong_change_is_refused(edits: Any, message: str) -> None:
+def test_model_edits__wrong_change_is_refused(edits: Any, message: str) -> None:
     (line,) = refused(edits)
     assert line.startswith(message)
 
 
-def test_all_faults_come_in_one_report() -> None:
+def test_model_edits__all_faults_come_in_one_report() -> None:
     wrong = {"Materiel": {}, "Material": {"Brick": {"thickness": 0, "color": 1}, "Bric": None}}
     assert len(refused(wrong)) == 4
 
 
-def test_what_was_wrong_in_the_model_before_is_not_the_changes_fault() -> None:
+def test_model_edits__what_was_wrong_in_the_model_before_is_not_the_changes_fault() -> None:
     result = apply_edits(MODEL, {"Zone": {"Attic": {"multiplier": 2}}})
     assert result["Zone"]["Attic"]["unknown_but_there"] == 1
 
 
 @given(st.dictionaries(st.sampled_from(["thickness", "conductivity", "density"]), st.floats(0.001, 1e6)))
-def test_a_change_and_its_reverse_give_the_model_back(fields: dict[str, float]) -> None:
+def test_model_edits__change_and_its_reverse_give_the_model_back(fields: dict[str, float]) -> None:
     edited = apply_edits(MODEL, {"Material": {"Brick": fields}})
     back: Edits = {"Material": {"Brick": {name: BRICK[name] for name in fields}}}
     assert apply_edits(edited, back) == MODEL
@@ -136,7 +136,7 @@ def heat(model: dict[str, Any], folder: Path) -> float:
     return float(run.values().sum())
 
 
-def test_insulation_saves_heat_on_a_winter_day(folder: Path) -> None:
+def test_model_edits__insulation_saves_heat_on_a_winter_day(folder: Path) -> None:
     model = read_building(find_building("ref-small-office")).objects
     assert heat(apply_edits(model, _insulation(model)), folder / "better") < 0.98 * heat(model, folder / "own")
 

@@ -37,7 +37,7 @@ def read(path: Path) -> Building:
     return read_building(find_building(str(path)))
 
 
-def test_an_unknown_object_of_an_idf_is_named_with_its_file_and_line(idf: Callable[[str], Path]) -> None:
+def test_models__unknown_object_of_an_idf_is_named_with_its_file_and_line(idf: Callable[[str], Path]) -> None:
     text = OFFICE.path.read_text("latin-1")
     begin = text.index("  Zone,")
     path = idf(text[:begin] + "  Zonne," + text[begin + len("  Zone,") :])
@@ -48,7 +48,7 @@ def test_an_unknown_object_of_an_idf_is_named_with_its_file_and_line(idf: Callab
         assert words in str(caught.value)
 
 
-def test_an_object_that_the_converter_leaves_out_is_an_error(idf: Callable[[str], Path]) -> None:
+def test_models__object_that_the_converter_leaves_out_is_an_error(idf: Callable[[str], Path]) -> None:
     text = OFFICE.path.read_text("latin-1")
     begin = text.index("  Zone,")
     zone = text[begin : text.index(";", begin) + 1]
@@ -64,7 +64,7 @@ def test_read_building__rejects_what_is_no_idf(idf: Callable[[str], Path], text:
     assert str(path) in str(caught.value)
 
 
-def test_an_epjson_of_any_depth_is_one_error(tmp_path: Path) -> None:
+def test_models__epjson_of_any_depth_is_one_error(tmp_path: Path) -> None:
     path = tmp_path / "deep.epJSON"
     path.write_text('{"Building":' + "[" * 50_000 + "]" * 50_000 + "}")
     with pytest.raises(InvalidConfig, match=r"deep\.epJSON is not an epJSON"):
@@ -77,7 +77,7 @@ def _office_with(more: Mapping[str, Any]) -> Building:
     return Building("mine", objects, building.content + json.dumps(more), (), "/home/me/mine.epJSON")
 
 
-def test_unknown_objects_and_fields_of_an_epjson_are_all_named() -> None:
+def test_models__unknown_objects_and_fields_of_an_epjson_are_all_named() -> None:
     with pytest.raises(InvalidConfig) as caught:
         check_runnable(_office_with({"Zonne": {"a": {}}, "Zone": {"b": {"colour": "red"}}}))
     for words in ("/home/me/mine.epJSON", "no object type 'Zonne'", "Zone 'b' has no field 'colour'"):
@@ -93,12 +93,12 @@ def test_unknown_objects_and_fields_of_an_epjson_are_all_named() -> None:
     ],
     ids=lambda kind: next(iter(kind)),
 )
-def test_a_model_that_has_other_programs_run_is_refused_by_name(kind: dict[str, Any]) -> None:
+def test_models__model_that_has_other_programs_run_is_refused_by_name(kind: dict[str, Any]) -> None:
     with pytest.raises(InvalidConfig, match=rf"mine\.epJSON has {next(iter(kind))} 'p': .*not supported"):
         discover(_office_with(kind), bundled_weathers()[0].path)
 
 
-def test_an_error_of_energyplus_names_the_users_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models__error_of_energyplus_names_the_users_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "cache"))
     lights = read_building(OFFICE).objects["Lights"]
     name, fields = next(iter(lights.items()))
@@ -108,7 +108,7 @@ def test_an_error_of_energyplus_names_the_users_file(tmp_path: Path, monkeypatch
     assert "making-" not in str(caught.value)
 
 
-def test_an_error_of_a_ddy_names_that_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_models__error_of_a_ddy_names_that_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "cache"))
     monkeypatch.setattr(energyplus, "ISOLATED", ("false",))  # an EnergyPlus that ends without a word
     epw = tmp_path / "Ort.epw"

@@ -70,7 +70,7 @@ def monitored(points: Points) -> Points:
     return with_monitoring(BUILDING, CATALOG, points)
 
 
-def test_zones_with_a_thermostat_the_weather_and_all_end_uses_are_added_unobserved() -> None:
+def test_monitoring_points__zones_with_a_thermostat_the_weather_and_all_end_uses_are_added_unobserved() -> None:
     points = monitored(own())
     assert {s.name: (s.variable, s.key) for s in points.sensors} == ADDED_SENSORS  # no attic: it has no thermostat
     assert {m.name: m.meter for m in points.meters} == ADDED_METERS  # no energy transfer, no water, no zone's meter
@@ -84,7 +84,7 @@ def test_zones_with_a_thermostat_the_weather_and_all_end_uses_are_added_unobserv
     assert all(METERS[part.index] is part for parts in points.meter_parts for part in parts)
 
 
-def test_own_points_stay_first_and_are_measured_once() -> None:
+def test_monitoring_points__own_points_stay_first_and_are_measured_once() -> None:
     points = own(
         {
             "mean": ("zone mean air temperature", "core zn"),
@@ -100,7 +100,7 @@ def test_own_points_stay_first_and_are_measured_once() -> None:
     assert [m.name for m in extended.meters[1:]] == list(ADDED_METERS)[1:]
 
 
-def test_a_setpoint_that_a_thermostat_never_has_is_left_out() -> None:
+def test_monitoring_points__setpoint_that_a_thermostat_never_has_is_left_out() -> None:
     control = {"control_1_object_type": "ThermostatSetpoint:SingleHeating", "control_1_name": "night"}
     objects = {
         "Zone": {"Core ZN": {}},
@@ -111,12 +111,12 @@ def test_a_setpoint_that_a_thermostat_never_has_is_left_out() -> None:
     assert ADDED_SENSORS.keys() - names == {"core_zn_thermostat_cooling_setpoint"}
 
 
-def test_points_are_added_once_only() -> None:
+def test_monitoring_points__points_are_added_once_only() -> None:
     points = monitored(own())
     assert monitored(points) == points
 
 
-def test_a_name_that_is_taken_gets_a_number() -> None:
+def test_monitoring_points__name_that_is_taken_gets_a_number() -> None:
     points = monitored(
         own(
             {
@@ -131,7 +131,7 @@ def test_a_name_that_is_taken_gets_a_number() -> None:
     assert {"outdoor_temperature_2", "core_zn_occupants_2", "hvac_electricity_2"} <= set(names)
 
 
-def test_a_scenario_names_its_own_unobserved_points() -> None:
+def test_monitoring_points__scenario_names_its_own_unobserved_points() -> None:
     points = own(
         {"a": ("Zone Air Temperature", "ATTIC"), "b": ("Zone Air Temperature", "CORE ZN")}, {"m": "Electricity:HVAC"}
     )

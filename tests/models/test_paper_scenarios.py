@@ -28,7 +28,9 @@ def config() -> dict[str, Any]:
     return read
 
 
-def test_observations_and_actions_have_the_order_and_bounds_of_the_papers_environment(config: dict[str, Any]) -> None:
+def test_paper_scenarios__observations_and_actions_have_the_order_and_bounds_of_the_papers_environment(
+    config: dict[str, Any],
+) -> None:
     scenario = find_scenario(STOCHASTIC)
     expected = []
     for variable, spec in config["variables"].items():
@@ -52,7 +54,7 @@ def test_observations_and_actions_have_the_order_and_bounds_of_the_papers_enviro
         assert (actuator.component_type, actuator.control_type) == (spec["element_type"], spec["value_type"])
 
 
-def test_the_reward_differs_only_in_the_papers_weight_of_power(config: dict[str, Any]) -> None:
+def test_paper_scenarios__reward_differs_only_in_the_papers_weight_of_power(config: dict[str, Any]) -> None:
     reward = find_scenario(STOCHASTIC).reward
     settings = config["reward_kwargs"]
     assert reward is not None
@@ -64,7 +66,7 @@ def test_the_reward_differs_only_in_the_papers_weight_of_power(config: dict[str,
     assert settings["lambda_energy"] == 1e-4
 
 
-def test_building_weather_and_noise_are_those_of_the_papers_version(config: dict[str, Any]) -> None:
+def test_paper_scenarios__building_weather_and_noise_are_those_of_the_papers_version(config: dict[str, Any]) -> None:
     scenario = find_scenario(f"zenostat/{STOCHASTIC}")
     building, weather = catalog.find_building(scenario.building), catalog.find_weather(scenario.weather[0])
     assert (building.path.name, building.pack) == (config["building_file"], "sinergym-paper")
@@ -82,7 +84,7 @@ def test_building_weather_and_noise_are_those_of_the_papers_version(config: dict
     }
 
 
-def test_the_corrected_model_is_the_same_task_in_the_same_weather() -> None:
+def test_paper_scenarios__corrected_model_is_the_same_task_in_the_same_weather() -> None:
     scenarios = paper_scenarios()
     assert tuple(scenarios) == PAPER_IDS
     root, paper = sinergym() / "sinergym", data_packs.add("sinergym-paper") / "sinergym"
@@ -97,13 +99,13 @@ def task(scenario: Scenario) -> dict[str, Any]:
     return {name: value for name, value in scenario if name not in ("id", "about", "building", "weather")}
 
 
-def test_only_the_stochastic_ids_have_noise() -> None:
+def test_paper_scenarios__only_the_stochastic_ids_have_noise() -> None:
     for name, scenario in paper_scenarios().items():
         assert bool(scenario.weather_noise) == ("stochastic" in name)
         assert name in all_ids()
 
 
-def test_the_pack_lists_the_papers_files_only_and_hides_no_other_pack() -> None:
+def test_paper_scenarios__pack_lists_the_papers_files_only_and_hides_no_other_pack() -> None:
     sinergym(), data_packs.add("sinergym-paper")
     assert [e.name for e in catalog.buildings() if e.pack == "sinergym-paper"] == [
         "sinergym-paper/2ZoneDataCenterHVAC_wEconomizer"
@@ -115,14 +117,16 @@ def test_the_pack_lists_the_papers_files_only_and_hides_no_other_pack() -> None:
         catalog.find_building("sinergym-paper/5ZoneAutoDXVAV")
 
 
-def test_a_missing_pack_is_reported_with_its_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Any) -> None:
+def test_paper_scenarios__missing_pack_is_reported_with_its_command(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Any
+) -> None:
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path))
     scenario = find_scenario(STOCHASTIC)
     with pytest.raises((UnknownName, InvalidConfig), match="zenostat data-packs add sinergym-paper"):
         catalog.find_building(scenario.building)
 
 
-def test_the_rows_on_the_page_satisfy_the_identity_of_the_reward() -> None:
+def test_paper_scenarios__rows_on_the_page_satisfy_the_identity_of_the_reward() -> None:
     page = (Path(__file__).parents[2] / "docs" / "paper.md").read_text(encoding="utf-8").replace("\N{MINUS SIGN}", "-")
     cells = r"\| ([-\d.]+) \| ([\d,]+) \| ([\d.]+) \| ([-\d.]+) \|"
     rows = [[float(text.replace(",", "")) for text in row] for row in re.findall(cells, page)]

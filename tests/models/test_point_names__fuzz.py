@@ -67,17 +67,17 @@ def check(zones: list[str]) -> None:
         assert check_name(name, "the point") == name
 
 
-def test_zones_of_odd_names_have_safe_names_of_their_own() -> None:
+def test_point_names__zones_of_odd_names_have_safe_names_of_their_own() -> None:
     check(ODD)
 
 
 @given(zone_names)
-def test_zones_of_any_names_have_safe_names_of_their_own(zones: list[str]) -> None:
+def test_point_names__zones_of_any_names_have_safe_names_of_their_own(zones: list[str]) -> None:
     check(zones)
 
 
 @given(st.text(max_size=300))
-def test_any_text_has_a_safe_name(text: str) -> None:
+def test_point_names__any_text_has_a_safe_name(text: str) -> None:
     assert check_name(safe_name(text), "the name") == safe_name(text)
 
 
@@ -109,7 +109,7 @@ def test_exchange__treats_ten_thousand_actuators_as_two() -> None:
     assert sources[:4] == ["high", "somebody", "high", "low"]
 
 
-def test_one_bad_value_among_ten_thousand_is_named_and_changes_nothing() -> None:
+def test_point_names__one_bad_value_among_ten_thousand_is_named_and_changes_nothing() -> None:
     at = exchange(*(actuator(f"a{i}", 0.0, 100.0) for i in range(MANY)))
     claim(at, "c")
     values = np.full(MANY, 50.0)
@@ -129,7 +129,7 @@ def test_source_name__has_a_bounded_length() -> None:
 
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*nothing in the model uses schedule")
-def test_a_building_with_ten_thousand_actuators_and_odd_names_is_commanded(scratch: Path) -> None:
+def test_point_names__building_with_ten_thousand_actuators_and_odd_names_is_commanded(scratch: Path) -> None:
     """EnergyPlus itself says what each schedule was: what was commanded under a name of our own."""
     odd = ["Fan/Speed*#1", "Ä schedule", 'it\'s "quoted"', "two  blanks", "@live/node", "a,b;c!d", "x" * 90]
     names = [*odd, *(f"Extra {number}" for number in range(MANY))]

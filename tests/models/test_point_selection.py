@@ -126,7 +126,7 @@ def test_select_points__keeps_the_requested_order_and_energyplus_names() -> None
     assert (lights.component_type, lights.control_type, lights.key) == ("Schedule:Compact", "Schedule Value", "LIGHTS")
 
 
-def test_what_follows_the_system_timestep_is_known() -> None:
+def test_point_selection__what_follows_the_system_timestep_is_known() -> None:
     points = chosen(sensors={"o": ("Zone People Occupant Count", "Core ZN"), "t": ("Zone Air Temperature", "Core ZN")})
     assert points.system == (False, True)
 
@@ -154,7 +154,7 @@ def test_select_points__returns_none_if_none_is_requested() -> None:
         ("W", True, Aggregation.SUM),
     ],
 )
-def test_rates_are_means_states_are_instants_and_sums_are_sums(
+def test_point_selection__rates_are_means_states_are_instants_and_sums_are_sums(
     unit: str, summed: bool, aggregation: Aggregation
 ) -> None:
     assert default_aggregation(Variable("v", "k", unit, system=True, summed=summed)) is aggregation
@@ -188,11 +188,11 @@ def test_aggregation__is_the_requested_or_the_usual_one(spec: tuple[str, ...], a
     ("spec", "right"),
     [((*TEMPERATURE, "sum"), "as a mean, not as a sum"), ((*ENERGY, "mean"), "as a sum, not as a mean")],
 )
-def test_a_reading_that_energyplus_does_not_give_is_refused(spec: tuple[str, ...], right: str) -> None:
+def test_point_selection__reading_that_energyplus_does_not_give_is_refused(spec: tuple[str, ...], right: str) -> None:
     assert right in refused(sensors={"s": spec})
 
 
-def test_an_unknown_reading_is_refused_with_those_there_are() -> None:
+def test_point_selection__unknown_reading_is_refused_with_those_there_are() -> None:
     message = refused(sensors={"s": (*TEMPERATURE, "average")})
     assert "no aggregation 'average'; there are: mean, sum, instant" in message
 
@@ -216,13 +216,13 @@ def test_an_unknown_reading_is_refused_with_those_there_are() -> None:
     ],
     ids=lambda v: v.name if isinstance(v, Variable) else "",
 )
-def test_a_sensors_bounds_are_those_that_no_value_leaves(
+def test_point_selection__sensors_bounds_are_those_that_no_value_leaves(
     variable: Variable, bounds: tuple[float | None, float | None]
 ) -> None:
     assert sensor_bounds(variable) == bounds
 
 
-def test_what_is_used_is_never_negative_and_a_net_meter_may_be() -> None:
+def test_point_selection__what_is_used_is_never_negative_and_a_net_meter_may_be() -> None:
     points = chosen(meters={"used": "Electricity:Facility", "net": "ElectricityNet:Facility"})
     assert [(m.low, m.high) for m in points.meters] == [(0.0, None), (None, None)]
 
@@ -250,7 +250,7 @@ def test_actuator_bounds__are_those_requested_or_of_schedule_or_unit(
     ("low", "high"),
     [(22, 15), (20, 20), (float("nan"), 20), ("cold", 20), (float("-inf"), 20), (15, float("inf"))],
 )
-def test_bounds_that_cannot_be_are_an_invalid_configuration(low: object, high: object) -> None:
+def test_point_selection__bounds_that_cannot_be_are_an_invalid_configuration(low: object, high: object) -> None:
     with pytest.raises(InvalidConfig, match="'a'"):
         chosen(actuators={"a": (THERMOSTAT, "Heating Setpoint", "CORE ZN", low, high)})
 
@@ -265,7 +265,9 @@ def test_bounds_that_cannot_be_are_an_invalid_configuration(low: object, high: o
         (("Fan", "Fan Air Mass Flow Rate", "FAN 1"), None),
     ],
 )
-def test_feedback_is_a_variable_that_the_model_has(spec: tuple[str, ...], feedback: str | None) -> None:
+def test_point_selection__feedback_is_a_variable_that_the_model_has(
+    spec: tuple[str, ...], feedback: str | None
+) -> None:
     (actuator,) = chosen(actuators={"a": spec}).actuators
     assert actuator.feedback == feedback
 
@@ -284,7 +286,9 @@ def test_feedback_is_a_variable_that_the_model_has(spec: tuple[str, ...], feedba
         ({"actuators": {"a": (THERMOSTAT, "Heating Setpoint", "ATTIC")}}, ["no key 'ATTIC'", "'CORE ZN'"]),
     ],
 )  # fmt: skip
-def test_an_unknown_point_says_which_part_is_wrong_and_lists_near_ones(asked: dict[str, Any], words: list[str]) -> None:
+def test_point_selection__unknown_point_states_which_part_is_wrong_and_lists_near_ones(
+    asked: dict[str, Any], words: list[str]
+) -> None:
     message = refused(**asked)
     assert all(word in message for word in words), message
 
@@ -311,13 +315,13 @@ def test_select_points__reports_all_errors_at_once() -> None:
     assert [name for name in ("'s1'", "'s2'", "'a/b'", "'m1'", "'a1'") if name not in message] == []
 
 
-def test_one_name_is_one_point() -> None:
+def test_point_selection__one_name_is_one_point() -> None:
     message = refused(sensors={"a": TEMPERATURE, "b": POWER}, meters={"b": "Electricity:HVAC", "a": "Electricity:HVAC"})
     assert "sensor and a meter: a, b" in message
 
 
 @pytest.mark.parametrize("kind", ["sensors", "meters", "actuators"])
-def test_a_name_that_cannot_stand_in_a_topic_is_refused(kind: str) -> None:
+def test_point_selection__name_that_cannot_stand_in_a_topic_is_refused(kind: str) -> None:
     spec = {
         "sensors": TEMPERATURE,
         "meters": "Electricity:HVAC",
@@ -339,7 +343,7 @@ def test_a_name_that_cannot_stand_in_a_topic_is_refused(kind: str) -> None:
         {"actuators": {"s": (THERMOSTAT, "Heating Setpoint", "CORE ZN", 15)}},
     ],
 )
-def test_a_point_of_another_form_is_refused_with_the_right_one(asked: dict[str, Any]) -> None:
+def test_point_selection__point_of_another_form_is_refused_with_the_right_one(asked: dict[str, Any]) -> None:
     with pytest.raises(InvalidConfig, match=r"'s': expected \("):
         chosen(**asked)
 
@@ -347,7 +351,7 @@ def test_a_point_of_another_form_is_refused_with_the_right_one(asked: dict[str, 
 # What is found where nothing is asked
 
 
-def test_the_default_is_the_weather_the_power_the_conditioned_zones_and_the_fuels() -> None:
+def test_point_selection__default_is_the_weather_the_power_the_conditioned_zones_and_the_fuels() -> None:
     points = select_points(BUILDING, SURVEY, None, None, None)
     assert [(s.name, s.key) for s in points.sensors] == [
         ("outdoor_temperature", "Environment"),
@@ -363,7 +367,7 @@ def test_the_default_is_the_weather_the_power_the_conditioned_zones_and_the_fuel
     assert [a.name for a in points.actuators] == ["core_zn_heating_setpoint", "core_zn_cooling_setpoint"]
 
 
-def test_zones_whose_names_are_alike_have_points_of_their_own() -> None:
+def test_point_selection__zones_whose_names_are_alike_have_points_of_their_own() -> None:
     zones = ("ZONE 1", "ZONE_1")
     survey = PointCatalog(
         variables=tuple(state("Zone Air Temperature", zone, "degC") for zone in zones),
@@ -375,12 +379,12 @@ def test_zones_whose_names_are_alike_have_points_of_their_own() -> None:
     assert sorted(a.key for a in points.actuators) == sorted(zones)
 
 
-def test_a_model_without_anything_has_no_points() -> None:
+def test_point_selection__model_without_anything_has_no_points() -> None:
     points = select_points(BUILDING, PointCatalog((), (), ()), None, None, None)
     assert (points.sensors, points.meters, points.actuators) == ((), (), ())
 
 
-def test_the_listing_has_every_point_with_unit_bounds_and_place() -> None:
+def test_point_selection__listing_has_every_point_with_unit_bounds_and_place() -> None:
     zone = Building("b", BUILDING.objects | {"Zone": {"Core Zn": {}}, "Meter:Custom": {"electricity:hvac": {}}}, "0")
     rows = list(listing(SURVEY, zone))
     assert Counter(row.kind for row in rows) == {"sensor": 9, "meter": 5, "actuator": 5, "internal": 1}
@@ -415,7 +419,7 @@ def test_the_listing_has_every_point_with_unit_bounds_and_place() -> None:
         ("Electricity:Plant", "facility"),
     ],
 )
-def test_a_meter_is_of_a_zone_or_of_the_facility(meter: str, where: str) -> None:
+def test_point_selection__meter_is_of_a_zone_or_of_the_facility(meter: str, where: str) -> None:
     metered = PointCatalog((), (MeterPoint(meter, "J", 0),), ())
     (row,) = listing(metered, Building("b", {"Building": {"b": {}}, "Zone": {"Core Zn": {}}}, "0"))
     assert row.where == where
@@ -475,7 +479,7 @@ def whole(
 Whole = tuple[Building, list[PointListing], dict[str, Any], dict[str, Any]]
 
 
-def test_meters_actuators_and_internal_variables_are_energyplus_own_list(whole: Whole) -> None:
+def test_point_selection__meters_actuators_and_internal_variables_are_energyplus_own_list(whole: Whole) -> None:
     _, rows, _, answers = whole
     listed = Counter((r.kind, r.name, r.key) for r in rows if r.kind != "sensor" and r.name not in HVAC_METERS)
     own: Counter[tuple[str, str, str]] = Counter()
@@ -489,7 +493,7 @@ def test_meters_actuators_and_internal_variables_are_energyplus_own_list(whole: 
     assert listed == own
 
 
-def test_every_listed_point_can_be_had(whole: Whole) -> None:
+def test_point_selection__every_listed_point_can_be_had(whole: Whole) -> None:
     _, _, wanted, answers = whole
     assert len(wanted["sensor"]) > 300
     assert [point for point, handle in zip(wanted["sensor"], answers["sensor"], strict=True) if handle < 0] == []
@@ -497,14 +501,14 @@ def test_every_listed_point_can_be_had(whole: Whole) -> None:
     assert [point for point, (h, _) in zip(wanted["internal"], answers["internal"], strict=True) if h < 0] == []
 
 
-def test_internal_variables_have_the_models_numbers(whole: Whole) -> None:
+def test_point_selection__internal_variables_have_the_models_numbers(whole: Whole) -> None:
     building, _, wanted, answers = whole
     values = dict(zip(map(tuple, wanted["internal"]), (value for _, value in answers["internal"]), strict=True))
     areas = {key: value for (name, key), value in values.items() if name == "Zone Floor Area"}
     assert areas == pytest.approx({zone.upper(): area for zone, area in zone_areas(building.objects).items()})
 
 
-def test_points_of_zones_surfaces_and_loads_are_in_their_zone(whole: Whole) -> None:
+def test_point_selection__points_of_zones_surfaces_and_loads_are_in_their_zone(whole: Whole) -> None:
     building, rows, _, _ = whole
     kinds = ("BuildingSurface:Detailed", "People", "Lights", "ElectricEquipment", "ZoneInfiltration:DesignFlowRate")
     fields = ("zone_name", "zone_or_zonelist_or_space_or_spacelist_name")
@@ -517,7 +521,7 @@ def test_points_of_zones_surfaces_and_loads_are_in_their_zone(whole: Whole) -> N
     assert {row.key for row in keyed if row.where.upper() != zone_of[row.key.upper()]} == set()
 
 
-def test_loops_and_their_equipment_are_found_by_the_loops_name(whole: Whole) -> None:
+def test_point_selection__loops_and_their_equipment_are_found_by_the_loops_name(whole: Whole) -> None:
     building, rows, _, _ = whole
     loops = {*building.objects["AirLoopHVAC"], *building.objects["PlantLoop"]}
     assert loops <= {row.where for row in rows}
@@ -534,7 +538,7 @@ def test_loops_and_their_equipment_are_found_by_the_loops_name(whole: Whole) -> 
         ("[]", "1"), ("W", "W"), ("J", "J"), ("kg/s", "kg/s"), ("W/m2-K", "W/m2-K"), ("on/off", "on_off"),
     ],
 )  # fmt: skip
-def test_a_unit_has_one_name(energyplus: str, unit: str) -> None:
+def test_point_selection__unit_has_one_name(energyplus: str, unit: str) -> None:
     assert unit_name(energyplus) == unit
 
 
@@ -545,5 +549,5 @@ def test_a_unit_has_one_name(energyplus: str, unit: str) -> None:
         ("degC", (None, None)), ("furlong", (None, None)),
     ],
 )  # fmt: skip
-def test_a_unit_has_its_limits(unit: str, bounds: tuple[float | None, float | None]) -> None:
+def test_point_selection__unit_has_its_limits(unit: str, bounds: tuple[float | None, float | None]) -> None:
     assert limits(unit) == bounds

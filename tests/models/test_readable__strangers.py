@@ -44,19 +44,19 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize(("text", "words"), HOSTILE.values(), ids=HOSTILE)
-def test_a_hostile_text_is_one_short_error(text: str, words: str) -> None:
+def test_readable__hostile_text_is_one_short_error(text: str, words: str) -> None:
     with pytest.raises(InvalidConfig, match=words) as caught:
         yaml12.parse(text, "the file")
     assert len(str(caught.value)) < 500
 
 
-def test_anchors_merges_and_tags_within_the_limits_are_read() -> None:
+def test_readable__anchors_merges_and_tags_within_the_limits_are_read() -> None:
     text = "a: &a {x: 1}\nb: {<<: *a, y: !!bool TRUE}\nc: [*a, *a]\nd: !!str 12"
     expected = {"a": {"x": 1}, "b": {"x": 1, "y": True}, "c": [{"x": 1}, {"x": 1}], "d": "12"}
     assert yaml12.parse(text, "the file") == expected
 
 
-def test_an_error_does_not_write_out_a_large_value() -> None:
+def test_readable__error_does_not_write_out_a_large_value() -> None:
     value: Any = ["x"]
     for _ in range(12):
         value = [value] * 9  # as shared lists: 9**12 values, if written out
@@ -94,7 +94,7 @@ PLACES: dict[str, Callable[[Path], object]] = {
 
 @pytest.mark.parametrize("make", PLACES.values(), ids=PLACES)
 @pytest.mark.parametrize("read", READERS.values(), ids=READERS)
-def test_each_reader_refuses_what_is_no_text_file(
+def test_readable__each_reader_refuses_what_is_no_text_file(
     read: Callable[[Path], object], make: Callable[[Path], object], tmp_path: Path
 ) -> None:
     path = tmp_path / "mine.yaml"
@@ -105,7 +105,7 @@ def test_each_reader_refuses_what_is_no_text_file(
 
 
 @pytest.mark.parametrize("read", READERS.values(), ids=READERS)
-def test_each_reader_has_the_limits(read: Callable[[Path], object], tmp_path: Path) -> None:
+def test_readable__each_reader_has_the_limits(read: Callable[[Path], object], tmp_path: Path) -> None:
     path = tmp_path / "mine.yaml"
     path.write_text(HOSTILE["nested anchors"][0])
     with pytest.raises(InvalidConfig, match=r"mine\.yaml.*more than 200000 values"):

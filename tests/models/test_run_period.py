@@ -36,12 +36,12 @@ def building(**run_period: Any) -> Building:
         (date(2016, 2, 28), date(2016, 3, 1), 60, 3 * 1440),
     ],
 )
-def test_both_days_are_included(begin: date, end: date, steps_per_hour: int, steps: int) -> None:
+def test_run_period__both_days_are_included(begin: date, end: date, steps_per_hour: int, steps: int) -> None:
     assert Period(begin, end, steps_per_hour).steps == steps
 
 
 @pytest.mark.parametrize("steps_per_hour", DIVISORS)
-def test_a_day_ends_at_midnight_to_the_microsecond(steps_per_hour: int) -> None:
+def test_run_period__day_ends_at_midnight_to_the_microsecond(steps_per_hour: int) -> None:
     period = Period(date(2017, 12, 31), date(2017, 12, 31), steps_per_hour)
     assert period.time(0) == datetime(2017, 12, 31)
     assert period.time(period.steps) == datetime(2018, 1, 1)
@@ -51,7 +51,7 @@ def test_a_day_ends_at_midnight_to_the_microsecond(steps_per_hour: int) -> None:
     )
 
 
-def test_there_is_no_summer_time() -> None:
+def test_run_period__there_is_no_summer_time() -> None:
     # 26 March 2017 has 23 hours on clocks in Europe, and 24 in a simulation.
     period = Period(date(2017, 3, 26), date(2017, 3, 26), 1)
     assert [period.time(k).hour for k in (1, 2, 3, 4)] == [1, 2, 3, 4]
@@ -59,12 +59,12 @@ def test_there_is_no_summer_time() -> None:
 
 
 @pytest.mark.parametrize("steps_per_hour", [*sorted(set(range(-1, 62)) - set(DIVISORS)), 120])
-def test_a_timestep_divides_the_hour(steps_per_hour: int) -> None:
+def test_run_period__timestep_divides_the_hour(steps_per_hour: int) -> None:
     with pytest.raises(InvalidConfig, match=rf"{steps_per_hour} does not divide the hour.*1, 2, 3, 4, 5, 6, 10"):
         Period(date(2017, 7, 1), date(2017, 7, 1), steps_per_hour)
 
 
-def test_a_period_does_not_end_before_it_begins() -> None:
+def test_run_period__period_does_not_end_before_it_begins() -> None:
     with pytest.raises(InvalidConfig, match=r"ends \(2017-06-30\) before it begins \(2017-07-01\)"):
         Period(date(2017, 7, 1), date(2017, 6, 30), 4)
 
@@ -83,25 +83,25 @@ def test_a_period_does_not_end_before_it_begins() -> None:
         ("2016-02-29", 2017, date(2016, 2, 29)),
     ],
 )
-def test_a_day_is_written_with_or_without_its_year(text: str, year: int, day: date) -> None:
+def test_run_period__day_is_written_with_or_without_its_year(text: str, year: int, day: date) -> None:
     assert parse_day(text, "begin", year) == day
 
 
 @pytest.mark.parametrize("text", ["", "July 1", "07/01", "2017-07", "07-01-2017", "07-01T00:00", "1.7.", "-7-1", "07-"])
-def test_what_is_no_day_is_refused_with_the_form(text: str) -> None:
+def test_run_period__what_is_no_day_is_refused_with_the_form(text: str) -> None:
     with pytest.raises(InvalidConfig, match=r"begin .* is not a date; write it as MM-DD or YYYY-MM-DD") as raised:
         parse_day(text, "begin", 2017)
     assert repr(text) in str(raised.value)
 
 
 @pytest.mark.parametrize("text", ["02-29", "2017-02-29"])
-def test_a_day_that_is_not_in_the_calendar_is_refused(text: str) -> None:
+def test_run_period__day_that_is_not_in_the_calendar_is_refused(text: str) -> None:
     with pytest.raises(InvalidConfig, match=r"end .* does not exist in 2017"):
         parse_day(text, "end", 2017)
 
 
 @given(st.dates())
-def test_any_day_can_be_written_out(day: date) -> None:
+def test_run_period__any_day_can_be_written_out(day: date) -> None:
     assert parse_day(day.isoformat(), "begin", 1) == day
 
 
@@ -120,12 +120,12 @@ def test_any_day_can_be_written_out(day: date) -> None:
         ("Saturday", 2011),
     ],
 )
-def test_a_year_that_begins_on_a_weekday(weekday: str, year: int) -> None:
+def test_run_period__year_that_begins_on_a_weekday(weekday: str, year: int) -> None:
     assert year_of(1, 1, weekday) == year
 
 
 @given(st.dates(date(2017, 1, 1), date(2017, 12, 31)), st.sampled_from(WEEKDAYS))
-def test_the_year_is_the_latest_common_one_that_has_the_day_on_that_weekday(day: date, weekday: str) -> None:
+def test_run_period__year_is_the_latest_common_one_that_has_the_day_on_that_weekday(day: date, weekday: str) -> None:
     def fits(year: int) -> bool:
         return not calendar.isleap(year) and f"{date(year, day.month, day.day):%A}" == weekday
 
@@ -136,12 +136,12 @@ def test_the_year_is_the_latest_common_one_that_has_the_day_on_that_weekday(day:
 
 
 @pytest.mark.parametrize("weekday", [None, "", "SummerDesignDay", "CustomDay1"])
-def test_the_year_is_2017_where_no_weekday_is_named(weekday: str | None) -> None:
+def test_run_period__year_is_2017_where_no_weekday_is_named(weekday: str | None) -> None:
     assert year_of(7, 1, weekday) == 2017
 
 
 @pytest.mark.parametrize("weekday", WEEKDAYS)
-def test_a_leap_day_on_a_weekday_is_in_a_leap_year(weekday: str) -> None:
+def test_run_period__leap_day_on_a_weekday_is_in_a_leap_year(weekday: str) -> None:
     # EnergyPlus takes a leap year for it; no common year has the day.
     year = year_of(2, 29, weekday)
     assert f"{date(year, 2, 29):%A}" == weekday
@@ -150,7 +150,7 @@ def test_a_leap_day_on_a_weekday_is_in_a_leap_year(weekday: str) -> None:
 # A model's own period and what is asked for
 
 
-def test_a_model_without_a_run_period_runs_the_whole_of_2017_in_steps_of_ten_minutes() -> None:
+def test_run_period__model_without_a_run_period_runs_the_whole_of_2017_in_steps_of_ten_minutes() -> None:
     period = Building("b", {"Building": {"b": {}}}, "0").period(None, None, None)
     assert (period.begin, period.end, period.steps_per_hour) == (date(2017, 1, 1), date(2017, 12, 31), 6)
 
@@ -162,14 +162,14 @@ def test_run_period__defaults_to_the_models_period_and_timestep() -> None:
     assert (period.begin, period.end, period.steps_per_hour) == (date(2012, 3, 5), date(2012, 4, 6), 4)
 
 
-def test_days_without_a_year_are_in_the_models_calendar() -> None:
+def test_run_period__days_without_a_year_are_in_the_models_calendar() -> None:
     own = building(begin_month=1, begin_day_of_month=1, day_of_week_for_start_day="Tuesday")
     period = own.period("07-01", "07-07", 12)
     assert (period.begin, period.end, period.steps_per_hour) == (date(2013, 7, 1), date(2013, 7, 7), 12)
     assert f"{date(2013, 1, 1):%A}" == "Tuesday"
 
 
-def test_an_end_without_a_year_is_in_the_year_of_the_begin() -> None:
+def test_run_period__end_without_a_year_is_in_the_year_of_the_begin() -> None:
     assert building(begin_year=2017).period("2018-07-01", "07-07", None).end == date(2018, 7, 7)
 
 
@@ -181,7 +181,7 @@ SUMMER = Header("Denver", 39.8, -104.7, -7.0, 1650.0, first=(5, 1), last=(9, 30)
 @pytest.mark.parametrize(
     ("begin", "end"), [("05-01", "05-01"), ("05-01", "09-30"), ("09-30", "09-30"), ("2018-07-01", "2018-07-07")]
 )
-def test_a_period_within_the_weather_is_taken(begin: str, end: str) -> None:
+def test_run_period__period_within_the_weather_is_taken(begin: str, end: str) -> None:
     check_covers(SUMMER, building().period(begin, end, None), "denver")
 
 
@@ -189,6 +189,6 @@ def test_a_period_within_the_weather_is_taken(begin: str, end: str) -> None:
     ("begin", "end", "words"),
     [("04-30", "05-02", "begins on 04-30"), ("09-01", "10-01", "ends on 10-01"), ("01-01", "12-31", "begins on 01-01")],
 )
-def test_a_period_outside_the_weather_is_refused_with_what_there_is(begin: str, end: str, words: str) -> None:
+def test_run_period__period_outside_the_weather_is_refused_with_what_there_is(begin: str, end: str, words: str) -> None:
     with pytest.raises(InvalidConfig, match=f"{words}, outside the weather file denver.*05-01 to 09-30"):
         check_covers(SUMMER, building().period(begin, end, None), "denver")

@@ -163,7 +163,7 @@ fields = st.fixed_dictionaries(
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])
 @given(fields)
-def test_a_scenario_that_was_written_is_read_back(tmp_path: Path, fields: dict[str, Any]) -> None:
+def test_scenario__scenario_that_was_written_is_read_back(tmp_path: Path, fields: dict[str, Any]) -> None:
     scenario = read_scenario(fields)
     file = tmp_path / "written.yaml"
     file.write_text(dump(scenario), encoding="utf-8", newline="")
@@ -181,14 +181,14 @@ def test_read_scenario__keeps_the_fields_that_are_set(fields: dict[str, Any]) ->
 
 @settings(suppress_health_check=[HealthCheck.too_slow], max_examples=examples(50))
 @given(fields)
-def test_the_schema_accepts_what_the_loader_accepts(fields: dict[str, Any]) -> None:
+def test_scenario__schema_accepts_what_the_loader_accepts(fields: dict[str, Any]) -> None:
     SCHEMA.validate(fields)
     SCHEMA.validate(yaml.safe_load(dump(read_scenario(fields))))
 
 
 @pytest.mark.parametrize("character", BREAKS, ids=ascii)
 @pytest.mark.parametrize("text", ["{}", "a{}", "{}a", "a{}b", " {} ", "'{}\"", "{0}{0}", "a\n{}"])
-def test_line_breaks_of_unicode_are_kept(tmp_path: Path, character: str, text: str) -> None:
+def test_scenario__line_breaks_of_unicode_are_kept(tmp_path: Path, character: str, text: str) -> None:
     value = text.format(character)
     scenario = read_scenario({**BASE, "about": value, "edits": {"M": {value: {value: value}}}})
     file = tmp_path / "written.yaml"
@@ -196,22 +196,22 @@ def test_line_breaks_of_unicode_are_kept(tmp_path: Path, character: str, text: s
     assert load_scenario(file) == scenario
 
 
-def test_text_of_any_language_is_written_as_it_is() -> None:
+def test_scenario__text_of_any_language_is_written_as_it_is() -> None:
     assert "Bürogebäude, 办公楼" in dump(read_scenario({**BASE, "about": "Bürogebäude, 办公楼"}))
 
 
-def test_a_file_says_only_what_differs_from_the_defaults() -> None:
+def test_scenario__file_states_only_what_differs_from_the_defaults() -> None:
     written = dump(read_scenario({**BASE, "control": "point", "reward": {"kind": "linear"}}))
     assert yaml.safe_load(written) == {"building": "b", "weather": ["w"]}
 
 
-def test_no_reward_is_not_the_default_one() -> None:
+def test_scenario__no_reward_is_not_the_default_one() -> None:
     without = read_scenario({**BASE, "reward": None})
     assert yaml.safe_load(dump(without))["reward"] is None
     assert read_scenario(BASE).reward == {"kind": "linear"}
 
 
-def test_a_file_is_utf_8_wherever_it_is_read(tmp_path: Path) -> None:
+def test_scenario__file_is_utf_8_wherever_it_is_read(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("building: b\nweather: w\nabout: Bürogebäude\n", encoding="utf-8")
     program = (
@@ -231,7 +231,7 @@ def test_a_file_is_utf_8_wherever_it_is_read(tmp_path: Path) -> None:
 # Forms that mean the same
 
 
-def test_points_may_be_lists_or_named_fields(load: Load) -> None:
+def test_scenario__points_may_be_lists_or_named_fields(load: Load) -> None:
     by_field = load(
         """
 sensors:
@@ -261,12 +261,12 @@ actuators:
     assert [(spec.low, spec.high) for spec in by_field.actuators.values()] == [(None, None), (0.0, 2.5), (None, 2.5)]
 
 
-def test_one_weather_is_a_list_of_one(load: Load) -> None:
+def test_scenario__one_weather_is_a_list_of_one(load: Load) -> None:
     assert load("").weather == ("w",)
     assert read_scenario({**BASE, "weather": ["w"]}) == read_scenario(BASE)
 
 
-def test_parts_may_be_given_as_they_are() -> None:
+def test_scenario__parts_may_be_given_as_they_are() -> None:
     """A scenario that is made in Python, of the parts of another."""
     read = read_scenario(
         {
@@ -292,13 +292,13 @@ def test_parts_may_be_given_as_they_are() -> None:
 
 @pytest.mark.parametrize(("written", "day"), [("2018-07-01", "2018-07-01"), ("'2018-07-01'", "2018-07-01"),
                                               ("07-01", "07-01"), ("'07-01'", "07-01")])  # fmt: skip
-def test_a_day_needs_no_quotes(load: Load, written: str, day: str) -> None:
+def test_scenario__day_needs_no_quotes(load: Load, written: str, day: str) -> None:
     scenario = load(f"begin: {written}\nend: {written}")
     assert (scenario.begin, scenario.end) == (day, day)
 
 
 @pytest.mark.parametrize("number", ["1e-4", "1E-4", "1.0e-4", "1e-04", "0.0001", "+1e-4", ".1e-3"])
-def test_a_number_is_a_number_however_it_is_written(load: Load, number: str) -> None:
+def test_scenario__number_is_a_number_however_it_is_written(load: Load, number: str) -> None:
     """YAML 1.1, as PyYAML reads it, takes a number with an exponent and no dot for a text."""
     scenario = load(
         f"""
@@ -315,14 +315,14 @@ reward: {{kind: linear, lambda_energy: {number}}}
     assert scenario.reward == {"kind": "linear", "lambda_energy": 1e-4}
 
 
-def test_what_only_looks_like_a_number_stays_text(load: Load) -> None:
+def test_scenario__what_only_looks_like_a_number_stays_text(load: Load) -> None:
     fields = {"a": "1e", "b": "e4", "c": "1e-4 m", "d": "1.2.3", "e": "-"}
     written = ", ".join(f"{name}: {text}" for name, text in fields.items() if name != "e") + ", e: '-'"
     assert load(f"edits: {{M: {{n: {{{written}}}}}}}").edits == {"M": {"n": fields}}
     assert load("edits: {M: {n: {a: '1e-4'}}}").edits == {"M": {"n": {"a": "1e-4"}}}
 
 
-def test_a_part_may_be_written_once_and_used_again(load: Load) -> None:
+def test_scenario__part_may_be_written_once_and_used_again(load: Load) -> None:
     """YAML's anchors and merges."""
     scenario = load(
         """
@@ -349,7 +349,7 @@ weather_noise:
         ("building: other", "building", 3),
     ],
 )
-def test_a_key_that_stands_twice_is_an_error(load: Load, text: str, key: str, line: int) -> None:
+def test_scenario__key_that_is_repeated_is_an_error(load: Load, text: str, key: str, line: int) -> None:
     message = refused(load, text)
     assert f"repeated name {key!r}" in message
     assert f"line {line}" in message
@@ -366,7 +366,7 @@ UNKNOWN = {
 
 
 @pytest.mark.parametrize(("path", "text"), UNKNOWN.items(), ids=UNKNOWN)
-def test_an_unknown_field_is_named_with_its_path(load: Load, path: str, text: str) -> None:
+def test_scenario__unknown_field_is_named_with_its_path(load: Load, path: str, text: str) -> None:
     assert f"{path}:" in refused(load, text)
 
 
@@ -393,17 +393,17 @@ WRONG = {
 
 
 @pytest.mark.parametrize(("path", "text"), WRONG.items(), ids=WRONG)
-def test_what_cannot_be_is_named_with_its_path(load: Load, path: str, text: str) -> None:
+def test_scenario__what_cannot_be_is_named_with_its_path(load: Load, path: str, text: str) -> None:
     assert f"{path}:" in refused(load, text)
 
 
 @pytest.mark.parametrize("field", ["steps_per_hour", "discrete"])
 @pytest.mark.parametrize("value", ["true", "yes", "2.5"])
-def test_a_count_is_a_number(load: Load, field: str, value: str) -> None:
+def test_scenario__count_is_a_number(load: Load, field: str, value: str) -> None:
     assert field in refused(load, f"{field}: {value}")
 
 
-def test_a_time_field_is_observed_once(load: Load) -> None:
+def test_scenario__time_field_is_observed_once(load: Load) -> None:
     assert "time field is named twice" in refused(load, "time: [hour, month, hour]")
 
 
@@ -411,18 +411,18 @@ def test_unknown_word__is_reported_with_the_allowed_ones(load: Load) -> None:
     assert "'point', 'zone' or 'building', got 'zones'" in refused(load, "control: zones")
 
 
-def test_all_faults_are_in_one_report(load: Load) -> None:
+def test_scenario__all_faults_are_in_one_report(load: Load) -> None:
     message = refused(load, "\n".join([*UNKNOWN.values(), "control: zones", "begin: 5", "weather_order: shuffled"]))
     wanted = [*UNKNOWN, "control", "begin", "weather_order"]
     assert [path for path in wanted if f"{path}:" not in message] == []
 
 
-def test_the_report_names_the_file(load: Load, tmp_path: Path) -> None:
+def test_scenario__report_names_the_file(load: Load, tmp_path: Path) -> None:
     assert str(tmp_path / "mine.yaml") in refused(load, "colour: red")
     assert str(tmp_path / "mine.yaml") in refused(load, "a: [")
 
 
-def test_a_building_and_a_weather_are_needed() -> None:
+def test_scenario__building_and_a_weather_are_needed() -> None:
     with pytest.raises(InvalidConfig, match=r"building: it is missing.*weather: it is missing"):
         read_scenario({})
     with pytest.raises(InvalidConfig, match="weather: "):
@@ -432,14 +432,14 @@ def test_a_building_and_a_weather_are_needed() -> None:
 @pytest.mark.parametrize(
     "text", ["", "- building: b", "building", "1: b", "a: [", "? [a, b]\n: c", "a: !!python/name:os"]
 )
-def test_what_is_no_mapping_is_refused(tmp_path: Path, text: str) -> None:
+def test_scenario__what_is_no_mapping_is_refused(tmp_path: Path, text: str) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text(text)
     with pytest.raises(InvalidConfig, match=r"mine\.yaml"):
         load_scenario(file)
 
 
-def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
+def test_scenario__file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     for path in (tmp_path / "gone.yaml", tmp_path):
         with pytest.raises(UnknownName, match=re.escape(str(path))):
             load_scenario(path)
@@ -451,7 +451,7 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 # Paths
 
 
-def test_paths_are_relative_to_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenario__paths_are_relative_to_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder, elsewhere = tmp_path / "scenarios", tmp_path / "elsewhere"
     for directory in (folder / "models", elsewhere):
         directory.mkdir(parents=True)
@@ -471,28 +471,28 @@ def test_paths_are_relative_to_the_file(tmp_path: Path, monkeypatch: pytest.Monk
     assert load_scenario(Path("mine.yaml")).building == expected[0]
 
 
-def test_one_weather_by_path(tmp_path: Path) -> None:
+def test_scenario__one_weather_by_path(tmp_path: Path) -> None:
     (tmp_path / "mine.epw").write_text("")
     assert resolve_paths({"weather": "mine.epw"}, tmp_path) == {"weather": str(tmp_path / "mine.epw")}
 
 
-def test_a_short_name_is_no_path(tmp_path: Path) -> None:
+def test_scenario__short_name_is_no_path(tmp_path: Path) -> None:
     (tmp_path / "office-small").write_text("")
     assert resolve_paths({"building": "office-small"}, tmp_path) == {"building": "office-small"}
 
 
-def test_what_is_no_text_is_left_for_the_check(tmp_path: Path) -> None:
+def test_scenario__what_is_no_text_is_left_for_the_check(tmp_path: Path) -> None:
     fields = {"building": 5, "weather": [None, 1], "begin": "x.epw"}
     assert resolve_paths(fields, tmp_path) == fields
 
 
-def test_a_path_in_the_users_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenario__path_in_the_users_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / "mine.idf").write_text("")
     assert resolve_paths({"building": "~/mine.idf"}, tmp_path / "far") == {"building": str(tmp_path / "mine.idf")}
 
 
-def test_the_home_of_nobody_is_a_mistake_of_the_users(tmp_path: Path) -> None:
+def test_scenario__home_of_nobody_is_a_mistake_of_the_users(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("building: ~nobody_of_that_name/mine.idf\nweather: USA_CO_Denver\n")
     with pytest.raises(UsageError, match="nobody_of_that_name"):
@@ -512,7 +512,7 @@ SHORT_FORMS = {
 
 
 @pytest.mark.parametrize("form", SHORT_FORMS.values(), ids=SHORT_FORMS)
-def test_the_schema_accepts_the_short_forms(form: dict[str, Any]) -> None:
+def test_scenario__schema_accepts_the_short_forms(form: dict[str, Any]) -> None:
     reward = read_scenario(form).reward
     if reward is not None:
         read_reward(reward)
@@ -525,7 +525,7 @@ def documented() -> dict[str, Any]:
     return document
 
 
-def test_the_example_of_the_documentation_is_a_scenario() -> None:
+def test_scenario__example_of_the_documentation_is_a_scenario() -> None:
     example = documented()
     reward = read_scenario(example).reward
     assert reward is not None
@@ -553,14 +553,14 @@ NEITHER = {
 
 
 @pytest.mark.parametrize("wrong", NEITHER.values(), ids=NEITHER)
-def test_schema_and_loader_refuse_the_same(wrong: dict[str, Any]) -> None:
+def test_scenario__schema_and_loader_refuse_the_same(wrong: dict[str, Any]) -> None:
     fields = {**FULL, **wrong}
     with pytest.raises(InvalidConfig):
         read_reward(read_scenario(fields).reward or "linear")
     assert not SCHEMA.is_valid(fields)
 
 
-def test_the_schema_is_one_and_explains_the_reward() -> None:
+def test_scenario__schema_is_one_and_explains_the_reward() -> None:
     Draft202012Validator.check_schema(SCHEMA.schema)
     assert not SCHEMA.is_valid({"building": "b"})
     assert not SCHEMA.is_valid([])

@@ -11,7 +11,7 @@ from zenostat.models.scenario.registry import find_scenario
 from zenostat.topics.errors import UnknownName
 
 
-def test_the_folder_of_a_training_names_its_scenario(tmp_path: Path) -> None:
+def test_scenario_registry__folder_of_a_training_names_its_scenario(tmp_path: Path) -> None:
     with pytest.raises(UnknownName, match=f"no scenario '{re.escape(str(tmp_path))}'; there are:"):
         find_scenario(str(tmp_path))
     (tmp_path / "scenario.yaml").touch()

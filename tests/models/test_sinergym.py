@@ -78,7 +78,7 @@ def own(tmp_path: Path):
     return write
 
 
-def test_files_beside_it_are_found(own, tmp_path):
+def test_sinergym__files_beside_it_are_found(own, tmp_path):
     scenarios = scenarios_of(own())
     assert list(scenarios) == ["hut-here-continuous-v1"]
     scenario = scenarios["hut-here-continuous-v1"]
@@ -91,7 +91,7 @@ def test_files_beside_it_are_found(own, tmp_path):
     assert {n: (a.low, a.high) for n, a in scenario.actuators.items()} == {"heating": (15, 22.5), "cooling": (22.5, 30)}
 
 
-def test_absolute_paths_and_files_of_the_pack_are_found(own, tmp_path):
+def test_sinergym__absolute_paths_and_files_of_the_pack_are_found(own, tmp_path):
     sinergym()
     (tmp_path / "far").mkdir()
     (tmp_path / "far" / "far.epw").write_text("")
@@ -106,7 +106,7 @@ def test_absolute_paths_and_files_of_the_pack_are_found(own, tmp_path):
     assert scenarios["hut-two-continuous-v1"].weather == (str(tmp_path / "here.epw"), "sinergym/ESP_Granada")
 
 
-def test_run_period_noise_and_context(own):
+def test_sinergym__run_period_noise_and_context(own):
     path = own(
         "building_config: {timesteps_per_hour: 2, runperiod: [1, 2, 1991, 3, 4, 1991]}",
         "weather_variability: {Wind Speed: [0.5, [-1, 1], [12, 24]], Dry Bulb Temperature: [1, 0, 24, [-10, 40]]}",
@@ -136,7 +136,7 @@ def test_run_period_noise_and_context(own):
         ("max_ep_store: 0", "max_ep_store: expected an integer of at least 1, got 0"),
     ],
 )
-def test_no_setting_is_ignored_in_silence(own, lines, fault):
+def test_sinergym__no_setting_is_ignored_in_silence(own, lines, fault):
     with pytest.raises(InvalidConfig, match=fault):
         scenarios_of(own(lines))
 
@@ -156,7 +156,7 @@ UNREADABLE = {
 
 
 @pytest.mark.parametrize("argument", UNREADABLE)
-def test_an_argument_replaces_a_setting_that_cannot_be_read(own, argument):
+def test_sinergym__argument_replaces_a_setting_that_cannot_be_read(own, argument):
     line, fault = UNREADABLE[argument]
     path = own(line)
     with pytest.raises(InvalidConfig, match=fault):
@@ -164,14 +164,14 @@ def test_an_argument_replaces_a_setting_that_cannot_be_read(own, argument):
     assert scenario_of(path, overridden={argument}).id == "hut-here-continuous-v1"
 
 
-def test_own_discrete_choices_need_no_meaning_where_an_argument_replaces_them(own):
+def test_sinergym__own_discrete_choices_need_no_meaning_where_an_argument_replaces_them(own):
     path = own("action_space_discrete: Discrete(7)", only_discrete="true")
     with pytest.raises(InvalidConfig, match="is defined in code"):
         scenario_of(path)
     assert scenario_of(path, overridden={"discrete"}).id == "hut-here-discrete-v1"
 
 
-def test_discrete_choices_that_nobody_knows_leave_the_continuous_scenarios(own):
+def test_sinergym__discrete_choices_that_nobody_knows_leave_the_continuous_scenarios(own):
     path = own(action_space_discrete="gym.spaces.Discrete(10)")
     assert list(scenarios_of(path)) == ["hut-here-continuous-v1"]
     assert scenario_of(path).id == "hut-here-continuous-v1"
@@ -184,7 +184,7 @@ def test_discrete_choices_that_nobody_knows_leave_the_continuous_scenarios(own):
         scenarios_of(path)
 
 
-def test_discrete_choices_of_a_building_of_the_pack_need_the_pack(own, tmp_path, monkeypatch):
+def test_sinergym__discrete_choices_of_a_building_of_the_pack_need_the_pack(own, tmp_path, monkeypatch):
     path = own(action_space_discrete="Discrete(10)", id_base="5zone")
     sinergym()
     with pytest.raises(InvalidConfig, match=r"choice 0 sets heating to 12, outside 15 to 22\.5 of"):
@@ -202,7 +202,7 @@ def test_discrete_choices_of_a_building_of_the_pack_need_the_pack(own, tmp_path,
         ("MultiDiscrete([2, 3])", Offsets(((0, 20.0), (1, 25.0))), [((20.0,), (21.0,)), ((25.0,), (26.0,), (27.0,))]),
     ],
 )
-def test_tables_can_be_given(own, text, meaning, values):
+def test_sinergym__tables_can_be_given(own, text, meaning, values):
     path = own(action_space_discrete=text)
     scenarios = scenarios_of(path, discrete_tables={"hut": meaning})
     assert [choice.values for choice in scenarios["hut-here-discrete-v1"].discrete] == values
@@ -221,12 +221,12 @@ def test_tables_can_be_given(own, text, meaning, values):
         ("Box(low=0, high=1, shape=(2,))", Offsets(()), "expected Discrete or MultiDiscrete"),
     ],
 )
-def test_a_table_that_does_not_fit_is_a_fault(own, text, meaning, fault):
+def test_sinergym__table_that_does_not_fit_is_a_fault(own, text, meaning, fault):
     with pytest.raises(InvalidConfig, match=fault):
         scenarios_of(own(action_space_discrete=text), discrete_tables={"hut": meaning})
 
 
-def test_one_of_several_by_the_end_of_its_id(root):
+def test_sinergym__one_of_several_by_the_end_of_its_id(root):
     config = root / "data" / "default_configuration" / "5ZoneAutoDXVAV.yaml"
     assert scenario_of(config).id == "5zone-hot-continuous-v1"
     for text in ("cool-discrete", "cool-discrete-v1", "5zone-cool-discrete-v1", "Eplus-5zone-cool-discrete-v1"):
@@ -374,14 +374,14 @@ def rewarded(own: Any, kind: str, kwargs: dict[str, Any]) -> Path:
 
 
 @pytest.mark.parametrize(("kind", "kwargs", "ours"), REWARDS.values(), ids=REWARDS)
-def test_a_reward_of_sinergym_is_one_of_ours(own, kind, kwargs, ours):
+def test_sinergym__reward_of_sinergym_is_one_of_ours(own, kind, kwargs, ours):
     (scenario,) = scenarios_of(rewarded(own, kind, kwargs)).values()
     assert scenario.reward == ours
     read = read_reward(scenario.reward)
     assert read.kind == ours["kind"]
 
 
-def test_the_cost_of_energy_has_a_file_of_prices(own, tmp_path):
+def test_sinergym__cost_of_energy_has_a_file_of_prices(own, tmp_path):
     (tmp_path / "prices.csv").write_text("value\n")
     kwargs = ZONES | ENERGY | {"energy_cost_variables": ["energy_cost"], "energy_cost_data_path": "prices.csv"}
     (scenario,) = scenarios_of(rewarded(own, "EnergyCostLinearReward", kwargs | {"energy_weight": 0.3})).values()
@@ -393,7 +393,7 @@ def test_the_cost_of_energy_has_a_file_of_prices(own, tmp_path):
     assert read_reward(scenario.reward).kind == "energy_cost"
 
 
-def test_the_packs_prices_go_by_their_name(own):
+def test_sinergym__packs_prices_go_by_their_name(own):
     name = "PVPC_active_energy_billing_Iberian_Peninsula_2023.csv"
     path = sinergym() / "sinergym" / "data" / "energy_cost" / name
     kwargs = ZONES | ENERGY
@@ -423,13 +423,13 @@ WRONG: dict[str, tuple[str, dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("kind", "wrong", "words"), WRONG.values(), ids=WRONG)
-def test_a_reward_of_sinergym_that_cannot_be(own, kind, wrong, words):
+def test_sinergym__reward_of_sinergym_that_cannot_be(own, kind, wrong, words):
     kwargs = (ENERGY if kind == "MultiZoneReward" else ZONES | ENERGY) | wrong
     with pytest.raises(InvalidConfig, match=words):
         scenarios_of(rewarded(own, kind, kwargs))
 
 
-def test_an_empty_file_lacks_all_that_is_needed(tmp_path):
+def test_sinergym__empty_file_lacks_all_that_is_needed(tmp_path):
     path = tmp_path / "empty.yaml"
     path.write_text("{}")
     with pytest.raises(InvalidConfig) as raised:
@@ -439,12 +439,12 @@ def test_an_empty_file_lacks_all_that_is_needed(tmp_path):
     ]  # fmt: skip
 
 
-def test_the_number_of_actuators_is_that_of_the_action_space(own):
+def test_sinergym__number_of_actuators_is_that_of_the_action_space(own):
     with pytest.raises(InvalidConfig, match="action_space has 1 dimensions, but there are 2 actuators"):
         scenarios_of(own(action_space="Box(low=0, high=1, shape=(1,))"))
 
 
-def test_without_actuators_the_building_controls_itself(own):
+def test_sinergym__without_actuators_the_building_controls_itself(own):
     scenarios = scenarios_of(
         own(actuators="{}", action_space="gym.spaces.Box(low=0, high=0, shape=(0,), dtype=np.float32)")
     )
@@ -467,7 +467,7 @@ def test_without_actuators_the_building_controls_itself(own):
         ("Box(low=numpy.array([0]), high=array([1]), shape=(1,))", BoxSpec((0.0,), (1.0,))),
     ],
 )
-def test_a_space_is_read(text, means):
+def test_sinergym__space_is_read(text, means):
     assert read_space(text) == means
 
 
@@ -510,7 +510,7 @@ def test_a_space_is_read(text, means):
     ],
     ids=lambda text: text[:60],
 )
-def test_anything_else_is_no_space(text):
+def test_sinergym__anything_else_is_no_space(text):
     with pytest.raises(InvalidConfig):
         read_space(text)
 
@@ -529,14 +529,14 @@ CODE = "__import__('os').mkdir({!r})"
         "Discrete(n=[{} for _ in [1]][0])",
     ],
 )
-def test_no_code_of_a_configuration_is_run(text, own, tmp_path):
+def test_sinergym__no_code_of_a_configuration_is_run(text, own, tmp_path):
     code = CODE.format(str(tmp_path / "ran"))
     with pytest.raises(InvalidConfig, match=r"action_space: expected .*, got"):
         scenarios_of(own(action_space=repr(text.format(code))))
     assert not (tmp_path / "ran").exists()
 
 
-def test_no_object_of_a_yaml_is_made(own, tmp_path):
+def test_sinergym__no_object_of_a_yaml_is_made(own, tmp_path):
     path = own()
     path.write_text(path.read_text() + f"initial_context: !!python/object/apply:os.mkdir ['{tmp_path}/ran']\n")
     with pytest.raises(InvalidConfig, match="is not valid YAML"):
@@ -544,7 +544,7 @@ def test_no_object_of_a_yaml_is_made(own, tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
-def test_a_setting_that_stands_twice_is_refused(own):
+def test_sinergym__setting_that_is_repeated_is_refused(own):
     path = own()
     path.write_text(path.read_text() + "id_base: other\n")
     with pytest.raises(InvalidConfig, match="repeated name 'id_base'"):
@@ -565,7 +565,7 @@ def function(text: str) -> ast.FunctionDef:
     return ast.parse(text).body[0]
 
 
-def test_a_table_is_read():
+def test_sinergym__table_is_read():
     assert read_table(function(FUNCTION)) == Rows(((1.0, 2.5), (3.0, -4.0)))
     added = "def f(action):\n    action[5] += 25\n    action[0] += -1.5\n    return action.astype(np.float32)"
     assert read_table(function(added)) == Offsets(((0, -1.5), (5, 25.0)))
@@ -594,7 +594,7 @@ def test_a_table_is_read():
         ("'What it means.'", "action[0] *= 2"),
     ],
 )
-def test_a_table_that_does_more_is_refused_and_not_run(old, new, tmp_path):
+def test_sinergym__table_that_does_more_is_refused_and_not_run(old, new, tmp_path):
     assert old in FUNCTION
     constants = tmp_path / "constants.py"
     constants.write_text(FUNCTION.replace(old, new.format(code=CODE.format(str(tmp_path / "ran")))))
@@ -603,14 +603,14 @@ def test_a_table_that_does_more_is_refused_and_not_run(old, new, tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
-def test_the_rest_of_the_code_is_not_run(tmp_path):
+def test_sinergym__rest_of_the_code_is_not_run(tmp_path):
     constants = tmp_path / "constants.py"
     constants.write_text(CODE.format(str(tmp_path / "ran")) + FUNCTION)
     assert list(discrete_tables(constants)) == ["hut"]
     assert not (tmp_path / "ran").exists()
 
 
-def test_a_demo_that_is_no_literal_is_refused(tmp_path, root):
+def test_sinergym__demo_that_is_no_literal_is_refused(tmp_path, root):
     init = tmp_path / "__init__.py"
     text = (root / "__init__.py").read_text()
     code = CODE.format(str(tmp_path / "ran"))
@@ -623,12 +623,12 @@ def test_a_demo_that_is_no_literal_is_refused(tmp_path, root):
     assert not (tmp_path / "ran").exists()
 
 
-def test_every_table_of_the_pack_is_used(root):
+def test_sinergym__every_table_of_the_pack_is_used(root):
     known = discrete_tables(root / "utils" / "constants.py")
     assert set(known) == {base for base, (_, forms) in PACK_IDS.items() if "discrete" in forms}
 
 
-def test_a_file_that_is_not_there_is_unknown(tmp_path):
+def test_sinergym__file_that_is_not_there_is_unknown(tmp_path):
     with pytest.raises(UnknownName):
         scenarios_of(tmp_path / "nowhere.yaml")
     with pytest.raises(UnknownName):

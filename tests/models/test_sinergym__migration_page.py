@@ -46,7 +46,7 @@ def page() -> str:
 
 
 @pytest.mark.parametrize("module", MODULES)
-def test_each_name_of_sinergym_has_a_row(module: str, page: str) -> None:
+def test_sinergym__each_name_of_sinergym_has_a_row(module: str, page: str) -> None:
     code = (packs.sinergym() / "sinergym" / module).read_text()
     defined = set(DEFINED.findall(code))
     arguments = {name for head in CONSTRUCTOR.findall(code) for name in ARGUMENT.findall(head)} - {"env"}

@@ -47,7 +47,7 @@ def numbers(text: str, name: str) -> list[float]:
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
-def test_a_scenario_says_what_its_file_says(base, root, scenarios_by_name):
+def test_sinergym__scenario_states_what_its_file_states(base, root, scenarios_by_name):
     fields = plain_reading(root, base)
     weathers = dict(
         zip(fields["weather_specification"]["keys"], fields["weather_specification"]["weather_files"], strict=True)
@@ -70,7 +70,7 @@ def test_a_scenario_says_what_its_file_says(base, root, scenarios_by_name):
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
-def test_what_is_observed_stands_in_the_files_order(base, root, scenarios_by_name):
+def test_sinergym__what_is_observed_is_in_the_files_order(base, root, scenarios_by_name):
     fields = plain_reading(root, base)
     expected = []
     for variable, spec in fields["variables"].items():
@@ -85,7 +85,7 @@ def test_what_is_observed_stands_in_the_files_order(base, root, scenarios_by_nam
         assert scenario.meters == {name: meter for meter, name in fields["meters"].items()}
 
 
-def test_the_observations_have_the_sizes_that_sinergym_has(scenarios_by_name):
+def test_sinergym__observations_have_the_sizes_that_sinergym_has(scenarios_by_name):
     sizes = {
         base: {
             len(s.time) + len(s.sensors) + len(s.meters)
@@ -101,7 +101,7 @@ def test_the_observations_have_the_sizes_that_sinergym_has(scenarios_by_name):
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
-def test_actuators_have_the_bounds_of_the_action_space(base, root, scenarios_by_name):
+def test_sinergym__actuators_have_the_bounds_of_the_action_space(base, root, scenarios_by_name):
     fields = plain_reading(root, base)
     lows, highs = numbers(fields["action_space"], "low"), numbers(fields["action_space"], "high")
     expected = [
@@ -114,7 +114,7 @@ def test_actuators_have_the_bounds_of_the_action_space(base, root, scenarios_by_
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
-def test_only_the_stochastic_ones_have_noise(base, scenarios_by_name):
+def test_sinergym__only_the_stochastic_ones_have_noise(base, scenarios_by_name):
     for scenario in (s for s in scenarios_by_name.values() if s.id.startswith(f"{base}-")):
         assert scenario.weather_noise == (
             {
@@ -127,7 +127,7 @@ def test_only_the_stochastic_ones_have_noise(base, scenarios_by_name):
 
 
 @pytest.mark.parametrize("base", PACK_IDS)
-def test_the_reward_has_the_files_numbers_and_names_of_what_is_observed(base, root, scenarios_by_name):
+def test_sinergym__reward_has_the_files_numbers_and_names_of_what_is_observed(base, root, scenarios_by_name):
     fields = plain_reading(root, base)["reward_kwargs"]
     for scenario in (s for s in scenarios_by_name.values() if s.id.startswith(f"{base}-")):
         assert scenario.reward == {
@@ -146,7 +146,7 @@ def test_the_reward_has_the_files_numbers_and_names_of_what_is_observed(base, ro
         assert all(scenario.sensors[n].variable == "Zone Air Temperature" for n in scenario.reward["temperatures"])
 
 
-def test_the_discrete_ones_have_ten_rows_over_all_actions(scenarios_by_name):
+def test_sinergym__discrete_ones_have_ten_rows_over_all_actions(scenarios_by_name):
     tables = {
         "5zone": [(12, 30), (13, 29), (14, 28), (15, 27), (16, 26), (17, 25), (18, 24), (19, 23.25), (20, 23.25),
                   (21, 23.25)],
@@ -167,7 +167,7 @@ def test_the_discrete_ones_have_ten_rows_over_all_actions(scenarios_by_name):
             )
 
 
-def test_the_radiant_building_has_a_choice_for_each_action_and_names_without_colons(scenarios_by_name):
+def test_sinergym__radiant_building_has_a_choice_for_each_action_and_names_without_colons(scenarios_by_name):
     scenario = scenarios_by_name["radiant-stockholm-discrete-v1"]
     assert [choice.actions for choice in scenario.discrete] == [(name,) for name in scenario.actuators]
     assert [len(choice.values) for choice in scenario.discrete] == [2, 2, 2, 2, 2, 21]
@@ -179,7 +179,7 @@ def test_the_radiant_building_has_a_choice_for_each_action_and_names_without_col
     assert scenario.reward["temperatures"][0] == "firstfloor_livingroom_air_temperature"
 
 
-def test_the_office_with_a_battery_observes_zones_by_their_keys(scenarios_by_name):
+def test_sinergym__office_with_a_battery_observes_zones_by_their_keys(scenarios_by_name):
     scenario = scenarios_by_name["officegrid-hot-continuous-v1"]
     assert list(scenario.actuators) == [
         "heating_setpoint", "cooling_setpoint", "battery_charge_rate", "battery_discharge_rate",
@@ -189,7 +189,7 @@ def test_the_office_with_a_battery_observes_zones_by_their_keys(scenarios_by_nam
     assert len(scenario.reward["temperatures"]) == 19
 
 
-def test_the_demo_is_read_from_the_code(scenarios_by_name, root):
+def test_sinergym__demo_is_read_from_the_code(scenarios_by_name, root):
     scenario = scenarios_by_name[DEMO]
     assert scenario.id == DEMO
     assert scenario.weather == ("sinergym/USA_PA_Pittsburgh",)
@@ -207,14 +207,14 @@ def test_the_demo_is_read_from_the_code(scenarios_by_name, root):
     assert scenario.discrete is None
 
 
-def test_a_scenario_of_the_pack_is_a_file(scenarios_by_name, tmp_path):
+def test_sinergym__scenario_of_the_pack_is_a_file(scenarios_by_name, tmp_path):
     for name in (DEMO, "radiant-hot-discrete-stochastic-v1", "officegrid-cool-discrete-v1"):
         path = tmp_path / f"{name}.yaml"
         path.write_text(dump(scenarios_by_name[name]))
         assert load_scenario(path) == scenarios_by_name[name]
 
 
-def test_all_are_read_once(root):
+def test_sinergym__all_are_read_once(root):
     reader._scenarios_in.cache_clear()
     reader._tables_in.cache_clear()
     assert len(pack_scenarios()) == 109
@@ -223,7 +223,7 @@ def test_all_are_read_once(root):
     assert reader._tables_in.cache_info().misses == 1
 
 
-def test_without_the_pack_its_scenarios_say_what_to_do(tmp_path, monkeypatch):
+def test_sinergym__without_the_pack_its_scenarios_state_what_to_do(tmp_path, monkeypatch):
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path))
     with pytest.raises(InvalidConfig, match="zenostat data-packs add sinergym"):
         pack_scenarios()

@@ -72,14 +72,14 @@ def plain(actions: tuple[Action, ...]) -> list[tuple[str, float | None, float | 
 
 
 @pytest.mark.parametrize("control", ["point", "zone"])
-def test_each_actuator_has_a_dimension_of_its_own(control: str) -> None:
+def test_task__each_actuator_has_a_dimension_of_its_own(control: str) -> None:
     built = task(control=control)
     assert plain(built.actions) == [(a.name, a.low, a.high, (a.name,)) for a in ALL]
     assert [a.unit for a in built.actions] == [a.unit for a in ALL]
     assert built.discrete_actions == ()
 
 
-def test_a_building_has_one_pair_for_all_thermostats_and_the_rest_as_it_is() -> None:
+def test_task__building_has_one_pair_for_all_thermostats_and_the_rest_as_it_is() -> None:
     assert plain(task(control="building").actions) == [
         ("heating_setpoint", 15.0, 22.5, ("north_heating", "south_heating")),
         ("cooling_setpoint", 22.5, 30.0, ("north_cooling", "south_cooling")),
@@ -87,13 +87,13 @@ def test_a_building_has_one_pair_for_all_thermostats_and_the_rest_as_it_is() -> 
     ]
 
 
-def test_without_actuators_there_is_nothing_to_decide() -> None:
+def test_task__without_actuators_there_is_nothing_to_decide() -> None:
     for control in ("point", "zone", "building"):
         built = task_of(scenario(control=control), points())
         assert (built.actions, built.discrete_actions) == ((), ())
 
 
-def test_two_things_of_one_name_are_not_joined() -> None:
+def test_task__two_things_of_one_name_are_not_joined() -> None:
     """The joined heating setpoints are called as an actuator that the user named."""
     named = flow("heating_setpoint", 0.0, 20.0)
     try:
@@ -108,7 +108,9 @@ bounds = st.tuples(st.none() | st.integers(0, 20), st.none() | st.integers(20, 4
 
 
 @given(st.lists(bounds, min_size=1, max_size=5))
-def test_a_joined_action_has_the_bounds_that_all_its_actuators_have(each: list[tuple[int | None, int | None]]) -> None:
+def test_task__joined_action_has_the_bounds_that_all_its_actuators_have(
+    each: list[tuple[int | None, int | None]],
+) -> None:
     members = [flow(f"f{i}", low, high) for i, (low, high) in enumerate(each)]
     names = [a.name for a in members]
     lows, highs = [b[0] for b in each if b[0] is not None], [b[1] for b in each if b[1] is not None]
@@ -123,13 +125,13 @@ def test_a_joined_action_has_the_bounds_that_all_its_actuators_have(each: list[t
         assert within == everywhere
 
 
-def test_joined_thermostats_take_what_all_of_them_take() -> None:
+def test_task__joined_thermostats_take_what_all_of_them_take() -> None:
     wide, narrow = setpoint("a", "Heating", 12.0, 23.0), setpoint("b", "Heating", 16.0, 21.0)
     (joined,) = task(wide, narrow, control="building").actions
     assert (joined.low, joined.high) == (16.0, 21.0)
 
 
-def test_thermostats_that_have_no_value_in_common_cannot_be_joined() -> None:
+def test_task__thermostats_that_have_no_value_in_common_cannot_be_joined() -> None:
     apart = setpoint("a", "Heating", 12.0, 16.0), setpoint("b", "Heating", 18.0, 21.0)
     assert "heating_setpoint" in refused(*apart, control="building")[0]
 
@@ -137,24 +139,24 @@ def test_thermostats_that_have_no_value_in_common_cannot_be_joined() -> None:
 # Named
 
 
-def test_actions_are_those_that_are_named_in_their_order() -> None:
+def test_task__actions_are_those_that_are_named_in_their_order() -> None:
     built = task(actions={"cool": {"actuators": ["south_cooling"], "low": 24, "high": 28}, "f": {"actuators": ["fan"]}})
     assert plain(built.actions) == [("cool", 24.0, 28.0, ("south_cooling",)), ("f", 0.0, 2.0, ("fan",))]
 
 
-def test_one_bound_alone_narrows_one_side() -> None:
+def test_task__one_bound_alone_narrows_one_side() -> None:
     (above,) = task(actions={"f": {"actuators": ["fan"], "low": 0.5}}).actions
     (below,) = task(actions={"f": {"actuators": ["fan"], "high": 0.5}}).actions
     assert [(above.low, above.high), (below.low, below.high)] == [(0.5, 2.0), (0.0, 0.5)]
 
 
-def test_bounds_for_actuators_that_have_none() -> None:
+def test_task__bounds_for_actuators_that_have_none() -> None:
     free = flow("free", None, None)
     (action,) = task(free, actions={"f": {"actuators": ["free"], "low": -5, "high": 5}}).actions
     assert (action.low, action.high) == (-5.0, 5.0)
 
 
-def test_no_actions_is_not_the_same_as_actions_left_out() -> None:
+def test_task__no_actions_is_not_the_same_as_actions_left_out() -> None:
     assert task(actions={}).actions == ()
 
 
@@ -171,7 +173,7 @@ WRONG: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize(("actions", "words"), WRONG.values(), ids=WRONG)
-def test_an_action_that_cannot_be_is_refused(actions: dict[str, Any], words: str) -> None:
+def test_task__action_that_cannot_be_is_refused(actions: dict[str, Any], words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
         task(actions=actions)
 
@@ -196,20 +198,20 @@ def rows(task: Task) -> list[dict[str, list[float]]]:
     return [dict(zip(c.actions, map(list, zip(*c.values, strict=True)), strict=True)) for c in task.discrete_actions]
 
 
-def test_steps_go_from_the_widest_to_the_tightest_pair() -> None:
+def test_task__steps_go_from_the_widest_to_the_tightest_pair() -> None:
     (columns,) = rows(task(*NORTH, *SOUTH, control="building", discrete=4))
     assert columns["heating_setpoint"] == pytest.approx([15.0, 17.5, 20.0, 22.5])
     assert columns["cooling_setpoint"] == pytest.approx([30.0, 27.5, 25.0, 22.5])
 
 
-def test_each_zone_chooses_on_its_own() -> None:
+def test_task__each_zone_chooses_on_its_own() -> None:
     north, south, fan = rows(task(control="zone", discrete=2))
     assert north == {"north_heating": [15.0, 22.5], "north_cooling": [30.0, 22.5]}
     assert south == {"south_heating": [15.0, 22.5], "south_cooling": [30.0, 22.5]}
     assert fan == {"fan": [0.0, 2.0]}
 
 
-def test_zones_need_not_stand_side_by_side() -> None:
+def test_task__zones_need_not_stand_side_by_side() -> None:
     mixed = (NORTH[0], SOUTH[1], FAN, SOUTH[0], NORTH[1])
     choices = rows(task(*mixed, control="zone", discrete=2))
     assert [set(columns) for columns in choices] == [
@@ -219,7 +221,7 @@ def test_zones_need_not_stand_side_by_side() -> None:
     ]
 
 
-def test_each_point_chooses_on_its_own() -> None:
+def test_task__each_point_chooses_on_its_own() -> None:
     choices = rows(task(control="point", discrete=3))
     assert [list(columns) for columns in choices] == [[a.name] for a in ALL]
     assert choices[0] == {"north_heating": [15.0, 18.75, 22.5]}
@@ -228,7 +230,7 @@ def test_each_point_chooses_on_its_own() -> None:
 
 
 @given(st.sampled_from(["point", "zone", "building"]), st.integers(2, 30))
-def test_steps_are_equal_reach_both_ends_and_set_each_action_once(control: str, count: int) -> None:
+def test_task__steps_are_equal_reach_both_ends_and_set_each_action_once(control: str, count: int) -> None:
     built = task(control=control, discrete=count)
     columns = {name: column for choice in rows(built) for name, column in choice.items()}
     assert sorted(name for choice in built.discrete_actions for name in choice.actions) == sorted(
@@ -245,7 +247,7 @@ def test_steps_are_equal_reach_both_ends_and_set_each_action_once(control: str, 
 
 
 @pytest.mark.parametrize("bounds", [(None, None), (0.0, None), (None, 1.0)], ids=str)
-def test_without_bounds_there_are_no_steps(bounds: tuple[float | None, float | None]) -> None:
+def test_task__without_bounds_there_are_no_steps(bounds: tuple[float | None, float | None]) -> None:
     (line,) = refused(FAN, flow("free", *bounds), discrete=5)
     assert "'free' has no bounds" in line
 
@@ -255,14 +257,14 @@ def test_without_bounds_there_are_no_steps(bounds: tuple[float | None, float | N
 PAIRS = {"heat": {"actuators": ["north_heating"]}, "cool": {"actuators": ["north_cooling"]}}
 
 
-def test_choices_are_those_that_are_named() -> None:
+def test_task__choices_are_those_that_are_named() -> None:
     table = [{"actions": ["cool", "heat"], "values": [[30, 15], [24, 21], [24, 21]]}]
     built = task(actions=PAIRS, discrete=table)
     rows = ((30.0, 15.0), (24.0, 21.0), (24.0, 21.0))
     assert built.discrete_actions == (DiscreteAction(actions=("cool", "heat"), values=rows),)
 
 
-def test_the_ends_of_an_action_may_be_chosen() -> None:
+def test_task__ends_of_an_action_may_be_chosen() -> None:
     table = [{"actions": ["fan"], "values": [[0], [2]]}]
     assert task(FAN, discrete=table).discrete_actions[0].values == ((0.0,), (2.0,))
 
@@ -284,7 +286,7 @@ CHOICES: dict[str, tuple[list[dict[str, Any]], str]] = {
 
 
 @pytest.mark.parametrize(("choices", "words"), CHOICES.values(), ids=CHOICES)
-def test_choices_that_cannot_be_are_refused(choices: list[dict[str, Any]], words: str) -> None:
+def test_task__choices_that_cannot_be_are_refused(choices: list[dict[str, Any]], words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
         task(actions=PAIRS, discrete=choices)
 
@@ -322,7 +324,7 @@ def test_task_of__reports_errors_of_actions_and_choices_at_once() -> None:
 # The rest of the task
 
 
-def test_the_task_has_what_the_scenario_says() -> None:
+def test_task__task_has_what_the_scenario_states() -> None:
     reward = {"kind": "linear", "weight": 0.3}
     built = task(id="mine", time=["hour", "month"], reward=reward)
     assert (built.scenario, built.time, built.reward) == ("mine", (TimeField.HOUR, TimeField.MONTH), reward)
@@ -331,7 +333,7 @@ def test_the_task_has_what_the_scenario_says() -> None:
 
 @pytest.mark.parametrize("control", ["point", "zone", "building"])
 @pytest.mark.parametrize("discrete", [None, 2, 10])
-def test_a_scenario_written_out_in_full_is_the_same_task(control: str, discrete: int | None) -> None:
+def test_task__scenario_written_out_in_full_is_the_same_task(control: str, discrete: int | None) -> None:
     building = Building("b", {"Building": {"b": {}}}, "0")
     short = scenario(id="mine", control=control, discrete=discrete)
     catalog = points(*ALL)

@@ -53,20 +53,22 @@ YEAR: dict[str, Any] = {
         (YEAR, 11.0),
     ],
 )
-def test_heating_goes_down_to_the_lowest_scheduled_setpoint(schedule: dict[str, Any], expected: float) -> None:
+def test_thermostat_bounds__heating_goes_down_to_the_lowest_scheduled_setpoint(
+    schedule: dict[str, Any], expected: float
+) -> None:
     assert setpoint_bounds(building(schedule), HEATING_SETPOINT) == (expected, 22.5)
     assert setpoint_bounds(building(schedule), COOLING_SETPOINT) == (22.5, 30.0)
     assert setpoint_bounds(building(schedule), "Schedule Value") is None
 
 
-def test_the_warehouse_can_be_heated_as_little_as_it_is() -> None:
+def test_thermostat_bounds__warehouse_can_be_heated_as_little_as_it_is() -> None:
     warehouse = read_building(find_building("ref-warehouse"))
     assert setpoint_bounds(warehouse, HEATING_SETPOINT) == (7.2, 22.5)
     assert setpoint_bounds(warehouse, COOLING_SETPOINT) == (22.5, 30.0)
 
 
 @pytest.mark.slow
-def test_every_bundled_building_has_bounds_that_meet() -> None:
+def test_thermostat_bounds__every_bundled_building_has_bounds_that_meet() -> None:
     for entry in bundled_buildings():
         heating, cooling = (
             setpoint_bounds(read_building(entry), kind) for kind in (HEATING_SETPOINT, COOLING_SETPOINT)
@@ -77,7 +79,9 @@ def test_every_bundled_building_has_bounds_that_meet() -> None:
 
 
 @pytest.mark.parametrize("name", BUILDINGS)
-def test_version_1_of_the_benchmark_has_the_actuators_and_bounds_of_its_publication(name: str) -> None:
+def test_thermostat_bounds__version_1_of_the_benchmark_has_the_actuators_and_bounds_of_its_publication(
+    name: str,
+) -> None:
     model = read_building(find_building(name))
     offered = discovery.discover(model, find_weather("USA_IL_Chicago").path)
     names = {key: list(spec) for key, spec in selection.default_actuators(offered).items()}

@@ -41,7 +41,7 @@ def refused(model_data: dict[str, Any] | str, engine: str | None = None) -> str:
 
 
 @pytest.mark.parametrize("version", ["25.2", "25.2.0", " 25.2", None])
-def test_the_engines_own_version_and_none_are_taken_as_they_are(version: str | None) -> None:
+def test_version_transition__engines_own_version_and_none_are_taken_as_they_are(version: str | None) -> None:
     model_data = model(version, Zone={"core": {"nothing_that_energyplus_knows": 1}})
     result = check_epjson(model_data, name="m")
     assert (result.objects, result.notes) == (model_data, ())
@@ -56,13 +56,15 @@ def test_the_engines_own_version_and_none_are_taken_as_they_are(version: str | N
         ("24.1", ["from 24.1 to 24.2", "from 24.2 to 25.1", "from 25.1 to 25.2"]),
     ],
 )
-def test_an_earlier_version_without_what_changed_only_gets_the_engines_version(version: str, notes: list[str]) -> None:
+def test_version_transition__earlier_version_without_what_changed_only_gets_the_engines_version(
+    version: str, notes: list[str]
+) -> None:
     result = check_epjson(model(version, Zone={"core": {}}), name="m")
     assert result.objects == OWN | {"Zone": {"core": {}}}
     assert result.notes == tuple(f"{note}: nothing to convert" for note in notes)
 
 
-def test_a_whole_model_passes_and_the_input_is_untouched() -> None:
+def test_version_transition__whole_model_passes_and_the_input_is_untouched() -> None:
     objects = dict(read_building(find_building("ref-small-office")).objects)
     objects["Version"] = {"Version 1": {"version_identifier": "24.1"}}
     before = copy.deepcopy(objects)
@@ -121,7 +123,7 @@ PAIRS = {"temperature_2": 30.0, "temperature_1": 20.0, "enthalpy_1": 1.0, "entha
         ("25.1", "HeatExchanger:Desiccant:BalancedFlow", {"economizer_lockout": "Yes"}, {"economizer_lockout": "Yes"}),
     ],
 )  # fmt: skip
-def test_a_known_change_is_converted(
+def test_version_transition__known_change_is_converted(
     version: str, kind: str, old: dict[str, Any], new: dict[str, Any], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     partly = functools.partial(
@@ -134,7 +136,7 @@ def test_a_known_change_is_converted(
     assert any(note.split(": ", 1)[1].startswith(kind) for note in result.notes) == (old != new)
 
 
-def test_what_was_a_name_in_a_field_becomes_the_objects_name() -> None:
+def test_version_transition__what_was_a_name_in_a_field_becomes_the_objects_name() -> None:
     dates = {"begin_month": 1, "begin_day_of_month": 1, "begin_hour_of_day": 1,
              "end_month": 2, "end_day_of_month": 1, "end_hour_of_day": 1}  # fmt: skip
     old = {"Output:Table:ReportPeriod 1": {"name_": "Outage", "report_name_": "ThermalResilienceSummary", **dates}}
@@ -144,7 +146,7 @@ def test_what_was_a_name_in_a_field_becomes_the_objects_name() -> None:
     }
 
 
-def test_what_still_does_not_fit_is_refused_by_name() -> None:
+def test_version_transition__what_still_does_not_fit_is_refused_by_name() -> None:
     message = refused(model("25.1", Zone={"core": {"multiplyer": 2}}, Zonne={}))
     assert message.startswith(
         "old.epJSON is for EnergyPlus 25.1, and these objects do not match 25.2 (the engine's version is 25.2"
@@ -155,24 +157,24 @@ def test_what_still_does_not_fit_is_refused_by_name() -> None:
 
 
 @pytest.mark.parametrize("version", ["9.6", "23.2", "24.3", "26.1", "8", "new"])
-def test_other_versions_are_refused(version: str) -> None:
+def test_version_transition__other_versions_are_refused(version: str) -> None:
     assert refused(model(version, Zone={"core": {}})) == (
         f"old.epJSON is for EnergyPlus {version}; the engine's version is {energyplus.version()}: use a model for "
         "25.2, or an epJSON for 24.1, 24.2, 25.1, or update the file with EnergyPlus's IDFVersionUpdater"
     )
 
 
-def test_an_engine_beyond_the_tables_takes_its_own_version_only() -> None:
+def test_version_transition__engine_beyond_the_tables_takes_its_own_version_only() -> None:
     assert check_epjson(model("26.1"), name="m", engine="26.1.0").notes == ()
     assert "the engine's version is 26.1.0" in refused(model("25.1"), engine="26.1.0")
 
 
-def test_the_steps_follow_each_other_to_this_engine() -> None:
+def test_version_transition__steps_follow_each_other_to_this_engine() -> None:
     assert [step.after for step in TRANSITIONS[:-1]] == [step.before for step in TRANSITIONS[1:]]
     assert energyplus.version().startswith(TRANSITIONS[-1].after)
 
 
-def test_objects_that_are_none_are_refused() -> None:
+def test_version_transition__objects_that_are_none_are_refused() -> None:
     assert refused(model("25.1", Zone={"core": 3})).endswith("\nZone 'core': expected fields by name, got 3")
     assert "Version: expected objects by name, got '25.1'" in refused({"Version": "25.1"})
 
@@ -183,22 +185,22 @@ def test_objects_that_are_none_are_refused() -> None:
 @pytest.mark.parametrize(
     "text", ["Version,25.2;", "VERSION ,\n 25.2.0 ; ! the version\nZone,\n core;", "Zone, core;", ""]
 )
-def test_an_idf_of_this_version_or_none_is_taken(text: str) -> None:
+def test_version_transition__idf_of_this_version_or_none_is_taken(text: str) -> None:
     assert check_idf(text, name="m") == ()
 
 
-def test_a_bundled_idf_is_of_this_version_and_so_is_it_one_before() -> None:
+def test_version_transition__bundled_idf_is_of_this_version_and_so_is_it_one_before() -> None:
     text = find_building("ref-small-office").path.read_text(errors="replace")
     assert check_idf(text, name="m") == ()
     older = re.sub(r"(?im)^(\s*version\s*,\s*)[\d.]+", r"\g<1>25.1", text)
     assert check_idf(older, name="m") == ("from 25.1 to 25.2: nothing to convert",)
 
 
-def test_a_version_in_a_comment_is_none() -> None:
+def test_version_transition__version_in_a_comment_is_none() -> None:
     assert check_idf("! Version, 9.0;\nZone, core; ! Version,8.9;", name="m") == ()
 
 
-def test_an_idf_with_moved_fields_is_refused_by_their_types() -> None:
+def test_version_transition__idf_with_moved_fields_is_refused_by_their_types() -> None:
     text = "Version,25.1;\nGROUNDHEATEXCHANGER:SYSTEM, g, in, out;\nCoil:Heating:DX:VariableSpeed, c;\nZone, core;"
     assert refused(text).startswith(
         "old.idf is an IDF for EnergyPlus 25.1 with objects whose fields changed in 25.2: "
@@ -207,5 +209,5 @@ def test_an_idf_with_moved_fields_is_refused_by_their_types() -> None:
 
 
 @pytest.mark.parametrize("version", ["24.1", "24.2", "9.6", "26.1"])
-def test_an_idf_of_another_version_is_refused(version: str) -> None:
+def test_version_transition__idf_of_another_version_is_refused(version: str) -> None:
     assert f"for EnergyPlus {version}; the engine's version is 25.2" in refused(f"Version,{version};\nZone, core;")

@@ -61,7 +61,9 @@ PROCESSES = [(1.0, 0.0, 24.0, 1.0), (2.5, -1.5, 3.0, 1.0), (0.3, 10.0, 0.5, 1.0)
 
 
 @pytest.mark.parametrize(("sigma", "mu", "tau_h", "dt_h"), PROCESSES)
-def test_a_process_from_zero_grows_into_the_stationary_one(sigma: float, mu: float, tau_h: float, dt_h: float) -> None:
+def test_weather_noise__process_from_zero_grows_into_the_stationary_one(
+    sigma: float, mu: float, tau_h: float, dt_h: float
+) -> None:
     """After k steps its mean is mu (1 - a^k), its variance sigma^2 (1 - a^2k), for a = exp(-dt/tau)."""
     rng = np.random.default_rng(7)
     x = np.array([ornstein_uhlenbeck(rng, 300, sigma, mu, tau_h, dt_h, from_zero=True) for _ in range(PATHS)])
@@ -74,13 +76,13 @@ def test_a_process_from_zero_grows_into_the_stationary_one(sigma: float, mu: flo
         assert abs(z_variance) < Z
 
 
-def test_a_process_from_zero_without_deviation_is_the_growing_mean() -> None:
+def test_weather_noise__process_from_zero_without_deviation_is_the_growing_mean() -> None:
     values = ornstein_uhlenbeck(np.random.default_rng(1), 48, 0.0, 2.0, 24.0, from_zero=True)
     assert values == pytest.approx([2.0 * (1 - math.exp(-k / 24.0)) for k in range(1, 49)])
 
 
 @pytest.mark.parametrize(("sigma", "mu", "tau_h", "dt_h"), PROCESSES)
-def test_mean_and_deviation_are_stationary_from_the_first_value(
+def test_weather_noise__mean_and_deviation_are_stationary_from_the_first_value(
     sigma: float, mu: float, tau_h: float, dt_h: float
 ) -> None:
     x = paths(100, sigma, mu, tau_h, dt_h)
@@ -92,7 +94,7 @@ def test_mean_and_deviation_are_stationary_from_the_first_value(
 
 
 @pytest.mark.parametrize(("sigma", "mu", "tau_h", "dt_h"), PROCESSES)
-def test_correlation_falls_with_the_lag_by_the_time_constant(
+def test_weather_noise__correlation_falls_with_the_lag_by_the_time_constant(
     sigma: float, mu: float, tau_h: float, dt_h: float
 ) -> None:
     x = paths(100, sigma, mu, tau_h, dt_h)
@@ -104,7 +106,7 @@ def test_correlation_falls_with_the_lag_by_the_time_constant(
 
 
 @given(st.integers(0, 2**32), st.integers(1, 400), st.floats(0.01, 1e4), st.floats(0.05, 2.0))
-def test_doubling_is_the_recursion(seed: int, n: int, tau_h: float, dt_h: float) -> None:
+def test_weather_noise__doubling_is_the_recursion(seed: int, n: int, tau_h: float, dt_h: float) -> None:
     # Gillespie's update, one step after the other, with the same normal numbers.
     sigma, mu = 2.0, 3.0
     shocks = np.random.default_rng(seed).standard_normal(n)
@@ -116,13 +118,13 @@ def test_doubling_is_the_recursion(seed: int, n: int, tau_h: float, dt_h: float)
     np.testing.assert_allclose(drawn, x, rtol=0, atol=1e-6)
 
 
-def test_a_generator_gives_the_same_bits() -> None:
+def test_weather_noise__generator_gives_the_same_bits() -> None:
     one, two = (ornstein_uhlenbeck(np.random.default_rng(5), 8760, 2.5, 0.0, 24.0) for _ in range(2))
     assert one.tobytes() == two.tobytes()
     assert ornstein_uhlenbeck(np.random.default_rng(6), 8760, 2.5, 0.0, 24.0).tobytes() != one.tobytes()
 
 
-def test_no_values_are_no_values() -> None:
+def test_weather_noise__no_values_are_no_values() -> None:
     assert ornstein_uhlenbeck(np.random.default_rng(0), 0, 1.0, 0.0, 24.0).shape == (0,)
 
 
@@ -147,7 +149,7 @@ def test_no_values_are_no_values() -> None:
         ({}, "required"),
     ],
 )
-def test_settings_that_cannot_be_are_refused(fields: dict[str, object], words: str) -> None:
+def test_weather_noise__settings_that_cannot_be_are_refused(fields: dict[str, object], words: str) -> None:
     with pytest.raises(ValidationError, match=words):
         ColumnNoise.model_validate(fields)
 
@@ -162,17 +164,17 @@ def test_settings_that_cannot_be_are_refused(fields: dict[str, object], words: s
         (["extraterrestrial_horizontal_radiation"], "cannot have noise: it depends only on place and date"),
     ],
 )
-def test_columns_that_cannot_be_together_are_refused(columns: list[str], words: str) -> None:
+def test_weather_noise__columns_that_cannot_be_together_are_refused(columns: list[str], words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
         resolve_columns({name: ColumnNoise(sigma=1) for name in columns})
 
 
-def test_an_unknown_column_is_refused() -> None:
+def test_weather_noise__unknown_column_is_refused() -> None:
     with pytest.raises(UnknownName, match="did you mean 'wind_speed'"):
         resolve_columns({"wind_sped": ColumnNoise(sigma=1)})
 
 
-def test_limits_outside_the_physical_ones_are_refused() -> None:
+def test_weather_noise__limits_outside_the_physical_ones_are_refused() -> None:
     with pytest.raises(InvalidConfig, match="exclude all of 0 to 100"):
         resolve_columns({"relative_humidity": ColumnNoise(sigma=1, low=100)})
 
@@ -180,7 +182,7 @@ def test_limits_outside_the_physical_ones_are_refused() -> None:
 # What is drawn
 
 
-def test_a_range_is_drawn_uniformly_for_each_episode(denver: Weather) -> None:
+def test_weather_noise__range_is_drawn_uniformly_for_each_episode(denver: Weather) -> None:
     rng = np.random.default_rng(3)
     asked = {"dry_bulb": ColumnNoise(sigma=(1.0, 3.0), mu=(-1.0, 0.5), tau_h=(12.0, 48.0))}
     drawn, scaled = [], []
@@ -229,7 +231,7 @@ SEVERAL = {
 }
 
 
-def test_a_seed_gives_the_same_weather_however_the_settings_are_written(denver: Weather) -> None:
+def test_weather_noise__seed_gives_the_same_weather_however_the_settings_are_written(denver: Weather) -> None:
     first = with_noise(denver, SEVERAL, np.random.default_rng(11))
     again = with_noise(denver, SEVERAL, np.random.default_rng(11))
     turned = with_noise(denver, dict(reversed(SEVERAL.items())), np.random.default_rng(11))
@@ -241,18 +243,18 @@ def test_a_seed_gives_the_same_weather_however_the_settings_are_written(denver: 
     assert not same(first, with_noise(denver, SEVERAL, np.random.default_rng(12)))
 
 
-def test_episodes_of_one_generator_differ(denver: Weather) -> None:
+def test_weather_noise__episodes_of_one_generator_differ(denver: Weather) -> None:
     rng = np.random.default_rng(11)
     assert not same(with_noise(denver, SEVERAL, rng), with_noise(denver, SEVERAL, rng))
 
 
-def test_noise_on_one_more_column_leaves_that_of_the_others(denver: Weather) -> None:
+def test_weather_noise__noise_on_one_more_column_leaves_that_of_the_others(denver: Weather) -> None:
     few = noised(denver, wind_speed=ColumnNoise(sigma=1.0))
     more = noised(denver, wind_speed=ColumnNoise(sigma=1.0), dry_bulb=ColumnNoise(sigma=1.0))
     assert few.columns["wind_speed"].tobytes() == more.columns["wind_speed"].tobytes()
 
 
-def test_no_noise_is_no_change(denver: Weather, folder: Path) -> None:
+def test_weather_noise__no_noise_is_no_change(denver: Weather, folder: Path) -> None:
     done = noised(
         denver,
         dry_bulb=ColumnNoise(sigma=0),
@@ -273,12 +275,12 @@ def test_no_noise_is_no_change(denver: Weather, folder: Path) -> None:
     # Saturation over water of the steam tables (IAPWS); the fit is good to 0.4 % from -40 to 50 C.
     [(0.01, 611.66), (10.0, 1228.2), (20.0, 2339.3), (30.0, 4246.9), (40.0, 7384.9)],
 )
-def test_saturation_pressure_is_that_of_the_steam_tables(celsius: float, pascal: float) -> None:
+def test_weather_noise__saturation_pressure_is_that_of_the_steam_tables(celsius: float, pascal: float) -> None:
     assert saturation_pressure(np.array([celsius]))[0] == pytest.approx(pascal, rel=0.004)
 
 
 @given(st.floats(-60.0, 60.0), st.floats(1.0, 100.0))
-def test_dew_point_and_humidity_are_each_others_inverse(dry_bulb: float, humidity: float) -> None:
+def test_weather_noise__dew_point_and_humidity_are_each_others_inverse(dry_bulb: float, humidity: float) -> None:
     dry = np.array([dry_bulb])
     dew = dew_point(dry, np.array([humidity]))
     assert dew[0] <= dry_bulb + 1e-9
@@ -286,16 +288,16 @@ def test_dew_point_and_humidity_are_each_others_inverse(dry_bulb: float, humidit
         assert relative_humidity(dry, dew)[0] == pytest.approx(humidity, rel=1e-9)
 
 
-def test_the_dew_point_of_dry_air_stays_within_the_dictionary() -> None:
+def test_weather_noise__dew_point_of_dry_air_stays_within_the_dictionary() -> None:
     assert dew_point(np.array([20.0]), np.array([0.0]))[0] == pytest.approx(-69.9)
 
 
-def test_clear_sky_infrared_is_the_engineering_references_example() -> None:
+def test_weather_noise__clear_sky_infrared_is_the_engineering_references_example() -> None:
     # 293 K and 283 K give 340.6 W/m2; the text rounds ln(283/273) to 0.036.
     assert clear_sky_infrared(np.array([293 - 273.15]), np.array([283 - 273.15]))[0] == pytest.approx(340.6, abs=0.3)
 
 
-def test_warmer_air_keeps_its_moisture(denver: Weather) -> None:
+def test_weather_noise__warmer_air_keeps_its_moisture(denver: Weather) -> None:
     done = noised(denver, dry_bulb=ColumnNoise(sigma=0, mu=2.0))
     dry, dew = denver.column("dry_bulb"), denver.column("dew_point")
     np.testing.assert_allclose(done.columns["dry_bulb_temperature"], dry + 2.0, atol=5e-5)
@@ -308,7 +310,7 @@ def test_warmer_air_keeps_its_moisture(denver: Weather) -> None:
     np.testing.assert_allclose(infrared, denver.column("horizontal_infrared_radiation_intensity") * ratio, atol=5e-5)
 
 
-def test_colder_air_loses_what_it_cannot_hold(denver: Weather) -> None:
+def test_weather_noise__colder_air_loses_what_it_cannot_hold(denver: Weather) -> None:
     done = noised(denver, dry_bulb=ColumnNoise(sigma=0, mu=-10.0))
     dry, dew = after(denver, done, "dry_bulb_temperature"), after(denver, done, "dew_point_temperature")
     wet = denver.column("dew_point") > denver.column("dry_bulb") - 10.0
@@ -320,7 +322,7 @@ def test_colder_air_loses_what_it_cannot_hold(denver: Weather) -> None:
 
 
 @pytest.mark.parametrize("column", ["relative_humidity", "dew_point_temperature"])
-def test_humidity_and_dew_point_follow_each_other(denver: Weather, column: str) -> None:
+def test_weather_noise__humidity_and_dew_point_follow_each_other(denver: Weather, column: str) -> None:
     done = noised(denver, **{column: ColumnNoise(sigma=5.0)})
     assert "dry_bulb_temperature" not in done.columns
     dry, dew = denver.column("dry_bulb"), after(denver, done, "dew_point_temperature")
@@ -330,7 +332,7 @@ def test_humidity_and_dew_point_follow_each_other(denver: Weather, column: str) 
     )
 
 
-def test_infrared_with_noise_of_its_own_follows_nothing(denver: Weather) -> None:
+def test_weather_noise__infrared_with_noise_of_its_own_follows_nothing(denver: Weather) -> None:
     name = "horizontal_infrared_radiation_intensity"
     alone = noised(denver, **{name: ColumnNoise(sigma=5.0)})
     both = noised(denver, **{name: ColumnNoise(sigma=5.0), "dry_bulb": ColumnNoise(sigma=3.0)})
@@ -354,7 +356,7 @@ def cosine(weather: Weather) -> NDArray[np.float64]:
     return weather.column("extraterrestrial_horizontal_radiation") / np.where(normal > 0, normal, 1)
 
 
-def test_global_is_direct_and_diffuse_together(denver: Weather) -> None:
+def test_weather_noise__global_is_direct_and_diffuse_together(denver: Weather) -> None:
     done = noised(
         denver, direct_normal_radiation=ColumnNoise(sigma=80.0), diffuse_horizontal_radiation=ColumnNoise(sigma=30.0)
     )
@@ -364,7 +366,7 @@ def test_global_is_direct_and_diffuse_together(denver: Weather) -> None:
     np.testing.assert_allclose(done.columns["global_horizontal_radiation"][sun], total[sun], atol=2e-4)
 
 
-def test_direct_and_diffuse_share_what_global_gains(denver: Weather) -> None:
+def test_weather_noise__direct_and_diffuse_share_what_global_gains(denver: Weather) -> None:
     # The file's own three do not quite add up; their share and what was left over are scaled alike.
     done = noised(denver, global_horizontal_radiation=ColumnNoise(sigma=40.0))
     before, now = denver.column("global_horizontal_radiation"), done.columns["global_horizontal_radiation"]
@@ -382,7 +384,7 @@ def test_direct_and_diffuse_share_what_global_gains(denver: Weather) -> None:
     assert np.array_equal(done.columns["diffuse_horizontal_radiation"][dawn], now[dawn])
 
 
-def test_a_file_that_does_not_say_where_the_sun_is_stays_dark_at_night(folder: Path) -> None:
+def test_weather_noise__file_that_does_not_state_where_the_sun_is_stays_dark_at_night(folder: Path) -> None:
     weather = without_extraterrestrial(folder)
     done = noised(
         weather, direct_normal_radiation=ColumnNoise(sigma=50.0), diffuse_horizontal_radiation=ColumnNoise(sigma=50.0)
@@ -400,7 +402,7 @@ def test_a_file_that_does_not_say_where_the_sun_is_stays_dark_at_night(folder: P
 # Missing values
 
 
-def test_missing_values_stay_missing_to_the_byte(folder: Path, denver: Weather) -> None:
+def test_weather_noise__missing_values_stay_missing_to_the_byte(folder: Path, denver: Weather) -> None:
     gaps = {}
     for name, missing in {
         "dry_bulb_temperature": 99.9,
@@ -444,7 +446,7 @@ COLUMN_SETS = st.sampled_from(
 
 @settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(COLUMN_SETS, PARAMETERS, st.floats(0.1, 100.0), st.integers(0, 2**32))
-def test_hours_stay_possible(
+def test_weather_noise__hours_stay_possible(
     denver: Weather, columns: tuple[str, ...], parameters: tuple[float, float, float], scale: float, seed: int
 ) -> None:
     sigma, mu, tau_h = parameters
@@ -497,7 +499,7 @@ def test_noise__respects_configured_limits(denver: Weather, low: float, high: fl
     assert np.isclose(humidity, high, atol=1e-4).any()
 
 
-def test_wind_direction_goes_round(denver: Weather) -> None:
+def test_weather_noise__wind_direction_goes_round(denver: Weather) -> None:
     done = noised(denver, wind_direction=ColumnNoise(sigma=0, mu=100.0))
     turned = done.columns["wind_direction"]
     np.testing.assert_allclose(turned, (denver.column("wind_direction") + 100.0) % 360.0, atol=1e-4)
@@ -507,7 +509,7 @@ def test_wind_direction_goes_round(denver: Weather) -> None:
 # The real thing
 
 
-def test_the_weather_that_was_written_is_what_energyplus_simulates(denver: Weather, folder: Path) -> None:
+def test_weather_noise__weather_that_was_written_is_what_energyplus_simulates(denver: Weather, folder: Path) -> None:
     done = noised(
         denver,
         4,

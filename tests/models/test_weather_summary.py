@@ -38,22 +38,22 @@ def constant(temperature_c: float, days: int = 365) -> np.ndarray:
         (10.2, "4"), (10.0, "5"), (7.4, "5"), (7.2, "6"), (4.7, "6"), (4.5, "7"), (-0.8, "7"), (-1.0, "8"),
     ],
 )  # fmt: skip
-def test_the_climate_zone_follows_degree_days(temperature_c: float, zone: str) -> None:
+def test_weather_summary__climate_zone_follows_degree_days(temperature_c: float, zone: str) -> None:
     assert climate_zone(constant(temperature_c)) == zone
 
 
-def test_degree_days_are_of_daily_means() -> None:
+def test_weather_summary__degree_days_are_of_daily_means() -> None:
     swing = constant(19.5) + 15.0 * np.sin(np.arange(24) / 24 * 2 * np.pi)
     assert climate_zone(swing) == climate_zone(constant(19.5)) == "3"
 
 
-def test_two_years_are_judged_as_one_and_a_month_not_at_all() -> None:
+def test_weather_summary__two_years_are_judged_as_one_and_a_month_not_at_all() -> None:
     assert climate_zone(constant(10.0, 730)) == climate_zone(constant(10.0))
     assert climate_zone(constant(10.0, 31)) == ""
 
 
 @pytest.mark.parametrize("entry", catalog.bundled_weathers(), ids=lambda e: e.name)
-def test_a_bundled_weather_has_its_facts(entry: catalog.Entry) -> None:
+def test_weather_summary__bundled_weather_has_its_facts(entry: catalog.Entry) -> None:
     summary = weather_summary(entry.path)
     rows = [line.split(",") for line in entry.path.read_text("latin-1").splitlines()[8:]]
     assert summary.mean_temperature_degC == pytest.approx(sum(float(row[6]) for row in rows) / 8760)
@@ -75,7 +75,7 @@ def test_a_bundled_weather_has_its_facts(entry: catalog.Entry) -> None:
         (' - Climate type "BSk" (Köppen classification)**', "0"),  # the file's own
     ],
 )
-def test_a_stat_file_beside_names_the_zone(tmp_path: Path, line: str, zone: str) -> None:
+def test_weather_summary__stat_file_beside_names_the_zone(tmp_path: Path, line: str, zone: str) -> None:
     path = epw(tmp_path / "a.epw", constant(30.0))
     (tmp_path / "a.stat").write_text(f"Statistics\n{line}\n", encoding="latin-1")
     assert weather_summary(path).climate_zone == zone
@@ -84,11 +84,11 @@ def test_a_stat_file_beside_names_the_zone(tmp_path: Path, line: str, zone: str)
 @pytest.mark.parametrize(
     ("years", "text"), [((2019,), "2019"), ((1999, 1987), "typical year"), ((2001, 2005), "typical year")]
 )
-def test_years_are_those_of_the_rows(tmp_path: Path, years: tuple[int, ...], text: str) -> None:
+def test_weather_summary__years_are_those_of_the_rows(tmp_path: Path, years: tuple[int, ...], text: str) -> None:
     assert weather_summary(epw(tmp_path / "a.epw", constant(10.0), years=years)).years == text
 
 
-def test_a_missing_value_is_left_out_of_the_mean(tmp_path: Path) -> None:
+def test_weather_summary__missing_value_is_left_out_of_the_mean(tmp_path: Path) -> None:
     temperature = constant(10.0)
     temperature[3, 4:9] = 99.9
     summary = weather_summary(epw(tmp_path / "a.epw", temperature, humidity=999.0 / 3))
@@ -96,7 +96,7 @@ def test_a_missing_value_is_left_out_of_the_mean(tmp_path: Path) -> None:
     assert summary.climate_zone == "5"
 
 
-def test_a_file_without_a_single_temperature_is_refused(tmp_path: Path) -> None:
+def test_weather_summary__file_without_a_single_temperature_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig, match=r"a\.epw has no dry-bulb temperature"):
         weather_summary(epw(tmp_path / "a.epw", constant(99.9)))
 
@@ -109,7 +109,7 @@ def test_a_file_without_a_single_temperature_is_refused(tmp_path: Path) -> None:
         ("2019,1,1,1,60,?9,warm,0,50,0\n", "cannot be read"),
     ],
 )
-def test_rows_that_are_no_days_of_numbers_are_refused_with_the_files_name(
+def test_weather_summary__rows_that_are_no_days_of_numbers_are_refused_with_the_files_name(
     tmp_path: Path, rows: str, words: str
 ) -> None:
     path = epw(tmp_path / "broken.epw", constant(10.0, 0))

@@ -22,7 +22,7 @@ from zenostat.models.catalog import find_building
         ("ZoneControl:Thermostat:OperativeTemperature", {"adaptive_comfort_model_type": "AdaptiveASH55CentralLine"}),
     ],
 )
-def test_such_objects_are_found(kind: str, fields: dict[str, Any]) -> None:
+def test_whole_weather__such_objects_are_found(kind: str, fields: dict[str, Any]) -> None:
     assert reads_whole_weather({"Zone": {"z": {}}, kind: {"object": fields}}) == kind
 
 
@@ -34,9 +34,9 @@ def test_such_objects_are_found(kind: str, fields: dict[str, Any]) -> None:
         ("ZoneControl:Thermostat:OperativeTemperature", {"adaptive_comfort_model_type": "None"}),
     ],
 )
-def test_others_are_not(kind: str, fields: dict[str, Any]) -> None:
+def test_whole_weather__others_are_not(kind: str, fields: dict[str, Any]) -> None:
     assert not reads_whole_weather({kind: {"object": fields}})
 
 
-def test_the_reference_office_is_not_such_a_model() -> None:
+def test_whole_weather__reference_office_is_not_such_a_model() -> None:
     assert not reads_whole_weather(read_building(find_building("ref-small-office")).objects)

@@ -48,7 +48,7 @@ def paused_bus(episode_bus: zenostat.Bus) -> zenostat.Bus:
     return episode_bus
 
 
-def test_points_have_the_values_units_and_bounds_of_the_node(
+def test_bacnet_gateway__points_have_the_values_units_and_bounds_of_the_node(
     paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     manifest = paused_bus.manifest("office")
@@ -80,7 +80,7 @@ def test_points_have_the_values_units_and_bounds_of_the_node(
     run(main())
 
 
-def test_a_client_commands_an_output_at_its_priority_and_relinquishes_it(
+def test_bacnet_gateway__client_commands_an_output_at_its_priority_and_relinquishes_it(
     paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     index = [a.name for a in paused_bus.manifest("office").actuators].index(COOLING)
@@ -116,7 +116,7 @@ def test_a_client_commands_an_output_at_its_priority_and_relinquishes_it(
     assert all(event.source.startswith("bacnet 127.0.0.1:") for event in written)
 
 
-def test_commands_of_others_on_the_bus_are_in_the_priority_array_at_once(
+def test_bacnet_gateway__commands_of_others_on_the_bus_are_in_the_priority_array_at_once(
     paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
@@ -160,7 +160,7 @@ REJECTED: list[tuple[str, Any, dict[str, Any], str]] = [
 ]
 
 
-def test_writes_that_are_not_possible_get_the_errors_of_the_standard_and_move_nothing(
+def test_bacnet_gateway__writes_that_are_not_possible_get_the_errors_of_the_standard_and_move_nothing(
     paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
@@ -196,7 +196,9 @@ def test_writes_that_are_not_possible_get_the_errors_of_the_standard_and_move_no
     assert commanded == {(HEATING, 9): 18.0}
 
 
-def test_the_device_describes_itself_and_answers_who_is(paused_bus: zenostat.Bus, shared_node: NodeProgram) -> None:
+def test_bacnet_gateway__device_describes_itself_and_answers_who_is(
+    paused_bus: zenostat.Bus, shared_node: NodeProgram
+) -> None:
     manifest = paused_bus.manifest("office")
 
     async def main() -> None:
@@ -223,7 +225,7 @@ def test_the_device_describes_itself_and_answers_who_is(paused_bus: zenostat.Bus
     run(main())
 
 
-def test_a_broadcast_who_is_on_the_network_of_the_interface_is_answered(
+def test_bacnet_gateway__broadcast_who_is_on_the_network_of_the_interface_is_answered(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     who_is = bytes.fromhex("810b000c0120ffff00ff1008")  # original broadcast, global network, all devices
@@ -242,7 +244,7 @@ def test_a_broadcast_who_is_on_the_network_of_the_interface_is_answered(
     run(main())
 
 
-def test_subscribers_hear_of_changes_beyond_the_increment_of_others_commands_and_of_the_end(
+def test_bacnet_gateway__subscribers_hear_of_changes_beyond_the_increment_of_others_commands_and_of_the_end(
     paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
@@ -270,7 +272,7 @@ def test_subscribers_hear_of_changes_beyond_the_increment_of_others_commands_and
     run(main())
 
 
-def test_a_fast_simulation_sends_few_notifications_and_the_last_value_always(
+def test_bacnet_gateway__fast_simulation_sends_few_notifications_and_the_last_value_always(
     paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
@@ -288,7 +290,7 @@ def test_a_fast_simulation_sends_few_notifications_and_the_last_value_always(
     run(main())
 
 
-def test_a_value_that_is_not_a_number_and_a_failed_simulation_are_faults(
+def test_bacnet_gateway__value_that_is_not_a_number_and_a_failed_simulation_are_faults(
     paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
@@ -313,7 +315,7 @@ def test_a_value_that_is_not_a_number_and_a_failed_simulation_are_faults(
     run(main())
 
 
-def test_a_paused_node_steps_on_command_and_a_running_one_does_not(
+def test_bacnet_gateway__paused_node_steps_on_command_and_a_running_one_does_not(
     paused_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
@@ -333,7 +335,7 @@ def test_a_paused_node_steps_on_command_and_a_running_one_does_not(
     run(main())
 
 
-def test_a_node_that_is_gone_is_a_fault_and_one_that_returns_is_served_again(tmp_path: Path) -> None:
+def test_bacnet_gateway__node_that_is_gone_is_a_fault_and_one_that_returns_is_served_again(tmp_path: Path) -> None:
     settings = {**SMALL, "listen": [], "name": "office"}
     endpoint = f"unixsock-stream/{tmp_path}/router"
     nodes: list[NodeProgram] = []
@@ -372,7 +374,7 @@ def test_a_node_that_is_gone_is_a_fault_and_one_that_returns_is_served_again(tmp
                 program.close()
 
 
-def test_an_address_in_use_or_of_no_interface_is_refused_before_anything_starts(
+def test_bacnet_gateway__address_in_use_or_of_no_interface_is_refused_before_anything_starts(
     shared_node: NodeProgram, episode_bus: zenostat.Bus
 ) -> None:
     port = free_udp_port()

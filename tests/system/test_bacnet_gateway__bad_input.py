@@ -62,7 +62,7 @@ def commanded(bus: zenostat.Bus) -> dict[tuple[str, int], float]:
     }
 
 
-def test_malformed_requests_are_rejected_and_half_datagrams_counted(
+def test_bacnet_gateway__malformed_requests_are_rejected_and_half_datagrams_counted(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
@@ -89,7 +89,7 @@ def test_malformed_requests_are_rejected_and_half_datagrams_counted(
     assert commanded(episode_bus) == {}
 
 
-def test_random_and_mutated_datagrams_crash_nothing_and_move_no_other_actuator(
+def test_bacnet_gateway__random_and_mutated_datagrams_crash_nothing_and_move_no_other_actuator(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     """Mutations of valid writes may be valid; those of one output only, within its bounds."""
@@ -141,7 +141,7 @@ async def patient_read(reader: Client) -> float:
     raise AssertionError(value)
 
 
-def test_a_flood_of_writes_is_answered_each_or_aborted_and_the_device_serves_others(
+def test_bacnet_gateway__flood_of_writes_is_answered_each_or_aborted_and_the_device_serves_others(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
@@ -164,7 +164,9 @@ def test_a_flood_of_writes_is_answered_each_or_aborted_and_the_device_serves_oth
     asyncio.run(main())
 
 
-def test_a_duplicate_of_a_request_is_carried_out_once(episode_bus: zenostat.Bus, shared_node: NodeProgram) -> None:
+def test_bacnet_gateway__duplicate_of_a_request_is_carried_out_once(
+    episode_bus: zenostat.Bus, shared_node: NodeProgram
+) -> None:
     async def main() -> None:
         async with served(shared_node.endpoint) as (gateway, reader, port):
             request = datagram(write_request(reader.objects[COOLING][1], real(26.0), b"\x49\x08"))
@@ -178,7 +180,7 @@ def test_a_duplicate_of_a_request_is_carried_out_once(episode_bus: zenostat.Bus,
     asyncio.run(main())
 
 
-def test_a_client_that_dies_amid_a_segmented_request_or_with_subscriptions_costs_nothing(
+def test_bacnet_gateway__client_that_dies_amid_a_segmented_request_or_with_subscriptions_costs_nothing(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     async def main() -> None:
@@ -206,7 +208,9 @@ def test_a_client_that_dies_amid_a_segmented_request_or_with_subscriptions_costs
     asyncio.run(main())
 
 
-def test_subscriptions_are_limited(episode_bus: zenostat.Bus, shared_node: NodeProgram, monkeypatch) -> None:
+def test_bacnet_gateway__subscriptions_are_limited(
+    episode_bus: zenostat.Bus, shared_node: NodeProgram, monkeypatch
+) -> None:
     monkeypatch.setattr(requests, "MAX_SUBSCRIPTIONS", 5)
 
     async def main() -> None:

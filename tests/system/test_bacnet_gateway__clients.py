@@ -81,7 +81,7 @@ def gateway(node: NodeProgram, port: int) -> Iterator[subprocess.Popen]:
 
 
 @pytest.mark.skipif(importlib.util.find_spec("BAC0") is None, reason="BAC0 is not installed: pip install BAC0")
-def test_bac0_finds_the_device_reads_commands_and_relinquishes(
+def test_bacnet_gateway__bac0_finds_the_device_reads_commands_and_relinquishes(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pause("office")
@@ -110,7 +110,7 @@ def test_bac0_finds_the_device_reads_commands_and_relinquishes(
     not (shutil.which("bacrp") and shutil.which("bacwp")),
     reason="bacrp and bacwp are not installed; build them from github.com/bacnet-stack/bacnet-stack",
 )
-def test_bacnet_stack_reads_and_writes(episode_bus: zenostat.Bus, shared_node: NodeProgram) -> None:
+def test_bacnet_gateway__bacnet_stack_reads_and_writes(episode_bus: zenostat.Bus, shared_node: NodeProgram) -> None:
     port = free_udp_port()
     output = str(instance_numbers(a.name for a in episode_bus.manifest("office").actuators)[COOLING])
 
@@ -137,14 +137,14 @@ def test_bacnet_stack_reads_and_writes(episode_bus: zenostat.Bus, shared_node: N
         ("somewhere:47808", "is not an address to listen on"),
     ],
 )
-def test_an_address_that_is_not_possible_is_one_line(address: str, expected: str) -> None:
+def test_bacnet_gateway__address_that_is_not_possible_is_one_line(address: str, expected: str) -> None:
     ended = run_in_process("gateway", "bacnet", "office", "--address", address, columns=200)
     assert ended.returncode == 2
     assert expected in ended.stderr
     assert "Traceback" not in ended.stderr
 
 
-def test_a_node_that_does_not_exist_is_one_line(shared_node: NodeProgram) -> None:
+def test_bacnet_gateway__node_that_does_not_exist_is_one_line(shared_node: NodeProgram) -> None:
     address = f"127.0.0.1:{free_udp_port()}"
     ended = run_program("gateway", "bacnet", "nobody", "--connect", shared_node.endpoint, "--address", address)
     assert ended.returncode != 0
@@ -152,7 +152,7 @@ def test_a_node_that_does_not_exist_is_one_line(shared_node: NodeProgram) -> Non
     assert "Traceback" not in ended.stderr
 
 
-def test_the_example_steps_the_node_and_commands_it_in_the_afternoon(
+def test_bacnet_gateway__example_steps_the_node_and_commands_it_in_the_afternoon(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pace("office", mode="free")
@@ -171,7 +171,7 @@ def test_the_example_steps_the_node_and_commands_it_in_the_afternoon(
     assert len(setpoints) == 76
 
 
-def test_the_objects_are_written_as_a_table(
+def test_bacnet_gateway__objects_are_written_as_a_table(
     episode_bus: zenostat.Bus, shared_node: NodeProgram, tmp_path: Path
 ) -> None:
     file = tmp_path / "objects.csv"
@@ -198,6 +198,6 @@ def test_the_objects_are_written_as_a_table(
     assert (refused.returncode, "No such file" in refused.stderr) == (2, True)
 
 
-def test_a_source_that_leaves_no_room_for_the_address_is_refused() -> None:
+def test_bacnet_gateway__source_that_leaves_no_room_for_the_address_is_refused() -> None:
     ended = run_in_process("gateway", "bacnet", "office", "--source", "x" * 101)
     assert (ended.returncode, "101 characters" in ended.stderr) == (2, True)

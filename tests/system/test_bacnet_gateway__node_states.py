@@ -18,7 +18,7 @@ from zenostat.topics.messages import State
 
 
 @pytest.mark.slow
-def test_a_replayed_recording_is_reliable_and_takes_no_writes(tmp_path: Path) -> None:
+def test_bacnet_gateway__replayed_recording_is_reliable_and_takes_no_writes(tmp_path: Path) -> None:
     plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
     record, bus = tmp_path / "room.mcap", f"unixsock-stream/{tmp_path}/bus"
     with (
@@ -43,7 +43,7 @@ def test_a_replayed_recording_is_reliable_and_takes_no_writes(tmp_path: Path) ->
 
 
 @pytest.mark.slow
-def test_a_frozen_node_is_an_operational_problem_of_each_write(tmp_path: Path) -> None:
+def test_bacnet_gateway__frozen_node_is_an_operational_problem_of_each_write(tmp_path: Path) -> None:
     plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
 
     async def main() -> None:

@@ -24,7 +24,7 @@ from zenostat.gateways.boptest.simulation import Interruption, Simulation
     ],
     ids=["a step of 300 days", "the year of test periods"],
 )
-def test_a_service_that_ends_answers_the_request_in_progress(monkeypatch, tmp_path, case, request_, method):
+def test_boptest__service_that_ends_answers_the_request_in_progress(monkeypatch, tmp_path, case, request_, method):
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path))
     begun, answers = threading.Event(), []
     original = getattr(Simulation, method)
@@ -45,7 +45,7 @@ def test_a_service_that_ends_answers_the_request_in_progress(monkeypatch, tmp_pa
 
 
 @pytest.mark.parametrize("end", ["stop", "service"])
-def test_a_test_that_is_starting_can_be_ended(monkeypatch, capfd, end):
+def test_boptest__test_that_is_starting_can_be_ended(monkeypatch, capfd, end):
     is_starting, answers, original = threading.Event(), [], Interruption.watch
 
     def signaled(self, node):
@@ -69,7 +69,7 @@ def test_a_test_that_is_starting_can_be_ended(monkeypatch, capfd, end):
 
 @pytest.mark.variants
 @pytest.mark.parametrize("is_branch", [False, True], ids=["test", "branch"])
-def test_stop_is_answered_while_a_request_is_in_progress_which_then_ends(monkeypatch, capfd, is_branch):
+def test_boptest__stop_is_answered_while_a_request_is_in_progress_which_then_ends(monkeypatch, capfd, is_branch):
     """advance begins → stop is answered → advance goes on: ends with an error → the service ends quietly"""
     in_progress, may_go_on, answers = threading.Event(), threading.Event(), []
     original = Simulation.step
@@ -102,7 +102,7 @@ def test_stop_is_answered_while_a_request_is_in_progress_which_then_ends(monkeyp
 
 
 @pytest.mark.slow
-def test_a_service_ends_while_a_stopped_test_is_still_advanced(monkeypatch, capfd):
+def test_boptest__service_ends_while_a_stopped_test_is_still_advanced(monkeypatch, capfd):
     in_progress, answers = threading.Event(), []
     original = Simulation.step
 
@@ -127,7 +127,7 @@ def test_a_service_ends_while_a_stopped_test_is_still_advanced(monkeypatch, capf
 
 
 @pytest.mark.slow
-def test_a_period_is_advanced_in_steps_of_15_minutes_to_its_end():
+def test_boptest__period_is_advanced_in_steps_of_15_minutes_to_its_end():
     """1,344 steps; after the last one, `/advance` answers `{}` and everything remains readable."""
     with serving() as client:
         client.select("office-small")

@@ -51,7 +51,7 @@ def body(rng: random.Random) -> bytes:
     return text[: rng.randrange(len(text))] if choice < 0.2 else text
 
 
-def test_any_request_is_answered_and_counted_and_the_building_remains_controllable(client: Client):
+def test_boptest__any_request_is_answered_and_counted_and_the_building_remains_controllable(client: Client):
     rng = random.Random(7)
     before = sum(client.service.counts.values())
     sent = 0
@@ -78,7 +78,7 @@ def test_any_request_is_answered_and_counted_and_the_building_remains_controllab
 
 
 @pytest.mark.parametrize("value", ["NaN", '"nan"', "{}", "[24]", "true", '"warm"', "1e309"])
-def test_a_bad_value_beside_good_ones_moves_nothing(client: Client, value: str):
+def test_boptest__bad_value_beside_good_ones_moves_nothing(client: Client, value: str):
     client.put("initialize", start_time=0, warmup_period=0)
     text = (
         '{"core_zn_heating_setpoint_u": 295.15, "core_zn_heating_setpoint_activate": 1,'
@@ -94,7 +94,7 @@ def test_a_bad_value_beside_good_ones_moves_nothing(client: Client, value: str):
     assert not any(value for name, value in state.items() if name.endswith("_activate"))
 
 
-def test_broken_http_and_clients_that_leave_do_not_end_the_service(client: Client):
+def test_boptest__broken_http_and_clients_that_leave_do_not_end_the_service(client: Client):
     client.put("initialize", start_time=0, warmup_period=0)
     address = urlsplit(client.url)
     head = f"POST /advance/{client.testid} HTTP/1.1\r\nHost: a\r\nContent-Type: application/json\r\n"

@@ -39,7 +39,7 @@ def test(running: Client) -> Client:
     return running
 
 
-def test_the_example_flow_of_a_controller_with_kpis_results_and_forecasts(test):
+def test_boptest_gateway__example_flow_of_a_controller_with_kpis_results_and_forecasts(test):
     inputs = test.get("inputs")
     controls = {name: 0 if name.endswith("_activate") else inputs[name]["Minimum"] for name in inputs}
     controls[f"{COOLING}_activate"] = 1
@@ -60,7 +60,7 @@ def test_the_example_flow_of_a_controller_with_kpis_results_and_forecasts(test):
     assert test.put("forecast", point_names=["TDryBul"], horizon=0, interval=300)["time"] == [START_S + 4 * 3600]
 
 
-def test_what_is_not_activated_follows_the_baseline_control(test):
+def test_boptest_gateway__what_is_not_activated_follows_the_baseline_control(test):
     baseline = test.advance()
     test.put("initialize", start_time=START_S, warmup_period=WARMUP_S)
     overridden = test.advance(**{f"{COOLING}_u": 297.15, f"{COOLING}_activate": 1})
@@ -71,7 +71,7 @@ def test_what_is_not_activated_follows_the_baseline_control(test):
         assert (state[f"{COOLING}_u"], state[f"{COOLING}_activate"]) == (pytest.approx(302.59), 0)
 
 
-def test_initialize_returns_to_the_same_building_whatever_was_done_to_it(test):
+def test_boptest_gateway__initialize_returns_to_the_same_building_whatever_was_done_to_it(test):
     first = test.put("initialize", start_time=START_S, warmup_period=WARMUP_S)
     for _ in range(3):
         test.advance(**{f"{COOLING}_u": 295.65, f"{COOLING}_activate": 1})
@@ -81,7 +81,7 @@ def test_initialize_returns_to_the_same_building_whatever_was_done_to_it(test):
     assert test.put("initialize", start_time=START_S, warmup_period=WARMUP_S) == first
 
 
-def test_the_warm_up_can_be_read_and_does_not_count(test):
+def test_boptest_gateway__warm_up_can_be_read_and_does_not_count(test):
     name = "electricity_facility_y"
     warmup = test.put("results", point_names=[name], start_time=0, final_time=START_S)
     assert warmup["time"] == [START_S - WARMUP_S + 900 * k for k in range(WARMUP_S // 900 + 1)]
@@ -89,7 +89,7 @@ def test_the_warm_up_can_be_read_and_does_not_count(test):
     assert test.get("kpi")["ener_tot"] == 0.0
 
 
-def test_kpis_are_boptests_formulas_over_the_results(test):
+def test_boptest_gateway__kpis_are_boptests_formulas_over_the_results(test):
     count = 4 * 14  # until 14:00, when the building is in use
     zones = [name[len("LowerSetp[") : -1] for name in test.get("forecast_points") if name.startswith("LowerSetp[")]
     limits = [f"{side}Setp[{zone}]" for side in ("Lower", "Upper") for zone in zones]
@@ -122,7 +122,7 @@ def test_kpis_are_boptests_formulas_over_the_results(test):
     assert test.get("kpi")["cost_tot"] == pytest.approx((tariff * power_w).sum() * 900 / 3.6e6 / AREA_M2)
 
 
-def test_a_forecast_without_errors_is_what_is_measured_later(test):
+def test_boptest_gateway__forecast_without_errors_is_what_is_measured_later(test):
     points = ["TDryBul", "Occupancy[core_zn]", "UpperSetp[core_zn]"]
     forecast = test.put("forecast", point_names=dict.fromkeys(points), horizon=12 * 3600, interval=3600)
     test.put("step", step=3600)
@@ -138,7 +138,7 @@ def test_a_forecast_without_errors_is_what_is_measured_later(test):
     assert max(results["core_zn_occupants_y"]) > 0
 
 
-def test_uncertain_forecasts_follow_their_seed_and_are_cleared_by_a_scenario_without_them(test):
+def test_boptest_gateway__uncertain_forecasts_follow_their_seed_and_are_cleared_by_a_scenario_without_them(test):
     asked = {"point_names": ["TDryBul", "HGloHor"], "horizon": 24 * 3600, "interval": 3600}
     truth = test.put("forecast", **asked)
     test.put("scenario", temperature_uncertainty="high", solar_uncertainty="low", seed=7)
@@ -161,7 +161,7 @@ def test_uncertain_forecasts_follow_their_seed_and_are_cleared_by_a_scenario_wit
 
 
 @pytest.mark.slow
-def test_a_scenario_begins_a_week_before_its_day_and_ends_after_two_weeks(test):
+def test_boptest_gateway__scenario_begins_a_week_before_its_day_and_ends_after_two_weeks(test):
     peak = test.service.manager.cases.find("office-small").days["peak_cool_day"]
     answer = test.put("scenario", time_period="peak_cool_day", electricity_price="highly_dynamic")
     assert answer["time_period"]["time"] == (peak - 7) * DAY_S
@@ -178,7 +178,7 @@ def test_a_scenario_begins_a_week_before_its_day_and_ends_after_two_weeks(test):
     assert test.get("kpi")["cost_tot"] > 0
 
 
-def test_snapshots_and_branches_continue_independently(test):
+def test_boptest_gateway__snapshots_and_branches_continue_independently(test):
     override = {f"{COOLING}_u": 295.65, f"{COOLING}_activate": 1}
     test.advance()
     name = test.payload("POST", "snapshot")["snapshot"]
@@ -196,7 +196,7 @@ def test_snapshots_and_branches_continue_independently(test):
     assert test.answer("PUT", "snapshot", {"snapshot": name}).status_code == 400
 
 
-def test_the_baseline_is_the_building_that_nobody_controls(test):
+def test_boptest_gateway__baseline_is_the_building_that_nobody_controls(test):
     free = [test.advance() for _ in range(4)]
     test.put("initialize", start_time=START_S, warmup_period=WARMUP_S)
     for _ in range(4):
@@ -232,7 +232,7 @@ def test_the_baseline_is_the_building_that_nobody_controls(test):
         ("PUT", "snapshot", {"snapshot": "s99"}, "No snapshot 's99'"),
     ],
 )
-def test_bad_requests_are_answered_with_400_and_change_nothing(running, method, operation, body, text):
+def test_boptest_gateway__bad_requests_are_answered_with_400_and_change_nothing(running, method, operation, body, text):
     before = running.get("kpi"), running.put("results", point_names=["time"], start_time=0, final_time=1e12)
     answer = running.answer(method, operation, body)
     assert answer.status_code == 400
@@ -242,7 +242,7 @@ def test_bad_requests_are_answered_with_400_and_change_nothing(running, method, 
     assert (running.get("kpi"), running.put("results", point_names=["time"], start_time=0, final_time=1e12)) == before
 
 
-def test_values_beyond_the_bounds_are_clipped_with_a_warning(test):
+def test_boptest_gateway__values_beyond_the_bounds_are_clipped_with_a_warning(test):
     answer = test.answer("POST", "advance", {f"{COOLING}_u": 400, f"{COOLING}_activate": "True"}).json()
     assert f"WARNING: value of 400.0 for {COOLING}_u is above maximum of 303.15.  Using 303.15. ;" in answer["message"]
     assert answer["payload"][f"{COOLING}_u"] == pytest.approx(303.15)
@@ -258,7 +258,7 @@ def test_values_beyond_the_bounds_are_clipped_with_a_warning(test):
         ({"activate": 0}, ""),
     ],
 )
-def test_an_input_that_is_sent_by_halves_is_warned_of(test, inputs, warning):
+def test_boptest_gateway__input_that_is_sent_by_halves_is_warned_of(test, inputs, warning):
     body = {f"{COOLING}_{name}": value for name, value in inputs.items()}
     answer = test.answer("POST", "advance", body).json()
     expected = f" WARNING: {warning}  Using the baseline control. ;" if warning else ""
@@ -266,7 +266,7 @@ def test_an_input_that_is_sent_by_halves_is_warned_of(test, inputs, warning):
     assert answer["payload"][f"{COOLING}_activate"] == 0
 
 
-def test_results_are_submitted_at_the_end_of_a_period_alone(test):
+def test_boptest_gateway__results_are_submitted_at_the_end_of_a_period_alone(test):
     body = {"api_key": "key", "unit_test": "True", "tag1": "mine"}
     test.put("initialize", start_time=START_S, warmup_period=WARMUP_S, final_time=START_S + 1800)
     for _ in range(2):
@@ -280,7 +280,7 @@ def test_results_are_submitted_at_the_end_of_a_period_alone(test):
     assert test.answer("POST", "submit", {"api_key": "key"}).status_code == 400
 
 
-def test_infinite_times_are_sent_as_text_where_a_client_refuses_them_as_numbers(test):
+def test_boptest_gateway__infinite_times_are_sent_as_text_where_a_client_refuses_them_as_numbers(test):
     body = {"point_names": ["outdoor_temperature_y"], "start_time": float("-inf"), "final_time": float("inf")}
     with pytest.raises(requests.exceptions.InvalidJSONError):
         test.put("results", **body)
@@ -288,14 +288,14 @@ def test_infinite_times_are_sent_as_text_where_a_client_refuses_them_as_numbers(
     assert times == [START_S - WARMUP_S + 900 * k for k in range(WARMUP_S // 900 + 1)]
 
 
-def test_a_step_that_does_not_fit_is_set_and_refused_at_advance(test):
+def test_boptest_gateway__step_that_does_not_fit_is_set_and_refused_at_advance(test):
     assert test.put("step", step=101) == {"step": 101.0}
     assert test.get("step") == 101.0
     answer = test.answer("POST", "advance", {})
     assert (answer.status_code, "multiple of the building's timestep of 900 s" in answer.text) == (400, True)
 
 
-def test_forms_and_bare_infinities_are_accepted(test):
+def test_boptest_gateway__forms_and_bare_infinities_are_accepted(test):
     form = test.request("PUT", f"/step/{test.testid}", data={"step": "1800"})
     assert form.json()["payload"] == {"step": 1800.0}
     body = '{"point_names": ["outdoor_temperature_y"], "start_time": -Infinity, "final_time": Infinity}'
@@ -303,7 +303,7 @@ def test_forms_and_bare_infinities_are_accepted(test):
     assert len(answer.json()["payload"]["time"]) == WARMUP_S // 900 + 1
 
 
-def test_unknown_tests_and_test_cases(running):
+def test_boptest_gateway__unknown_tests_and_test_cases(running):
     unknown = running.request("GET", "/name/foo")
     assert unknown.status_code == 400
     assert unknown.json()["errors"][0]["msg"] == "Invalid testid: foo"
@@ -316,7 +316,7 @@ def test_unknown_tests_and_test_cases(running):
     assert len(cases) >= 32
 
 
-def test_the_page_lists_all_operations_and_loads_nothing(running):
+def test_boptest_gateway__page_lists_all_operations_and_loads_nothing(running):
     page = running.request("GET", "/docs").text
     assert "PUT /scenario/{testid}" in page
     assert not re.search(r"(src|href)=.?https?:", page)
@@ -324,7 +324,7 @@ def test_the_page_lists_all_operations_and_loads_nothing(running):
     assert document["paths"]["/initialize/{testid}"]["put"]["requestBody"]
 
 
-def test_a_building_that_dies_fails_its_test_alone_until_it_is_initialized_again(test):
+def test_boptest_gateway__building_that_dies_fails_its_test_alone_until_it_is_initialized_again(test):
     os.kill(test.service.manager.get(test.testid).episodes.building.pid, signal.SIGKILL)
     answer = test.answer("POST", "advance", {})
     assert (answer.status_code, answer.text.startswith("NodeLost")) == (500, True)
@@ -333,7 +333,7 @@ def test_a_building_that_dies_fails_its_test_alone_until_it_is_initialized_again
     assert test.advance()["time"] == START_S + 900
 
 
-def test_a_scenario_of_a_data_pack_is_a_test_case(running):
+def test_boptest_gateway__scenario_of_a_data_pack_is_a_test_case(running):
     packs.sinergym()
     client = Client(running.url)
     assert {"testcaseid": "5zone-hot-continuous-v1"} in client.request("GET", "/testcases").json()
@@ -347,7 +347,7 @@ def test_a_scenario_of_a_data_pack_is_a_test_case(running):
 
 
 @pytest.mark.slow
-def test_tests_without_requests_end_and_paths_without_ids_serve_old_clients():
+def test_boptest_gateway__tests_without_requests_end_and_paths_without_ids_serve_old_clients():
     with serving(single="ref-small-office", timeout_s=2.0, max_tests=2) as client:
         testid = client.request("POST", "/testcases/office-small/select-async").json()["testid"]
         assert client.request("POST", "/testcases/office-small/select").status_code == 503

@@ -51,7 +51,7 @@ def cooling(bus: Bus, node: str, setpoint: float | None, steps: int, *, name: st
     return seen
 
 
-def test_a_plain_controller_drives_a_branch_as_any_node(bus: Bus) -> None:
+def test_branches__plain_controller_drives_a_branch_as_any_node(bus: Bus) -> None:
     """Controllers come and go there, one after the other, at the same level."""
     with bus.controller("office") as link:
         sample = link.reset()
@@ -79,7 +79,7 @@ def test_a_plain_controller_drives_a_branch_as_any_node(bus: Bus) -> None:
         assert all(b.private_bytes > 0 for b in status.branches)
 
 
-def test_the_status_command_shows_forks_with_their_memory(bus: Bus) -> None:
+def test_branches__status_command_shows_forks_with_their_memory(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()
         branch, snapshot = bus.branch("office", CreateBranch(controller=link.name)), bus.snapshot("office", link.name)
@@ -91,7 +91,7 @@ def test_the_status_command_shows_forks_with_their_memory(bus: Bus) -> None:
         assert words in output, output
 
 
-def test_a_stop_ends_a_branch_alone(bus: Bus) -> None:
+def test_branches__stop_ends_a_branch_alone(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()
         one, other = (bus.branch("office", CreateBranch(controller=link.name)) for _ in range(2))
@@ -137,7 +137,9 @@ def test_branches_and_snapshots__end_with_their_owner(bus: Bus) -> None:
         bus.drop("office", mine)
 
 
-def test_a_killed_environment_leaves_a_shared_node_without_its_forks(shared_node: NodeProgram, bus: Bus) -> None:
+def test_branches__killed_environment_leaves_a_shared_node_without_its_forks(
+    shared_node: NodeProgram, bus: Bus
+) -> None:
     node = psutil.Process(shared_node.pid)
     with Program(OWNER, bus.endpoint) as owner:
         assert owner.line() == "has them"
@@ -160,7 +162,7 @@ def cooling_of(link: zenostat.ControllerLink, steps: int) -> int:
     return sample.step
 
 
-def test_a_killed_node_takes_its_branches_along(scratch: Path) -> None:
+def test_branches__killed_node_takes_its_branches_along(scratch: Path) -> None:
     node = NodeProgram(scratch / "node", **SMALL)
     with zenostat.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         link.reset()
@@ -173,7 +175,7 @@ def test_a_killed_node_takes_its_branches_along(scratch: Path) -> None:
     node.close()
 
 
-def test_a_branch_whose_name_would_be_too_long_is_refused(scratch: Path) -> None:
+def test_branches__branch_whose_name_would_be_too_long_is_refused(scratch: Path) -> None:
     name = "x" * 127
     with (
         NodeProgram(scratch / "node", **SMALL | {"name": name}) as node,
@@ -187,7 +189,7 @@ def test_a_branch_whose_name_would_be_too_long_is_refused(scratch: Path) -> None
         assert cooling_of(link, 2) == 2
 
 
-def test_several_engines_in_a_branch_stand_where_their_one_parent_stood(bus: Bus) -> None:
+def test_branches__several_engines_in_a_branch_stand_where_their_one_parent_stood(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()
         cooling_of(link, 5)

@@ -123,7 +123,7 @@ def next_event(events: zenoh.Subscriber, kind: EventKind) -> Event:
 # Strangers
 
 
-def test_a_stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: zenostat.Bus) -> None:
+def test_bus__stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: zenostat.Bus) -> None:
     """stranger joins late: manifest → subscribes → writes → node@1 → releases → node@2"""
     with (
         bus.controller("office") as link,
@@ -168,7 +168,7 @@ def _check_points(values: dict[str, dict[str, object]], sample: zenostat.bus.sam
         }
 
 
-def test_a_strangers_faulty_write_changes_nothing_and_is_named(bus: zenostat.Bus) -> None:
+def test_bus__strangers_faulty_write_changes_nothing_and_is_named(bus: zenostat.Bus) -> None:
     with bus.controller("office") as link, events_of(bus) as events:
         sample = link.reset()
         rejected = bus.status("office").rejected
@@ -191,7 +191,7 @@ def test_a_strangers_faulty_write_changes_nothing_and_is_named(bus: zenostat.Bus
         assert after.message.rejected == rejected + 3
 
 
-def test_a_message_that_is_too_large_is_refused_by_name_and_a_larger_one_not_taken_in(bus: zenostat.Bus) -> None:
+def test_bus__message_that_is_too_large_is_refused_by_name_and_a_larger_one_not_taken_in(bus: zenostat.Bus) -> None:
     with events_of(bus) as events:
         before = bus.status("office").rejected
         key = keys.COMMAND.at("office", name="huge")
@@ -204,7 +204,7 @@ def test_a_message_that_is_too_large_is_refused_by_name_and_a_larger_one_not_tak
 # Several controllers
 
 
-def test_two_controllers_are_both_waited_for(bus: zenostat.Bus, second_bus: zenostat.Bus) -> None:
+def test_bus__two_controllers_are_both_waited_for(bus: zenostat.Bus, second_bus: zenostat.Bus) -> None:
     """core@0 → (node waits) → rest@0 → node@1"""
     names = [a.name for a in bus.manifest("office").actuators]
     half = len(names) // 2
@@ -233,7 +233,7 @@ def test_two_controllers_are_both_waited_for(bus: zenostat.Bus, second_bus: zeno
             assert ours.effective.tolist() == [value["heating" in name] for name in names]
 
 
-def test_a_higher_level_rules_until_it_is_released(bus: zenostat.Bus, second_bus: zenostat.Bus) -> None:
+def test_bus__higher_level_rules_until_it_is_released(bus: zenostat.Bus, second_bus: zenostat.Bus) -> None:
     with (
         bus.controller("office", name="usual") as usual,
         second_bus.controller("office", name="urgent", priority=2, required=False) as urgent,
@@ -252,7 +252,7 @@ def test_a_higher_level_rules_until_it_is_released(bus: zenostat.Bus, second_bus
         assert sources == [(urgent.name, 29.0), (usual.name, 24.0)]
 
 
-def test_a_second_claim_of_a_level_names_the_holder(bus: zenostat.Bus, second_bus: zenostat.Bus) -> None:
+def test_bus__second_claim_of_a_level_names_the_holder(bus: zenostat.Bus, second_bus: zenostat.Bus) -> None:
     until(lambda: bus.controllers() == [], "those of other tests have gone")
     with bus.controller("office", name="holder") as holder:
         with pytest.raises(
@@ -267,7 +267,7 @@ def test_a_second_claim_of_a_level_names_the_holder(bus: zenostat.Bus, second_bu
         bus.controller("office", actuators=["core_zn_heating"])
 
 
-def test_nodes_controllers_and_status(bus: zenostat.Bus) -> None:
+def test_bus__nodes_controllers_and_status(bus: zenostat.Bus) -> None:
     assert bus.nodes() == ["office"]
     until(lambda: bus.controllers() == [], "those of other tests have gone")
     with bus.controller("office", name="one") as link:
@@ -290,7 +290,7 @@ def test_nodes_controllers_and_status(bus: zenostat.Bus) -> None:
         bus.manifest("offise")
 
 
-def test_another_takes_over_from_one_that_vanished(endpoint: str, bus: zenostat.Bus) -> None:
+def test_bus__another_takes_over_from_one_that_vanished(endpoint: str, bus: zenostat.Bus) -> None:
     """first@0 … first@2 → node@3 → first dies → second@3 → node@4"""
     until(lambda: bus.controllers() == [], "those of other tests have gone")
     with bus.controller("office", name="resets") as link:
@@ -331,7 +331,7 @@ def trajectory(link: zenostat.ControllerLink) -> Iterator[tuple[bytes, bytes]]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fate", ["frozen", "killed"])
-def test_a_listener_changes_nothing(folder: Path, fate: str) -> None:
+def test_bus__listener_changes_nothing(folder: Path, fate: str) -> None:
     """A week with a listener to everything that reads one message and is then stopped, or killed in mid-episode."""
     week = {**DAY, "begin": "07-01", "end": "07-07"}
     with (

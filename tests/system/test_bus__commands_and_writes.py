@@ -143,7 +143,7 @@ WRITES = keys.ACTUATOR, keys.WRITE_REQUEST
 COMMANDS = keys.COMMAND, keys.COMMAND_REQUEST
 
 
-def test_a_write_is_answered_as_its_event_says(client: Client) -> None:
+def test_bus__write_is_answered_as_its_event_states(client: Client) -> None:
     def write(name: str = POINT, /, **fields: Any) -> Any:
         return agree(client, WRITES, name, msgpack.packb({"source": "panel", **fields}), "panel")
 
@@ -171,7 +171,7 @@ def test_a_write_is_answered_as_its_event_says(client: Client) -> None:
         assert client.event("hand").text == f"{POINT} relinquished at priority {priority}"
 
 
-def test_a_write_that_is_acknowledged_is_in_effect_in_the_next_timestep(client: Client) -> None:
+def test_bus__write_that_is_acknowledged_is_in_effect_in_the_next_timestep(client: Client) -> None:
     client.claim("c", required=True)
     ack = client.ask(keys.WRITE_REQUEST, POINT, msgpack.packb({"value": 26.5, "source": "panel"}))
     assert (ack.episode, ack.step) == (client.sample.episode, client.sample.step)
@@ -183,7 +183,7 @@ def test_a_write_that_is_acknowledged_is_in_effect_in_the_next_timestep(client: 
     assert sample.sources[np.frombuffer(sample.source_index, "<u2")[index]] == "panel"
 
 
-def test_a_write_acts_in_the_timestep_that_the_next_command_of_its_session_completes(client: Client) -> None:
+def test_bus__write_acts_in_the_timestep_that_the_next_command_of_its_session_completes(client: Client) -> None:
     """Both are puts, so nothing waits between them: hundreds of pairs, in the order in which they were sent."""
     client.claim("one")
     index, misplaced = client.actuators.index(POINT), []
@@ -200,7 +200,7 @@ def test_a_write_acts_in_the_timestep_that_the_next_command_of_its_session_compl
     assert misplaced == []
 
 
-def test_a_command_is_answered_as_its_event_says(client: Client) -> None:
+def test_bus__command_is_answered_as_its_event_states(client: Client) -> None:
     """c and d in lockstep: what is wrong, then an answer of each, one put and one requested; then what is late."""
     other = next(name for name in client.actuators if name != POINT)
 
@@ -245,7 +245,7 @@ def test_a_command_is_answered_as_its_event_says(client: Client) -> None:
     assert (status.late, status.duplicate) == (4, 4)
 
 
-def test_a_command_is_answered_at_once_and_not_after_its_timestep(client: Client, node: NodeProgram) -> None:
+def test_bus__command_is_answered_at_once_and_not_after_its_timestep(client: Client, node: NodeProgram) -> None:
     """the engine stands still → the command is acknowledged → it goes on → the sample"""
     client.claim("c")
     node.engine.send_signal(signal.SIGSTOP)
@@ -265,7 +265,7 @@ def test_a_command_is_answered_at_once_and_not_after_its_timestep(client: Client
     assert (status.statistics.rate_limited, status.rejected, status.late) == (3, MAX_PENDING, 1)
 
 
-def test_a_day_of_commands_sent_at_once_is_answered_step_by_step(client: Client) -> None:
+def test_bus__day_of_commands_sent_at_once_is_answered_step_by_step(client: Client) -> None:
     """Requests for steps 0 to 95 without a pause: each is accepted, because the node steps before it reads the next."""
     client.claim("c")
     asked = [client.start(keys.COMMAND_REQUEST, "c", client.command(step=step)) for step in range(96)]
@@ -283,7 +283,7 @@ def test_a_day_of_commands_sent_at_once_is_answered_step_by_step(client: Client)
         client.bus.write("office", POINT, 26.0)
 
 
-def test_each_of_a_hundred_rejections_has_its_reason_and_further_ones_are_not_processed(client: Client) -> None:
+def test_bus__each_of_a_hundred_rejections_has_its_reason_and_further_ones_are_not_processed(client: Client) -> None:
     client.claim("c")
     wrong = client.command(value=99.0)
     replies = [client.ask(keys.COMMAND_REQUEST, "c", wrong) for _ in range(MAX_MESSAGES_PER_STEP + 5)]
@@ -301,7 +301,7 @@ def test_each_of_a_hundred_rejections_has_its_reason_and_further_ones_are_not_pr
     assert (status.rejected, status.statistics.rate_limited) == (MAX_MESSAGES_PER_STEP + 1, 5)
 
 
-def test_faults_of_the_link_apply_to_commands_in_both_forms(client: Client) -> None:
+def test_bus__faults_of_the_link_apply_to_commands_in_both_forms(client: Client) -> None:
     """lost, doubled and delayed commands of c, of which another controller waits in each step"""
     other = [name for name in client.actuators if name != POINT]
     client.claim("c", [POINT])
@@ -337,7 +337,7 @@ def test_faults_of_the_link_apply_to_commands_in_both_forms(client: Client) -> N
     assert "link (2 messages)" in bus.status("office").faults, "whoever has no claim has no link"
 
 
-def test_a_key_with_wildcards_names_no_controller_and_no_actuator(client: Client) -> None:
+def test_bus__key_with_wildcards_names_no_controller_and_no_actuator(client: Client) -> None:
     client.claim("c")
     for name in ("*", "c$*", "**"):
         assert client.ask(keys.COMMAND_REQUEST, name, client.command()).message.startswith(f"{name!r} has claimed")
@@ -346,7 +346,7 @@ def test_a_key_with_wildcards_names_no_controller_and_no_actuator(client: Client
     assert client.bus.status("office").accepted == 0
 
 
-def test_a_branch_answers_commands_and_writes(client: Client) -> None:
+def test_bus__branch_answers_commands_and_writes(client: Client) -> None:
     with client.bus.controller("office") as link:
         link.current()
         link.send()
@@ -357,7 +357,7 @@ def test_a_branch_answers_commands_and_writes(client: Client) -> None:
         assert client.bus.status("office").step == [1]
 
 
-def test_a_monitor_may_not_write(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_bus__monitor_may_not_write(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus, "role", keys.Role.MONITOR)
     with pytest.raises(InvalidConfig, match=r"a monitor may not query rpc/write/\{name\}"):
         bus.write("office", POINT, 26.0)

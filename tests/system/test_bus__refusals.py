@@ -29,7 +29,7 @@ BAD_WRITES = {
 }
 
 
-def test_node_answers_each_malformed_write_to_its_source(episode_bus: zenostat.Bus) -> None:
+def test_bus__node_answers_each_malformed_write_to_its_source(episode_bus: zenostat.Bus) -> None:
     bus = episode_bus
     with bus.session.declare_subscriber(keys.EVENT.at("office"), RingChannel(1000)) as events:
         bus.status("office")  # an answer shows that the node has heard of the subscription
@@ -59,7 +59,7 @@ BIG = msgpack.packb({"memory": b"\0" * (codec.MAX_BYTES + 1)})
 
 
 @pytest.mark.parametrize("topic", [keys.STATUS, keys.SCENARIO, keys.MANIFEST, keys.SAMPLE], ids=lambda t: t.key)
-def test_queries_are_checked_like_any_other_request(episode_bus: zenostat.Bus, topic: Topic) -> None:
+def test_bus__queries_are_checked_like_any_other_request(episode_bus: zenostat.Bus, topic: Topic) -> None:
     bus = episode_bus
 
     def ask(payload: bytes | None, encoding: str = "zenoh/bytes") -> tuple[str, dict[str, object]]:

@@ -22,7 +22,7 @@ def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100)
 
 
-def test_reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, bus: zenostat.Bus) -> None:
+def test_cli__reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, bus: zenostat.Bus) -> None:
     at = ("--connect", node.endpoint)
     done = run_zenostat("reset", "office", "--seed", "3", *at)
     assert (done.returncode, done.stderr) == (0, "")
@@ -68,7 +68,7 @@ def second_node(endpoint: str, *arguments: str, cwd: Path) -> subprocess.Popen[s
 
 
 @pytest.mark.slow
-def test_a_second_node_on_the_default_port_joins_the_bus_of_the_first(scratch: Path) -> None:
+def test_cli__second_node_on_the_default_port_joins_the_bus_of_the_first(scratch: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with (
         NodeProgram(scratch / "node", **SMALL, listen=[endpoint]),
@@ -89,7 +89,7 @@ def test_a_second_node_on_the_default_port_joins_the_bus_of_the_first(scratch: P
 
 
 @pytest.mark.slow
-def test_a_port_of_a_program_that_is_on_no_bus_is_refused(scratch: Path) -> None:
+def test_cli__port_of_a_program_that_is_on_no_bus_is_refused(scratch: Path) -> None:
     with socket.socket() as stranger:
         stranger.bind(("127.0.0.1", 0))
         stranger.listen()

@@ -34,7 +34,7 @@ def run(node: NodeProgram, text: str, folder: Path) -> subprocess.CompletedProce
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=120)
 
 
-def test_an_exception_shows_the_users_frames_alone(node: NodeProgram, scratch: Path) -> None:
+def test_cli_failures__exception_shows_the_users_frames_alone(node: NodeProgram, scratch: Path) -> None:
     done = run(node, MINE, scratch)
     assert done.returncode == 1
     files = re.findall(r'File "([^"]+)", line (\d+), in (\w+)', done.stderr)
@@ -45,7 +45,7 @@ def test_an_exception_shows_the_users_frames_alone(node: NodeProgram, scratch: P
     assert done.stderr.splitlines()[-1] == "error: mine.py, line 6: ZeroDivisionError: float division by zero"
 
 
-def test_an_error_of_ours_in_the_users_code_says_where(node: NodeProgram, scratch: Path) -> None:
+def test_cli_failures__error_of_ours_in_the_users_code_states_where(node: NodeProgram, scratch: Path) -> None:
     done = run(node, MINE.replace("gain(sample)}", "sample['core_zn_air']}"), scratch)
     assert done.returncode in (1, 2)
     assert re.findall(r"line (\d+), in (\w+)", done.stderr) == [("11", "act")]
@@ -53,7 +53,7 @@ def test_an_error_of_ours_in_the_users_code_says_where(node: NodeProgram, scratc
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_during_imports_ends_without_a_traceback(number: signal.Signals, tmp_path: Path) -> None:
+def test_cli_failures__signal_during_imports_ends_without_a_traceback(number: signal.Signals, tmp_path: Path) -> None:
     """The import of typer is held up until the signal has come."""
     mark = tmp_path / "imports"
     (tmp_path / "typer.py").write_text(f"import signal\nopen({str(mark)!r}, 'w').close()\nsignal.pause()\n")
@@ -66,7 +66,7 @@ def test_a_signal_during_imports_ends_without_a_traceback(number: signal.Signals
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_during_the_shutdown_ends_without_a_traceback(number: signal.Signals) -> None:
+def test_cli_failures__signal_during_the_shutdown_ends_without_a_traceback(number: signal.Signals) -> None:
     program = (
         f"import atexit, os, sys; atexit.register(lambda: os.kill(os.getpid(), {int(number)}))\n"
         "sys.argv = ['zenostat', '--version']; from zenostat.cli.main import main; main()"

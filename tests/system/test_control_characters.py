@@ -74,7 +74,9 @@ def recorded(module_scratch: Path) -> tuple[Path, list[bytes]]:
     return path, events
 
 
-def test_a_node_sends_no_control_character_that_it_received(recorded: tuple[Path, list[bytes]]) -> None:
+def test_control_characters__node_sends_no_control_character_that_it_received(
+    recorded: tuple[Path, list[bytes]],
+) -> None:
     for raw in recorded[1]:
         event = msgpack.unpackb(raw)
         assert all(is_plain(value) for value in event.values() if isinstance(value, str)), event
@@ -98,7 +100,7 @@ def hostile(recorded: tuple[Path, list[bytes]]) -> Path:
 
 
 @pytest.mark.parametrize("command", [("log",), ("verify", "--plant", PLANT), ("report",), ("export", "--to", "csv")])
-def test_no_command_prints_a_control_character_of_a_file(
+def test_control_characters__no_command_prints_a_control_character_of_a_file(
     hostile: Path, tmp_path: Path, command: tuple[str, ...]
 ) -> None:
     out = tmp_path / ("out.html" if command == ("report",) else "out.csv")
@@ -112,20 +114,20 @@ def test_no_command_prints_a_control_character_of_a_file(
         assert is_plain(out.read_text(encoding="utf-8").replace("\t", " "))
 
 
-def test_a_loaded_recording_has_none(hostile: Path) -> None:
+def test_control_characters__loaded_recording_has_none(hostile: Path) -> None:
     loaded = load(hostile)
     assert all(is_plain(f"{entry.source} {entry.subject} {entry.result}") for entry in loaded.log)
     assert any(HARMLESS in entry.source for entry in loaded.log)
     assert {event.text for _, event in loaded.events} == {replace_controls(EVIL, keep="\n")}
 
 
-def test_the_replies_of_a_hostile_node_are_errors_without_them() -> None:
+def test_control_characters__replies_of_a_hostile_node_are_errors_without_them() -> None:
     reply = codec.decode(ErrorReply, codec.pack(error="RequestRejected", message=EVIL))
     assert is_plain(reply.message)
     assert codec.decode(Event, codec.pack(kind="failed", text=EVIL)).text == reply.message
 
 
-def test_the_monitor_shows_names_as_they_are_and_not_as_markdown() -> None:
+def test_control_characters__monitor_shows_names_as_they_are_and_not_as_markdown() -> None:
     numbers = NodeNumbers(zones=1, sources=("[x](http://a) <b>|*y*",), faults=("a*b",))
     shown = markdown(numbers) + overview([NodeRow("room", "![i](http://a/i.png)", numbers)])
     assert "[x](http" not in shown

@@ -50,13 +50,13 @@ def outside_kh(scenario: str, *controllers: str) -> dict[str, float]:
         "warehouse-mixed-continuous-v1",
     ],
 )
-def test_rules_are_no_less_comfortable_than_the_buildings_own_control(scenario: str) -> None:
+def test_controllers__rules_are_no_less_comfortable_than_the_buildings_own_control(scenario: str) -> None:
     discomfort = outside_kh(scenario, "rbc", "incremental")
     assert discomfort["rbc"] <= discomfort["baseline"]
     assert discomfort["incremental"] <= discomfort["baseline"]
 
 
-def test_a_band_is_kept_by_a_kelvin_or_a_third_of_it() -> None:
+def test_controllers__band_is_kept_by_a_kelvin_or_a_third_of_it() -> None:
     assert inside((18.0, 27.0)) == (19.0, 26.0)
     assert inside((20.0, 21.5)) == (20.5, 21.0)
     assert inside((20.0, 21.0), 5.0) == (20.5, 20.5)
@@ -66,7 +66,7 @@ def test_a_band_is_kept_by_a_kelvin_or_a_third_of_it() -> None:
 @pytest.mark.parametrize("steps_per_hour", [1, 4, 12, 60])
 @pytest.mark.parametrize("lag_h", [0.0, 0.2, 1.0, 8.0])
 @pytest.mark.parametrize("gain", [0.1, 0.5, 1.0])
-def test_pid_settles_where_a_zone_follows_its_setpoint_at_once_or_with_a_lag(
+def test_controllers__pid_settles_where_a_zone_follows_its_setpoint_at_once_or_with_a_lag(
     steps_per_hour: int, lag_h: float, gain: float
 ) -> None:
     """A zone that follows its setpoint by `gain`, and stands 2 K above it."""
@@ -104,7 +104,7 @@ def output(control: PIDController, air: float) -> float:
         ("heating_setpoint", 25.2, 24.0, -0.25),
     ],
 )
-def test_pid_is_ready_when_a_zone_comes_back_after_it_floated(
+def test_controllers__pid_is_ready_when_a_zone_returns_after_it_floated(
     name: str, floats_at: float, comes_back_at: float, integral: float
 ) -> None:
     control = PIDController(thermostat(name), setpoint=25.0)
@@ -115,7 +115,7 @@ def test_pid_is_ready_when_a_zone_comes_back_after_it_floated(
 
 
 @pytest.mark.parametrize("name", SETPOINT_NAMES)
-def test_pid_leaves_its_limit_at_once(name: str) -> None:
+def test_controllers__pid_leaves_its_limit_at_once(name: str) -> None:
     """A zone that cannot follow: at 20 degC kp takes 1.5 K of the 2 K to the limit, and the integral the rest."""
     control = PIDController(thermostat(name), setpoint=25.0)
     for _ in range(48):
@@ -128,14 +128,14 @@ def test_pid_leaves_its_limit_at_once(name: str) -> None:
 
 
 @given(airs=st.lists(st.floats(-20.0, 60.0), max_size=40), kd=st.floats(0.0, 2.0), name=st.sampled_from(SETPOINT_NAMES))
-def test_pid_keeps_a_zone_setpoint_near_its_own(airs: list[float], kd: float, name: str) -> None:
+def test_controllers__pid_keeps_a_zone_setpoint_near_its_own(airs: list[float], kd: float, name: str) -> None:
     control = PIDController(thermostat(name), setpoint=25.0, kd=kd)
     assert all(23.0 <= output(control, air) <= 27.0 for air in airs)
     wide = PIDController(thermostat(name), setpoint=25.0, kd=kd, max_offset=5.0, low=24.0)
     assert all(24.0 <= output(wide, air) <= 30.0 for air in airs)
 
 
-def test_pid_refuses_a_setpoint_that_its_output_cannot_reach() -> None:
+def test_controllers__pid_refuses_a_setpoint_that_its_output_cannot_reach() -> None:
     with pytest.raises(
         InvalidConfig, match=r"setpoint = 45 is out of reach: 'cooling_setpoint' has bounds of 10 to 40"
     ):
@@ -152,7 +152,7 @@ def test_pid_refuses_a_setpoint_that_its_output_cannot_reach() -> None:
     ki=st.floats(0.0, 5.0),
     offset=st.floats(-0.4, 1.5),
 )
-def test_pid_settles_at_any_timestep_where_a_zone_follows_its_setpoint(
+def test_controllers__pid_settles_at_any_timestep_where_a_zone_follows_its_setpoint(
     step_h: float, gain: float, lag_h: float, kp: float, ki: float, offset: float
 ) -> None:
     """A zone that follows its cooling setpoint by `gain`, and stands `offset` above it; the output is not limited."""
@@ -169,7 +169,7 @@ def test_pid_settles_at_any_timestep_where_a_zone_follows_its_setpoint(
         assert airs[-1] == pytest.approx(25.0, abs=1e-3)
 
 
-def test_pid_of_a_valve_is_stable_for_a_day_as_a_timestep() -> None:
+def test_controllers__pid_of_a_valve_is_stable_for_a_day_as_a_timestep() -> None:
     """A room that a valve of 0 to 1 heats by up to 10 K: kp = 0.3 (high - low) / change, as the page has it."""
     of = manifest(sensors=[sensor("air")], actuators=[actuator("valve", 0.0, 1.0)])
     of = of.model_copy(update={"step_s": 86400.0})
@@ -179,14 +179,14 @@ def test_pid_of_a_valve_is_stable_for_a_day_as_a_timestep() -> None:
     assert air == pytest.approx(21.0, abs=1e-3)
 
 
-def test_pid_integrates_up_to_its_limit_in_long_timesteps() -> None:
+def test_controllers__pid_integrates_up_to_its_limit_in_long_timesteps() -> None:
     """A step of the integral that would pass the limit (0.95 * 3 K) still takes the output to it."""
     control = PIDController(thermostat("heating_setpoint", 86400.0), setpoint=25.0, kp=0.05)
     assert output(control, 22.0) == 27.0
     assert output(control, 22.0) == 27.0
 
 
-def test_pid_does_not_swing_in_a_building() -> None:
+def test_controllers__pid_does_not_swing_in_a_building() -> None:
     with closing(BuildingEnv(**of_scenario("datacenter_dx-chicago-continuous-v1"), **WEEK)) as env:
         agent = Agent(PIDController(env.manifest, setpoint=24.0))
         env.reset(seed=0)
@@ -201,7 +201,7 @@ def test_pid_does_not_swing_in_a_building() -> None:
 
 
 @pytest.mark.slow
-def test_evaluate_goes_on_without_a_controller_that_does_not_fit() -> None:
+def test_controllers__evaluate_goes_on_without_a_controller_that_does_not_fit() -> None:
     day = {**SMALL, "affinity": "off"}
     evaluation = evaluate(day, ["baseline", "pid", "rbc"], parameters={"setpoint": 24.0})
     assert [row["controller"] for row in evaluation.table()] == ["baseline", "rbc"]

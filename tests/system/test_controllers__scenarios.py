@@ -83,20 +83,20 @@ def check_acts(controller: type[Controller], of: Manifest) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("name", [*FORMS.values(), *(f"{b}-{WEATHERS[0]}-discrete-v1" for b in BUNDLED)])
-def test_rules_act_on_each_building_of_the_pack_and_some_of_ours(name: str) -> None:
+def test_controllers__rules_act_on_each_building_of_the_pack_and_some_of_ours(name: str) -> None:
     check_acts(RuleBasedController, manifest_of(name))
     if not name.startswith("radiant"):
         check_acts(IncrementalRules, manifest_of(name))
 
 
-def test_rules_take_the_band_of_a_data_centre() -> None:
+def test_controllers__rules_take_the_band_of_a_data_centre() -> None:
     of = manifest_of("datacenter_cw-hot-continuous-v1")
     values = RuleBasedController(of).act(made_up(of, "2017-07-17T12:00:00", 26.5, 0.0))
     # 18 to 27 degC; 26.5 is half way from where the water is warmest (10) to where it is coldest (5).
     assert values == pytest.approx({"cooling_setpoint": 26.0, "chws_supply_temperature": 7.5})
 
 
-def test_rules_heat_the_rooms_of_the_radiant_building_that_are_cold() -> None:
+def test_controllers__rules_heat_the_rooms_of_the_radiant_building_that_are_cold() -> None:
     of = manifest_of("radiant-stockholm-discrete-v1")
     sample = made_up(of, "2017-01-16T12:00:00", 20.5, 0.0)
     row = sample.values.copy()
@@ -110,7 +110,7 @@ def test_rules_heat_the_rooms_of_the_radiant_building_that_are_cold() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*pack_ids(), *(f"{b}-{WEATHERS[0]}-continuous-v1" for b in BUILDINGS)])
-def test_rules_act_on_each_id_of_the_pack_and_each_of_our_buildings(name: str) -> None:
+def test_controllers__rules_act_on_each_id_of_the_pack_and_each_of_our_buildings(name: str) -> None:
     check_acts(RuleBasedController, manifest_of(name))
 
 
@@ -130,7 +130,7 @@ def day(controller: type[Controller], env: gym.Env[Any, Any], **parameters: Any)
 
 @pytest.mark.variants
 @pytest.mark.parametrize("name", ["5zone-hot-continuous-v1", "5zone-hot-discrete-v1", "ref-small-office"])
-def test_rules_are_more_comfortable_than_chance(name: str) -> None:
+def test_controllers__rules_are_more_comfortable_than_chance(name: str) -> None:
     settings = SMALL if name in BUILDINGS else {"scenario": name, "begin": "07-03", "end": "07-03"}
     with gym.make("zenostat/Building-v1", **settings, affinity="off") as env:
         rules, chance = day(RuleBasedController, env), day(RandomController, env, seed=0)
@@ -147,7 +147,7 @@ def run(node: NodeProgram, *arguments: str, cwd: Path | None = None) -> subproce
 
 
 @pytest.mark.slow
-def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Path) -> None:
+def test_controllers__zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Path) -> None:
     with NodeProgram(scratch / "node", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
 
         def rewards(*arguments: str, cwd: Path | None = None) -> list[float]:
@@ -195,7 +195,7 @@ def test_zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Pat
         (["--controller", "mine.py:Mine"], "there is no file"),
     ],
 )
-def test_mistakes_are_one_sentence_and_claim_nothing(
+def test_controllers__mistakes_are_one_sentence_and_claim_nothing(
     shared_node: NodeProgram, arguments: list[str], message: str
 ) -> None:
     done = run_in_process("run", "--node", shared_node.name, "--connect", shared_node.endpoint, *arguments)

@@ -127,7 +127,7 @@ def pages_with(*languages: str) -> list[Any]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("page", pages_with("python"))
-def test_programs_run(page: str, scratch: Path) -> None:
+def test_docs__programs_run(page: str, scratch: Path) -> None:
     program = [block for block in of_language(page, "python") if not block.excerpt]
     home = scratch / "home"
     home.mkdir()
@@ -178,7 +178,7 @@ def _node_of(page: str) -> dict[str, Any]:
     return settings | {"end": settings["begin"]}
 
 
-def test_presupposed_blocks_are_there() -> None:
+def test_docs__presupposed_blocks_are_there() -> None:
     for page, words in PRESUPPOSED:
         assert any(words in block.text for block in of_language(page, "python")), (page, words)
 
@@ -187,7 +187,7 @@ def test_presupposed_blocks_are_there() -> None:
 
 
 @pytest.mark.parametrize("page", pages_with("yaml"))
-def test_scenarios_are_valid(page: str) -> None:
+def test_docs__scenarios_are_valid(page: str) -> None:
     for block in of_language(page, "yaml"):
         scenario_fields = yaml.safe_load(block.text)
         fields = set(scenario_fields) if isinstance(scenario_fields, dict) else set()
@@ -214,7 +214,7 @@ def commands(page: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", [page for page in PAGES if commands(page)])
-def test_commands_parse(page: str) -> None:
+def test_docs__commands_parse(page: str) -> None:
     for line in commands(page):
         words = shlex.split(line)[1:]
         asked = CliRunner().invoke(COMMAND, [*words, "--help"])
@@ -236,7 +236,7 @@ def _parse(words: list[str]) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_links_lead_somewhere(page: str) -> None:
+def test_docs__links_lead_somewhere(page: str) -> None:
     text = PAGES[page].read_text(encoding="utf-8")
     for target in re.findall(r"\]\(([^)\s]+)\)", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE)):
         if not re.match(r"https?:|#", target):
@@ -260,12 +260,12 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_site_is_built_without_a_warning(site: Path) -> None:
+def test_docs__site_is_built_without_a_warning(site: Path) -> None:
     assert (site / "index.html").is_file()
 
 
 @pytest.mark.slow
-def test_the_landing_page_leads_to_each_guide_under_the_heading_of_its_section() -> None:
+def test_docs__landing_page_leads_to_each_guide_under_the_heading_of_its_section() -> None:
     sections = {
         name: pages for part in yaml.safe_load((ROOT / "mkdocs.yml").read_text())["nav"] for name, pages in part.items()
     }
@@ -278,7 +278,7 @@ def test_the_landing_page_leads_to_each_guide_under_the_heading_of_its_section()
         assert all(f"]({page})" in text for part in pages for page in part.values())
 
 
-def test_the_site_fetches_nothing_from_elsewhere(site: Path) -> None:
+def test_docs__site_fetches_nothing_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):
         fetched = re.findall(r"<(?:script|img|iframe)\b[^>]*\bsrc=\"([^\"]+)\"", page.read_text(encoding="utf-8"))
         fetched += re.findall(r"<link\b[^>]*\bhref=\"([^\"]+)\"", page.read_text(encoding="utf-8"))
@@ -289,7 +289,7 @@ def test_the_site_fetches_nothing_from_elsewhere(site: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("room", ["controllers", "rewards", "testing", "wrappers"])
-def test_the_api_has_all_that_a_room_shows(site: Path, room: str) -> None:
+def test_docs__api_has_all_that_a_room_shows(site: Path, room: str) -> None:
     text = (site / "api" / f"{room}.html").read_text(encoding="utf-8")
     documented = {name.rpartition(".")[2] for name in re.findall(r"id=\"(zenostat\.[\w.]+)\"", text)}
     assert set(importlib.import_module(f"zenostat.{room}").__all__) - documented == set()

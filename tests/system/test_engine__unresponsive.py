@@ -33,7 +33,7 @@ def next_of(events: Any, kind: EventKind) -> Event:
     return event
 
 
-def test_a_process_is_idle_only_while_it_uses_no_processor_time() -> None:
+def test_engine__process_is_idle_only_while_it_uses_no_processor_time() -> None:
     with Program("while True: pass") as busy, Program("input()") as idle:
         burns, rests = IdleWatch(busy.pid), IdleWatch(idle.pid)
         assert burns.look(5.0) == 0.0
@@ -47,7 +47,7 @@ def test_a_process_is_idle_only_while_it_uses_no_processor_time() -> None:
     assert burns.look(5.0) >= 0.0, "it has ended"
 
 
-def test_a_timestep_of_an_engine_that_stands_still_fails_by_name() -> None:
+def test_engine__timestep_of_an_engine_that_hangs_fails_by_name() -> None:
     with gym.make("zenostat/Building-v1", **SMALL, **SOON) as env:
         env.reset(seed=1)
         env.step(env.action_space.low)
@@ -61,7 +61,7 @@ def test_a_timestep_of_an_engine_that_stands_still_fails_by_name() -> None:
 
 
 @pytest.mark.slow
-def test_one_of_several_that_stands_still_fails_the_step() -> None:
+def test_engine__one_of_several_that_hangs_fails_the_step() -> None:
     env = gym.make_vec("zenostat/Building-v1", num_envs=2, vectorization_mode="vector_entry_point", **SMALL, **SOON)
     env.reset(seed=1)
     low = np.stack([env.single_action_space.low] * 2)
@@ -75,7 +75,7 @@ def test_one_of_several_that_stands_still_fails_the_step() -> None:
 
 
 @pytest.mark.slow
-def test_an_event_says_so(folder: Path) -> None:
+def test_engine__event_is_reported(folder: Path) -> None:
     with (
         NodeProgram(folder / "node", **SMALL, unresponsive_s=2.0) as node,
         zenostat.connect(node.endpoint, affinity="off") as bus,
@@ -96,7 +96,7 @@ def test_an_event_says_so(folder: Path) -> None:
     [("zenostat/Building-v1", SMALL, 0, EngineStart.FORKED), (NOISE, DAY, 1, EngineStart.PREFETCHED)],
     ids=["waiting", "prefetched"],
 )
-def test_one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
+def test_engine__one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
     name: str, settings: dict[str, Any], place: int, engine_start: EngineStart
 ) -> None:
     """And harms no episode."""
@@ -115,6 +115,6 @@ def test_one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
             assert "replaced: the engine process neither answered" in next_of(events, EventKind.WARNING).text
 
 
-def test_no_time_at_all_is_refused() -> None:
+def test_engine__no_time_at_all_is_refused() -> None:
     with pytest.raises(InvalidConfig, match="unresponsive_s"):
         gym.make("zenostat/Building-v1", **SMALL, unresponsive_s=0.0)

@@ -41,7 +41,7 @@ def own_reward(values: Mapping[str, Any], begin: Any) -> dict[str, Any]:
     [{}, {"terminate": WARM}, {"reward": None}, {"reward": {"kind": "peak"}}, {"reward": own_reward}, BESIDE],
     ids=["plain", "limits", "no reward", "peak", "own reward", "beside"],
 )
-def test_infos_of_reset_and_step_have_one_form(arguments: dict[str, Any]) -> None:
+def test_environment__infos_of_reset_and_step_have_one_form(arguments: dict[str, Any]) -> None:
     env = FakeEnv(**DAY, **arguments)
     expected, ended = form(env.reset(seed=0)[1]), False
     while not ended:
@@ -51,7 +51,7 @@ def test_infos_of_reset_and_step_have_one_form(arguments: dict[str, Any]) -> Non
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode), ids=lambda mode: mode.value)
-def test_infos_of_a_vector_have_one_form(mode: AutoresetMode) -> None:
+def test_environment__infos_of_a_vector_have_one_form(mode: AutoresetMode) -> None:
     env = FakeVectorEnv(3, autoreset_mode=mode, terminate=HOT, **DAY)
     env.action_space.seed(0)
     keys, ends = set(env.reset(seed=0)[1]), 0
@@ -68,7 +68,7 @@ def test_infos_of_a_vector_have_one_form(mode: AutoresetMode) -> None:
     assert ends > 3
 
 
-def test_infos_of_a_real_building_have_one_form(scratch: Path) -> None:
+def test_environment__infos_of_a_real_building_have_one_form(scratch: Path) -> None:
     settings = {**SMALL, "end": SMALL["begin"], "output_dir": scratch / "kept", "affinity": "off"}
     with gym.make("zenostat/Building-v1", **settings) as env:
         expected, ended = form(env.reset(seed=0)[1]), False
@@ -110,22 +110,22 @@ def test_info_action__is_nan_for_actuators_that_no_action_sets() -> None:
     ],
     ids=["building", "scenario", "vector", "fake", "fake vector"],
 )
-def test_an_unknown_keyword_is_a_type_error(make: Any) -> None:
+def test_environment__unknown_keyword_is_a_type_error(make: Any) -> None:
     with pytest.raises(TypeError, match="unexpected keyword argument 'frameskip'"):
         make(frameskip=1)
 
 
-def test_an_unknown_keyword_is_a_usage_error_with_near_names() -> None:
+def test_environment__unknown_keyword_is_a_usage_error_with_near_names() -> None:
     with pytest.raises(InvalidConfig, match="unexpected keyword argument 'wheather'; did you mean 'weather'"):
         gym.make("zenostat/Building-v1", building="office-small", wheather="USA_CO_Denver")
 
 
-def test_a_vector_tells_its_autoreset_mode() -> None:
+def test_environment__vector_tells_its_autoreset_mode() -> None:
     env = gym.make_vec("zenostat/Fake-v1", num_envs=2, autoreset_mode="SameStep")
     assert env.unwrapped.autoreset_mode is env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP  # type: ignore[attr-defined]
 
 
-def test_an_action_is_a_list_of_actuators_on_a_real_building(scratch: Path) -> None:
+def test_environment__action_is_a_list_of_actuators_on_a_real_building(scratch: Path) -> None:
     cooling = ["core_zn_cooling_setpoint", "perimeter_zn_1_cooling_setpoint"]
     settings = {**SMALL, "end": SMALL["begin"], "affinity": "off"}
     with gym.make("zenostat/Building-v1", actions={"cooling": cooling}, **settings) as env:
@@ -140,7 +140,7 @@ def fake() -> Any:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_torchrl_checks_and_collects() -> None:
+def test_environment__torchrl_checks_and_collects() -> None:
     envs = pytest.importorskip("torchrl.envs")
     collectors = pytest.importorskip("torchrl.collectors")
     env = envs.GymEnv("zenostat/Fake-v1", **DAY)
@@ -151,7 +151,7 @@ def test_torchrl_checks_and_collects() -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_torchrl_steps_a_vector_that_it_resets_itself() -> None:
+def test_environment__torchrl_steps_a_vector_that_it_resets_itself() -> None:
     """24 timesteps an episode: in 30 steps TorchRL has reset both slots once."""
     envs = pytest.importorskip("torchrl.envs")
     env = envs.GymWrapper(gym.make_vec("zenostat/Fake-v1", num_envs=2, autoreset_mode="Disabled", **DAY))
@@ -162,7 +162,7 @@ def test_torchrl_steps_a_vector_that_it_resets_itself() -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_torchrl_steps_a_vector_that_resets_itself() -> None:
+def test_environment__torchrl_steps_a_vector_that_resets_itself() -> None:
     envs = pytest.importorskip("torchrl.envs")
     vector = gym.make_vec("zenostat/Fake-v1", num_envs=2, autoreset_mode="SameStep", **DAY)
     env = envs.GymWrapper(NumericInfos(vector))
@@ -173,7 +173,7 @@ def test_torchrl_steps_a_vector_that_resets_itself() -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_torchrl_makes_a_vector_of_its_own(tmp_path: Path) -> None:
+def test_environment__torchrl_makes_a_vector_of_its_own(tmp_path: Path) -> None:
     envs = pytest.importorskip("torchrl.envs")
     scenario = {**SMALL, "end": SMALL["begin"], "steps_per_hour": 1, "wrappers": [{"wrapper": "NumericInfos"}]}
     (tmp_path / "office.yaml").write_text(json.dumps(scenario))
@@ -187,7 +187,7 @@ def test_torchrl_makes_a_vector_of_its_own(tmp_path: Path) -> None:
 
 
 @pytest.mark.filterwarnings("ignore")
-def test_minari_collects_with_infos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_environment__minari_collects_with_infos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     minari = pytest.importorskip("minari")
     pytest.importorskip("jax")

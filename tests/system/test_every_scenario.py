@@ -38,14 +38,14 @@ def pack() -> Path:
     return packs.sinergym()
 
 
-def test_each_id_of_the_short_list_exists() -> None:
+def test_every_scenario__each_id_of_the_short_list_exists() -> None:
     assert {*pack_ids(), *BUNDLED} >= SOME
 
 
 @pytest.mark.parametrize(
     "name", [name if name in SOME else pytest.param(name, marks=pytest.mark.slow) for name in [*pack_ids(), *BUNDLED]]
 )
-def test_it_runs_two_days(name: str, scratch: Path) -> None:
+def test_every_scenario__it_runs_two_days(name: str, scratch: Path) -> None:
     """Every step is taken; what is seen lies in its space, what was decided ruled, the reward is its terms' sum."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")

@@ -28,14 +28,14 @@ def _run(name: str, *arguments: str) -> str:
     return done.stdout
 
 
-def test_gymnasium_environment(scratch):
+def test_examples__gymnasium_environment(scratch):
     output = _run("gymnasium_environment.py", "--days", "1")
     assert "96 timesteps to 2017-07-02T00:00:00" in output
     assert "{'heating': 20.0, 'cooling': 25.0}" in output
 
 
 @pytest.mark.slow
-def test_recording(scratch):
+def test_examples__recording(scratch):
     output = _run("recording.py", "--out", str(scratch / "run.mcap"))
     assert "identical: 144 steps" in output
     assert "episode 1, seed 1, USA_CO_Denver: 145 samples" in output
@@ -46,7 +46,7 @@ def test_recording(scratch):
 
 
 @pytest.mark.slow
-def test_own_plant_controller():
+def test_examples__own_plant_controller():
     """A cooler tank has a lower lift, so a higher COP; both keep the room warm, so both need the same heat."""
     output = _run("own_plant_controller.py")
     rows = re.findall(r"^(.+): ([\d.]+) kWh, ([\d.]+) K h too cold at (\S+)$", output, flags=re.MULTILINE)
@@ -59,7 +59,7 @@ def test_own_plant_controller():
 
 
 @pytest.mark.slow
-def test_boptest_client():
+def test_examples__boptest_client():
     """With setpoints 1 to 3 K lower by day, the building uses more energy than under the baseline control."""
     pytest.importorskip("fastapi", reason="fastapi is not installed")
     from support.boptest import serving
@@ -71,7 +71,7 @@ def test_boptest_client():
     assert 0.0 < float(baseline) != float(controlled) > 0.0
 
 
-def test_array_plant(scratch):
+def test_examples__array_plant(scratch):
     """Two slots with a heater at 0 and 800 W: each tank is where the exponential solution says."""
     endpoint = f"unixsock-stream/{scratch}/bus"
     command = [sys.executable, str(EXAMPLES / "array_plant.py"), "--slots", "2", "--listen", endpoint]
@@ -91,11 +91,11 @@ def test_array_plant(scratch):
     assert node.returncode == 0
 
 
-def test_own_plant_keeps_the_rules_of_plants():
+def test_examples__own_plant_keeps_the_rules_of_plants():
     assert not check_plant(f"{EXAMPLES}/own_plant.py:HeatPumpRoom", max_steps=2880).skipped
 
 
-def test_own_plants_heat_balance():
+def test_examples__own_plants_heat_balance():
     """In steady state the radiators give what the walls lose, and the compressor's heat equals both."""
     plant = runpy.run_path(str(EXAMPLES / "own_plant.py"))
     room = plant["HeatPumpRoom"]()
@@ -110,7 +110,7 @@ def test_own_plants_heat_balance():
     assert values["electricity"] == 900.0 * 60.0
 
 
-def test_controller_on_the_bus(scratch):
+def test_examples__controller_on_the_bus(scratch):
     with NodeProgram(scratch / "node", **SMALL) as node:
         output = _run("controller_on_the_bus.py", "--connect", node.endpoint)
     assert "96 timesteps" in output
@@ -118,7 +118,7 @@ def test_controller_on_the_bus(scratch):
 
 
 @pytest.mark.slow
-def test_mpc_by_branching(scratch):
+def test_examples__mpc_by_branching(scratch):
     """After the first moves it follows the rules, so that it is never worse than they are."""
     packs.sinergym()
     output = _run(
@@ -132,7 +132,7 @@ def test_mpc_by_branching(scratch):
     assert (scratch / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_two_floors(scratch):
+def test_examples__two_floors(scratch):
     with NodeProgram(scratch / "node", **SMALL, policy="hold", grace_s=2, deadline_s=60) as node:
         output = _run("two_floors.py", "--connect", node.endpoint)
     assert "core_zn_cooling_setpoint by north: 92 timesteps" in output

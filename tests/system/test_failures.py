@@ -128,12 +128,12 @@ def during_a_timestep(env: gym.Env[Any, Any], do: Callable[[psutil.Process, psut
         ({"weather": "gone.epw"}, r"no weather file at /.*/gone\.epw"),
     ],
 )
-def test_an_unknown_building_or_weather(arguments: dict[str, str], message: str) -> None:
+def test_failures__unknown_building_or_weather(arguments: dict[str, str], message: str) -> None:
     with pytest.raises(UnknownName, match=message):
         plan(read_config(SMALL | arguments))
 
 
-def test_all_unknown_points_are_named_at_once_with_near_names() -> None:
+def test_failures__all_unknown_points_are_named_at_once_with_near_names() -> None:
     with pytest.raises(UnknownName) as raised:
         make(
             sensors={
@@ -163,7 +163,7 @@ def test_all_unknown_points_are_named_at_once_with_near_names() -> None:
         assert near in line.partition("did you mean ")[2]
 
 
-def test_an_unknown_building_and_weather_are_named_at_once() -> None:
+def test_failures__unknown_building_and_weather_are_named_at_once() -> None:
     with pytest.raises(UnknownName) as raised:
         make(building="ofice-small", weather="USA_CO_Denvr")
     assert "no building 'ofice-small'" in str(raised.value)
@@ -237,7 +237,7 @@ def test_model__refused_if_it_is_no_building(scratch: Path) -> None:
             make(building=path)
 
 
-def test_energyplus_gives_up_in_mid_episode() -> None:
+def test_failures__energyplus_gives_up_in_mid_episode() -> None:
     """A heating setpoint above the cooling setpoint ends the run; the words are EnergyPlus's."""
     actuators = {
         "heating": ("Zone Temperature Control", "Heating Setpoint", "CORE_ZN", 10, 40),
@@ -260,7 +260,7 @@ def test_energyplus_gives_up_in_mid_episode() -> None:
 # Deaths
 
 
-def test_the_engine_is_killed_in_mid_step(env: gym.Env[Any, Any]) -> None:
+def test_failures__engine_is_killed_in_mid_step(env: gym.Env[Any, Any]) -> None:
     env.reset(seed=1)
     env.step(env.action_space.low)
     with during_a_timestep(env, lambda _, engine: engine.kill()):  # noqa: SIM117
@@ -271,7 +271,7 @@ def test_the_engine_is_killed_in_mid_step(env: gym.Env[Any, Any]) -> None:
     assert info["step"] == 1, "the node has outlived it"
 
 
-def test_the_engine_is_killed_while_it_waits(env: gym.Env[Any, Any]) -> None:
+def test_failures__engine_is_killed_while_it_waits(env: gym.Env[Any, Any]) -> None:
     env.reset(seed=1)
     env.step(env.action_space.low)
     own = env.unwrapped.local_node
@@ -280,7 +280,7 @@ def test_the_engine_is_killed_while_it_waits(env: gym.Env[Any, Any]) -> None:
         env.step(env.action_space.low)
 
 
-def test_the_node_is_killed_in_mid_step() -> None:
+def test_failures__node_is_killed_in_mid_step() -> None:
     killed: list[float] = []
 
     def kill(node: psutil.Process, engine: psutil.Process) -> None:
@@ -301,7 +301,7 @@ def test_the_node_is_killed_in_mid_step() -> None:
         assert "step 3)" in str(raised.value)
 
 
-def test_the_node_is_killed_between_steps() -> None:
+def test_failures__node_is_killed_between_steps() -> None:
     with make() as env:
         env.reset(seed=1)
         env.step(env.action_space.low)
@@ -316,7 +316,7 @@ def test_the_node_is_killed_between_steps() -> None:
             env.reset()
 
 
-def test_the_owner_is_killed(scratch: Path) -> None:
+def test_failures__owner_is_killed(scratch: Path) -> None:
     """Nobody is left to end the node: it ends by itself, and its engine with it."""
     text = f"""
 import sys
@@ -333,7 +333,7 @@ sys.stdin.readline()
         until(lambda: not programs_of(scratch), "node and engines have ended")
 
 
-def test_the_node_is_stopped_by_a_request(folder: Path) -> None:
+def test_failures__node_is_stopped_by_a_request(folder: Path) -> None:
     with node_and_bus(folder) as (node, bus), bus.controller("office") as link:
         link.reset().send()
         link.receive()
@@ -358,7 +358,7 @@ def test_a_controller__raises_when_another_resets_its_node(episode_bus: zenostat
 # Actions
 
 
-def test_faulty_actions_change_nothing(env: gym.Env[Any, Any]) -> None:
+def test_failures__faulty_actions_change_nothing(env: gym.Env[Any, Any]) -> None:
     good = env.action_space.low
     env.reset(seed=1)
     undisturbed = env.step(good)[0]
@@ -383,7 +383,7 @@ def test_faulty_actions_change_nothing(env: gym.Env[Any, Any]) -> None:
     assert observation.tobytes() == undisturbed.tobytes()
 
 
-def test_faulty_values_of_a_controller(episode_bus: zenostat.Bus) -> None:
+def test_failures__faulty_values_of_a_controller(episode_bus: zenostat.Bus) -> None:
     with episode_bus.controller("office") as link:
         sample = link.reset()
         with pytest.raises(InvalidAction, match="no actuator 'core_zn_cooling'; did you mean 'core_zn_cooling_setp"):
@@ -401,14 +401,14 @@ def test_faulty_values_of_a_controller(episode_bus: zenostat.Bus) -> None:
 # Places on the bus
 
 
-def test_a_port_that_is_taken(folder: Path) -> None:
+def test_failures__port_that_is_taken(folder: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as other:
         endpoint = f"tcp/127.0.0.1:{other.getsockname()[1]}"
         with pytest.raises(AddressInUse, match=f"another program listens on {endpoint}; name another port"):
             NodeProgram(folder / "node", **SMALL, listen=[endpoint])
 
 
-def test_a_port_that_a_node_has_taken(folder: Path) -> None:
+def test_failures__port_that_a_node_has_taken(folder: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with NodeProgram(folder / "one", **SMALL, listen=[endpoint]) as node:
         with pytest.raises(AddressInUse, match=f"another program listens on {endpoint}"):
@@ -418,13 +418,13 @@ def test_a_port_that_a_node_has_taken(folder: Path) -> None:
         assert node.process.poll() is None
 
 
-def test_a_socket_that_is_taken(folder: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
+def test_failures__socket_that_is_taken(folder: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
     with pytest.raises(AddressInUse, match="already exists; name another path"):
         NodeProgram(folder / "two", **SMALL, name="other", listen=[shared_node.endpoint])
     assert episode_bus.nodes() == ["office"]
 
 
-def test_two_nodes_of_one_name(folder: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
+def test_failures__two_nodes_of_one_name(folder: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
     with pytest.raises(NameInUse, match=r"a node named 'office' is on this bus already \(instance [0-9a-f]+\)"):
         NodeProgram(folder / "two", **SMALL, connect=[shared_node.endpoint])
     with episode_bus.controller("office") as link:
@@ -448,7 +448,7 @@ def test_node__listens_to_other_machines_only_with_the_option(folder: Path) -> N
 # Ctrl-C
 
 
-def test_ctrl_c_in_a_node_that_waits(folder: Path) -> None:
+def test_failures__ctrl_c_in_a_node_that_waits(folder: Path) -> None:
     with node_and_bus(folder) as (node, bus), bus.controller("office") as link:
         link.reset().send()
         link.receive()
@@ -457,7 +457,7 @@ def test_ctrl_c_in_a_node_that_waits(folder: Path) -> None:
             link.receive()
 
 
-def test_ctrl_c_in_a_node_that_simulates(folder: Path) -> None:
+def test_failures__ctrl_c_in_a_node_that_simulates(folder: Path) -> None:
     with node_and_bus(folder) as (node, bus), bus.controller("office") as link:
         sample = link.reset()
         node.engine.suspend()
@@ -487,7 +487,7 @@ WITH = "with env:" + STEPS.replace("\n", "\n    ")
 
 @pytest.mark.variants
 @pytest.mark.parametrize("text", [ENVIRONMENT + WITH, ENVIRONMENT + STEPS], ids=["with", "bare"])
-def test_ctrl_c_in_a_script_with_an_environment(text: str) -> None:
+def test_failures__ctrl_c_in_a_script_with_an_environment(text: str) -> None:
     """The terminal sends the signal so; the script may have no `with`."""
     with Program(text) as program:
         assert program.line() == "steps"
@@ -497,7 +497,9 @@ def test_ctrl_c_in_a_script_with_an_environment(text: str) -> None:
         assert stderr.strip().splitlines()[-1] == "KeyboardInterrupt"
 
 
-def test_ctrl_c_in_a_controller_leaves_the_node_running(shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
+def test_failures__ctrl_c_in_a_controller_leaves_the_node_running(
+    shared_node: NodeProgram, episode_bus: zenostat.Bus
+) -> None:
     text = """
 import sys
 import zenostat
@@ -520,7 +522,7 @@ with zenostat.connect(sys.argv[1], affinity="off") as bus, bus.controller("offic
         assert link.receive().step == 1
 
 
-def test_ctrl_c_while_a_node_starts(folder: Path) -> None:
+def test_failures__ctrl_c_while_a_node_starts(folder: Path) -> None:
     """It may come at any moment; whatever the node had by then is cleared."""
     text = f"""
 import gymnasium as gym, zenostat

@@ -40,14 +40,14 @@ def steps(env: Any, actions: Any) -> list[tuple[str, bytes]]:
     return [row for action in actions for row in (env.step(action), values(env))[1]]
 
 
-def test_equal_spaces_and_names(env: Any, fake: Any) -> None:
+def test_fake_plant__equal_spaces_and_names(env: Any, fake: Any) -> None:
     assert env.observation_space == fake.observation_space
     assert env.action_space == fake.action_space
     assert env.unwrapped.observation_names == fake.unwrapped.observation_names
 
 
 @pytest.mark.parametrize("seed", [0, 2**64 - 1])
-def test_a_trajectory_is_equal_to_the_bit(env: Any, fake: Any, seed: int) -> None:
+def test_fake_plant__trajectory_is_equal_to_the_bit(env: Any, fake: Any, seed: int) -> None:
     fake.action_space.seed(3)
     actions = [fake.action_space.sample() for _ in range(fake.unwrapped.manifest.steps)]
     fake_observation, _ = fake.reset(seed=seed)
@@ -59,7 +59,7 @@ def test_a_trajectory_is_equal_to_the_bit(env: Any, fake: Any, seed: int) -> Non
 
 
 @pytest.mark.parametrize("is_forkable", [True, False])
-def test_a_snapshot_continues_to_the_bit(is_forkable: bool, tmp_path: Path) -> None:
+def test_fake_plant__snapshot_continues_to_the_bit(is_forkable: bool, tmp_path: Path) -> None:
     """Copied by a fork of its process, or by its state."""
     (tmp_path / "plant.py").write_text(
         "from zenostat.agent_sdk.testing.fake_plant import FakePlant\n"

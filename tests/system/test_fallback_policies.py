@@ -115,7 +115,9 @@ def status_of(bus: zenostat.Bus, name: str) -> ControllerStatus:
         pytest.param("wait", "tcp", marks=pytest.mark.slow),
     ],
 )
-def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, policy: str, bus_of: str) -> None:
+def test_fallback_policies__killed_controller_is_noticed_and_the_policy_follows(
+    scratch: Path, policy: str, bus_of: str
+) -> None:
     """agent@0 → agent@1 → node@2 → agent is killed → policy"""
     listen = {"listen": [f"tcp/127.0.0.1:{free_port()}"]} if bus_of == "tcp" else {}
     with (
@@ -149,7 +151,7 @@ def test_a_killed_controller_is_noticed_and_the_policy_follows(scratch: Path, po
         assert bus.status("office").statistics.missed == STEPS - 2
 
 
-def test_one_that_was_killed_comes_back_at_the_present_step(scratch: Path) -> None:
+def test_fallback_policies__one_that_was_killed_returns_at_the_present_step(scratch: Path) -> None:
     """north and south → south is killed → north alone → another south takes over: no timestep without a ruler"""
     with office(scratch, policy="hold") as (node, bus), events_of(bus) as events, bus.listen("office") as samples:
         with ExitStack() as stack:
@@ -226,7 +228,9 @@ def test_late_command_of_a_frozen_controller__reported_and_not_applied(scratch: 
 
 
 @pytest.mark.parametrize("policy", ["abort", "hold"])
-def test_a_controller_that_joins_late_and_is_silent_meets_its_deadline(scratch: Path, policy: str) -> None:
+def test_fallback_policies__controller_that_joins_late_and_is_silent_meets_its_deadline(
+    scratch: Path, policy: str
+) -> None:
     """The sample was there long before anyone was: the time of its first step begins when it joins."""
     with (
         office(scratch, policy=policy, deadline_s=0.02) as (_, bus),
@@ -300,7 +304,7 @@ with zenostat.connect(endpoint, affinity="off") as bus, bus.controller("office",
 """
 
 
-def test_two_controllers_and_a_supervisor_are_as_one_to_the_bit(
+def test_fallback_policies__two_controllers_and_a_supervisor_are_as_one_to_the_bit(
     scratch: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus
 ) -> None:
     """north and south answer each sample; from sample 8 the supervisor overrides the core at 28 for an hour."""
@@ -406,14 +410,16 @@ def test_status_command__shows_the_policy_and_the_bypassed_controller(scratch: P
         ("--policy", "give-up", "'wait', 'hold', 'relinquish', 'abort'"),
     ],
 )
-def test_settings_that_cannot_be_are_refused_before_anything_starts(option: str, value: str, words: str) -> None:
+def test_fallback_policies__settings_that_cannot_be_are_refused_before_anything_starts(
+    option: str, value: str, words: str
+) -> None:
     settings = ("--building", "ref-small-office", "--weather", "USA_CO_Denver", option, value)
     done = run_in_process("node", *settings, columns=200)
     assert done.returncode == 2
     assert words in done.stderr.replace("\n", " ")
 
 
-def test_a_node_s_settings_are_checked_alike(folder: Path) -> None:
+def test_fallback_policies__node_s_settings_are_checked_alike(folder: Path) -> None:
     with pytest.raises(InvalidConfig) as raised:
         NodeProgram(folder / "node", **SMALL, grace_s=-1, deadline_s=0)
     assert isinstance(raised.value, ZenostatError)

@@ -109,7 +109,7 @@ def true(samples: Sequence[Sample], clean: Sequence[Sample]) -> bool:
 # The undisturbed run
 
 
-def test_an_empty_plan_leaves_all_as_it_is(scratch: Path, stage: Stage) -> None:
+def test_fault_injection__empty_plan_leaves_all_as_it_is(scratch: Path, stage: Stage) -> None:
     (scratch / "none.yaml").write_text("seed: 5\nfaults: []\n")
     with (
         NodeProgram(scratch / "n", **SMALL, faults=str(scratch / "none.yaml")) as node,
@@ -125,7 +125,7 @@ def test_an_empty_plan_leaves_all_as_it_is(scratch: Path, stage: Stage) -> None:
 NEVER = {"probability": 1e-300}
 
 
-def test_windows_that_never_come_leave_all_as_it_is(stage: Stage) -> None:
+def test_fault_injection__windows_that_never_come_leave_all_as_it_is(stage: Stage) -> None:
     ran = stage.faulty(
         {"kind": "bias", "points": "*", "actuators": "*", "offset": 5.0, "when": NEVER},
         {"kind": "drop", "points": "*", "actuators": "*", "when": NEVER},
@@ -137,7 +137,7 @@ def test_windows_that_never_come_leave_all_as_it_is(stage: Stage) -> None:
     assert [s.fault_free_values for s in ran] == [s.values for s in ran]
 
 
-def test_without_faults_again_nothing_is_left_of_them(stage: Stage) -> None:
+def test_fault_injection__without_faults_again_nothing_is_left_of_them(stage: Stage) -> None:
     stage.faulty({"kind": "bias", "points": "*", "offset": 1.0})
     assert not stage.bus.manifest("office").faults_injected
     ran = day(stage.link, seed=1)
@@ -171,7 +171,7 @@ def test_faults__change_the_planned_values_and_nothing_else(stage: Stage) -> Non
         assert stage.column(ran, name).tobytes() == values.tobytes(), name
 
 
-def test_a_dropped_point_is_nan_in_the_frame_and_silent_by_itself(stage: Stage) -> None:
+def test_fault_injection__dropped_point_is_nan_in_the_frame_and_silent_by_itself(stage: Stage) -> None:
     steps: list[int] = []
 
     def on_point(message: Any) -> None:
@@ -199,7 +199,7 @@ def test_a_dropped_point_is_nan_in_the_frame_and_silent_by_itself(stage: Stage) 
 # Actuators
 
 
-def test_a_disturbed_command_is_what_the_building_gets(stage: Stage) -> None:
+def test_fault_injection__disturbed_command_is_what_the_building_gets(stage: Stage) -> None:
     ran = stage.faulty({"kind": "bias", "actuators": SETPOINT, "offset": 0.5, "when": {"from_step": 40, "to_step": 60}})
     got = stage.column(ran, SETPOINT, "effective")[1:]
     # The command that answers sample k rules timestep k + 1.
@@ -210,13 +210,13 @@ def test_a_disturbed_command_is_what_the_building_gets(stage: Stage) -> None:
     assert [s.values for s in ran] == truth  # no sensor is disturbed
 
 
-def test_a_command_that_is_not_heard_leaves_the_former_one_in_force(stage: Stage) -> None:
+def test_fault_injection__command_that_is_not_heard_leaves_the_former_one_in_force(stage: Stage) -> None:
     ran = stage.faulty({"kind": "drop", "actuators": SETPOINT, "when": {"from_step": 41, "to_step": 50}})
     got = stage.column(ran, SETPOINT, "effective")[1:]
     assert got.tolist() == [command(40 if 41 <= k < 50 else k) for k in range(LAST)]
 
 
-def test_a_fault_that_is_set_amid_an_episode_knows_what_was_heard_before(stage: Stage) -> None:
+def test_fault_injection__fault_that_is_set_amid_an_episode_knows_what_was_heard_before(stage: Stage) -> None:
     def cut(step: int) -> None:
         if step == 53:
             stage.bus.faults("office", {"faults": [{"kind": "drop", "actuators": SETPOINT}]})
@@ -252,7 +252,7 @@ def test_events__report_when_a_fault_begins_and_ends(stage: Stage) -> None:
     ]
 
 
-def test_faults_are_set_and_ended_while_it_runs(stage: Stage) -> None:
+def test_fault_injection__faults_are_set_and_ended_while_it_runs(stage: Stage) -> None:
     seen = {}
 
     def change(step: int) -> None:
@@ -280,7 +280,9 @@ def test_faults_are_set_and_ended_while_it_runs(stage: Stage) -> None:
         ({"kind": "noise", "points": "*", "sigma": -1.0}, "sigma.*greater than 0"),
     ],
 )
-def test_a_plan_that_cannot_be_is_refused_and_changes_nothing(stage: Stage, fault: dict[str, Any], words: str) -> None:
+def test_fault_injection__plan_that_cannot_be_is_refused_and_changes_nothing(
+    stage: Stage, fault: dict[str, Any], words: str
+) -> None:
     stage.bus.faults("office", {"faults": [{"name": "stays", "kind": "drop", "points": CORE}]})
     stage.link.reset(seed=1)
     with pytest.raises(InvalidConfig, match=words):
@@ -295,7 +297,7 @@ NOISE = {"kind": "noise", "points": "*_air_temperature", "sigma": 0.3}
 BURST = {"kind": "bias", "points": CORE, "offset": 2.0, "when": {"probability": 0.2, "lasts_steps": 3}}
 
 
-def test_the_same_seed_gives_the_same_faults(stage: Stage) -> None:
+def test_fault_injection__same_seed_gives_the_same_faults(stage: Stage) -> None:
     ran = stage.faulty(NOISE, BURST, seed=7)
     again = stage.faulty(NOISE, BURST, seed=7)
     assert same(ran, again)
@@ -305,7 +307,7 @@ def test_the_same_seed_gives_the_same_faults(stage: Stage) -> None:
     assert 0.5 * 0.3 < noise.std() < 1.5 * 0.3  # of 97 numbers; six standard deviations
 
 
-def test_an_episode_without_a_seed_has_faults_of_its_own(stage: Stage) -> None:
+def test_fault_injection__episode_without_a_seed_has_faults_of_its_own(stage: Stage) -> None:
     stage.bus.faults("office", {"seed": 7, "faults": [NOISE]})
     first, second = day(stage.link, seed=1), day(stage.link)
     third, fourth = day(stage.link, seed=1), day(stage.link)
@@ -315,7 +317,7 @@ def test_an_episode_without_a_seed_has_faults_of_its_own(stage: Stage) -> None:
     assert not same(first, second, "values")
 
 
-def test_a_branch_and_a_snapshot_meet_the_same_faults(scratch: Path) -> None:
+def test_fault_injection__branch_and_a_snapshot_meet_the_same_faults(scratch: Path) -> None:
     plan_file = scratch / "faults.yaml"
     freeze = {"kind": "freeze", "points": EAST, "when": {"from_step": 15, "to_step": 25}}
     delay = {"kind": "delay", "points": SOUTH, "actuators": "*", "steps": 2}
@@ -345,7 +347,7 @@ def test_a_branch_and_a_snapshot_meet_the_same_faults(scratch: Path) -> None:
         env.close()
 
 
-def test_messages_after_a_snapshot_meet_the_same_faults_of_the_link() -> None:
+def test_fault_injection__messages_after_a_snapshot_meet_the_same_faults_of_the_link() -> None:
     planned = plan(read_config(SMALL))
     faults = FaultPlan.model_validate({"seed": 1, "faults": [{"kind": "loss", "samples": True, "probability": 0.5}]})
     values = bytes(8 * (len(planned.points.sensors) + len(planned.points.meters)))
@@ -374,7 +376,7 @@ def grid() -> dict[str, Any]:
     return {"step_s": 900.0, "begin": datetime(2017, 7, 3)}
 
 
-def test_lost_samples_are_missing_when_free(episode_bus: Bus) -> None:
+def test_fault_injection__lost_samples_are_missing_when_free(episode_bus: Bus) -> None:
     bus = episode_bus
     faults = {"seed": 2, "faults": [{"kind": "loss", "samples": True, "probability": 0.3, "when": {"to_step": LAST}}]}
     with bus.listen("office") as samples:
@@ -393,7 +395,7 @@ def test_lost_samples_are_missing_when_free(episode_bus: Bus) -> None:
     bus.faults("office", None)
 
 
-def test_delayed_samples_come_later_when_paced(episode_bus: Bus) -> None:
+def test_fault_injection__delayed_samples_come_later_when_paced(episode_bus: Bus) -> None:
     bus = episode_bus
     bus.faults("office", {"faults": [{"kind": "latency", "samples": True, "delay_ms": 400.0}]})
     with bus.listen("office") as samples:
@@ -404,7 +406,7 @@ def test_delayed_samples_come_later_when_paced(episode_bus: Bus) -> None:
     assert all(now_s >= asked_s + 0.01 * step + 0.4 for step, now_s in arrivals)
 
 
-def test_duplicates_do_not_disturb_a_controller(stage: Stage) -> None:
+def test_fault_injection__duplicates_do_not_disturb_a_controller(stage: Stage) -> None:
     before = stage.bus.status("office")
     ran = stage.faulty({"kind": "duplicate", "samples": True, "commands": "*", "probability": 1.0})
     after = stage.bus.status("office")
@@ -432,7 +434,7 @@ def test_plan_that_loses_awaited_messages__warns(scratch: Path, settings: dict[s
 
 
 @pytest.mark.slow
-def test_lockstep_with_lost_commands_goes_on_by_its_deadline(scratch: Path) -> None:
+def test_fault_injection__lockstep_with_lost_commands_goes_on_by_its_deadline(scratch: Path) -> None:
     cut = {"kind": "loss", "commands": "*", "probability": 1.0, "when": {"from_step": 20, "to_step": 30}}
     (scratch / "faults.yaml").write_text(yaml.safe_dump({"faults": [cut]}))
     settings = SMALL | {"faults": str(scratch / "faults.yaml"), "policy": "hold", "deadline_s": 1.0}

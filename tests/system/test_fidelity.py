@@ -75,13 +75,13 @@ def week(request: pytest.FixtureRequest, both: Callable[[Case], Runs]) -> Runs:
     return both(request.param)
 
 
-def test_a_week_equals_energyplus_alone(week) -> None:
+def test_fidelity__week_equals_energyplus_alone(week) -> None:
     manifest, got, expected = week
     _check_kinds(manifest)
     check_equal(manifest, got, expected)
 
 
-def test_each_point_lives(week) -> None:
+def test_fidelity__each_point_lives(week) -> None:
     """A comparison of constants would show nothing."""
     manifest, got, _ = week
     changing = {name for column, name in enumerate(manifest.names) if len(np.unique(got[:, column])) > 1}
@@ -96,7 +96,7 @@ def divided(both: Callable[[Case], Runs]) -> Runs:
     return both(WEEKS[-1])
 
 
-def test_state_and_mean_are_distinguished(divided) -> None:
+def test_fidelity__state_and_mean_are_distinguished(divided) -> None:
     """The state at the end of a timestep is not its mean if the HVAC needed shorter steps: neither may be
     taken for EnergyPlus's report of the other.
     """
@@ -119,7 +119,7 @@ def test_state_and_mean_are_distinguished(divided) -> None:
         assert (got[:, column[mean]] != expected[:, column[name]]).sum() > 100, name
 
 
-def test_energy_follows_from_means(divided) -> None:
+def test_fidelity__energy_follows_from_means(divided) -> None:
     """The HVAC's meter is the mean power times the length of the timestep; with the state it would not be."""
     manifest, got, _ = divided
     column = {name: i for i, name in enumerate(manifest.names)}
@@ -132,7 +132,7 @@ def test_energy_follows_from_means(divided) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("case", YEARS, ids=_name)
-def test_a_year_equals_energyplus_alone(case: Case, folder: Path) -> None:
+def test_fidelity__year_equals_energyplus_alone(case: Case, folder: Path) -> None:
     manifest, got, expected = _both(case, folder)
     _check_kinds(manifest)
     assert manifest.steps == 35040

@@ -68,7 +68,7 @@ class Building:
 
 
 @pytest.mark.slow
-def test_modbus_clients_of_the_former_map_are_disconnected(router: str, tmp_path: Path) -> None:
+def test_gateways__modbus_clients_of_the_former_map_are_disconnected(router: str, tmp_path: Path) -> None:
     options = ["--connect", router, "--address", "127.0.0.1:0"]
     half = list(struct.unpack(">HH", struct.pack(">f", 0.5)))
     with Building(router, tmp_path) as building, RunningGateway("modbus", "building", *options) as gateway:
@@ -86,7 +86,7 @@ def test_modbus_clients_of_the_former_map_are_disconnected(router: str, tmp_path
 
 @pytest.mark.slow
 @needs_broker
-def test_mqtt_removes_the_retained_values_of_points_that_are_gone(router: str, tmp_path: Path) -> None:
+def test_gateways__mqtt_removes_the_retained_values_of_points_that_are_gone(router: str, tmp_path: Path) -> None:
     with Building(router, tmp_path) as building, Broker(tmp_path) as broker:
         options = ["--connect", router, "--broker", f"127.0.0.1:{broker.port}", "--home-assistant"]
         gone = ["zenostat/building/sensor/room_temperature", "zenostat/building/actuator/circulation",
@@ -99,7 +99,9 @@ def test_mqtt_removes_the_retained_values_of_points_that_are_gone(router: str, t
             assert broker.retained("zenostat/building/status") == "online"
 
 
-def test_a_client_has_no_sample_of_the_former_building_beside_the_new_manifest(router: str, tmp_path: Path) -> None:
+def test_gateways__client_has_no_sample_of_the_former_building_beside_the_new_manifest(
+    router: str, tmp_path: Path
+) -> None:
     seen: list[tuple[str, bool]] = []
 
     async def main() -> None:

@@ -27,7 +27,9 @@ def commands(bus: zenostat.Bus, node: str) -> dict[int, float]:
 
 @pytest.mark.slow
 @needs_broker
-def test_clients_of_three_protocols_command_a_branch_and_not_its_parent(bus: zenostat.Bus, tmp_path: Path) -> None:
+def test_gateways__clients_of_three_protocols_command_a_branch_and_not_its_parent(
+    bus: zenostat.Bus, tmp_path: Path
+) -> None:
     udp = free_udp_port()
     with bus.controller("office", priority=16) as link:
         link.reset()

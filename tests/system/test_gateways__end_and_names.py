@@ -120,7 +120,7 @@ def test_bacnet__relinquishes_what_its_clients_commanded(room: NodeProgram, bus:
     assert commands(bus) == OTHERS
 
 
-def test_the_end_of_the_episode_is_no_error_of_a_gateway_that_ends(tmp_path: Path) -> None:
+def test_gateways__end_of_the_episode_is_no_error_of_a_gateway_that_ends(tmp_path: Path) -> None:
     with (
         NodeProgram(tmp_path / "room", plant=PLANT, name="room") as room,
         zenostat.connect(room.endpoint, affinity="off") as bus,
@@ -158,7 +158,7 @@ def test_the_end_of_the_episode_is_no_error_of_a_gateway_that_ends(tmp_path: Pat
         ),
     ],
 )
-def test_a_second_gateway_with_the_same_name_is_refused_until_the_first_has_ended(
+def test_gateways__second_gateway_with_the_same_name_is_refused_until_the_first_has_ended(
     room: NodeProgram, first: tuple[str, ...], second: tuple[str, ...], name: str, advice: str
 ) -> None:
     bus = ["room", "--connect", room.endpoint]
@@ -174,7 +174,7 @@ def test_a_second_gateway_with_the_same_name_is_refused_until_the_first_has_ende
 
 
 @needs_broker
-def test_one_topic_of_a_broker_has_one_gateway_of_a_node(room: NodeProgram, tmp_path: Path) -> None:
+def test_gateways__one_topic_of_a_broker_has_one_gateway_of_a_node(room: NodeProgram, tmp_path: Path) -> None:
     with Broker(tmp_path) as broker:
         words = ["room", "--connect", room.endpoint, "--broker", f"127.0.0.1:{broker.port}"]
         with RunningGateway("mqtt", *words):
@@ -188,7 +188,7 @@ def test_one_topic_of_a_broker_has_one_gateway_of_a_node(room: NodeProgram, tmp_
 
 @pytest.mark.variants
 @ENDS
-def test_a_signal_ends_a_gateway_that_is_not_ready_yet(room: NodeProgram, end: signal.Signals) -> None:
+def test_gateways__signal_ends_a_gateway_that_is_not_ready_yet(room: NodeProgram, end: signal.Signals) -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent_broker:
         address = f"127.0.0.1:{silent_broker.getsockname()[1]}"
         command = [*ZENOSTAT, "gateway", "mqtt", "room", "--connect", room.endpoint, "--broker", address]
@@ -201,7 +201,7 @@ def test_a_signal_ends_a_gateway_that_is_not_ready_yet(room: NodeProgram, end: s
     assert (program.returncode, out, err) == (128 + end, "", "")
 
 
-def test_a_frozen_node_does_not_keep_a_gateway_from_ending(tmp_path: Path) -> None:
+def test_gateways__frozen_node_does_not_keep_a_gateway_from_ending(tmp_path: Path) -> None:
     with (
         NodeProgram(tmp_path / "room", plant=PLANT, name="room") as room,
         RunningGateway("modbus", "room", "--connect", room.endpoint, "--address", "127.0.0.1:0") as gateway,
@@ -232,7 +232,7 @@ def until_line(lines: IO[str], begin: str) -> str:
     ],
     ids=["modbus", "zeromq"],
 )
-def test_a_gateway_that_is_started_first_waits_for_bus_and_node(tmp_path: Path, options: list[str]) -> None:
+def test_gateways__gateway_that_is_started_first_waits_for_bus_and_node(tmp_path: Path, options: list[str]) -> None:
     endpoint = f"unixsock-stream/{tmp_path}/other/bus"
     words = ["gateway", *options, "--connect", endpoint]
     assert "nobody listens on" in run_in_process(*words, columns=500).stderr
@@ -252,7 +252,7 @@ def test_a_gateway_that_is_started_first_waits_for_bus_and_node(tmp_path: Path, 
     assert (program.returncode, err) == (0, ""), out
 
 
-def test_a_signal_ends_a_gateway_that_waits(tmp_path: Path) -> None:
+def test_gateways__signal_ends_a_gateway_that_waits(tmp_path: Path) -> None:
     words = ["gateway", "mqtt", "room", "--connect", f"unixsock-stream/{tmp_path}/bus", "--wait"]
     with subprocess.Popen([*ZENOSTAT, *words], stdout=PIPE, stderr=PIPE, text=True) as program:
         assert program.stdout is not None

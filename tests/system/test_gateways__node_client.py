@@ -28,7 +28,7 @@ async def _client(endpoint: str, **options: Any) -> AsyncIterator[NodeClient]:
             yield client
 
 
-def test_a_paused_node_steps_on_command_and_a_write_takes_effect(
+def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pause("office")
@@ -72,7 +72,7 @@ def test_a_paused_node_steps_on_command_and_a_write_takes_effect(
     assert [event.source for event in events if event.kind is EventKind.WRITTEN] == ["device 7"] * 2
 
 
-def test_a_node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(
+def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pause("office")
@@ -85,7 +85,7 @@ def test_a_node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(
     asyncio.run(main())
 
 
-def test_too_many_requests_at_once_are_rejected_and_the_others_answered(
+def test_gateways__too_many_requests_at_once_are_rejected_and_the_others_answered(
     episode_bus: zenostat.Bus, shared_node: NodeProgram, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(node_client, "MAX_PENDING", 10)
@@ -102,7 +102,7 @@ def test_too_many_requests_at_once_are_rejected_and_the_others_answered(
     assert len([reply for reply in replies if not isinstance(reply, Exception)]) == 10
 
 
-def test_a_node_that_is_killed_ends_all_waits_and_one_that_returns_is_used_again(tmp_path: Path) -> None:
+def test_gateways__node_that_is_killed_ends_all_waits_and_one_that_returns_is_used_again(tmp_path: Path) -> None:
     settings = {**SMALL, "listen": [], "name": "office"}
 
     async def main(endpoint: str) -> None:

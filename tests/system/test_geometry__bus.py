@@ -41,7 +41,7 @@ def expected() -> Geometry:
     return geometry
 
 
-def test_the_bus_has_the_models_geometry(episode_bus: zenostat.Bus, expected: Geometry) -> None:
+def test_geometry__bus_has_the_models_geometry(episode_bus: zenostat.Bus, expected: Geometry) -> None:
     geometry = episode_bus.geometry("office")
     assert geometry == expected
     assert {surface.zone for surface in surfaces(geometry)} == set(range(len(geometry.zones)))
@@ -50,12 +50,12 @@ def test_the_bus_has_the_models_geometry(episode_bus: zenostat.Bus, expected: Ge
     episode_bus.stop(branch)
 
 
-def test_a_node_that_is_not_there_is_named(episode_bus: zenostat.Bus) -> None:
+def test_geometry__node_that_is_not_there_is_named(episode_bus: zenostat.Bus) -> None:
     with pytest.raises(NodeNotFound, match="no node 'offise'"):
         episode_bus.geometry("offise")
 
 
-def test_a_python_plant_has_no_geometry(scratch: Path) -> None:
+def test_geometry__python_plant_has_no_geometry(scratch: Path) -> None:
     file = scratch / "tank.py"
     file.write_text(PLANT)
     with (
@@ -82,6 +82,6 @@ def old_node(episode_bus: zenostat.Bus) -> Iterator[str]:
     queryable.undeclare()
 
 
-def test_an_older_node_is_named_with_its_version(episode_bus: zenostat.Bus, old_node: str) -> None:
+def test_geometry__older_node_is_named_with_its_version(episode_bus: zenostat.Bus, old_node: str) -> None:
     with pytest.raises(RequestRejected, match=r"^node 'old' is of Zenostat 0\.1, which does not send a geometry$"):
         episode_bus.geometry(old_node)

@@ -141,7 +141,7 @@ def between(episode: Trajectory, begin: timedelta, end: timedelta) -> np.ndarray
 
 @pytest.mark.slow
 @needs_broker
-def test_the_page_shows_what_it_says(scratch: Path) -> None:
+def test_hardware_in_the_loop__page_shows_what_it_states(scratch: Path) -> None:
     with running(scratch) as run:
         run.broker()
         run.node("zenostat node", "--listen", run.endpoint)

@@ -145,7 +145,7 @@ def test_a_new_episode__has_a_history_of_its_own(bus: zenostat.Bus) -> None:
     assert bus.history("oven", ["temperature"])["temperature"].tolist() == [20.0]
 
 
-def test_mistakes_in_a_request_for_history(bus: zenostat.Bus) -> None:
+def test_history_and_alarms__mistakes_in_a_request_for_history(bus: zenostat.Bus) -> None:
     with pytest.raises(UnknownName, match="no point 'temprature'; did you mean 'temperature'"):
         bus.history("oven", ["temprature"])
     with pytest.raises(RequestRejected, match="no slot 3"):
@@ -168,7 +168,7 @@ def test_the_manifest__states_the_memory(bus: zenostat.Bus) -> None:
     assert manifest.history_bytes == manifest.history_samples * 8 * (3 + 1 + 2)
 
 
-def test_a_branch_has_no_history(bus: zenostat.Bus) -> None:
+def test_history_and_alarms__branch_has_no_history(bus: zenostat.Bus) -> None:
     branch = bus.branch("oven", CreateBranch())
     assert bus.manifest(branch).history_samples == 0
     with pytest.raises(RequestRejected, match="branches keep no history; ask 'oven'"):
@@ -176,7 +176,7 @@ def test_a_branch_has_no_history(bus: zenostat.Bus) -> None:
     bus.stop(branch)
 
 
-def test_a_node_without_history_says_so(scratch: Path) -> None:
+def test_history_and_alarms__node_without_history_is_reported(scratch: Path) -> None:
     (scratch / "oven.py").write_text(OVEN)
     with (
         NodeProgram(scratch / "node", name="oven", plant=f"{scratch}/oven.py:Oven", history_mb=0) as node,
@@ -307,7 +307,7 @@ def test_a_recording__has_the_alarms_and_is_verified(bus: zenostat.Bus, module_s
 # On the command line
 
 
-def test_zenostat_shelve_and_remove_from_service(bus: zenostat.Bus, oven: NodeProgram) -> None:
+def test_history_and_alarms__zenostat_shelve_and_remove_from_service(bus: zenostat.Bus, oven: NodeProgram) -> None:
     at = ("--connect", oven.endpoint, "--source", "ann")
     heat(bus, *[200.0] * 9)
     done = run("shelve", "oven", "hot", "--duration", "5min", "--comment", "bread", *at)
@@ -330,7 +330,7 @@ def test_zenostat_shelve_and_remove_from_service(bus: zenostat.Bus, oven: NodePr
     ]
 
 
-def test_zenostat_alarms_and_acknowledge(bus: zenostat.Bus, oven: NodeProgram) -> None:
+def test_history_and_alarms__zenostat_alarms_and_acknowledge(bus: zenostat.Bus, oven: NodeProgram) -> None:
     at = ("--connect", oven.endpoint)
     assert plain(run("alarms", "oven", *at).stdout) == "oven at 2017-07-03T00:00:00: 2 normal"
     heat(bus, *[200.0] * 9)
@@ -350,7 +350,7 @@ def test_zenostat_alarms_and_acknowledge(bus: zenostat.Bus, oven: NodeProgram) -
     assert (hot["state"], hot["acknowledged_by"], hot["value"]) == ("acknowledged", "ann", 29.0)
 
 
-def test_zenostat_plot(bus: zenostat.Bus, oven: NodeProgram) -> None:
+def test_history_and_alarms__zenostat_plot(bus: zenostat.Bus, oven: NodeProgram) -> None:
     heat(bus, *[200.0] * 20)
     at = ("--connect", oven.endpoint)
     done = run("plot", "oven", "temperature", "energy", *at)

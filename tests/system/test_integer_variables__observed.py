@@ -48,7 +48,9 @@ def catalog(building: Building) -> PointCatalog:
     return discover(building, find_weather(CASE.weather).path)
 
 
-def test_all_that_energyplus_can_report_is_found(building: Building, catalog: PointCatalog, tmp_path: Path) -> None:
+def test_integer_variables__all_that_energyplus_can_report_is_found(
+    building: Building, catalog: PointCatalog, tmp_path: Path
+) -> None:
     """The survey has each variable of EnergyPlus's own dictionary (`eplusout.rdd`)."""
     day = date(2017, 1, 1)
     objects = for_episode(building, Period(day, day, 4))
@@ -60,14 +62,14 @@ def test_all_that_energyplus_can_report_is_found(building: Building, catalog: Po
     assert {v.name.casefold() for v in catalog.variables} == {name.casefold() for name in names}
 
 
-def test_they_have_a_kind_and_a_unit(catalog: PointCatalog) -> None:
+def test_integer_variables__they_have_a_kind_and_a_unit(catalog: PointCatalog) -> None:
     for name, key in (SYSTEM | ZONE).items():
         variable = find_variable(catalog, "x", name, key)
         assert (variable.system, variable.summed, variable.unit) == (name in SYSTEM, name.endswith("Count"), "1")
         assert default_aggregation(variable) is (Aggregation.SUM if variable.summed else Aggregation.INSTANT)
 
 
-def test_they_equal_energyplus_alone_to_the_bit(folder: Path) -> None:
+def test_integer_variables__they_equal_energyplus_alone_to_the_bit(folder: Path) -> None:
     sensors = {f"v{i}": [name, key] for i, (name, key) in enumerate((SYSTEM | ZONE).items())}
     averaged = [name for name in SYSTEM | ZONE if not name.endswith("Count")]
     sensors |= {f"mean{i}": [name, (SYSTEM | ZONE)[name], "mean"] for i, name in enumerate(averaged)}

@@ -30,7 +30,7 @@ print("stepped to", info["step"])
 
 @pytest.mark.variants
 @pytest.mark.parametrize("from_its_folder", [True, False])
-def test_a_script_beside_a_models_file_of_its_own(scratch: Path, from_its_folder: bool) -> None:
+def test_isolation__script_beside_a_models_file_of_its_own(scratch: Path, from_its_folder: bool) -> None:
     home = scratch / "home"
     home.mkdir()
     for name in ("agent_sdk", "bridge", "cli", "eplus_node", "lab", "metrics", "models", "topics", "views"):

@@ -56,7 +56,7 @@ def programs(manager: Any) -> list[psutil.Process]:
     return psutil.Process(manager.provisioner.pid).children(recursive=True)
 
 
-def test_a_kernel_is_interrupted_and_restarted(kernel: tuple[Any, Any]) -> None:
+def test_jupyter__kernel_is_interrupted_and_restarted(kernel: tuple[Any, Any]) -> None:
     manager, client = kernel
     assert outcome(client, client.execute(MAKE)) == "ok"
     forever = client.execute("print('begun')\n" + FOREVER)

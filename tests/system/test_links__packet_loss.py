@@ -124,7 +124,7 @@ def trajectory(hosts: Hosts, folder: Path) -> tuple[int, str]:
 
 
 @pytest.mark.timeout(300)
-def test_a_network_that_loses_and_reorders_packets_changes_no_bit(hosts: Hosts, scratch: Path) -> None:
+def test_links__network_that_loses_and_reorders_packets_changes_no_bit(hosts: Hosts, scratch: Path) -> None:
     quiet = trajectory(hosts, scratch / "quiet")
     for host, device in ((0, "left"), (1, "right")):
         hosts.do(host, "tc", "qdisc", "add", "dev", device, "root", "netem", *NETEM)

@@ -82,7 +82,7 @@ def link(tcp_node: NodeProgram) -> Iterator[CuttableLink]:
 
 @pytest.mark.variants
 @SLOTS
-def test_a_cut_connection(scratch: Path, slots: int) -> None:
+def test_lost_link__cut_connection(scratch: Path, slots: int) -> None:
     with node_behind_link(scratch, slots=slots) as (_, link, _):
         env = make(slots, connect=link.endpoint, node="office")
         env.reset(seed=0)
@@ -93,7 +93,7 @@ def test_a_cut_connection(scratch: Path, slots: int) -> None:
         env.close()
 
 
-def test_a_link_that_is_down(link: CuttableLink) -> None:
+def test_lost_link__link_that_is_down(link: CuttableLink) -> None:
     env = make(1, connect=link.endpoint, node="office")
     env.reset(seed=0)
     link.down()
@@ -107,7 +107,7 @@ def test_a_link_that_is_down(link: CuttableLink) -> None:
 
 @pytest.mark.slow
 @SLOTS
-def test_an_own_node_that_was_frozen(slots: int) -> None:
+def test_lost_link__own_node_that_was_frozen(slots: int) -> None:
     env = make(slots, **SMALL)
     env.reset(seed=0)
     node = env.unwrapped.local_node.pid
@@ -123,7 +123,7 @@ def test_an_own_node_that_was_frozen(slots: int) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("recorded", [False, True])
-def test_an_own_node_that_is_frozen_is_ended(recorded: bool, scratch: Path) -> None:
+def test_lost_link__own_node_that_is_frozen_is_ended(recorded: bool, scratch: Path) -> None:
     env = make(1, **SMALL, record=str(scratch / "run.mcap") if recorded else None)
     env.reset(seed=0)
     node = psutil.Process(env.unwrapped.local_node.pid)
@@ -134,7 +134,7 @@ def test_an_own_node_that_is_frozen_is_ended(recorded: bool, scratch: Path) -> N
 
 
 @pytest.mark.slow
-def test_an_environment_closes_while_the_other_side_is_frozen(scratch: Path) -> None:
+def test_lost_link__environment_closes_while_the_other_side_is_frozen(scratch: Path) -> None:
     with NodeProgram(scratch / "node", **SMALL) as node:
         env = make(1, connect=node.endpoint, node="office")
         env.reset(seed=0)
@@ -164,7 +164,7 @@ def router(endpoint: str) -> Iterator[None]:
 
 
 @pytest.mark.slow
-def test_a_router_that_was_killed_and_started_again(scratch: Path) -> None:
+def test_lost_link__router_that_was_killed_and_started_again(scratch: Path) -> None:
     at = f"tcp/127.0.0.1:{free_port()}"
     with router(at):
         node = NodeProgram(scratch / "node", **SMALL, listen=[], connect=[at])
@@ -178,7 +178,7 @@ def test_a_router_that_was_killed_and_started_again(scratch: Path) -> None:
             node.close()
 
 
-def test_a_controller_without_gymnasium(link: CuttableLink) -> None:
+def test_lost_link__controller_without_gymnasium(link: CuttableLink) -> None:
     with (
         zenostat.connect(link.endpoint, affinity="off") as bus,
         bus.controller("office") as controller,
@@ -192,7 +192,7 @@ def test_a_controller_without_gymnasium(link: CuttableLink) -> None:
         assert controller.receive().value_source["core_zn_cooling_setpoint"] == controller.name
 
 
-def test_a_claim_that_only_the_node_lost(tcp_node: NodeProgram, link: CuttableLink) -> None:
+def test_lost_link__claim_that_only_the_node_lost(tcp_node: NodeProgram, link: CuttableLink) -> None:
     """Another controller has taken the level over meanwhile: the refusal names it, and steps work once it has left."""
     env = make(1, connect=link.endpoint, node="office")
     env.reset(seed=0)
@@ -227,7 +227,7 @@ def refusal(env: Any) -> str:
 
 
 @pytest.mark.slow
-def test_a_node_elsewhere_that_was_restarted(scratch: Path) -> None:
+def test_lost_link__node_elsewhere_that_was_restarted(scratch: Path) -> None:
     with node_behind_link(scratch) as (node, link, port):
         env = make(1, connect=link.endpoint, node="office")
         env.reset(seed=0)

@@ -82,7 +82,7 @@ def test_lost_sample__is_requested(episode_bus: zenostat.Bus, step: int) -> None
     assert lost == [keys.SAMPLE.at("office")]
 
 
-def test_a_controller_that_connects_late_asks_for_the_sample_after_the_one_that_is_answered(
+def test_lost_messages__controller_that_connects_late_asks_for_the_sample_after_the_one_that_is_answered(
     episode_bus: zenostat.Bus,
 ) -> None:
     """The node waits for another controller at sample 0, of which this one does not know whether it has answered."""
@@ -97,7 +97,7 @@ def test_a_controller_that_connects_late_asks_for_the_sample_after_the_one_that_
             assert lost
 
 
-def test_a_failure_whose_event_is_lost_is_raised(bus: zenostat.Bus, node: NodeProgram) -> None:
+def test_lost_messages__failure_whose_event_is_lost_is_raised(bus: zenostat.Bus, node: NodeProgram) -> None:
     with bus.controller("office") as link:
         link.reset()
         lost = lose(link, is_event(EventKind.FAILED))
@@ -110,7 +110,9 @@ def test_a_failure_whose_event_is_lost_is_raised(bus: zenostat.Bus, node: NodePr
     assert lost
 
 
-def test_a_reset_by_another_controller_is_raised_though_its_messages_are_lost(episode_bus: zenostat.Bus) -> None:
+def test_lost_messages__reset_by_another_controller_is_raised_though_its_messages_are_lost(
+    episode_bus: zenostat.Bus,
+) -> None:
     with episode_bus.controller("office", actuators=[POINT]) as link:
         link.reset()
         link.send()
@@ -123,7 +125,7 @@ def test_a_reset_by_another_controller_is_raised_though_its_messages_are_lost(ep
     assert lost
 
 
-def test_a_controller_that_receives_nothing_for_long_gets_replies_and_the_latest_samples(
+def test_lost_messages__controller_that_receives_nothing_for_long_gets_replies_and_the_latest_samples(
     episode_bus: zenostat.Bus,
 ) -> None:
     """More samples than its inbox holds come from another controller's episodes."""
@@ -146,7 +148,7 @@ def test_a_controller_that_receives_nothing_for_long_gets_replies_and_the_latest
             link.receive()
 
 
-def test_a_controller_without_a_claim_does_not_wait_for_ever() -> None:
+def test_lost_messages__controller_without_a_claim_does_not_wait_for_ever() -> None:
     """A rule, with a bus of its own: nobody waits for a controller that the node does not know."""
 
     class OneSample:
@@ -161,7 +163,7 @@ def test_a_controller_without_a_claim_does_not_wait_for_ever() -> None:
 
 
 @pytest.mark.parametrize("priority", ["DATA", "REAL_TIME"])
-def test_large_messages_of_a_stranger_do_not_displace_samples(
+def test_lost_messages__large_messages_of_a_stranger_do_not_displace_samples(
     episode_bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch, priority: str
 ) -> None:
     """At Zenoh's default priority none is lost; at a higher one than the samples', which are lost is asked for."""
@@ -184,7 +186,7 @@ def test_large_messages_of_a_stranger_do_not_displace_samples(
 
 
 @pytest.mark.slow
-def test_a_subscriber_to_everything_that_reads_nothing_delays_commands_once_and_is_disconnected(
+def test_lost_messages__subscriber_to_everything_that_reads_nothing_delays_commands_once_and_is_disconnected(
     episode_bus: zenostat.Bus,
 ) -> None:
     """Commands are not dropped, and `**` includes them; Zenoh gives it five seconds."""
@@ -196,7 +198,7 @@ def test_a_subscriber_to_everything_that_reads_nothing_delays_commands_once_and_
                 assert values_of_day(link) == quiet
 
 
-def test_refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus: zenostat.Bus) -> None:
+def test_lost_messages__refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus: zenostat.Bus) -> None:
     """More than are published in a step; the controller's own is, or it would wait for a sample that never comes."""
     with episode_bus.controller("office") as link, open_session(connect=[episode_bus.endpoint]) as session:
         link.reset()
@@ -209,7 +211,7 @@ def test_refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus:
             link.receive()
 
 
-def test_a_gateway_asks_for_a_lost_sample(bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_lost_messages__gateway_asks_for_a_lost_sample(bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     async def main() -> int:
         with open_session(connect=[bus.endpoint]) as session:
             async with NodeClient(session, "office") as client:

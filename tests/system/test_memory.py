@@ -19,7 +19,7 @@ def _memory(node: NodeProgram) -> tuple[int, int]:
 
 
 @pytest.mark.slow
-def test_medium_office_is_small_and_does_not_grow(scratch):
+def test_memory__medium_office_is_small_and_does_not_grow(scratch):
     day = {"building": "office-medium", "weather": WEATHER, "begin": "07-03", "end": "07-03", "steps_per_hour": 4}
     with NodeProgram(scratch / "node", **day) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
         link = bus.controller("office")

@@ -93,7 +93,7 @@ def _float32(value: float) -> float:
     return float(struct.unpack(">f", struct.pack(">f", value))[0])
 
 
-def test_input_registers_are_the_sample_by_the_written_map(
+def test_modbus_gateway__input_registers_are_the_sample_by_the_written_map(
     bus: Bus, client: ModbusTcpClient, shared_node: NodeProgram, tmp_path: Path
 ) -> None:
     file = tmp_path / "map.csv"
@@ -123,7 +123,7 @@ def test_input_registers_are_the_sample_by_the_written_map(
     assert seen == {name: _float32(value) for name, value in {**expected, **commanded}.items()}
 
 
-def test_a_write_is_a_command_until_its_coil_is_cleared(bus: Bus, client: ModbusTcpClient) -> None:
+def test_modbus_gateway__write_is_a_command_until_its_coil_is_cleared(bus: Bus, client: ModbusTcpClient) -> None:
     index = [a.name for a in bus.manifest("office").actuators].index(COOLING)
     assert not any(client.read_coils(0, count=index + 1, device_id=UNIT).bits[: index + 1])
     assert math.isnan(_floats(client.read_holding_registers(2 * index, count=2, device_id=UNIT).registers)[0])
@@ -146,7 +146,9 @@ def test_a_write_is_a_command_until_its_coil_is_cleared(bus: Bus, client: Modbus
     assert client.write_coil(index, True, device_id=UNIT).exception_code == 3  # there is no value to command
 
 
-def test_bounds_are_reached_in_spite_of_the_rounding_to_float32(bus: Bus, client: ModbusTcpClient) -> None:
+def test_modbus_gateway__bounds_are_reached_in_spite_of_the_rounding_to_float32(
+    bus: Bus, client: ModbusTcpClient
+) -> None:
     for index, actuator in enumerate(bus.manifest("office").actuators):
         for bound in (actuator.low, actuator.high):
             if bound is not None:
@@ -154,7 +156,9 @@ def test_bounds_are_reached_in_spite_of_the_rounding_to_float32(bus: Bus, client
                 assert bus.priorities("office")[actuator.name][7].value == bound
 
 
-def test_invalid_requests_have_modbus_exceptions_and_move_nothing(bus: Bus, client: ModbusTcpClient) -> None:
+def test_modbus_gateway__invalid_requests_have_modbus_exceptions_and_move_nothing(
+    bus: Bus, client: ModbusTcpClient
+) -> None:
     manifest = bus.manifest("office")
     width, size = 2 * len(manifest.actuators), 16 + 2 * len(manifest.points) + 2 * len(manifest.actuators)
     index = [a.name for a in manifest.actuators].index(COOLING)
@@ -182,7 +186,7 @@ def test_invalid_requests_have_modbus_exceptions_and_move_nothing(bus: Bus, clie
     assert not client.read_input_registers(size - 1, count=1, device_id=UNIT).isError()
 
 
-def test_the_nodes_own_refusal_is_a_device_failure(bus: Bus, client: ModbusTcpClient) -> None:
+def test_modbus_gateway__nodes_own_refusal_is_a_device_failure(bus: Bus, client: ModbusTcpClient) -> None:
     index = [a.name for a in bus.manifest("office").actuators].index(COOLING)
     with bus.controller("office", name="mine", priority=8, actuators=[COOLING], required=False):
         answer = client.write_registers(2 * index, _registers(25.0), device_id=UNIT)
@@ -190,7 +194,7 @@ def test_the_nodes_own_refusal_is_a_device_failure(bus: Bus, client: ModbusTcpCl
     assert bus.priorities("office")[COOLING][7].value is None
 
 
-def test_a_new_episode_has_relinquished_everything(bus: Bus, client: ModbusTcpClient) -> None:
+def test_modbus_gateway__new_episode_has_relinquished_everything(bus: Bus, client: ModbusTcpClient) -> None:
     index = [a.name for a in bus.manifest("office").actuators].index(COOLING)
     assert not client.write_registers(2 * index, _registers(26.0), device_id=UNIT).isError()
     begin_new_episode(bus)
@@ -198,7 +202,7 @@ def test_a_new_episode_has_relinquished_everything(bus: Bus, client: ModbusTcpCl
     assert math.isnan(_floats(client.read_holding_registers(2 * index, count=2, device_id=UNIT).registers)[0])
 
 
-def test_requests_sent_at_once_are_all_answered_in_order(bus: Bus, port: int) -> None:
+def test_modbus_gateway__requests_sent_at_once_are_all_answered_in_order(bus: Bus, port: int) -> None:
     frames = [struct.pack(">HHHBBHH", number, 0, 6, UNIT, 4, number % 8, 1) for number in range(200)]
     with socket.create_connection(("127.0.0.1", port), timeout=30) as connection:
         connection.sendall(b"".join(frames))
@@ -211,7 +215,9 @@ def test_requests_sent_at_once_are_all_answered_in_order(bus: Bus, port: int) ->
     assert transactions == list(range(200))
 
 
-def test_noise_half_frames_and_dying_clients_harm_nobody(bus: Bus, client: ModbusTcpClient, port: int) -> None:
+def test_modbus_gateway__noise_half_frames_and_dying_clients_harm_nobody(
+    bus: Bus, client: ModbusTcpClient, port: int
+) -> None:
     chance = random.Random(7)
     for number in range(300):
         with socket.create_connection(("127.0.0.1", port), timeout=20) as connection:
@@ -233,7 +239,7 @@ def test_noise_half_frames_and_dying_clients_harm_nobody(bus: Bus, client: Modbu
     assert not client.read_input_registers(0, count=16, device_id=UNIT).isError()
 
 
-def test_a_33rd_client_takes_the_place_of_the_longest_idle_one(bus: Bus, port: int) -> None:
+def test_modbus_gateway__33rd_client_takes_the_place_of_the_longest_idle_one(bus: Bus, port: int) -> None:
     request = struct.pack(">HHHBBHH", 1, 0, 6, UNIT, 4, 0, 1)
 
     def is_served(connection: socket.socket) -> bool:
@@ -258,7 +264,9 @@ def test_a_33rd_client_takes_the_place_of_the_longest_idle_one(bus: Bus, port: i
         assert is_served(silent)
 
 
-def test_a_connection_whose_request_is_carried_out_keeps_its_place(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_modbus_gateway__connection_whose_request_is_carried_out_keeps_its_place(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(server, "MAX_CONNECTIONS", 1)
     request = struct.pack(">HHHBBHH", 1, 0, 6, UNIT, 1, 0, 1)
 
@@ -287,7 +295,7 @@ def test_a_connection_whose_request_is_carried_out_keeps_its_place(monkeypatch: 
     asyncio.run(main())
 
 
-def test_clients_that_do_not_receive_or_have_lost_their_power_do_not_keep_connections(
+def test_modbus_gateway__clients_that_do_not_receive_or_have_lost_their_power_do_not_keep_connections(
     bus: Bus, shared_node: NodeProgram, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "FRAME_TIMEOUT_S", 0.2)
@@ -314,7 +322,7 @@ def test_clients_that_do_not_receive_or_have_lost_their_power_do_not_keep_connec
     asyncio.run(main())
 
 
-def test_the_example_raises_the_setpoint_while_nobody_is_there(
+def test_modbus_gateway__example_raises_the_setpoint_while_nobody_is_there(
     bus: Bus, port: int, shared_node: NodeProgram, tmp_path: Path
 ) -> None:
     file = tmp_path / "map.csv"
@@ -337,7 +345,7 @@ def test_the_example_raises_the_setpoint_while_nobody_is_there(
 
 
 @pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed; on Debian: apt install mbpoll")
-def test_mbpoll_reads_and_writes(bus: Bus, port: int) -> None:
+def test_modbus_gateway__mbpoll_reads_and_writes(bus: Bus, port: int) -> None:
     actuators = [a.name for a in bus.manifest("office").actuators]
     manifest = bus.manifest("office")
 
@@ -375,7 +383,7 @@ def test_word_order__low_word_first_if_configured(bus: Bus, shared_node: NodePro
 
 
 @pytest.mark.slow
-def test_a_node_that_is_gone_is_a_gateway_exception_and_its_return_is_noticed(tmp_path: Path) -> None:
+def test_modbus_gateway__node_that_is_gone_is_a_gateway_exception_and_its_return_is_noticed(tmp_path: Path) -> None:
     from zenostat.bridge.transport.session import Mode, open_session
 
     endpoint = f"unixsock-stream/{tmp_path}/router"
@@ -408,14 +416,16 @@ def test_a_node_that_is_gone_is_a_gateway_exception_and_its_return_is_noticed(tm
         (("ofice",), "did you mean 'office'"),
     ],
 )
-def test_bad_settings_have_one_error(shared_node: NodeProgram, options: tuple[str, ...], text: str) -> None:
+def test_modbus_gateway__bad_settings_have_one_error(
+    shared_node: NodeProgram, options: tuple[str, ...], text: str
+) -> None:
     done = run_in_process("gateway", "modbus", *options, "--connect", shared_node.endpoint)
     assert done.returncode in (1, 2)
     assert text in done.stderr
     assert len(done.stderr.splitlines()) == 1
 
 
-def test_a_port_in_use_is_named(shared_node: NodeProgram, port: int) -> None:
+def test_modbus_gateway__port_in_use_is_named(shared_node: NodeProgram, port: int) -> None:
     address = ["--address", f"127.0.0.1:{port}", "--connect", shared_node.endpoint, "--source", "another"]
     done = subprocess.run(
         [*ZENOSTAT, "gateway", "modbus", "office", *address], capture_output=True, text=True, timeout=60

@@ -46,7 +46,7 @@ def _run(endpoint: str, *, reset: bool = False) -> list[np.ndarray]:
         return [sample.values for sample in link]
 
 
-def test_recording_has_each_sample_of_each_episode_to_the_bit(scratch, shared_node, episode_bus):
+def test_monitor__recording_has_each_sample_of_each_episode_to_the_bit(scratch, shared_node, episode_bus):
     rr.set_strict_mode(True)
     path = scratch / "run.rrd"
     manifest, (episode,) = episode_bus.manifest("office"), episode_bus.status("office").episode
@@ -86,7 +86,7 @@ def _to_the_stop(
     return received
 
 
-def test_batches_have_all_that_was_streamed_in_the_order_sent(scratch):
+def test_monitor__batches_have_all_that_was_streamed_in_the_order_sent(scratch):
     with NodeProgram(scratch / "node", **SMALL) as node, open_session(connect=[node.endpoint]) as session:
         one_by_one = session.declare_subscriber(keys.stream("office"), RingChannel(1000))
         batches = session.declare_subscriber(keys.BATCH.at("office"), RingChannel(1000))
@@ -109,7 +109,7 @@ def test_batches_have_all_that_was_streamed_in_the_order_sent(scratch):
     assert len(arrived) < len(streamed) / 4
 
 
-def test_late_monitor_has_the_episode_from_its_beginning(scratch, shared_node, episode_bus):
+def test_monitor__late_monitor_has_the_episode_from_its_beginning(scratch, shared_node, episode_bus):
     """From the node's history, to the bit."""
     path = scratch / "run.rrd"
     with episode_bus.controller("office") as link:
@@ -132,7 +132,7 @@ def test_late_monitor_has_the_episode_from_its_beginning(scratch, shared_node, e
 
 @pytest.mark.variants
 @pytest.mark.parametrize("fate", [signal.SIGSTOP, signal.SIGKILL])
-def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, shared_node, episode_bus, fate):
+def test_monitor__that_is_frozen_or_killed_changes_nothing(scratch, shared_node, episode_bus, fate):
     quiet = _run(shared_node.endpoint)
     command = [sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--connect", shared_node.endpoint]
     command += ["--save", str(scratch / "run.rrd")]
@@ -152,7 +152,7 @@ def test_monitor_that_is_frozen_or_killed_changes_nothing(scratch, shared_node, 
     assert np.array_equal(quiet, disturbed)
 
 
-def test_a_viewer_that_is_served_leaves_no_files(scratch):
+def test_monitor__viewer_that_is_served_leaves_no_files(scratch):
     with web_viewer() as (page, url):
         assert page.startswith("http://127.0.0.1:")
         assert url.endswith("/proxy")
@@ -179,7 +179,7 @@ def test_monitor__reports_that_it_waits_for_its_bus_and_can_be_ended(scratch, nu
 
 
 @pytest.mark.slow
-def test_a_monitor_may_come_before_its_node(scratch):
+def test_monitor__monitor_may_come_before_its_node(scratch):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     command = [
         sys.executable,
@@ -207,7 +207,7 @@ def test_a_monitor_may_come_before_its_node(scratch):
 
 
 @pytest.mark.slow
-def test_a_node_that_starts_again_is_recorded_from_its_beginning(scratch):
+def test_monitor__node_that_starts_again_is_recorded_from_its_beginning(scratch):
     """Also with other points than it had before."""
     endpoint, path = f"tcp/127.0.0.1:{free_port()}", scratch / "run.rrd"
     core = {"core": ("Zone Air Temperature", "Core_ZN")}

@@ -44,7 +44,7 @@ def _pump_until(stream: RerunStream, holds: Callable[[], object], what: str) -> 
     until(is_reached, what)
 
 
-def test_zone_colors_and_overview_of_an_office_beside_a_tank(scratch, shared_node, episode_bus, capsys):
+def test_monitor__zone_colors_and_overview_of_an_office_beside_a_tank(scratch, shared_node, episode_bus, capsys):
     """The office has geometry, comfort band and reward of its scenario; the tank has none of them."""
     rr.set_strict_mode(True)
     path, plant = scratch / "run.rrd", scratch / "tank.py"
@@ -93,7 +93,7 @@ def _begins(manifest):
     return [(begin + n * step).astype("M8[s]").item() for n in range(97)]
 
 
-def test_a_node_of_an_older_schema_is_named_and_not_shown(scratch, shared_node):
+def test_monitor__node_of_an_older_schema_is_named_and_not_shown(scratch, shared_node):
     notices: list[str] = []
     with (
         open_session(connect=[shared_node.endpoint]) as old,
@@ -109,7 +109,7 @@ def test_a_node_of_an_older_schema_is_named_and_not_shown(scratch, shared_node):
     assert f"v{codec.SCHEMA_VERSION}" in notice
 
 
-def test_a_node_whose_messages_cannot_be_read_is_named_once(scratch, shared_node):
+def test_monitor__node_whose_messages_cannot_be_read_is_named_once(scratch, shared_node):
     notices: list[str] = []
     with (
         open_session(connect=[shared_node.endpoint]) as odd,
@@ -138,7 +138,7 @@ def _sample(query: zenoh.Query) -> None:
     query.reply(query.key_expr, codec.encode(sample), encoding=codec.encoding(Sample))
 
 
-def test_a_file_has_all_samples_though_they_are_gathered(scratch: Path, shared_node, episode_bus):
+def test_monitor__file_has_all_samples_though_they_are_gathered(scratch: Path, shared_node, episode_bus):
     path = scratch / "run.rrd"
     with (
         open_session(connect=[shared_node.endpoint]) as session,

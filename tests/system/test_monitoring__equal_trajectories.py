@@ -37,7 +37,7 @@ def episode(**options: Any) -> tuple[Any, ...]:
 
 
 @pytest.mark.process
-def test_an_agent_sees_the_same_to_the_bit_and_reports_see_more() -> None:
+def test_monitoring__agent_sees_the_same_to_the_bit_and_reports_see_more() -> None:
     observed, rewards, effective, manifest, values = episode()
     more_observed, more_rewards, more_effective, monitored, more_values = episode(monitoring=True)
     assert manifest.observed_names == ("core_temperature", "gas")

@@ -81,7 +81,9 @@ def result(messages: list[tuple[str, str]], count: int, actuator: str = COOLING)
     return json.loads(payloads(messages, topic)[count - 1])
 
 
-def test_samples_and_points_are_those_of_the_bus(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
+def test_mqtt_gateway__samples_and_points_are_those_of_the_bus(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker
+) -> None:
     assert broker.retained("zenostat/office/status") == "online"
     with broker.subscribed("zenostat/office/sample") as messages:
         expected = []
@@ -106,7 +108,9 @@ def test_samples_and_points_are_those_of_the_bus(bus: Bus, served: subprocess.Po
     assert [reading["name"] for reading in described["readings"]] == list(manifest.names)
 
 
-def test_commands_are_answered_and_carried_out(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
+def test_mqtt_gateway__commands_are_answered_and_carried_out(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker
+) -> None:
     topic = f"zenostat/office/actuator/{COOLING}/set"
     with broker.subscribed("zenostat/office/actuator/+/result") as messages:
         broker.publish(topic, "26.5")
@@ -145,7 +149,7 @@ def test_commands_are_answered_and_carried_out(bus: Bus, served: subprocess.Pope
         ("1" * 5000, "BadMessage", "at most 4096"),
     ],
 )
-def test_invalid_commands_are_answered_and_move_nothing(
+def test_mqtt_gateway__invalid_commands_are_answered_and_move_nothing(
     bus: Bus, served: subprocess.Popen[str], broker: Broker, payload: str, error: str, text: str
 ) -> None:
     with broker.subscribed("zenostat/office/actuator/+/result") as messages:
@@ -156,7 +160,7 @@ def test_invalid_commands_are_answered_and_move_nothing(
     assert all(entry.value is None for array in bus.priorities("office").values() for entry in array)
 
 
-def test_an_unknown_actuator_is_answered_with_similar_names(
+def test_mqtt_gateway__unknown_actuator_is_answered_with_similar_names(
     bus: Bus, served: subprocess.Popen[str], broker: Broker
 ) -> None:
     with broker.subscribed("zenostat/office/actuator/+/result") as messages:
@@ -164,7 +168,7 @@ def test_an_unknown_actuator_is_answered_with_similar_names(
         assert "did you mean" in result(messages, 1, "core_zn_coolin_setpoint")["message"]
 
 
-def test_a_retained_command_is_not_carried_out(bus: Bus, shared_node: NodeProgram, broker: Broker) -> None:
+def test_mqtt_gateway__retained_command_is_not_carried_out(bus: Bus, shared_node: NodeProgram, broker: Broker) -> None:
     endpoint = shared_node.endpoint
     topic = f"second/actuator/{COOLING}/set"
     broker.publish(topic, "26.5", retain=True)
@@ -180,7 +184,7 @@ def test_a_retained_command_is_not_carried_out(bus: Bus, shared_node: NodeProgra
     assert broker.retained("second/status") == "offline"
 
 
-def test_an_mqtt_5_client_gets_the_result_where_it_wants_it(
+def test_mqtt_gateway__mqtt_5_client_gets_the_result_where_it_wants_it(
     bus: Bus, served: subprocess.Popen[str], broker: Broker
 ) -> None:
     properties = Properties(PacketTypes.PUBLISH)
@@ -191,7 +195,7 @@ def test_an_mqtt_5_client_gets_the_result_where_it_wants_it(
     assert json.loads(messages[0][1])["accepted"]
 
 
-def test_a_response_topic_that_is_none_costs_the_other_clients_nothing(
+def test_mqtt_gateway__response_topic_that_is_none_costs_the_other_clients_nothing(
     bus: Bus, served: subprocess.Popen[str], broker: Broker
 ) -> None:
     topic = f"zenostat/office/actuator/{COOLING}"
@@ -208,7 +212,7 @@ def test_a_response_topic_that_is_none_costs_the_other_clients_nothing(
     assert served.poll() is None
 
 
-def test_a_response_topic_of_the_gateway_is_rejected_and_nothing_is_published_there(
+def test_mqtt_gateway__response_topic_of_the_gateway_is_rejected_and_nothing_is_published_there(
     bus: Bus, served: subprocess.Popen[str], broker: Broker
 ) -> None:
     root, own = "zenostat/office", f"zenostat/office/actuator/{COOLING}/result"
@@ -231,7 +235,7 @@ def test_a_response_topic_of_the_gateway_is_rejected_and_nothing_is_published_th
 
 
 @needs_mosquitto
-def test_a_response_topic_for_which_the_broker_ends_the_connection_is_given_up(
+def test_mqtt_gateway__response_topic_for_which_the_broker_ends_the_connection_is_given_up(
     bus: Bus, shared_node: NodeProgram, broker: Broker
 ) -> None:
     topic = f"levels/actuator/{COOLING}"
@@ -253,7 +257,7 @@ def test_a_response_topic_for_which_the_broker_ends_the_connection_is_given_up(
 
 
 @needs_mosquitto
-def test_a_retained_command_is_rejected_while_the_gateway_is_connected_too(
+def test_mqtt_gateway__retained_command_is_rejected_while_the_gateway_is_connected_too(
     bus: Bus, served: subprocess.Popen[str], broker: Broker
 ) -> None:
     topic = f"zenostat/office/actuator/{COOLING}"
@@ -266,7 +270,7 @@ def test_a_retained_command_is_rejected_while_the_gateway_is_connected_too(
 
 
 @pytest.mark.slow
-def test_commands_that_wait_when_the_gateway_ends_have_a_result(tmp_path: Path) -> None:
+def test_mqtt_gateway__commands_that_wait_when_the_gateway_ends_have_a_result(tmp_path: Path) -> None:
     plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
 
     async def main(node: NodeProgram, port: int) -> None:
@@ -296,7 +300,7 @@ def test_commands_that_wait_when_the_gateway_ends_have_a_result(tmp_path: Path) 
     assert len(results) >= 3
 
 
-def test_home_assistant_finds_each_point(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
+def test_mqtt_gateway__home_assistant_finds_each_point(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
     manifest = bus.manifest("office")
     sensor = json.loads(broker.retained(f"homeassistant/sensor/zenostat_office_{TEMPERATURE}/config") or "")
     assert (sensor["unit_of_measurement"], sensor["device_class"]) == ("°C", "temperature")
@@ -310,7 +314,7 @@ def test_home_assistant_finds_each_point(bus: Bus, served: subprocess.Popen[str]
     assert climate["current_temperature_topic"] == sensor["state_topic"]
 
 
-def test_home_assistant_sends_only_values_that_are_accepted_and_relinquishes(
+def test_mqtt_gateway__home_assistant_sends_only_values_that_are_accepted_and_relinquishes(
     bus: Bus, served: subprocess.Popen[str], broker: Broker
 ) -> None:
     jinja2 = pytest.importorskip("jinja2")
@@ -337,7 +341,9 @@ def button_id(actuator: str) -> str:
 
 
 @pytest.mark.slow
-def test_a_flood_of_commands_is_answered_one_by_one(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
+def test_mqtt_gateway__flood_of_commands_is_answered_one_by_one(
+    bus: Bus, served: subprocess.Popen[str], broker: Broker
+) -> None:
     """Values out of the bounds among valid ones: none of them arrives, and the last valid one is in effect."""
     topic = f"zenostat/office/actuator/{COOLING}"
     commands = [str(24.0 + 0.001 * i) if i % 3 else "1000" for i in range(1500)]
@@ -353,7 +359,7 @@ def test_a_flood_of_commands_is_answered_one_by_one(bus: Bus, served: subprocess
         assert bus.priorities("office")[COOLING][7].value == done[-1]
 
 
-def test_a_broker_that_returns_has_everything_again_and_no_result_is_lost(
+def test_mqtt_gateway__broker_that_returns_has_everything_again_and_no_result_is_lost(
     bus: Bus, shared_node: NodeProgram, tmp_path: Path
 ) -> None:
     topic = f"zenostat/office/actuator/{COOLING}"
@@ -370,7 +376,7 @@ def test_a_broker_that_returns_has_everything_again_and_no_result_is_lost(
         until(lambda: broker.retained(f"zenostat/office/sensor/{TEMPERATURE}") == latest, "values are there again")
 
 
-def test_the_example_sets_back_at_night(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
+def test_mqtt_gateway__example_sets_back_at_night(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
     example = Path(__file__).parents[2] / "examples" / "mqtt_client.py"
     command = [sys.executable, "-u", str(example), "--port", str(broker.port_v3)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
@@ -382,7 +388,9 @@ def test_the_example_sets_back_at_night(bus: Bus, served: subprocess.Popen[str],
     assert [(time[11:16], what) for time, what in times[1:]] == [("06:00", "day"), ("20:00", "night")]
 
 
-def test_a_killed_gateway_is_offline_by_its_last_will(bus: Bus, shared_node: NodeProgram, broker: Broker) -> None:
+def test_mqtt_gateway__killed_gateway_is_offline_by_its_last_will(
+    bus: Bus, shared_node: NodeProgram, broker: Broker
+) -> None:
     command = [
         *ZENOSTAT, "gateway", "mqtt", "office", "--connect", shared_node.endpoint, "--topic", "third",
         "--source", "third", "--broker", f"127.0.0.1:{broker.port}",
@@ -394,7 +402,7 @@ def test_a_killed_gateway_is_offline_by_its_last_will(bus: Bus, shared_node: Nod
     until(lambda: broker.retained("third/status") == "offline", "the broker has published the last will")
 
 
-def test_tls_and_password(bus: Bus, shared_node: NodeProgram, tmp_path: Path) -> None:
+def test_mqtt_gateway__tls_and_password(bus: Bus, shared_node: NodeProgram, tmp_path: Path) -> None:
     def openssl(*words: str) -> None:
         subprocess.run(["openssl", *words], cwd=tmp_path, check=True, capture_output=True)
 
@@ -436,7 +444,9 @@ def test_tls_and_password(bus: Bus, shared_node: NodeProgram, tmp_path: Path) ->
         (("--mqtt-version", "4"), "expected 5 or 3.1.1"),
     ],
 )
-def test_bad_settings_have_one_error(shared_node: NodeProgram, options: tuple[str, ...], text: str) -> None:
+def test_mqtt_gateway__bad_settings_have_one_error(
+    shared_node: NodeProgram, options: tuple[str, ...], text: str
+) -> None:
     done = run_in_process("gateway", "mqtt", "office", "--connect", shared_node.endpoint, *options)
     assert done.returncode != 0
     assert text in done.stderr

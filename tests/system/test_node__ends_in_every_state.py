@@ -83,7 +83,7 @@ def ends(node: NodeProgram, engines: list[psutil.Process]) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("shutdown", SHUTDOWNS)
-def test_while_a_reset_forks_an_engine_that_does_not_answer(folder: Path, shutdown: str) -> None:
+def test_node__while_a_reset_forks_an_engine_that_does_not_answer(folder: Path, shutdown: str) -> None:
     with office(folder, **SMALL) as (node, bus):
         bus.reset("office", Reset(controller=""))
         with bus.controller("office", name="mine") as link:
@@ -98,7 +98,7 @@ def test_while_a_reset_forks_an_engine_that_does_not_answer(folder: Path, shutdo
 
 @pytest.mark.variants
 @pytest.mark.parametrize("shutdown", ["SIGTERM", "stop"])
-def test_while_an_engine_starts_that_does_not_answer(folder: Path, shutdown: str) -> None:
+def test_node__while_an_engine_starts_that_does_not_answer(folder: Path, shutdown: str) -> None:
     """Another seed, and so another weather: the engine is started anew, and the one of the next episode after it."""
     with office(folder, **NOISE) as (node, bus):
         before = {engine.pid for engine in engines_of(node.pid)}
@@ -113,7 +113,7 @@ def test_while_an_engine_starts_that_does_not_answer(folder: Path, shutdown: str
 
 @pytest.mark.variants
 @pytest.mark.parametrize("settings", [{}, {"slots": 2}, {"baseline": True}, {"keep": True}], ids=str)
-def test_in_mid_step_of_engines_that_stand_still(folder: Path, settings: dict[str, Any]) -> None:
+def test_node__in_mid_step_of_engines_that_hang(folder: Path, settings: dict[str, Any]) -> None:
     if "keep" in settings:
         settings = {"output_dir": str(folder / "kept")}
     with office(folder, **SMALL, **settings) as (node, bus), bus.controller("office", name="mine") as link:
@@ -125,7 +125,7 @@ def test_in_mid_step_of_engines_that_stand_still(folder: Path, settings: dict[st
         ends(node, engines)
 
 
-def test_with_a_branch_and_a_snapshot_whose_engines_stand_still(folder: Path) -> None:
+def test_node__with_a_branch_and_a_snapshot_whose_engines_hang(folder: Path) -> None:
     with office(folder, **SMALL) as (node, bus), bus.controller("office", name="mine") as link:
         link.reset().send()
         link.receive()
@@ -140,7 +140,7 @@ def test_with_a_branch_and_a_snapshot_whose_engines_stand_still(folder: Path) ->
             ends(node, engines)
 
 
-def test_while_a_model_is_surveyed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_node__while_a_model_is_surveyed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """EnergyPlus runs for that in a process of its own, which stands still here."""
     monkeypatch.setenv("ZENOSTAT_CACHE", str(folder / "cache"))
     text = f"import sys; sys.argv = ['zenostat', 'node', '--building', {SMALL['building']!r}, '--weather', "
@@ -168,7 +168,7 @@ def test_while_a_model_is_surveyed(folder: Path, monkeypatch: pytest.MonkeyPatch
 
 
 @pytest.mark.parametrize("frozen", [False, True])
-def test_a_killed_node_leaves_no_engine(folder: Path, *, frozen: bool) -> None:
+def test_node__killed_node_leaves_no_engine(folder: Path, *, frozen: bool) -> None:
     with office(folder, **SMALL, slots=2) as (node, bus), bus.controller("office", name="mine") as link:
         link.reset().send()
         link.receive()
@@ -180,7 +180,7 @@ def test_a_killed_node_leaves_no_engine(folder: Path, *, frozen: bool) -> None:
         shutil.rmtree(node.folder)  # a killed node cannot clear it
 
 
-def test_what_a_killed_program_and_its_killed_node_left_is_swept_at_the_next_start(scratch: Path) -> None:
+def test_node__what_a_killed_program_and_its_killed_node_left_is_swept_at_the_next_start(scratch: Path) -> None:
     text = f"""
 import gymnasium as gym, zenostat, os, signal
 env = gym.make("zenostat/Building-v1", **{SMALL!r}, affinity="off").unwrapped
@@ -195,7 +195,7 @@ os.kill(os.getpid(), signal.SIGKILL)
     assert not remains(scratch)
 
 
-def test_a_folder_whose_owner_lives_is_not_swept(scratch: Path) -> None:
+def test_node__folder_of_a_live_owner_is_not_swept(scratch: Path) -> None:
     with Program(
         "from zenostat.bridge.runtime.scratch import Scratch; print(Scratch().folder, flush=True); input()"
     ) as program:
@@ -214,13 +214,13 @@ def test_a_folder_whose_owner_lives_is_not_swept(scratch: Path) -> None:
     assert not mine.folder.exists()
 
 
-def test_a_node_has_no_file_in_shared_memory(shared_node: NodeProgram) -> None:
+def test_node__node_has_no_file_in_shared_memory(shared_node: NodeProgram) -> None:
     """It would stay there if the node is killed."""
     maps = psutil.Process(shared_node.pid).memory_maps()
     assert not [m.path for m in maps if m.path.startswith("/dev/shm")]
 
 
-def test_an_environment_ends_a_node_that_stands_still(scratch: Path) -> None:
+def test_node__environment_ends_a_node_that_hangs(scratch: Path) -> None:
     env = gym.make("zenostat/Building-v1", **SMALL, affinity="off").unwrapped
     env.reset(seed=0)
     node = psutil.Process(env.local_node.pid)

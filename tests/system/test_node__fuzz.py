@@ -240,7 +240,7 @@ def test_valid_messages__leave_the_node_in_order(scratch: Path) -> None:
 @pytest.mark.parametrize(
     "kind", ["malformed", "duplicates", "writes", "requests", "command requests", "write requests"]
 )
-def test_a_flood_is_bounded_and_others_are_served(scratch: Path, kind: str) -> None:
+def test_node__flood_is_bounded_and_others_are_served(scratch: Path, kind: str) -> None:
     with node_and_bus(scratch) as (node, bus), bus.controller("office") as link:
         quiet = values_of_day(link)
         before = size(node.pid)

@@ -38,7 +38,7 @@ def step_for_ever(env: Any) -> None:
         env.step(env.action_space.sample())
 
 
-def test_a_single_environment() -> None:
+def test_own_node__single_environment() -> None:
     env = gym.make("zenostat/Building-v1", **SMALL, affinity="off")
     first, _ = env.reset(seed=7)
     action = env.action_space.sample()
@@ -56,7 +56,7 @@ def test_a_single_environment() -> None:
 
 
 @pytest.mark.slow
-def test_each_of_its_nodes_has_a_recording(scratch: Path) -> None:
+def test_own_node__each_of_its_nodes_has_a_recording(scratch: Path) -> None:
     """The recording of the node that died is kept, and verifies up to its end."""
     paths = [scratch / name for name in ("run.mcap", "run-3.mcap", "run-4.mcap")]
     (scratch / "run-2.mcap").write_text("not mine")
@@ -86,7 +86,7 @@ def samples_in(path: Path) -> int:
 
 
 @pytest.mark.slow
-def test_it_dies_again_and_again() -> None:
+def test_own_node__it_dies_again_and_again() -> None:
     env = gym.make("zenostat/Building-v1", **SMALL, affinity="off")
     for _ in range(2):
         env.reset()
@@ -97,7 +97,7 @@ def test_it_dies_again_and_again() -> None:
     env.close()
 
 
-def test_a_vector_environment() -> None:
+def test_own_node__vector_environment() -> None:
     env = gym.make_vec("zenostat/Building-v1", 2, "vector_entry_point", **SMALL, affinity="off")
     first, _ = env.reset(seed=7)
     kill_node(env)
@@ -109,7 +109,7 @@ def test_a_vector_environment() -> None:
     env.close()
 
 
-def test_a_node_of_somebody_elses_is_not_started_again() -> None:
+def test_own_node__node_of_another_process_is_not_started_again() -> None:
     own = gym.make("zenostat/Building-v1", **SMALL, affinity="off")
     node = own.unwrapped.local_node
     env = gym.make("zenostat/Building-v1", connect=node.endpoint, node="building", priority=9, affinity="off")
@@ -125,7 +125,7 @@ def test_a_node_of_somebody_elses_is_not_started_again() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slots", [1, 2])
-def test_a_recording_that_stops_is_a_warning(slots: int, scratch: Path) -> None:
+def test_own_node__recording_that_stops_is_a_warning(slots: int, scratch: Path) -> None:
     path = scratch / "run.mcap"
     settings: dict[str, Any] = {**SMALL, "affinity": "off", "record": str(path)}
     make: Any = gym.make if slots == 1 else partial(gym.make_vec, num_envs=slots, vectorization_mode=VECTOR)

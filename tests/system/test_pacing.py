@@ -43,7 +43,7 @@ YEAR = {**SMALL, "begin": "01-01", "end": "12-31"}
 
 
 @pytest.mark.parametrize("speed", [1.0, 7.0, 3600.0])
-def test_a_million_timesteps_do_not_drift(speed: float) -> None:
+def test_pacing__million_timesteps_do_not_drift(speed: float) -> None:
     pace = StepSchedule(STEP_S, speed)
     pace.rebase(1234.5678, 0)
     now_s = 0.0
@@ -55,7 +55,7 @@ def test_a_million_timesteps_do_not_drift(speed: float) -> None:
     assert (pace.overruns, pace.max_lag_s) == (0, 0.0)
 
 
-def test_an_overrun_is_a_sample_that_came_after_the_next_one_was_due() -> None:
+def test_pacing__overrun_is_a_sample_that_came_after_the_next_one_was_due() -> None:
     pace = StepSchedule(STEP_S, 900.0)  # a timestep a second
     pace.rebase(100.0, 0)
     times = {1: 101.0, 2: 103.0, 3: 104.5, 4: 106.25, 5: 106.5, 6: 106.75}
@@ -66,14 +66,14 @@ def test_an_overrun_is_a_sample_that_came_after_the_next_one_was_due() -> None:
     assert pace.max_lag_s == 2.25  # sample 4, due at 104
 
 
-def test_after_an_overrun_the_schedule_is_the_old_one() -> None:
+def test_pacing__after_an_overrun_the_schedule_is_the_old_one() -> None:
     pace = StepSchedule(STEP_S, 900.0)
     pace.rebase(0.0, 0)
     pace.record_sample(7.5, 1)
     assert [pace.due_s(step) for step in (2, 8, 9)] == [2.0, 8.0, 9.0]
 
 
-def test_a_schedule_begins_where_it_is_anchored() -> None:
+def test_pacing__schedule_begins_where_it_is_anchored() -> None:
     pace = StepSchedule(STEP_S, 60.0)  # 15 s a timestep
     pace.rebase(1000.0, 40)
     assert [pace.due_s(step) for step in (40, 41, 44)] == [1000.0, 1015.0, 1060.0]
@@ -81,7 +81,7 @@ def test_a_schedule_begins_where_it_is_anchored() -> None:
     assert pace.due_s(45) == 2015.0
 
 
-def test_a_change_of_speed_keeps_how_far_the_timestep_has_gone() -> None:
+def test_pacing__change_of_speed_keeps_how_far_the_timestep_has_gone() -> None:
     pace = StepSchedule(STEP_S, 60.0)
     pace.rebase(0.0, 0)
     into_s = pace.elapsed_in_step_s(25.0, 1)  # sample 1 was due at 15; 10 s of 60 since
@@ -91,7 +91,7 @@ def test_a_change_of_speed_keeps_how_far_the_timestep_has_gone() -> None:
     assert pace.due_s(2) == 35.0  # 300 s are left, at 30
 
 
-def test_what_is_behind_is_not_caught_up_after_a_change() -> None:
+def test_pacing__what_is_behind_is_not_caught_up_after_a_change() -> None:
     pace = StepSchedule(STEP_S, 900.0)
     pace.rebase(0.0, 0)
     into_s = pace.elapsed_in_step_s(50.0, 3)
@@ -106,7 +106,7 @@ def test_what_is_behind_is_not_caught_up_after_a_change() -> None:
     origin_s=st.floats(0, 1e7),
     step=st.integers(0, 10**7),
 )
-def test_timesteps_are_of_one_length(step_s: float, speed: float, origin_s: float, step: int) -> None:
+def test_pacing__timesteps_are_of_one_length(step_s: float, speed: float, origin_s: float, step: int) -> None:
     pace = StepSchedule(step_s, speed)
     pace.rebase(origin_s, 0)
     exact = Fraction(origin_s) + step * Fraction(step_s) / Fraction(speed)
@@ -122,11 +122,11 @@ def test_timesteps_are_of_one_length(step_s: float, speed: float, origin_s: floa
         ("lockstep", (Mode.LOCKSTEP, None)),
     ],
 )
-def test_a_pace_on_the_command_line(text: str, meant: tuple[Mode, float | None]) -> None:
+def test_pacing__pace_on_the_command_line(text: str, meant: tuple[Mode, float | None]) -> None:
     assert read_pace(text) == meant
 
 
-def test_no_pace_on_the_command_line() -> None:
+def test_pacing__no_pace_on_the_command_line() -> None:
     with pytest.raises(InvalidConfig, match=r"'fast' is not a pace: expected a number above 0 .*, lockstep or free"):
         read_pace("fast")
 
@@ -205,7 +205,7 @@ def reference(shared_node: NodeProgram) -> list[Sample]:
         return messages[1:]
 
 
-def test_no_sample_comes_before_it_is_due(bus: Bus) -> None:
+def test_pacing__no_sample_comes_before_it_is_due(bus: Bus) -> None:
     with bus.listen("office") as samples:
         asked_s = time.monotonic()
         bus.pace("office", FAST)
@@ -217,7 +217,7 @@ def test_no_sample_comes_before_it_is_due(bus: Bus) -> None:
     assert (status.mode, status.speed) == (Mode.PACED, FAST)
 
 
-def test_a_reset_begins_a_schedule(bus: Bus) -> None:
+def test_pacing__reset_begins_a_schedule(bus: Bus) -> None:
     bus.pace("office", FAST)
     with bus.controller("office", required=False) as link:
         asked_s = time.monotonic()
@@ -240,7 +240,7 @@ def test_paced_node__holds_the_last_command(bus: Bus, reference: list[Sample]) -
 
 
 @pytest.mark.slow
-def test_an_impossible_speed_is_counted_and_loses_nothing(scratch: Path, reference: list[Sample]) -> None:
+def test_pacing__impossible_speed_is_counted_and_loses_nothing(scratch: Path, reference: list[Sample]) -> None:
     with NodeProgram(scratch / "n", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
         with bus.controller("office") as link:
             held(link)
@@ -269,7 +269,7 @@ def test_free_node__gives_the_same_trajectory_as_lockstep(bus: Bus, reference: l
     assert bus.manifest("office").mode is Mode.FREE
 
 
-def test_a_command_that_comes_in_time_rules_the_next_timestep(bus: Bus) -> None:
+def test_pacing__command_that_comes_in_time_controls_the_next_timestep(bus: Bus) -> None:
     accepted = bus.status("office").accepted
     bus.pace("office", 1e-3)  # ten days a timestep
     with bus.controller("office", required=False) as link:
@@ -284,7 +284,7 @@ def test_a_command_that_comes_in_time_rules_the_next_timestep(bus: Bus) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("mode", ["free", "paced"])
-def test_a_paused_node_stands_until_it_goes_on(year_bus: Bus, mode: str) -> None:
+def test_pacing__paused_node_stands_until_it_goes_on(year_bus: Bus, mode: str) -> None:
     bus = year_bus
     bus.pace("office", 1e6 if mode == "paced" else None, mode=mode)
     until(lambda: bus.status("office").step[0] > 3, "the node runs")
@@ -318,7 +318,7 @@ def test_pause__forgets_requested_steps(year_bus: Bus) -> None:
     assert bus.status("office").step == before
 
 
-def test_a_reset_forgets_the_steps_that_were_left(year_bus: Bus) -> None:
+def test_pacing__reset_forgets_the_steps_that_were_left(year_bus: Bus) -> None:
     """A reset during a pause begins an episode that is paused."""
     bus = year_bus
     bus.pause("office")
@@ -333,7 +333,7 @@ def test_a_reset_forgets_the_steps_that_were_left(year_bus: Bus) -> None:
         until(lambda: bus.status("office").step == [2], "it has gone two timesteps")
 
 
-def test_steps_in_lockstep_go_once_they_are_answered(bus: Bus) -> None:
+def test_pacing__steps_in_lockstep_go_once_they_are_answered(bus: Bus) -> None:
     accepted = bus.status("office").accepted
     bus.pause("office")
     with bus.controller("office") as link:
@@ -355,7 +355,7 @@ def test_steps_in_lockstep_go_once_they_are_answered(bus: Bus) -> None:
         assert link.receive().step == 3
 
 
-def test_a_resumed_node_does_not_catch_up(bus: Bus) -> None:
+def test_pacing__resumed_node_does_not_catch_up(bus: Bus) -> None:
     with bus.listen("office") as samples:
         bus.pace("office", FAST)
         next(samples)
@@ -372,7 +372,7 @@ def test_a_resumed_node_does_not_catch_up(bus: Bus) -> None:
     assert early == []
 
 
-def test_the_pace_changes_while_it_runs(bus: Bus) -> None:
+def test_pacing__pace_changes_while_it_runs(bus: Bus) -> None:
     with bus.listen("office") as samples:
         bus.pace("office", 1.0)  # a quarter of an hour a timestep
         round_trips(bus)
@@ -400,7 +400,7 @@ def test_repeated_pace_request__does_not_stop_the_clock(bus: Bus) -> None:
 
 
 @pytest.mark.slow
-def test_deadlines_stand_still_in_a_pause_and_go_on_after_it(scratch: Path) -> None:
+def test_pacing__deadlines_hang_in_a_pause_and_go_on_after_it(scratch: Path) -> None:
     with (
         NodeProgram(scratch / "node", **SMALL, policy="hold", deadline_s=0.02) as node,
         zenostat.connect(node.endpoint, affinity="off") as bus,
@@ -460,7 +460,7 @@ def test_invalid_requests__refused_with_the_reason(bus: Bus, ask: Any, error: ty
     assert (status.step, status.mode, status.speed, status.paused) == ([0], Mode.LOCKSTEP, 1.0, False)
 
 
-def test_an_episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path) -> None:
+def test_pacing__episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path) -> None:
     with NodeProgram(scratch / "n", **SMALL, mode="free") as node, zenostat.connect(node.endpoint) as bus:
         until(lambda: bus.status("office").state is State.ENDED, "the day is over")
         bus.pause("office")
@@ -537,7 +537,9 @@ def test_paced_node__reports_its_overruns_at_the_end(scratch: Path) -> None:
 # A gateway
 
 
-def test_a_gateways_command_in_a_pause_is_answered_though_no_sample_comes(shared_node: NodeProgram, bus: Bus) -> None:
+def test_pacing__gateways_command_in_a_pause_is_answered_though_no_sample_comes(
+    shared_node: NodeProgram, bus: Bus
+) -> None:
     pytest.importorskip("zmq", reason="pyzmq is not installed")
     from support.zeromq import GatewayProgram, Peer, keeping
 

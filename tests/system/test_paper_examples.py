@@ -16,7 +16,7 @@ SCRIPTS = Path(__file__).parents[2] / "examples" / "paper"
 
 
 @pytest.mark.slow
-def test_a_short_training_writes_its_curve_its_best_model_and_a_recording(scratch: Path) -> None:
+def test_paper_examples__short_training_writes_its_curve_its_best_model_and_a_recording(scratch: Path) -> None:
     pytest.importorskip("stable_baselines3")
     data_packs.add("sinergym-paper")
     call = ["ppo", "--begin", "07-01", "--end", "07-01", "--episodes", "2", "--evaluate-every", "1", "--out", "run"]

@@ -46,7 +46,7 @@ def act(env: BuildingEnv, value: float) -> tuple[float, bool]:
     return float(observation[0]), truncated
 
 
-def test_an_episode_through_gymnasium(env: BuildingEnv) -> None:
+def test_plant__episode_through_gymnasium(env: BuildingEnv) -> None:
     """Each command acts within its step, and the last step of the run period is truncated."""
     env.reset(seed=0)
     results = [act(env, float(k)) for k in range(1, STEPS + 1)]
@@ -55,12 +55,12 @@ def test_an_episode_through_gymnasium(env: BuildingEnv) -> None:
     assert (observation[0], info["step"], info["engine_start"]) == (1.0, 0, "reset")
 
 
-def test_seeds(env: BuildingEnv) -> None:
+def test_plant__seeds(env: BuildingEnv) -> None:
     """A seed reaches the plant; without one the plant continues its own sequence."""
     assert [env.reset(seed=seed)[0][0] for seed in (7, None, None, 7)] == [7.0, 8.0, 9.0, 7.0]
 
 
-def test_a_relinquished_actuator_reaches_the_plant_as_nan(bus: Bus) -> None:
+def test_plant__relinquished_actuator_reaches_the_plant_as_nan(bus: Bus) -> None:
     """Its own control then applies: for this plant 0.0, and no effective value."""
     with bus.controller("plain") as link:
         sample = link.reset(seed=3)
@@ -72,7 +72,7 @@ def test_a_relinquished_actuator_reaches_the_plant_as_nan(bus: Bus) -> None:
     np.testing.assert_equal(seen, [(3.0, [np.nan]), (4.0, [4.0]), (0.0, [np.nan])])
 
 
-def test_snapshots_and_branches_are_refused_in_the_plants_words(env: BuildingEnv) -> None:
+def test_plant__snapshots_and_branches_are_refused_in_the_plants_words(env: BuildingEnv) -> None:
     """The episode continues after a refusal, and nothing of the copy remains in the status."""
     env.reset(seed=0)
     act(env, 4.0)
@@ -85,7 +85,7 @@ def test_snapshots_and_branches_are_refused_in_the_plants_words(env: BuildingEnv
     assert (status.snapshots, status.branches, status.step) == ([], [], [2])
 
 
-def test_a_plant_that_can_be_copied_has_snapshots_and_branches(
+def test_plant__plant_that_can_be_copied_has_snapshots_and_branches(
     plain: Path, scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each continues from its sample, independent of the others, and each copy is closed in the end."""
@@ -108,12 +108,12 @@ def test_a_plant_that_can_be_copied_has_snapshots_and_branches(
         until(lambda: not [*copies.iterdir()], "the snapshot's plant is closed")
 
 
-def test_weather_is_refused(bus: Bus) -> None:
+def test_plant__weather_is_refused(bus: Bus) -> None:
     with pytest.raises(RequestRejected, match="this plant has no weather"):
         bus.weather("plain", ["dry_bulb_temperature"])
 
 
-def test_status_and_manifest(bus: Bus, node: NodeProgram) -> None:
+def test_plant__status_and_manifest(bus: Bus, node: NodeProgram) -> None:
     """They describe a plant without weather, without engines and with a timestep of a second."""
     with bus.controller("plain") as link:
         sample = link.reset(seed=0)
@@ -132,7 +132,7 @@ def test_status_and_manifest(bus: Bus, node: NodeProgram) -> None:
     assert [point.name for point in (*manifest.sensors, *manifest.actuators)] == ["measured", "command"]
 
 
-def test_its_error_fails_the_episode_and_a_reset_begins_another(env: BuildingEnv) -> None:
+def test_plant__its_error_fails_the_episode_and_a_reset_begins_another(env: BuildingEnv) -> None:
     env.reset(seed=0)
     with pytest.raises(PlantFailed, match=r"^the command 1313 broke the plant$"):
         act(env, FATAL)
@@ -142,7 +142,7 @@ def test_its_error_fails_the_episode_and_a_reset_begins_another(env: BuildingEnv
     assert act(env, 6.0) == (6.0, False)
 
 
-def test_slots_have_episodes_of_their_own(plain: Path) -> None:
+def test_plant__slots_have_episodes_of_their_own(plain: Path) -> None:
     """A slot that is reset begins at its seed, and the other one keeps its sample and its command."""
     with (
         NodeProgram(plain, **SETTINGS, slots=2) as node,
@@ -158,11 +158,11 @@ def test_slots_have_episodes_of_their_own(plain: Path) -> None:
         assert (sample.message.episode, sample.message.step) == ([1, 2], [1, 0])
 
 
-def test_a_baseline_that_the_plant_lacks_ends_the_start(plain: Path) -> None:
+def test_plant__baseline_that_the_plant_lacks_ends_the_start(plain: Path) -> None:
     with pytest.raises(InvalidConfig, match="the empty plant has no baseline"):
         NodeProgram(plain, **SETTINGS, baseline=True)
 
 
-def test_a_stop_request_ends_the_node(bus: Bus, node: NodeProgram) -> None:
+def test_plant__stop_request_ends_the_node(bus: Bus, node: NodeProgram) -> None:
     bus.stop("plain")
     assert node.process.wait() == 0

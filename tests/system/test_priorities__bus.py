@@ -25,7 +25,7 @@ def _entries(bus: Bus) -> dict[str, dict[int, tuple[float | None, str | None]]]:
     return {name: entries for name, entries in occupied.items() if entries}
 
 
-def test_writes_and_commands_are_shown_at_their_priorities_at_once(episode_bus: Bus) -> None:
+def test_priorities__writes_and_commands_are_shown_at_their_priorities_at_once(episode_bus: Bus) -> None:
     assert _entries(episode_bus) == {}
     episode_bus.write("office", COOLING, 26.0, source="panel")
     episode_bus.write("office", COOLING, 27.5, priority=12, source="night")
@@ -43,7 +43,7 @@ def test_writes_and_commands_are_shown_at_their_priorities_at_once(episode_bus: 
         episode_bus.priorities("office", slot=1)
 
 
-def test_the_command_lists_the_effective_value_first(episode_bus: Bus, shared_node: NodeProgram) -> None:
+def test_priorities__command_lists_the_effective_value_first(episode_bus: Bus, shared_node: NodeProgram) -> None:
     episode_bus.write("office", COOLING, 27.5, priority=12, source="night")
     episode_bus.write("office", COOLING, 26.0, source="panel")
     command = ["priorities", "office", COOLING, "--connect", shared_node.endpoint]

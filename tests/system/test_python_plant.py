@@ -202,7 +202,7 @@ def calculated(seed: int, steps: int, loss: float = 0.125) -> list[bytes]:
 # Trajectories
 
 
-def test_an_episode_is_what_the_class_computes_to_the_bit(own: BuildingEnv) -> None:
+def test_python_plant__episode_is_what_the_class_computes_to_the_bit(own: BuildingEnv) -> None:
     _, info = own.reset(seed=7)
     assert own.sample.values.tolist() == [20.0, random.Random(7).random(), 0.0]
     assert (info["time"], info["step"]) == ("2001-01-01T00:00:00", 0)
@@ -213,7 +213,7 @@ def test_an_episode_is_what_the_class_computes_to_the_bit(own: BuildingEnv) -> N
     assert (own.manifest.weather, own.manifest.location, own.manifest.latitude_deg) == ("", "", None)
 
 
-def test_equal_seeds_give_equal_episodes_and_none_continues_their_sequence(own: BuildingEnv) -> None:
+def test_python_plant__equal_seeds_give_equal_episodes_and_none_continues_their_sequence(own: BuildingEnv) -> None:
     def sequence(seed: int | None) -> list[bytes]:
         own.reset(seed=seed)
         return trajectory(own, 1)
@@ -225,7 +225,7 @@ def test_equal_seeds_give_equal_episodes_and_none_continues_their_sequence(own: 
     assert sequence(2**64 - 1) == calculated(2**64 - 1, 1)
 
 
-def test_slots_and_baseline_have_the_same_episodes(own: BuildingEnv, tank: Path) -> None:
+def test_python_plant__slots_and_baseline_have_the_same_episodes(own: BuildingEnv, tank: Path) -> None:
     arguments = {"plant": f"{tank}:Tank", "reward": None, "affinity": "off"}
     envs = gym.make_vec("zenostat/Plant-v1", num_envs=2, baseline=True, plant_arguments={"loss": 0.5}, **arguments)
     try:
@@ -245,7 +245,7 @@ def test_slots_and_baseline_have_the_same_episodes(own: BuildingEnv, tank: Path)
 # Commands
 
 
-def test_what_nobody_commands_has_its_default_or_is_missing(own: BuildingEnv) -> None:
+def test_python_plant__what_nobody_commands_has_its_default_or_is_missing(own: BuildingEnv) -> None:
     _, info = own.reset(seed=1)
     np.testing.assert_array_equal(info["effective"], [nan, 0.25, nan])
     sample = own.link.current()
@@ -281,7 +281,7 @@ def test_what_nobody_commands_has_its_default_or_is_missing(own: BuildingEnv) ->
         ("kill", EngineDied, ["was killed by SIGKILL after sample 1"]),
     ],
 )
-def test_a_failed_step_is_named_and_the_next_reset_starts_another_process(
+def test_python_plant__failed_step_is_named_and_the_next_reset_starts_another_process(
     own: BuildingEnv, deed: str, error: type[ZenostatError], texts: list[str]
 ) -> None:
     own.reset(seed=2)
@@ -301,7 +301,7 @@ def test_a_failed_step_is_named_and_the_next_reset_starts_another_process(
     assert successor.pid != process.pid
 
 
-def test_a_reset_that_fails_is_named_and_another_one_works(own: BuildingEnv) -> None:
+def test_python_plant__reset_that_fails_is_named_and_another_one_works(own: BuildingEnv) -> None:
     with pytest.raises(PlantFailed, match=r"(?s)Tank.reset\(\) raised an error.*ValueError: thirteen"):
         own.reset(seed=13)
     own.reset(seed=1)
@@ -315,7 +315,7 @@ def test_a_reset_that_fails_is_named_and_another_one_works(own: BuildingEnv) -> 
         (signal.SIGSTOP, EngineUnresponsive, "neither answered nor used processor time for 2 s after sample 1"),
     ],
 )
-def test_a_process_that_waits_may_be_killed_or_stopped(
+def test_python_plant__process_that_waits_may_be_killed_or_stopped(
     own: BuildingEnv, number: signal.Signals, error: type[ZenostatError], text: str
 ) -> None:
     own.reset(seed=2)
@@ -328,13 +328,13 @@ def test_a_process_that_waits_may_be_killed_or_stopped(
 
 
 @pytest.mark.slow
-def test_a_plant_that_computes_for_long_is_left_alone(own: BuildingEnv) -> None:
+def test_python_plant__plant_that_computes_for_long_is_left_alone(own: BuildingEnv) -> None:
     own.reset(seed=1)
     own.step(action(deed="compute"))
     assert own.sample.step == 1
 
 
-def test_what_a_class_prints_appears_at_once_in_the_nodes_standard_error(
+def test_python_plant__what_a_class_prints_appears_at_once_in_the_nodes_standard_error(
     own: BuildingEnv, capfd: pytest.CaptureFixture[str], tank: Path
 ) -> None:
     for env in plant_env(f"{tank}:Tank"):  # its standard error is the one that is captured here
@@ -361,7 +361,7 @@ def copied(request: pytest.FixtureRequest) -> BuildingEnv:
     return env
 
 
-def test_copies_continue_to_the_bit(copied: BuildingEnv) -> None:
+def test_python_plant__copies_continue_to_the_bit(copied: BuildingEnv) -> None:
     copied.reset(seed=11)
     beginning = trajectory(copied, 4)
     snapshot = copied.snapshot()
@@ -378,7 +378,7 @@ def test_copies_continue_to_the_bit(copied: BuildingEnv) -> None:
     until(lambda: len(hosts_of(copied.local_node.pid)) == 1, "the copies have ended")
 
 
-def test_a_copy_is_as_mortal_as_its_origin(copied: BuildingEnv) -> None:
+def test_python_plant__copy_is_as_mortal_as_its_origin(copied: BuildingEnv) -> None:
     copied.reset(seed=1)
     with copied.branch() as branch:
         with pytest.raises(PlantFailed, match="the tank leaks"):
@@ -392,7 +392,7 @@ def test_a_copy_is_as_mortal_as_its_origin(copied: BuildingEnv) -> None:
     snapshot.close()
 
 
-def test_a_class_that_can_no_longer_be_copied_goes_on(own: BuildingEnv, forkable: BuildingEnv) -> None:
+def test_python_plant__class_that_can_no_longer_be_copied_goes_on(own: BuildingEnv, forkable: BuildingEnv) -> None:
     own.reset(seed=1)
     own.step(action(valve=0.0, heater=100.0, deed="keep"))
     with pytest.raises(ForkFailed, match=r"the state of Tank cannot be saved: .*cannot pickle '_thread.lock'"):
@@ -407,7 +407,7 @@ def test_a_class_that_can_no_longer_be_copied_goes_on(own: BuildingEnv, forkable
             env.step(action(deed="kill"))  # what it has would outlive the episode
 
 
-def test_a_class_that_cannot_be_copied_says_what_it_lacks(own: BuildingEnv, tank: Path) -> None:
+def test_python_plant__class_that_cannot_be_copied_states_what_it_lacks(own: BuildingEnv, tank: Path) -> None:
     plan = plan_class(f"{tank}:Neither", {}, unresponsive_s=10.0)
     with pytest.raises(ForkFailed, match=r"save\(\) and restore\(state\), or forkable = True"):
         PythonEngines(plan, ()).fork([], tank.parent / "never")
@@ -434,19 +434,21 @@ def test_a_class_that_cannot_be_copied_says_what_it_lacks(own: BuildingEnv, tank
         ("hang", EngineUnresponsive, r"could not be created: its process used no processor time for 2 s"),
     ],
 )
-def test_a_class_that_cannot_be_created_is_named(tank: Path, deed: str, error: type[ZenostatError], text: str) -> None:
+def test_python_plant__class_that_cannot_be_created_is_named(
+    tank: Path, deed: str, error: type[ZenostatError], text: str
+) -> None:
     with pytest.raises(error, match=text) as raised:
         plan_class(f"{tank}:Tank", {"deed": deed}, **SOON)
     assert type(raised.value) is error
 
 
-def test_a_file_that_is_no_python_is_named_with_its_line(tank: Path) -> None:
+def test_python_plant__file_that_is_no_python_is_named_with_its_line(tank: Path) -> None:
     (tank.parent / "broken.py").write_text("class Tank:\n    step_s = = 60\n")
     with pytest.raises(PlantFailed, match=r"(?s)broken.py:Tank' cannot be created.*line 2.*SyntaxError"):
         plan_class(f"{tank.parent}/broken.py:Tank", {}, unresponsive_s=10.0)
 
 
-def test_threads_of_a_class_do_not_delay_its_check(tank: Path) -> None:
+def test_python_plant__threads_of_a_class_do_not_delay_its_check(tank: Path) -> None:
     (tank.parent / "threads.py").write_text(
         "import threading, time\nfrom tank import Tank as Base\nclass Tank(Base): pass\n"
         "threading.Thread(target=time.sleep, args=(1e6,)).start()\n"
@@ -454,7 +456,7 @@ def test_threads_of_a_class_do_not_delay_its_check(tank: Path) -> None:
     assert plan_class(f"{tank.parent}/threads.py:Tank", {}, unresponsive_s=1e6).has_state
 
 
-def test_settings_of_a_building_and_unknown_arguments_are_refused(scratch: Path, tank: Path) -> None:
+def test_python_plant__settings_of_a_building_and_unknown_arguments_are_refused(scratch: Path, tank: Path) -> None:
     with pytest.raises(InvalidConfig, match=r"(?s)no setting 'steps_per_hour'; its class.*no setting 'weather'; its"):
         read_settings({"plant": f"{tank}:Tank", "steps_per_hour": 4, "weather": "USA_CO_Denver"})
     with pytest.raises(InvalidConfig, match=r"has no setting 'slot'; did you mean 'slots'"):
@@ -468,7 +470,7 @@ def test_settings_of_a_building_and_unknown_arguments_are_refused(scratch: Path,
 # Nodes
 
 
-def test_a_node_serves_a_plant_as_any_other(scratch: Path, tank: Path) -> None:
+def test_python_plant__node_serves_a_plant_as_any_other(scratch: Path, tank: Path) -> None:
     """Two slots, timesteps of a day, a branch, a write with an expiry, faults."""
     with (
         NodeProgram(scratch / "node", plant=f"{tank}:Daily", slots=2, name="tank") as node,
@@ -493,7 +495,7 @@ def test_a_node_serves_a_plant_as_any_other(scratch: Path, tank: Path) -> None:
             bus.weather("tank", ["Dry Bulb Temperature"])
 
 
-def test_a_plant_without_actuators_is_watched(scratch: Path, tank: Path) -> None:
+def test_python_plant__plant_without_actuators_is_watched(scratch: Path, tank: Path) -> None:
     with (
         NodeProgram(scratch / "node", plant=f"{tank}:NoActuators", mode="free", name="tank") as node,
         zenostat.connect(node.endpoint, affinity="off") as bus,
@@ -521,7 +523,9 @@ SHUTDOWNS: dict[str, Callable[[NodeProgram], object]] = {
 
 
 @pytest.mark.parametrize(("time", "number"), [("described", signal.SIGINT), ("started", signal.SIGTERM)])
-def test_a_node_ends_while_its_plant_is_created(scratch: Path, tank: Path, time: str, number: signal.Signals) -> None:
+def test_python_plant__node_ends_while_its_plant_is_created(
+    scratch: Path, tank: Path, time: str, number: signal.Signals
+) -> None:
     (scratch / "slow.py").write_text(SLOW)
     if time == "described":
         (scratch / "described").touch()
@@ -563,7 +567,7 @@ class Slow:
 
 @pytest.mark.variants
 @pytest.mark.parametrize(("deed", "shutdown"), [("hang", "SIGTERM"), ("hang", "stop"), ("compute for ever", "SIGINT")])
-def test_a_node_ends_while_its_plant_steps(scratch: Path, tank: Path, shutdown: str, deed: str) -> None:
+def test_python_plant__node_ends_while_its_plant_steps(scratch: Path, tank: Path, shutdown: str, deed: str) -> None:
     with (
         NodeProgram(scratch / "node", plant=f"{tank}:Tank", slots=2, name="tank", **NEVER) as node,
         zenostat.connect(node.endpoint, affinity="off") as bus,

@@ -125,7 +125,7 @@ def in_endless_step(bus: zenostat.Bus, link: ControllerLink) -> None:
     until(lambda: bus.status("office").state is State.RUNNING, "the timestep begins")
 
 
-def test_a_stop_while_requests_wait_behind_a_timestep_answers_all_of_them(
+def test_python_plant__stop_while_requests_wait_behind_a_timestep_answers_all_of_them(
     scratch: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
     with controlled(scratch, "Plant", unresponsive_s=1e6) as (node, bus, link):
@@ -150,7 +150,7 @@ def test_a_stop_while_requests_wait_behind_a_timestep_answers_all_of_them(
 
 @pytest.mark.variants
 @pytest.mark.parametrize("where", ["step", "reset"])
-def test_a_reset_gives_up_a_timestep_or_a_start_that_never_ends(scratch: Path, where: str) -> None:
+def test_python_plant__reset_gives_up_a_timestep_or_a_start_that_never_ends(scratch: Path, where: str) -> None:
     with controlled(scratch, "Plant", unresponsive_s=1.0) as (node, bus, link):
         if where == "step":
             in_endless_step(bus, link)
@@ -165,7 +165,7 @@ def test_a_reset_gives_up_a_timestep_or_a_start_that_never_ends(scratch: Path, w
 
 
 @pytest.mark.slow
-def test_the_error_says_that_a_reset_gave_the_timestep_up(scratch: Path) -> None:
+def test_python_plant__error_states_that_a_reset_gave_the_timestep_up(scratch: Path) -> None:
     with controlled(scratch, "Plant", unresponsive_s=1.0) as (_, bus, link):
         in_endless_step(bus, link)
         bus.reset("office", Reset())
@@ -183,7 +183,7 @@ ENDS = {
 @pytest.mark.variants
 @pytest.mark.parametrize("end", ENDS)
 @pytest.mark.parametrize("name", ["Plant", "Closing"])
-def test_what_a_class_has_started_ends_with_the_node(folder: Path, name: str, end: str) -> None:
+def test_python_plant__what_a_class_has_started_ends_with_the_node(folder: Path, name: str, end: str) -> None:
     with controlled(folder, name, slots=2, baseline=True) as (node, bus, link):
         link.reset()
         assert len(children(folder)) == 4
@@ -211,7 +211,7 @@ def test_python_plant__children_end_with_a_killed_node_that_nohup_started(folder
 
 
 @pytest.mark.slow
-def test_a_child_that_ignores_signals_ends_with_the_node(folder: Path) -> None:
+def test_python_plant__child_that_ignores_signals_ends_with_the_node(folder: Path) -> None:
     with controlled(folder, "Stubborn") as (node, bus, link):
         link.reset()
         assert len(children(folder)) == 1
@@ -221,7 +221,7 @@ def test_a_child_that_ignores_signals_ends_with_the_node(folder: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_close_that_never_ends_does_not_keep_the_node(scratch: Path) -> None:
+def test_python_plant__close_that_never_ends_does_not_keep_the_node(scratch: Path) -> None:
     with controlled(scratch, "Endless", slots=3) as (node, bus, link):
         link.reset()
         bus.stop("office")
@@ -231,7 +231,7 @@ def test_a_close_that_never_ends_does_not_keep_the_node(scratch: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("name", "closed"), [("Saving", 1), ("Forking", 0)])
-def test_a_copy_is_closed_unless_it_is_a_fork(scratch: Path, name: str, closed: int) -> None:
+def test_python_plant__copy_is_closed_unless_it_is_a_fork(scratch: Path, name: str, closed: int) -> None:
     with controlled(scratch, name) as (_, bus, link):
         link.reset()
         before = instances(scratch, "closed")

@@ -62,7 +62,7 @@ sys.exit(code)
 
 
 @pytest.mark.slow
-def test_a_trajectory_equals_a_bare_script_in_all_columns(folder: Path) -> None:
+def test_radiant__trajectory_equals_a_bare_script_in_all_columns(folder: Path) -> None:
     sinergym()
     with (
         NodeProgram(folder, scenario="radiant-stockholm-discrete-v1", begin=DAYS[0], end=DAYS[1]) as node,

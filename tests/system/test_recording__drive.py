@@ -64,7 +64,7 @@ def twin(module_scratch: Path) -> Iterator[Any]:
 
 
 @pytest.mark.slow
-def test_a_twin_repeats_the_trajectory_to_the_bit(driven: Path, twin: Any) -> None:
+def test_recording__twin_repeats_the_trajectory_to_the_bit(driven: Path, twin: Any) -> None:
     program, path = twin
     result = run("replay", str(driven), "--only-commands", "--node", "twin", "--connect", program.endpoint)
     assert result.returncode == 0, result.stderr
@@ -98,7 +98,9 @@ def manifest_without_an_actuator(manifest: Manifest) -> Manifest:
     return manifest.model_copy(update={"actuators": (first, *manifest.actuators[1:])})
 
 
-def test_what_does_not_fit_is_one_error_before_anything_starts(driven: Path, twin: Any, scratch: Path) -> None:
+def test_recording__what_does_not_fit_is_one_error_before_anything_starts(
+    driven: Path, twin: Any, scratch: Path
+) -> None:
     program, _ = twin
     with RecordingReader(driven) as reader:
         manifest = reader.manifest
@@ -137,7 +139,9 @@ def test_what_does_not_fit_is_one_error_before_anything_starts(driven: Path, twi
         (("--only-commands", "--node", "twin", "--from", "07-03"), "--from: --only-commands connects to one bus"),
     ],
 )
-def test_options_that_do_not_go_together_are_one_error(driven: Path, words: tuple[str, ...], text: str) -> None:
+def test_recording__options_that_do_not_go_together_are_one_error(
+    driven: Path, words: tuple[str, ...], text: str
+) -> None:
     result = run("replay", str(driven), *words)
     assert result.returncode != 0
     assert text in result.stderr

@@ -73,7 +73,7 @@ def logged(path: Path) -> tuple[dict[tuple[str, str], dict[int, Any]], dict[tupl
     return moving, static
 
 
-def test_the_rerun_recording_is_what_the_monitor_saved(watched: Any, scratch: Path) -> None:
+def test_recording__rerun_recording_is_what_the_monitor_saved(watched: Any, scratch: Path) -> None:
     target = scratch / "run.rrd"
     result = run("export", str(watched.path), "--to", "rrd", "--out", str(target))
     assert result.returncode == 0, result.stderr
@@ -104,7 +104,7 @@ def read(path: Path) -> dict[str, list[Any]]:
     return messages
 
 
-def test_each_sample_is_a_protobuf_message_with_named_fields(watched: Any, scratch: Path) -> None:
+def test_recording__each_sample_is_a_protobuf_message_with_named_fields(watched: Any, scratch: Path) -> None:
     target = scratch / "run.plot.mcap"
     result = run("export", str(watched.path), "--to", "mcap", "--out", str(target))
     assert result.returncode == 0, result.stderr
@@ -153,12 +153,12 @@ def test_each_sample_is_a_protobuf_message_with_named_fields(watched: Any, scrat
     assert step in (3.0, 4.0)  # the step of the event
 
 
-def test_names_that_are_no_identifiers_become_unique_ones() -> None:
+def test_recording__names_that_are_no_identifiers_become_unique_ones() -> None:
     names = ["a.b", "a-b", "a_b", "1st", "step", "timestamp", "ä"]
     assert field_names(names) == ["a_b", "a_b_2", "a_b_3", "_1st", "step_2", "timestamp_2", "_"]
 
 
-def test_the_names_of_the_points_are_in_the_metadata(watched: Any, scratch: Path) -> None:
+def test_recording__names_of_the_points_are_in_the_metadata(watched: Any, scratch: Path) -> None:
     loaded = recording.load(watched.path)
     old = loaded.manifest.sensors[0]
     dotted = old.model_copy(update={"name": "zone-1.temperature"})
@@ -172,7 +172,7 @@ def test_the_names_of_the_points_are_in_the_metadata(watched: Any, scratch: Path
 
 
 @pytest.mark.parametrize("to", ["rrd", "mcap", "csv"])
-def test_what_cannot_be_exported_is_one_error(watched: Any, scratch: Path, to: str) -> None:
+def test_recording__what_cannot_be_exported_is_one_error(watched: Any, scratch: Path, to: str) -> None:
     empty = rewrite(
         watched.path, scratch / "empty.mcap", lambda _, item: None if item.schema == "Sample" else item.payload
     )

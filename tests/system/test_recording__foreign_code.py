@@ -80,7 +80,7 @@ def hostile(counter: Path, tmp_path: Path) -> tuple[Path, Path]:
     return rewrite(counter, tmp_path / "hostile.mcap", provenance=provenance), created
 
 
-def test_verify_never_runs_what_a_recording_names(hostile: tuple[Path, Path]) -> None:
+def test_recording__verify_never_runs_what_a_recording_names(hostile: tuple[Path, Path]) -> None:
     path, created = hostile
     for tolerance in (None, 0.0):
         with pytest.raises(InvalidRecording, match=r"no code that a recording names is run: name the class yourself"):
@@ -89,7 +89,7 @@ def test_verify_never_runs_what_a_recording_names(hostile: tuple[Path, Path]) ->
 
 
 @pytest.mark.parametrize("words", [("verify",), ("verify", "--tolerance", "1"), ("log",), ("report",), ("export",)])
-def test_no_command_runs_what_a_recording_names(hostile: tuple[Path, Path], words: tuple[str, ...]) -> None:
+def test_recording__no_command_runs_what_a_recording_names(hostile: tuple[Path, Path], words: tuple[str, ...]) -> None:
     path, created = hostile
     known = set(sys.modules)
     output = ("--out", str(path.parent / f"out.{'html' if words[0] == 'report' else 'csv'}"))
@@ -99,14 +99,14 @@ def test_no_command_runs_what_a_recording_names(hostile: tuple[Path, Path], word
 
 
 @pytest.mark.process
-def test_the_class_that_the_user_names_is_verified(counter: Path) -> None:
+def test_recording__class_that_the_user_names_is_verified(counter: Path) -> None:
     plant = f"{counter.with_name('counter.py')}:Counter"
     result = verify(counter, plant=plant)
     assert (result.passed, result.steps, result.notes) == (True, 3, [])
 
 
 @pytest.mark.process
-def test_a_class_that_the_file_only_imports_is_not_called(counter: Path, tmp_path: Path) -> None:
+def test_recording__class_that_the_file_only_imports_is_not_called(counter: Path, tmp_path: Path) -> None:
     """The recorded arguments would otherwise be those of a class of the recording's choice."""
     created = tmp_path / "created"
     settings = {"plant": "counter.py:Popen", "plant_arguments": {"args": ["touch", str(created)]}}
@@ -116,7 +116,7 @@ def test_a_class_that_the_file_only_imports_is_not_called(counter: Path, tmp_pat
     assert not created.exists()
 
 
-def test_digests_are_compared_before_anything_is_imported(counter: Path, tmp_path: Path) -> None:
+def test_recording__digests_are_compared_before_anything_is_imported(counter: Path, tmp_path: Path) -> None:
     (tmp_path / "counter.py").write_text(COUNTER + "\n# another file\n")
     with pytest.raises(InvalidRecording, match=r"the class .*counter\.py has changed; a tolerance compares it"):
         verify(counter, plant=f"{tmp_path}/counter.py:Counter")
@@ -129,7 +129,7 @@ def test_digests_are_compared_before_anything_is_imported(counter: Path, tmp_pat
 
 
 @pytest.mark.process
-def test_a_class_of_a_module_has_the_digest_of_the_file_that_defines_it(
+def test_recording__class_of_a_module_has_the_digest_of_the_file_that_defines_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     package = tmp_path / "counters"
@@ -153,7 +153,7 @@ def test_a_class_of_a_module_has_the_digest_of_the_file_that_defines_it(
     ("field", "value"),
     [("output_dir", "/tmp"), ("keep_last", 1), ("config", "env.yaml"), ("scenario", "office"), ("faults", "f.yaml")],
 )
-def test_a_provenance_sets_only_what_determines_the_results(
+def test_recording__provenance_sets_only_what_determines_the_results(
     counter: Path, tmp_path: Path, field: str, value: object
 ) -> None:
     settings = {"shrink_caches": True, "monitoring": False, field: value}
@@ -164,7 +164,7 @@ def test_a_provenance_sets_only_what_determines_the_results(
 
 
 @pytest.mark.process
-def test_the_name_of_a_snapshot_is_not_a_path(counter: Path, tmp_path: Path) -> None:
+def test_recording__name_of_a_snapshot_is_not_a_path(counter: Path, tmp_path: Path) -> None:
     outside = tmp_path / "outside"
 
     def renamed(_: int, item: Any) -> bytes:
@@ -181,14 +181,16 @@ def test_the_name_of_a_snapshot_is_not_a_path(counter: Path, tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("value", [[], {"kind": "python", "settings": []}, {"kind": 3}, {"files": {"class": "x"}}])
-def test_a_provenance_that_is_not_one_is_named(tmp_path: Path, value: Any) -> None:
+def test_recording__provenance_that_is_not_one_is_named(tmp_path: Path, value: Any) -> None:
     source = record_samples(tmp_path / "source.mcap", 3)
     path = rewrite(source, tmp_path / "other.mcap", provenance=value)
     with pytest.raises(UsageError, match="is damaged"):
         verify(path)
 
 
-def test_a_module_is_found_without_importing_its_package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recording__module_is_found_without_importing_its_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     package = tmp_path / "loud"
     package.mkdir()
     (package / "__init__.py").write_text("raise RuntimeError('imported')\n")

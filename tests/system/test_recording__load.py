@@ -74,7 +74,7 @@ def seen(module_scratch: Path) -> Any:
     return SimpleNamespace(path=path, samples=samples, sources=sources, name=name, geometry=geometry)
 
 
-def test_the_arrays_are_what_the_client_saw(seen: Any) -> None:
+def test_recording__arrays_are_what_the_client_saw(seen: Any) -> None:
     loaded = recording.load(seen.path)
     assert loaded.is_complete
     assert loaded.note == ""
@@ -108,7 +108,7 @@ def test_the_arrays_are_what_the_client_saw(seen: Any) -> None:
     assert {"model", "weather 1", "engine"} <= set(loaded.provenance["files"])
 
 
-def test_the_weather_of_each_episode_is_recorded(seen: Any) -> None:
+def test_recording__weather_of_each_episode_is_recorded(seen: Any) -> None:
     """Once for each start of an episode, as the file has it: Denver on 3 July, in 24 hours."""
     with RecordingReader(seen.path) as reader:
         weathers = [codec.decode(RecordedWeather, item.payload) for item in reader.messages({"RecordedWeather"})]
@@ -122,7 +122,7 @@ def test_the_weather_of_each_episode_is_recorded(seen: Any) -> None:
         assert np.array_equal(np.frombuffer(weather.values).reshape(24, 2), expected)
 
 
-def test_the_log_has_senders_times_and_results(seen: Any) -> None:
+def test_recording__log_has_senders_times_and_results(seen: Any) -> None:
     loaded = recording.load(seen.path)
     writes = [(e.source, e.subject, e.result, e.simulated) for e in loaded.log if e.kind == "write"]
     assert [w[:2] for w in writes] == [
@@ -145,7 +145,7 @@ def test_the_log_has_senders_times_and_results(seen: Any) -> None:
     assert times == sorted(times)
 
 
-def test_the_log_command_selects_by_source(seen: Any) -> None:
+def test_recording__log_command_selects_by_source(seen: Any) -> None:
     done = run("log", str(seen.path), "--source", "plc7")
     assert done.returncode == 0
     assert len(done.stdout.splitlines()) == 1 + 3
@@ -156,7 +156,7 @@ def test_the_log_command_selects_by_source(seen: Any) -> None:
     assert "did you mean" in done.stderr
 
 
-def test_the_tables_have_exact_numbers(seen: Any, folder: Path) -> None:
+def test_recording__tables_have_exact_numbers(seen: Any, folder: Path) -> None:
     loaded = recording.load(seen.path)
     csv_file, parquet_file = folder / "run.csv", folder / "run.parquet"
     assert run("export", str(seen.path), "--to", "csv", "--out", str(csv_file)).returncode == 0
@@ -183,7 +183,7 @@ class Frame(dict[str, Any]):
         return self[name], {key: value for key, value in self.items() if key != name}
 
 
-def test_pandas_gets_the_simulated_time_as_its_index(seen: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_recording__pandas_gets_the_simulated_time_as_its_index(seen: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     day = recording.load(seen.path).episodes[1]
     monkeypatch.setitem(sys.modules, "pandas", SimpleNamespace(DataFrame=Frame))
     index, columns = day.to_pandas()
@@ -194,7 +194,7 @@ def test_pandas_gets_the_simulated_time_as_its_index(seen: Any, monkeypatch: pyt
         day.to_pandas()
 
 
-def test_a_cut_file_is_loaded_up_to_its_last_chunk_and_says_so(seen: Any, folder: Path) -> None:
+def test_recording__cut_file_is_loaded_up_to_its_last_chunk_and_is_reported(seen: Any, folder: Path) -> None:
     whole = rewrite(seen.path, folder / "whole.mcap")
     cut = folder / "cut.mcap"
     cut.write_bytes(whole.read_bytes()[: chunk_ends(whole)[1] + 3])
@@ -215,7 +215,7 @@ def session(folder: Path) -> Iterator[tuple[zenoh.Session, str]]:
         yield opened, endpoint
 
 
-def test_a_replay_is_the_node_again(seen: Any, session: tuple[zenoh.Session, str]) -> None:
+def test_recording__replay_is_the_node_again(seen: Any, session: tuple[zenoh.Session, str]) -> None:
     opened, endpoint = session
     with (
         RecordingReader(seen.path) as reader,
@@ -249,7 +249,9 @@ def _enter_second(path: Path, endpoint: str) -> None:
         pass
 
 
-def test_a_part_is_replayed_under_another_name_at_its_pace(seen: Any, session: tuple[zenoh.Session, str]) -> None:
+def test_recording__part_is_replayed_under_another_name_at_its_pace(
+    seen: Any, session: tuple[zenoh.Session, str]
+) -> None:
     opened, endpoint = session
     part = ReplayRange(datetime(2017, 7, 3, 2), datetime(2017, 7, 3, 3))
     with (
@@ -273,7 +275,7 @@ def test_a_part_is_replayed_under_another_name_at_its_pace(seen: Any, session: t
         replay.run(threading.Event())
 
 
-def test_the_replay_command(seen: Any, folder: Path) -> None:
+def test_recording__replay_command(seen: Any, folder: Path) -> None:
     endpoint = f"unixsock-stream/{folder}/bus"
     done = run("replay", str(seen.path), "--speed", "1e9", "--listen", endpoint, "--name", "again")
     assert done.returncode == 0, done.stderr
@@ -283,7 +285,7 @@ def test_the_replay_command(seen: Any, folder: Path) -> None:
     assert "--from soon: expected a date and time" in done.stderr
 
 
-def test_loading_warns_of_nothing_where_nothing_is_wrong(seen: Any) -> None:
+def test_recording__loading_warns_of_nothing_where_nothing_is_wrong(seen: Any) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         recording.load(seen.path)

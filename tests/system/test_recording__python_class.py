@@ -79,7 +79,7 @@ def walk(module_scratch: Path) -> Path:
     return path
 
 
-def test_seeds_and_snapshots_verify(walk: Path) -> None:
+def test_recording__seeds_and_snapshots_verify(walk: Path) -> None:
     result = verify(walk, plant=plant_of(walk))
     assert result.passed, str(result)
     assert (result.steps, result.episodes, result.skipped) == (16, 4, [])
@@ -156,7 +156,7 @@ CHANGES = {
 
 @pytest.mark.variants
 @pytest.mark.parametrize("name", CHANGES)
-def test_what_was_changed_is_named(walk: Path, name: str) -> None:
+def test_recording__what_was_changed_is_named(walk: Path, name: str) -> None:
     create, expected = CHANGES[name]
     change = create()
     result = verify(rewrite(walk, walk.with_name("changed.mcap"), change), plant=plant_of(walk))
@@ -166,7 +166,7 @@ def test_what_was_changed_is_named(walk: Path, name: str) -> None:
 
 
 @pytest.mark.slow
-def test_the_command_says_identical_or_the_first_difference(walk: Path) -> None:
+def test_recording__command_states_identical_or_the_first_difference(walk: Path) -> None:
     plant = ("--plant", plant_of(walk))
     done = run("verify", str(walk), *plant)
     assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "identical: 16 steps, 2 points, 1 actuators")
@@ -185,7 +185,7 @@ def test_the_command_says_identical_or_the_first_difference(walk: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_changed_class_is_refused_unless_a_tolerance_compares_it(walk: Path) -> None:
+def test_recording__changed_class_is_refused_unless_a_tolerance_compares_it(walk: Path) -> None:
     file = walk.with_name("walk.py")
     text = file.read_text()
     try:
@@ -210,7 +210,7 @@ def test_a_changed_class_is_refused_unless_a_tolerance_compares_it(walk: Path) -
         file.write_text(text)
 
 
-def test_a_recording_without_a_start_verifies_nothing(walk: Path) -> None:
+def test_recording__recording_without_a_start_verifies_nothing(walk: Path) -> None:
     path = rewrite(
         walk, walk.with_name("start.mcap"), lambda _, i: None if i.schema == "RecordedEpisode" else i.payload
     )
@@ -223,14 +223,14 @@ def test_a_recording_without_a_start_verifies_nothing(walk: Path) -> None:
     assert run("verify", str(path), "--plant", plant_of(walk)).returncode == 1
 
 
-def test_a_plant_that_cannot_be_created_again_is_refused(walk: Path) -> None:
+def test_recording__plant_that_cannot_be_created_again_is_refused(walk: Path) -> None:
     path = rewrite(walk, walk.with_name("other.mcap"), provenance={"kind": "", "settings": {}, "files": {}})
     with pytest.raises(InvalidRecording, match="neither a building nor a Python class"):
         verify(path)
 
 
 @pytest.mark.slow
-def test_an_evaluation_has_a_recording_per_controller(walk: Path) -> None:
+def test_recording__evaluation_has_a_recording_per_controller(walk: Path) -> None:
     folder = walk.parent / "runs"
     settings = {"plant": f"{walk.with_name('walk.py')}:Walk", "reward": None}
     evaluate(settings, {"first": "random", "second": "random"}, episodes=2, record=folder)

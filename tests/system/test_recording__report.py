@@ -36,7 +36,7 @@ def evaluated(module_scratch: Path) -> Any:
 
 
 @pytest.mark.slow
-def test_the_numbers_are_those_of_the_evaluation_to_the_bit(evaluated: Any) -> None:
+def test_recording__numbers_are_those_of_the_evaluation_to_the_bit(evaluated: Any) -> None:
     evaluation, files = evaluated
     expected = evaluation.comparison()
     comparison = compare_recordings(files, prices=PRICES, emissions=FACTORS)
@@ -64,7 +64,7 @@ def test_the_numbers_are_those_of_the_evaluation_to_the_bit(evaluated: Any) -> N
 
 
 @pytest.mark.slow
-def test_the_command_writes_the_report_of_the_evaluation(evaluated: Any, scratch: Path) -> None:
+def test_recording__command_writes_the_report_of_the_evaluation(evaluated: Any, scratch: Path) -> None:
     evaluation, files = evaluated
     page, other = scratch / "report.html", scratch / "evaluation.html"
     words = ["report", *map(str, files), "--out", str(page), "--price", "electricity=0.25", "--price", "gas=0.1"]
@@ -95,7 +95,7 @@ def interrupted(module_scratch: Path) -> Path:
     return path
 
 
-def test_only_complete_episodes_are_compared_with_the_parallel_baseline(interrupted: Path) -> None:
+def test_recording__only_complete_episodes_are_compared_with_the_parallel_baseline(interrupted: Path) -> None:
     with pytest.warns(UserWarning, match="is not in the report") as warned:
         comparison = compare_recordings([interrupted])
     assert [str(w.message).rpartition(": ")[2] for w in warned] == [
@@ -119,7 +119,7 @@ def test_only_complete_episodes_are_compared_with_the_parallel_baseline(interrup
     assert not baseline.trajectory.source_index.any()
 
 
-def test_an_episode_in_part_is_reported_where_no_episode_is_complete(interrupted: Path, tmp_path: Path) -> None:
+def test_recording__episode_in_part_is_reported_where_no_episode_is_complete(interrupted: Path, tmp_path: Path) -> None:
     samples = 0
 
     def first_samples(_: int, item: RecordedItem) -> bytes | None:
@@ -137,7 +137,9 @@ def test_an_episode_in_part_is_reported_where_no_episode_is_complete(interrupted
         compare_recordings([nothing])
 
 
-def test_recordings_that_cannot_be_compared_are_one_error(evaluated: Any, interrupted: Path, tmp_path: Path) -> None:
+def test_recording__recordings_that_cannot_be_compared_are_one_error(
+    evaluated: Any, interrupted: Path, tmp_path: Path
+) -> None:
     _, files = evaluated
     with RecordingReader(files[0]) as reader:
         other = reader.manifest.model_copy(update={"step_s": 600.0})

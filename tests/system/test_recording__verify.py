@@ -82,7 +82,7 @@ def eventful(module_scratch: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_slots_noise_faults_writes_snapshots_and_partial_resets_verify_to_the_bit(eventful: Path) -> None:
+def test_recording__slots_noise_faults_writes_snapshots_and_partial_resets_verify_to_the_bit(eventful: Path) -> None:
     with RecordingReader(eventful) as reader:
         orders = [msgpack.unpackb(i.payload)["slots"] for i in reader.messages({"RecordedOrder"})]
         samples = [msgpack.unpackb(i.payload) for i in reader.messages({"Sample"})]
@@ -98,7 +98,9 @@ def test_slots_noise_faults_writes_snapshots_and_partial_resets_verify_to_the_bi
 
 
 @pytest.mark.slow
-def test_noise_from_the_third_day_two_controllers_and_a_fallback_policy_verify_to_the_bit(scratch: Path) -> None:
+def test_recording__noise_from_the_third_day_two_controllers_and_a_fallback_policy_verify_to_the_bit(
+    scratch: Path,
+) -> None:
     """One of the controllers stops answering, and what it commanded is relinquished; each episode is a fork."""
     path, rng = scratch / "policies.mcap", np.random.default_rng(2)
     settings = {**SMALL, **NOISE, "noise_start": "third_day", "end": "07-06", "record": str(path)}
@@ -140,7 +142,7 @@ def test_noise_from_the_third_day_two_controllers_and_a_fallback_policy_verify_t
 
 
 @pytest.mark.slow
-def test_what_is_not_here_is_named_before_anything_is_simulated(eventful: Path, scratch: Path) -> None:
+def test_recording__what_is_not_here_is_named_before_anything_is_simulated(eventful: Path, scratch: Path) -> None:
     with RecordingReader(eventful) as reader:
         provenance = reader.provenance
     files, settings = provenance["files"], provenance["settings"]
@@ -167,7 +169,7 @@ def test_what_is_not_here_is_named_before_anything_is_simulated(eventful: Path, 
 
 
 @pytest.mark.slow
-def test_a_changed_model_is_a_regression_test(scratch: Path) -> None:
+def test_recording__changed_model_is_a_regression_test(scratch: Path) -> None:
     model, path = scratch / "office.idf", scratch / "day.mcap"
     model.write_bytes(find_building("ref-small-office").path.read_bytes())
     settings = {**SMALL, "building": str(model), "record": str(path)}
@@ -200,7 +202,7 @@ def test_a_changed_model_is_a_regression_test(scratch: Path) -> None:
         verify(path)
 
 
-def test_a_killed_node_leaves_a_file_that_verifies_to_its_end(scratch: Path) -> None:
+def test_recording__killed_node_leaves_a_file_that_verifies_to_its_end(scratch: Path) -> None:
     path = scratch / "killed.mcap"
     program = NodeProgram(scratch / "killed", **SMALL, record=str(path), monitoring=True, baseline=True)
     try:
@@ -227,7 +229,7 @@ def test_a_killed_node_leaves_a_file_that_verifies_to_its_end(scratch: Path) -> 
     assert "cut off" in result.end
 
 
-def test_a_running_node_is_recorded_from_its_next_reset(shared_node: NodeProgram, scratch: Path) -> None:
+def test_recording__running_node_is_recorded_from_its_next_reset(shared_node: NodeProgram, scratch: Path) -> None:
     path = scratch / "running.mcap"
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         link.reset()
@@ -254,7 +256,7 @@ def test_a_running_node_is_recorded_from_its_next_reset(shared_node: NodeProgram
     assert (result.steps, result.episodes) == (3, 1)
 
 
-def test_a_recording_from_within_an_episode_names_what_it_cannot_verify(
+def test_recording__recording_from_within_an_episode_names_what_it_cannot_verify(
     shared_node: NodeProgram, scratch: Path
 ) -> None:
     path = scratch / "now.mcap"
@@ -279,7 +281,7 @@ def test_a_recording_from_within_an_episode_names_what_it_cannot_verify(
     assert "taken before the recording began" in result.skipped[1]
 
 
-def test_a_recording_without_a_timestep_says_so(shared_node: NodeProgram, scratch: Path) -> None:
+def test_recording__recording_without_a_timestep_is_reported(shared_node: NodeProgram, scratch: Path) -> None:
     path = scratch / "none.mcap"
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         bus.record("office", path)
@@ -291,7 +293,7 @@ def test_a_recording_without_a_timestep_says_so(shared_node: NodeProgram, scratc
 
 
 @pytest.mark.slow
-def test_a_full_disk_stops_the_recording_by_name_and_not_the_node(scratch: Path) -> None:
+def test_recording__full_disk_stops_the_recording_by_name_and_not_the_node(scratch: Path) -> None:
     path = scratch / "full.mcap"
     with (
         NodeProgram(scratch / "full", **SMALL, record=str(path)) as program,
@@ -321,7 +323,7 @@ def test_a_full_disk_stops_the_recording_by_name_and_not_the_node(scratch: Path)
     assert events[0].kind is EventKind.RECORDING
 
 
-def test_a_recording_that_cannot_begin_is_an_error_before_anything_starts(scratch: Path) -> None:
+def test_recording__recording_that_cannot_begin_is_an_error_before_anything_starts(scratch: Path) -> None:
     path = scratch / "run.mcap"
     path.write_text("mine")
     for settings in ({}, {"record_overwrite": True}, {"check": True}):
@@ -332,7 +334,7 @@ def test_a_recording_that_cannot_begin_is_an_error_before_anything_starts(scratc
         NodeProgram(scratch / "node", **SMALL, record=str(scratch / "run.csv"))
 
 
-def test_the_record_command_starts_and_ends_a_recording(shared_node: NodeProgram, scratch: Path) -> None:
+def test_recording__record_command_starts_and_ends_a_recording(shared_node: NodeProgram, scratch: Path) -> None:
     path, at = scratch / "command.mcap", ("--connect", shared_node.endpoint)
     done = run("record", "office", "--out", str(path), "--now", *at)
     assert done.stdout == f"office: recording to {path}\n"

@@ -91,20 +91,20 @@ def check(node: NodeProgram, bus: zenostat.Bus, link: ControllerLink) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("case", CASES)
-def test_energyplus_that_died_at_sample_0_is_replaced(scratch: Path, case: str) -> None:
+def test_reset__energyplus_that_died_at_sample_0_is_replaced(scratch: Path, case: str) -> None:
     with controlled(scratch, **SMALL | CASES[case]) as (node, bus, link):
         check(node, bus, link)
 
 
 @pytest.mark.slow
-def test_a_python_class_whose_process_died_is_started_again(scratch: Path) -> None:
+def test_reset__python_class_whose_process_died_is_started_again(scratch: Path) -> None:
     (scratch / "tank.py").write_text(TANK)
     with controlled(scratch, plant=f"{scratch}/tank.py:Tank", slots=2, baseline=True) as (node, bus, link):
         check(node, bus, link)
 
 
 @pytest.mark.slow
-def test_an_engine_that_stands_still_at_sample_0_is_replaced_and_named(scratch: Path) -> None:
+def test_reset__engine_that_hangs_at_sample_0_is_replaced_and_named(scratch: Path) -> None:
     with (
         controlled(scratch, **SMALL, unresponsive_s=1.0) as (node, bus, link),
         bus.session.declare_subscriber("zenostat/v2/office/event") as events,

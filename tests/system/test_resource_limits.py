@@ -35,7 +35,7 @@ def without_thread(monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureReque
 
 @pytest.mark.parametrize("without_thread", ["shutdown"], indirect=True)
 @pytest.mark.usefixtures("without_thread")
-def test_a_node_without_threads_is_one_sentence_and_leaves_nothing(
+def test_resource_limits__node_without_threads_is_one_sentence_and_leaves_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
@@ -49,7 +49,7 @@ def test_a_node_without_threads_is_one_sentence_and_leaves_nothing(
 
 @pytest.mark.parametrize("without_thread", ["drain"], indirect=True)
 @pytest.mark.usefixtures("without_thread")
-def test_subscriptions_close_where_no_thread_can_be_started(tmp_path: Path) -> None:
+def test_resource_limits__subscriptions_close_where_no_thread_can_be_started(tmp_path: Path) -> None:
     with open_session(listen=[f"unixsock-stream/{tmp_path}/bus.sock"]) as session:
         with Subscriptions(session, "office") as subscriptions:
             subscriptions.notify()
@@ -57,7 +57,9 @@ def test_subscriptions_close_where_no_thread_can_be_started(tmp_path: Path) -> N
             subscriptions.receive(wait=False)
 
 
-def test_a_panic_of_zenoh_without_threads_is_an_error_of_the_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resource_limits__panic_of_zenoh_without_threads_is_an_error_of_the_bus(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     def panic(_: zenoh.Config) -> None:
         raise PanicException("OS can't spawn worker thread: Resource temporarily unavailable (os error 11)")
 
@@ -66,7 +68,7 @@ def test_a_panic_of_zenoh_without_threads_is_an_error_of_the_bus(monkeypatch: py
         open_session(connect=["tcp/127.0.0.1:1"])
 
 
-def test_any_other_panic_stays_what_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resource_limits__any_other_panic_stays_what_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     def panic(_: zenoh.Config) -> None:
         raise PanicException("index out of range")
 
@@ -75,7 +77,7 @@ def test_any_other_panic_stays_what_it_is(monkeypatch: pytest.MonkeyPatch) -> No
         open_session(connect=["tcp/127.0.0.1:1"])
 
 
-def test_the_sentence_names_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_resource_limits__sentence_names_the_limits(monkeypatch: pytest.MonkeyPatch) -> None:
     limits = {resource.RLIMIT_AS: (400_000_000, -1), resource.RLIMIT_NPROC: (resource.RLIM_INFINITY, -1)}
     monkeypatch.setattr(resource, "getrlimit", limits.__getitem__)
     text = describe_exhaustion(MemoryError())

@@ -194,7 +194,7 @@ def far_controller(place: Place) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.mark.slow
-def test_a_day_through_a_router(place: Place, scratch: Path) -> None:
+def test_router__day_through_a_router(place: Place, scratch: Path) -> None:
     """Presence, requests, samples, lockstep, the refusal of a second node of the name, and a node's death."""
     exposed = ["--expose"] * bool(place.at_router)
     with router(place, *exposed), FarNode(scratch / "node", place) as node, far_controller(place) as far:
@@ -230,7 +230,7 @@ def straight(folder: Path) -> list[float]:
         return values
 
 
-def test_two_machines_that_only_the_router_joins(scratch: Path) -> None:
+def test_router__two_machines_that_only_the_router_joins(scratch: Path) -> None:
     """Without the router there is no way: the test above passes for the right reason."""
     try:
         with machines() as at:
@@ -249,7 +249,7 @@ def test_two_machines_that_only_the_router_joins(scratch: Path) -> None:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("closed", [False, True], ids=["open", "closed"])
-def test_two_routers(folder: Path, scratch: Path, closed: bool) -> None:
+def test_router__two_routers(folder: Path, scratch: Path, closed: bool) -> None:
     """node → router → router → controller"""
     kind = "tls" if closed else "tcp"
     near, far = (f"{kind}/127.0.0.1:{free_port()}" for _ in range(2))
@@ -270,7 +270,7 @@ def test_two_routers(folder: Path, scratch: Path, closed: bool) -> None:
         assert sample.value_source["core_zn_cooling_setpoint"] == link.name
 
 
-def test_a_router_keeps_the_rules(folder: Path, scratch: Path) -> None:
+def test_router__router_keeps_the_rules(folder: Path, scratch: Path) -> None:
     endpoint = f"tls/127.0.0.1:{free_port()}"
     place = Place(endpoint, endpoint, router_keys(folder))
     claim = codec.encode(Claim(controller="x", required=False))
@@ -285,7 +285,7 @@ def test_a_router_keeps_the_rules(folder: Path, scratch: Path) -> None:
         assert answers(Role.CONTROLLER) == 1
 
 
-def test_a_router_that_all_can_reach_without_keys_is_warned_of() -> None:
+def test_router__router_that_all_can_reach_without_keys_is_warned_of() -> None:
     process = subprocess.Popen(
         [*ZENOSTAT, "router", "--listen", f"tcp/0.0.0.0:{free_port()}", "--expose"],
         stdout=subprocess.PIPE,
@@ -299,13 +299,13 @@ def test_a_router_that_all_can_reach_without_keys_is_warned_of() -> None:
     assert "zenostat keys init" in warned
 
 
-def test_a_node_needs_a_bus() -> None:
+def test_router__node_needs_a_bus() -> None:
     with pytest.raises(InvalidConfig, match="name an endpoint to listen on, or one to connect to"):
         read_config({**SMALL, "listen": [], "connect": []})
     assert read_config({**SMALL, "listen": [], "connect": ["tcp/127.0.0.1:7447"]}).listen == []
 
 
-def test_the_command_of_a_node_that_does_not_listen() -> None:
+def test_router__command_of_a_node_that_does_not_listen() -> None:
     words = ["node", "--building", "x", "--weather", "y", "--no-listen"]
     bare = subprocess.run([*ZENOSTAT, *words], capture_output=True, text=True)
     assert bare.returncode == 2

@@ -72,7 +72,7 @@ def play(env: BuildingEnv, seed: int | None) -> tuple[np.ndarray, dict[str, Any]
 
 
 @pytest.mark.slow
-def test_a_shown_scenario_simulates_the_same(scratch: Path) -> None:
+def test_scenarios__shown_scenario_simulates_the_same(scratch: Path) -> None:
     name = "ref-small-office-USA_CO_Denver-discrete-v1"
     show = [sys.executable, "-m", "zenostat.cli.main", "scenarios", "show", name]
     text = subprocess.run(show, capture_output=True, text=True, check=True).stdout
@@ -87,7 +87,7 @@ def test_a_shown_scenario_simulates_the_same(scratch: Path) -> None:
     np.testing.assert_array_equal(results[0][3], results[1][3])
 
 
-def test_an_action_sets_all_its_actuators_and_the_clock_is_observed(scratch: Path) -> None:
+def test_scenarios__action_sets_all_its_actuators_and_the_clock_is_observed(scratch: Path) -> None:
     env = make("zenostat/Scenario-v1", file=written(scratch))
     assert env.observation_names == ("hour", "core")
     assert (env.action_space.low.tolist(), env.action_space.high.tolist()) == ([23.0], [30.0])
@@ -103,7 +103,7 @@ def test_an_action_sets_all_its_actuators_and_the_clock_is_observed(scratch: Pat
 
 
 @pytest.mark.slow
-def test_control_by_zone_is_a_pair_for_each_zone(scratch: Path) -> None:
+def test_scenarios__control_by_zone_is_a_pair_for_each_zone(scratch: Path) -> None:
     with_zones, whole = make(f"{SMALL}-continuous-v1", control="zone"), make(f"{SMALL}-continuous-v1")
     assert whole.action_names == ("heating_setpoint", "cooling_setpoint")
     assert len(with_zones.action_names) == 2 * 5
@@ -114,7 +114,7 @@ def test_control_by_zone_is_a_pair_for_each_zone(scratch: Path) -> None:
     whole.close()
 
 
-def test_actuators_beside_the_actions_are_context(scratch: Path) -> None:
+def test_scenarios__actuators_beside_the_actions_are_context(scratch: Path) -> None:
     """They are the building's own until they are set, keep what they are set to, and can be given back."""
     actions = {"cooling": {"actuators": ["core_cooling"]}}
     env = make("zenostat/Scenario-v1", file=written(scratch, actions=actions))
@@ -129,7 +129,7 @@ def test_actuators_beside_the_actions_are_context(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_variant_changes_the_model_and_nothing_is_left_of_it(scratch: Path) -> None:
+def test_scenarios__variant_changes_the_model_and_nothing_is_left_of_it(scratch: Path) -> None:
     """With half the lights there is less electricity; the plain scenario beside it stays as it is."""
     lights = {"Lights": {"*": {"watts_per_floor_area": 2.0}}}
     totals = {}
@@ -148,7 +148,7 @@ def test_a_variant_changes_the_model_and_nothing_is_left_of_it(scratch: Path) ->
 
 
 @pytest.mark.slow
-def test_the_same_seed_gives_the_same_trajectory_to_the_bit(scratch: Path) -> None:
+def test_scenarios__same_seed_gives_the_same_trajectory_to_the_bit(scratch: Path) -> None:
     """Also in another process, and whatever was simulated before."""
     first, second = make(f"{SMALL}-continuous-stochastic-v1"), make(f"{SMALL}-continuous-stochastic-v1")
     rows, info = play(first, 5)
@@ -181,7 +181,7 @@ def test_forecasts__read_the_weather_that_is_simulated(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_weathers_are_taken_in_order(scratch: Path) -> None:
+def test_scenarios__weathers_are_taken_in_order(scratch: Path) -> None:
     names = ["USA_CO_Denver", "USA_FL_Miami", "USA_AZ_Phoenix"]
     env = make(f"{SMALL}-continuous-v1", weather=names, weather_order="sequence")
     seen = []
@@ -195,7 +195,7 @@ def test_weathers_are_taken_in_order(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_weathers_are_drawn_by_the_seed(scratch: Path) -> None:
+def test_scenarios__weathers_are_drawn_by_the_seed(scratch: Path) -> None:
     names = ["USA_CO_Denver", "USA_FL_Miami", "USA_AZ_Phoenix"]
     env = make(f"{SMALL}-continuous-v1", weather=names)
     drawn = {seed: env.reset(seed=seed)[1]["weather"] for seed in range(8)}
@@ -205,7 +205,7 @@ def test_weathers_are_drawn_by_the_seed(scratch: Path) -> None:
     env.close()
 
 
-def test_an_environment_on_a_bus_takes_the_scenario_over(scratch: Path) -> None:
+def test_scenarios__environment_on_a_bus_takes_the_scenario_over(scratch: Path) -> None:
     """Spaces, clock and reward come from the manifest of a node that runs elsewhere."""
     own = make(f"{SMALL}-discrete-v1", time=["month", "hour"], reward={"kind": "linear", "weight": 1.0})
     assert own.local_node is not None
@@ -231,7 +231,7 @@ def test_model_that_works_against_its_actuators__warns(scratch: Path) -> None:
     env.close()
 
 
-def test_a_sinergym_configuration_of_a_users_own(scratch: Path) -> None:
+def test_scenarios__sinergym_configuration_of_a_users_own(scratch: Path) -> None:
     """A copy of the pack's, changed: another place, another timestep."""
     pack = packs.sinergym()
     original = next(pack.rglob("5ZoneAutoDXVAV.yaml"))
@@ -302,13 +302,13 @@ FAULTS: dict[str, tuple[dict[str, Any], type[UsageError], str]] = {
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_fault_of_a_file_is_one_clear_error(fault: str, scratch: Path) -> None:
+def test_scenarios__fault_of_a_file_is_one_clear_error(fault: str, scratch: Path) -> None:
     changed, kind, words = FAULTS[fault]
     with pytest.raises(kind, match=f"(?s){words}"):
         plan(read_config({"scenario": str(written(scratch, **changed))}))
 
 
-def test_a_reward_of_no_kind_is_refused_by_the_environment(scratch: Path) -> None:
+def test_scenarios__reward_of_no_kind_is_refused_by_the_environment(scratch: Path) -> None:
     with pytest.raises(InvalidConfig, match="no kind 'best'"):
         gym.make("zenostat/Scenario-v1", file=written(scratch, reward={"kind": "best"}), affinity="off")
 
@@ -321,7 +321,9 @@ def test_a_reward_of_no_kind_is_refused_by_the_environment(scratch: Path) -> Non
         (cut_epw, "weather", InvalidConfig, r"cut\.epw"),
     ],
 )
-def test_a_broken_file_is_named(broken: Any, field: str, kind: type[Exception], words: str, scratch: Path) -> None:
+def test_scenarios__broken_file_is_named(
+    broken: Any, field: str, kind: type[Exception], words: str, scratch: Path
+) -> None:
     path = broken(scratch)
     noise = {"weather_noise": {"dry_bulb_temperature": {"sigma": 1.0}}}
     with pytest.raises(kind, match=f"(?s){words}"):
@@ -344,14 +346,14 @@ def test_scenario_file__reports_all_its_errors_at_once(scratch: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_period_over_new_year_has_all_its_timesteps(scratch: Path) -> None:
+def test_scenarios__period_over_new_year_has_all_its_timesteps(scratch: Path) -> None:
     env = make(f"{SMALL}-continuous-v1", begin="2017-12-31", end="2018-01-01", steps_per_hour=4)
     rows, _ = play(env, 0)
     assert len(rows) == 2 * 96 + 1
     env.close()
 
 
-def test_the_model_without_its_pack_names_the_command(monkeypatch: pytest.MonkeyPatch, scratch: Path) -> None:
+def test_scenarios__model_without_its_pack_names_the_command(monkeypatch: pytest.MonkeyPatch, scratch: Path) -> None:
     monkeypatch.setenv("ZENOSTAT_CACHE", str(scratch / "empty"))
     with pytest.raises(InvalidConfig, match="zenostat data-packs add sinergym"):
         plan(read_config({"scenario": "5zone-hot-continuous-v1"}))

@@ -92,7 +92,7 @@ def test_screenshot__draws_each_view_at_the_requested_time(scratch):
 
 
 @needs_vulkan
-def test_a_screenshot_has_no_panels_and_no_notices(scratch):
+def test_screenshot__screenshot_has_no_panels_and_no_notices(scratch):
     """Notices are lighter boxes at the top right, the top panel has orange warnings, the time panel buttons."""
     draw(_recording(scratch / "run.rrd"), Screenshot(scratch / "run.png", None, *SIZE))
     pixels = _pixels(scratch / "run.png")
@@ -105,7 +105,7 @@ def test_a_screenshot_has_no_panels_and_no_notices(scratch):
 
 @pytest.mark.slow
 @needs_vulkan
-def test_each_view_of_a_real_run_shows_its_data(scratch, shared_node, episode_bus):
+def test_screenshot__each_view_of_a_real_run_shows_its_data(scratch, shared_node, episode_bus):
     path = scratch / "run.rrd"
     with (
         open_session(connect=[shared_node.endpoint]) as session,
@@ -155,7 +155,7 @@ def _open_views(drawing: Drawing) -> dict[str, NDArray[np.int16]]:
 
 
 @needs_vulkan
-def test_the_cursor_of_nodes_of_different_years_is_where_simulated_time_is(scratch):
+def test_screenshot__cursor_of_nodes_of_different_years_is_where_simulated_time_is(scratch):
     """Two nodes, nine years apart, six hours after each began."""
     path, columns = _two_years(scratch / "run.rrd"), []
     for number, at in enumerate(("2017-07-03T06:00", "2026-01-12T06:00")):
@@ -193,7 +193,7 @@ def _two_years(path: Path) -> Path:
     (97, "07-05T12:00", "--at 07-05T12:00 is outside of the recorded time, 2017-07-03T00:00 to 2017-07-04T00:00"),
     (0, None, "run.rrd has no samples"),
 ])  # fmt: skip
-def test_what_cannot_be_drawn_is_reported(scratch, samples, at, reason):
+def test_screenshot__what_cannot_be_drawn_is_reported(scratch, samples, at, reason):
     path = _recording(scratch / "run.rrd", samples=samples)
     with pytest.raises(ViewerError, match=reason):
         draw(path, Screenshot(scratch / "run.png", at, *SIZE))
@@ -202,7 +202,7 @@ def test_what_cannot_be_drawn_is_reported(scratch, samples, at, reason):
 
 @pytest.mark.slow
 @needs_vulkan
-def test_a_recording_without_its_end_is_drawn(scratch):
+def test_screenshot__recording_without_its_end_is_drawn(scratch):
     """A killed monitor leaves such a file."""
     whole = _recording(scratch / "whole.rrd").read_bytes()
     path, picture = scratch / "run.rrd", scratch / "run.png"
@@ -211,14 +211,14 @@ def test_a_recording_without_its_end_is_drawn(scratch):
     assert (np.all(abs(_pixels(picture) - RED) < 60, axis=2)).any()
 
 
-def test_a_file_that_is_no_recording_is_reported(scratch):
+def test_screenshot__file_that_is_no_recording_is_reported(scratch):
     path = scratch / "run.rrd"
     path.write_text("no recording")
     with pytest.raises(ViewerError, match=r"run\.rrd is not a recording"):
         draw(path, Screenshot(scratch / "run.png"))
 
 
-def test_no_screenshot_without_a_vulkan_driver(scratch, monkeypatch):
+def test_screenshot__no_screenshot_without_a_vulkan_driver(scratch, monkeypatch):
     for name in ("VK_ICD_FILENAMES", "VK_DRIVER_FILES"):
         monkeypatch.setenv(name, os.devnull)
     with pytest.raises(ViewerError, match="needs a Vulkan driver"):
@@ -237,7 +237,9 @@ def test_no_screenshot_without_a_vulkan_driver(scratch, monkeypatch):
     (["--web", "--screenshot", "run.png"], "--web and --screenshot exclude each other"),
     ([], "a window needs a display, and neither DISPLAY nor WAYLAND_DISPLAY is set"),
 ])  # fmt: skip
-def test_options_that_are_not_valid_are_reported_before_anything_starts(scratch, monkeypatch, options, reason):
+def test_screenshot__options_that_are_not_valid_are_reported_before_anything_starts(
+    scratch, monkeypatch, options, reason
+):
     for name in ("DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     (scratch / "run.rrd").touch()
@@ -260,7 +262,7 @@ def test_monitor__checks_its_files_first(scratch, options, reason):
 @pytest.mark.slow
 @needs_vulkan
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT, signal.SIGTERM])
-def test_an_interrupted_screenshot_leaves_no_viewer(scratch, number):
+def test_screenshot__interrupted_screenshot_leaves_no_viewer(scratch, number):
     _recording(scratch / "run.rrd")
     command = [*ZENOSTAT, "view", "run.rrd", "--screenshot", "run.png"]
     program = subprocess.Popen(command, cwd=scratch, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
@@ -288,7 +290,7 @@ def _viewers(parent: int) -> list[psutil.Process]:
 
 
 @needs_vulkan
-def test_a_viewer_that_dies_is_reported(scratch):
+def test_screenshot__viewer_that_dies_is_reported(scratch):
     path = _recording(scratch / "run.rrd")
     with serving("--headless") as server:
         server.process.kill()
@@ -297,7 +299,7 @@ def test_a_viewer_that_dies_is_reported(scratch):
             Drawing(server, path, str(path)).image(Screenshot(scratch / "run.png"))
 
 
-def test_a_page_shows_a_recording_until_it_is_closed(scratch):
+def test_screenshot__page_shows_a_recording_until_it_is_closed(scratch):
     with web_viewer(_recording(scratch / "run.rrd")) as (page, url):
         assert url in page
     assert [path.name for path in scratch.iterdir()] == ["run.rrd"]

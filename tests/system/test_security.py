@@ -157,7 +157,7 @@ RIGHTS = {  # topic: (controller, monitor)
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
-def test_what_a_role_may_do(topic: keys.Topic) -> None:
+def test_security__what_a_role_may_do(topic: keys.Topic) -> None:
     expected = RIGHTS.get(topic.key)
     if expected is None:  # a row that was added: whatever it is, who does not send it must not
         allowed = {ASK} if topic.delivery is keys.Delivery.QUERY else {HEAR, ASK, SEE}
@@ -166,7 +166,7 @@ def test_what_a_role_may_do(topic: keys.Topic) -> None:
     assert (set(may(Role.CONTROLLER, topic)), set(may(Role.MONITOR, topic))) == expected
 
 
-def test_the_page_tells_what_a_role_may_do() -> None:
+def test_security__page_tells_what_a_role_may_do() -> None:
     lines = (Path(__file__).parents[2] / "docs" / "security.md").read_text().splitlines()
     rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| `")]
     assert rows == [
@@ -174,7 +174,7 @@ def test_the_page_tells_what_a_role_may_do() -> None:
     ]
 
 
-def test_a_monitor_only_reads_and_nobody_but_a_node_answers() -> None:
+def test_security__monitor_only_reads_and_nobody_but_a_node_answers() -> None:
     incoming = {
         role: {message for rule in rules(role) if rule.flow == "ingress" for message in rule.messages} for role in ROLES
     }
@@ -184,12 +184,12 @@ def test_a_monitor_only_reads_and_nobody_but_a_node_answers() -> None:
     assert incoming[Role.NODE] == set(ALL_MESSAGES)
 
 
-def test_no_key_lies_outside_of_the_table() -> None:
+def test_security__no_key_lies_outside_of_the_table() -> None:
     allowed = {str(zenoh.KeyExpr(topic.at("*", name="*"))) for topic in TOPICS} | {keys.stream("*")}
     assert {key for role in ROLES for rule in rules(role) for key in rule.keys} <= allowed
 
 
-def test_zenoh_denies_what_no_rule_allows() -> None:
+def test_security__zenoh_denies_what_no_rule_allows() -> None:
     config = acl_config()
     assert (config["enabled"], config["default_permission"]) == (True, "deny")
     assert {rule["permission"] for rule in config["rules"]} == {"allow"}
@@ -213,7 +213,7 @@ def day(link: zenostat.bus.controller_link.ControllerLink, meanwhile: Any = lamb
         sample = link.receive()
 
 
-def test_a_monitor_s_attacks_leave_the_day_as_it_is(
+def test_security__monitor_s_attacks_leave_the_day_as_it_is(
     node: NodeProgram, pki: Path, bus: zenostat.Bus, watcher: zenostat.Bus
 ) -> None:
     """A controller with a good certificate runs a day in lockstep, then the same day under a monitor's attacks."""
@@ -249,7 +249,9 @@ def test_a_monitor_s_attacks_leave_the_day_as_it_is(
         assert [c.controller for c in after.controllers if c.state.is_connected] == [link.name]
 
 
-def test_the_same_attacks_work_with_a_controller_s_certificate(node: NodeProgram, pki: Path, bus: zenostat.Bus) -> None:
+def test_security__same_attacks_work_with_a_controller_s_certificate(
+    node: NodeProgram, pki: Path, bus: zenostat.Bus
+) -> None:
     with raw(node.endpoint, pki, "second") as session, hearing(bus.session, keys.EVENT.at("office")) as events:
         assert ask(bus.session, keys.STATUS), "the node knows of the subscription"
         codec.decode(Ack, ask(session, keys.CLAIM, Claim(controller="thief", priority=1, required=False))[0])
@@ -264,7 +266,7 @@ def test_the_same_attacks_work_with_a_controller_s_certificate(node: NodeProgram
         assert bus.status("office").episode == episode
 
 
-def test_a_controller_may_stop_a_node_and_a_monitor_not(scratch: Path, pki: Path) -> None:
+def test_security__controller_may_stop_a_node_and_a_monitor_not(scratch: Path, pki: Path) -> None:
     listen = [f"tls/127.0.0.1:{free_port()}"]
     with NodeProgram(scratch / "own", **SMALL, listen=listen, keys=str(pki), name="own") as running:
         with zenostat.connect(listen[0], keys=pki, role=Role.MONITOR, affinity="off") as watching:
@@ -278,7 +280,7 @@ def test_a_controller_may_stop_a_node_and_a_monitor_not(scratch: Path, pki: Path
         assert running.process.wait() == 0
 
 
-def test_a_monitor_reads(watcher: zenostat.Bus, bus: zenostat.Bus) -> None:
+def test_security__monitor_reads(watcher: zenostat.Bus, bus: zenostat.Bus) -> None:
     assert watcher.nodes() == ["office"]
     assert watcher.scenario("office") == bus.scenario("office")
     assert watcher.weather("office", ["dry_bulb_temperature"]).units == ["C"]
@@ -290,7 +292,7 @@ def test_a_monitor_reads(watcher: zenostat.Bus, bus: zenostat.Bus) -> None:
         assert watcher.latest("office") == sample.message
 
 
-def test_a_monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: zenostat.Bus) -> None:
+def test_security__monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: zenostat.Bus) -> None:
     """Nor does another controller; a node, which passes them on, does."""
     counts: dict[str, int] = {}
     for name in ("monitor", "second", "node"):
@@ -324,7 +326,7 @@ def test_a_monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: zenostat
         ("node", "client", True),
     ],
 )
-def test_nobody_hears_what_a_controller_says_in_a_node_s_name(
+def test_security__nobody_hears_what_a_controller_states_in_a_node_s_name(
     node: NodeProgram, pki: Path, bus: zenostat.Bus, watcher: zenostat.Bus, name: str, mode: str, passes: bool
 ) -> None:
     stream, point = keys.stream("office"), keys.SENSOR.at("office", name="core_zn_air_temperature")
@@ -344,7 +346,7 @@ def test_nobody_hears_what_a_controller_says_in_a_node_s_name(
 
 
 @pytest.mark.parametrize(("name", "passes"), [("controller", False), ("node", True)])
-def test_a_forged_presence_is_not_seen(
+def test_security__forged_presence_is_not_seen(
     node: NodeProgram, pki: Path, watcher: zenostat.Bus, name: str, passes: bool
 ) -> None:
     with raw(node.endpoint, pki, name) as forger:
@@ -368,7 +370,7 @@ def test_a_forged_presence_is_not_seen(
 
 
 @pytest.mark.parametrize(("name", "passes"), [("controller", False), ("monitor", False), ("node", True)])
-def test_only_a_node_answers_requests(
+def test_security__only_a_node_answers_requests(
     node: NodeProgram, pki: Path, watcher: zenostat.Bus, bus: zenostat.Bus, name: str, passes: bool
 ) -> None:
     def on_query(query: zenoh.Query) -> None:
@@ -383,7 +385,7 @@ def test_only_a_node_answers_requests(
             assert answers == ([FORGED] if passes else [])
 
 
-def test_a_controller_s_certificate_cannot_be_listened_with(pki: Path) -> None:
+def test_security__controller_s_certificate_cannot_be_listened_with(pki: Path) -> None:
     """Whoever stands in a node's place needs a node's certificate: the others are none of a TLS server."""
     endpoint = f"tls/127.0.0.1:{free_port()}"
     config = zenoh.Config()
@@ -417,7 +419,7 @@ def strangers() -> list[Any]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize(("name", "strange"), strangers())
-def test_a_stranger_cannot_connect(
+def test_security__stranger_cannot_connect(
     node: NodeProgram, pki: Path, strange_pki: Path, name: str | None, strange: bool
 ) -> None:
     """It trusts the node, whose authority's certificate is no secret; the node does not trust it."""
@@ -427,12 +429,12 @@ def test_a_stranger_cannot_connect(
         assert ask(friend, keys.STATUS)
 
 
-def test_without_tls_nobody_gets_in(node: NodeProgram) -> None:
+def test_security__without_tls_nobody_gets_in(node: NodeProgram) -> None:
     with pytest.raises(NodeNotFound):
         open_session(connect=[node.endpoint.replace("tls/", "tcp/")])
 
 
-def test_an_expired_certificate_is_refused_by_the_node_and_before(
+def test_security__expired_certificate_is_refused_by_the_node_and_before(
     node: NodeProgram, pki: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     expire(pki, "late", monkeypatch)
@@ -448,7 +450,7 @@ def test_an_expired_certificate_is_refused_by_the_node_and_before(
 
 
 @pytest.mark.slow
-def test_why_there_is_no_session(node: NodeProgram, pki: Path, strange_pki: Path, tmp_path: Path) -> None:
+def test_security__why_there_is_no_session(node: NodeProgram, pki: Path, strange_pki: Path, tmp_path: Path) -> None:
     def refusal(endpoint: str, folder: Path) -> str:
         with pytest.raises(NodeNotFound) as raised:
             open_session(connect=[endpoint], keys=folder, role=Role.CONTROLLER)
@@ -471,7 +473,7 @@ def test_diagnose_tls__reports_a_refusal_by_the_peer(node: NodeProgram, pki: Pat
     assert "refused" not in diagnose_tls(node.endpoint, good)
 
 
-def test_a_node_is_reached_under_the_names_in_its_certificate(pki: Path) -> None:
+def test_security__node_is_reached_under_the_names_in_its_certificate(pki: Path) -> None:
     def listening(certificate: str | None) -> Any:
         return open_session(listen=[endpoint], keys=pki, role=Role.NODE, certificate=certificate)
 
@@ -483,7 +485,7 @@ def test_a_node_is_reached_under_the_names_in_its_certificate(pki: Path) -> None
         assert len(list(session.info.peers_zid())) == 1
 
 
-def test_a_taken_port(node: NodeProgram, pki: Path) -> None:
+def test_security__taken_port(node: NodeProgram, pki: Path) -> None:
     with pytest.raises(AddressInUse):
         open_session(listen=[node.endpoint], keys=pki, role=Role.NODE)
 
@@ -501,7 +503,7 @@ def test_a_taken_port(node: NodeProgram, pki: Path) -> None:
         ({"role": Role.NODE}, "name an endpoint"),
     ],
 )
-def test_settings_that_cannot_be(pki: Path, settings: dict[str, Any], message: str) -> None:
+def test_security__settings_that_cannot_be(pki: Path, settings: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         open_session(keys=pki, **settings)
 
@@ -513,7 +515,7 @@ def test_open_session__reports_all_errors_at_once(tmp_path: Path) -> None:
         assert fault in str(raised.value)
 
 
-def test_tls_without_keys() -> None:
+def test_security__tls_without_keys() -> None:
     with pytest.raises(InvalidConfig, match=r"tls/127\.0\.0\.1:1 needs keys: zenostat keys init"):
         open_session(connect=["tls/127.0.0.1:1"])
     with pytest.raises(InvalidConfig, match="needs the folder of its keys"):
@@ -521,12 +523,12 @@ def test_tls_without_keys() -> None:
 
 
 @pytest.mark.parametrize("endpoint", ["tls/", "tls/host", "tls/host:1#enable_mtls=false", "tls/a b:1", "quic/h:1"])
-def test_what_is_no_tls_endpoint(endpoint: str) -> None:
+def test_security__what_is_no_tls_endpoint(endpoint: str) -> None:
     with pytest.raises(InvalidConfig, match=r"tls/HOST:PORT"):
         check_endpoint(endpoint)
 
 
-def test_listening_to_all_without_keys_is_warned_of(pki: Path) -> None:
+def test_security__listening_to_all_without_keys_is_warned_of(pki: Path) -> None:
     assert "zenostat keys init" in exposure(["tcp/0.0.0.0:7447"], None)
     assert exposure(["tls/0.0.0.0:7447"], pki) == exposure(["tcp/127.0.0.1:7447"], None) == ""
     assert exposure(["unixsock-stream/x"], None) == ""
@@ -535,7 +537,7 @@ def test_listening_to_all_without_keys_is_warned_of(pki: Path) -> None:
 # The commands
 
 
-def test_the_commands_take_keys(node: NodeProgram, pki: Path) -> None:
+def test_security__commands_take_keys(node: NodeProgram, pki: Path) -> None:
     def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
         command = [*ZENOSTAT, *arguments, "--connect", node.endpoint, "--keys", str(pki)]
         return subprocess.run(command, capture_output=True, text=True)
@@ -550,7 +552,7 @@ def test_the_commands_take_keys(node: NodeProgram, pki: Path) -> None:
     assert "is of the role monitor; controller expected" in refused.stderr
 
 
-def test_an_environment_joins_over_tls_with_keys_alone(node: NodeProgram, pki: Path) -> None:
+def test_security__environment_joins_over_tls_with_keys_alone(node: NodeProgram, pki: Path) -> None:
     env = gym.make("zenostat/Building-v1", connect=node.endpoint, node=node.name, keys=pki)
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)

@@ -93,7 +93,7 @@ def test_second_thread__is_rejected_and_the_first_goes_on(make_env: Callable[[Ga
     env.close()
 
 
-def test_actions_of_another_thread_are_not_taken_for_ones_own() -> None:
+def test_threads__actions_of_another_thread_are_not_taken_for_ones_own() -> None:
     sb3 = pytest.importorskip("zenostat.agent_sdk.envs.sb3_vec_env")
     gate = Gate()
     gate.opens.set()
@@ -111,7 +111,7 @@ def test_actions_of_another_thread_are_not_taken_for_ones_own() -> None:
     env.close()
 
 
-def test_a_step_that_failed_leaves_nothing_behind() -> None:
+def test_threads__step_that_failed_leaves_nothing_behind() -> None:
     gate = Gate()
     gate.opens.set()
     env = single(gate)
@@ -129,7 +129,7 @@ def test_a_step_that_failed_leaves_nothing_behind() -> None:
 @pytest.mark.variants
 @pytest.mark.usefixtures("scratch")
 @pytest.mark.parametrize("slots", [1, 2])
-def test_threads_that_step_a_real_node(slots: int) -> None:
+def test_threads__that_step_a_real_node(slots: int) -> None:
     env: Any = (
         gym.make("zenostat/Building-v1", **SMALL, affinity="off")
         if slots == 1
@@ -164,7 +164,7 @@ def test_threads_that_step_a_real_node(slots: int) -> None:
 @pytest.mark.variants
 @pytest.mark.usefixtures("scratch")
 @pytest.mark.parametrize("reset", [False, True])
-def test_a_controller_has_one_receiver(bus: zenostat.Bus, *, reset: bool) -> None:
+def test_threads__controller_has_one_receiver(bus: zenostat.Bus, *, reset: bool) -> None:
     with bus.controller("office") as link:
         link.reset()
         with in_thread(link.receive) as first:
@@ -178,7 +178,7 @@ def test_a_controller_has_one_receiver(bus: zenostat.Bus, *, reset: bool) -> Non
 @pytest.mark.variants
 @pytest.mark.usefixtures("scratch")
 @pytest.mark.parametrize("slots", [1, 2])
-def test_close_while_another_thread_steps(slots: int) -> None:
+def test_threads__close_while_another_thread_steps(slots: int) -> None:
     env: Any = (
         gym.make("zenostat/Building-v1", **SMALL, affinity="off")
         if slots == 1
@@ -206,7 +206,7 @@ def test_close_while_another_thread_steps(slots: int) -> None:
 
 
 @pytest.mark.usefixtures("scratch")
-def test_close_while_another_thread_waits_for_a_sample(bus: zenostat.Bus) -> None:
+def test_threads__close_while_another_thread_waits_for_a_sample(bus: zenostat.Bus) -> None:
     link = bus.controller("office")
     link.reset()
     with in_thread(link.receive) as waiting:

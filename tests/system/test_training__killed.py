@@ -46,7 +46,7 @@ def _wait_for_rows(path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGINT])
-def test_an_interrupted_training_continues_to_the_bit(number: signal.Signals, scratch: Path) -> None:
+def test_training__interrupted_training_continues_to_the_bit(number: signal.Signals, scratch: Path) -> None:
     (scratch / "t.yaml").write_text(yaml12.dump(TRAINING))
     with nothing_left(scratch):
         command = [*ZENOSTAT, "train", "t.yaml", "--output", "cut"]

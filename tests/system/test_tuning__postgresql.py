@@ -83,7 +83,7 @@ def server() -> Iterator[Server]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def test_several_processes_tune_one_study(server: Server, tmp_path: Path) -> None:
+def test_tuning__several_processes_tune_one_study(server: Server, tmp_path: Path) -> None:
     (tmp_path / "s.yaml").write_text(yaml12.dump(STUDY))
     done = run_program("tune", "s.yaml", "--workers", "2", "--storage", server.url, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
@@ -98,7 +98,7 @@ def test_several_processes_tune_one_study(server: Server, tmp_path: Path) -> Non
     assert "with other settings (seed)" in plain(other.stderr)
 
 
-def test_a_server_that_goes_away_ends_the_study_with_one_sentence(server: Server, tmp_path: Path) -> None:
+def test_tuning__server_that_goes_away_ends_the_study_with_one_sentence(server: Server, tmp_path: Path) -> None:
     study = {**STUDY, "training": {**TRAINING, "steps": 100_000}}
     (tmp_path / "s.yaml").write_text(yaml12.dump(study))
     command = [*ZENOSTAT, "tune", "s.yaml", "--storage", server.url]

@@ -109,7 +109,7 @@ PAIRS += [(kind, kind) for kind in ("controller", "gateway", "listen")]
 
 
 @pytest.mark.parametrize("kinds", PAIRS, ids="-".join)
-def test_of_two_that_wait_for_a_paused_node_both_get_its_next_sample(
+def test_waiters__of_two_that_wait_for_a_paused_node_both_get_its_next_sample(
     episode_bus: zenostat.Bus, wakes: list[str], kinds: tuple[str, ...]
 ) -> None:
     bus = episode_bus
@@ -121,7 +121,9 @@ def test_of_two_that_wait_for_a_paused_node_both_get_its_next_sample(
         assert [future.result(60) for future in futures] == [1, 1]
 
 
-def test_a_strangers_message_to_the_key_of_a_wake_up_ends_nothing(episode_bus: zenostat.Bus, wakes: list[str]) -> None:
+def test_waiters__strangers_message_to_the_key_of_a_wake_up_ends_nothing(
+    episode_bus: zenostat.Bus, wakes: list[str]
+) -> None:
     bus = episode_bus
     bus.pause("office")
     bus.pace("office", mode=Mode.FREE)
@@ -135,7 +137,9 @@ def test_a_strangers_message_to_the_key_of_a_wake_up_ends_nothing(episode_bus: z
         assert [future.result(60) for future in futures] == [1, 1]
 
 
-def test_all_that_wait_for_a_node_notice_its_loss(bus: zenostat.Bus, node: NodeProgram, wakes: list[str]) -> None:
+def test_waiters__all_that_wait_for_a_node_notice_its_loss(
+    bus: zenostat.Bus, node: NodeProgram, wakes: list[str]
+) -> None:
     bus.pause("office")
     bus.pace("office", mode=Mode.FREE)
     kinds = ("env", "controller", "gateway", "listen", "listen", "requests")

@@ -26,7 +26,9 @@ NAMED = KILLED.replace("requests.connect", f"requests.routing_id = {IDENTITY!r}\
 MIB = 1 << 20
 
 
-def test_controller_that_starts_again_takes_its_identity_from_a_connection_that_is_still_open(shared_node, gateway):
+def test_zeromq__controller_that_starts_again_takes_its_identity_from_a_connection_that_is_still_open(
+    shared_node, gateway
+):
     with Program(NAMED, gateway.command) as program, Peer(gateway) as new:
         assert program.line().endswith(".Ack")
         program.process.send_signal(signal.SIGSTOP)
@@ -72,7 +74,7 @@ def ended(connection: socket.socket) -> bool:
 
 @pytest.mark.variants
 @pytest.mark.parametrize(("kind", "size"), [(b"DEALER", MIB), (b"DEALER", 1000), (b"SUB", 1000)])
-def test_message_without_an_end_ends_its_connection(gateway: GatewayProgram, kind: bytes, size: int) -> None:
+def test_zeromq__message_without_an_end_ends_its_connection(gateway: GatewayProgram, kind: bytes, size: int) -> None:
     to = gateway.publish if kind == b"SUB" else gateway.command
     more = b"\x03" + struct.pack(">Q", size) + bytes(size)
     frames = more * (3 * MIB // len(more) + 1)
@@ -86,7 +88,7 @@ def test_message_without_an_end_ends_its_connection(gateway: GatewayProgram, kin
         assert peer.ask("rpc/status")[0] == "Status"
 
 
-def test_message_that_is_large_or_long_in_coming_is_read(gateway: GatewayProgram) -> None:
+def test_zeromq__message_that_is_large_or_long_in_coming_is_read(gateway: GatewayProgram) -> None:
     topic = b"zenostat/v2/office/rpc/status"
     with bare(gateway.command, b"DEALER") as connection, Peer(gateway) as peer:
         connection.sendall(bytes([1, len(topic)]) + topic + b"\x02" + struct.pack(">Q", 8 * MIB) + bytes(4 * MIB))
@@ -99,7 +101,7 @@ def test_message_that_is_large_or_long_in_coming_is_read(gateway: GatewayProgram
             assert more, "the connection has ended"
 
 
-def test_request_with_too_many_frames_has_one_proper_answer(gateway: GatewayProgram) -> None:
+def test_zeromq__request_with_too_many_frames_has_one_proper_answer(gateway: GatewayProgram) -> None:
     with Peer(gateway, zmq.REQ) as peer:
         for frames in ([b"one", b"two", b"three"], [b"t"] * 12, [b"", b"one", b"two", b"three"]):
             peer.requests.send_multipart(frames)
@@ -110,7 +112,7 @@ def test_request_with_too_many_frames_has_one_proper_answer(gateway: GatewayProg
         assert peer.ask("rpc/status")[0] == "Status"
 
 
-def test_an_envelope_ends_at_the_first_empty_frame():
+def test_zeromq__envelope_ends_at_the_first_empty_frame():
     peer, rest = split([b"r", b"", b"one", b"two", b"three"], 3)
     assert (peer.envelope, list(rest)) == ((b"",), [b"one", b"two", b"three"])
     peer, rest = split([b"r", b"1", b"", b"t", b""], 3)

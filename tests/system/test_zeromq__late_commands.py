@@ -14,7 +14,7 @@ from zenostat.topics.messages import EventKind, Manifest, Policy, Sample
 
 
 @pytest.mark.slow
-def test_command_that_is_taken_after_the_deadline_is_accepted(scratch):
+def test_zeromq__command_that_is_taken_after_the_deadline_is_accepted(scratch):
     """deadline 1 ms, policy wait: each command comes after its deadline, and each is taken"""
     late = {**SMALL, "policy": Policy.WAIT, "deadline_s": 0.001}
     with (

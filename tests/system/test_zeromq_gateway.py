@@ -61,7 +61,7 @@ def plan(manifest: Manifest, step: int) -> np.ndarray:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", ["DEALER", "REQ"])
-def test_episode_gives_the_same_samples_as_over_zenoh_to_the_bit(shared_node, gateway, kind):
+def test_zeromq_gateway__episode_gives_the_same_samples_as_over_zenoh_to_the_bit(shared_node, gateway, kind):
     direct = []
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
         for sample in link:
@@ -100,7 +100,7 @@ def refused(status: messages.Status) -> tuple[int, int, int]:
     return status.rejected, status.late, status.duplicate
 
 
-def test_two_controllers_in_lockstep_each_answered_although_the_other_has_not_spoken(gateway):
+def test_zeromq_gateway__two_controllers_in_lockstep_each_answered_although_the_other_has_not_spoken(gateway):
     with Peer(gateway) as one, Peer(gateway, zmq.REQ) as two:
         one.listen("sample")
         sample = one.after(None)
@@ -120,7 +120,7 @@ def test_two_controllers_in_lockstep_each_answered_although_the_other_has_not_sp
         assert refused(status) == refused(before)
 
 
-def test_commands_sent_without_waiting_are_answered_in_order(gateway):
+def test_zeromq_gateway__commands_sent_without_waiting_are_answered_in_order(gateway):
     with Peer(gateway) as peer:
         peer.listen("sample")
         sample = peer.after(None)
@@ -135,7 +135,7 @@ def test_commands_sent_without_waiting_are_answered_in_order(gateway):
     assert f"answers episode {sample.episode} step [9]" in answers[4][1]["message"]
 
 
-def test_command_to_a_node_that_runs_freely(scratch):
+def test_zeromq_gateway__command_to_a_node_that_runs_freely(scratch):
     with (
         NodeProgram(scratch / "node", **{**SMALL, "mode": "free", "begin": "01-01", "end": "12-31"}) as node,
         GatewayProgram(node.endpoint) as gateway,
@@ -177,7 +177,7 @@ def test_refusals__carry_the_reason_of_the_node(gateway):
         assert peer.ask("rpc/scenario")[0] == "ScenarioText"
 
 
-def test_writes_are_answered(gateway):
+def test_zeromq_gateway__writes_are_answered(gateway):
     with Peer(gateway) as peer:
         peer.listen("sample")
         sample = peer.after(None)
@@ -210,7 +210,7 @@ def test_subscriber__gets_the_latest_of_its_topics_at_once(gateway):
 # Presence
 
 
-def test_killed_controller_is_noticed_by_the_node_and_may_come_back(shared_node, gateway):
+def test_zeromq_gateway__killed_controller_is_noticed_by_the_node_and_may_come_back(shared_node, gateway):
     with Peer(gateway) as peer, Peer(gateway) as back:
         peer.listen("event")
         with Program(KILLED, gateway.command) as program:
@@ -224,7 +224,7 @@ def test_killed_controller_is_noticed_by_the_node_and_may_come_back(shared_node,
         assert back.ask("command/doomed", **keeping(back.after(None)))[0] == "Ack"
 
 
-def test_frozen_controller_is_gone_after_its_lease(shared_node, episode_bus):
+def test_zeromq_gateway__frozen_controller_is_gone_after_its_lease(shared_node, episode_bus):
     with GatewayProgram(shared_node.endpoint, "--lease", "0.5") as gateway, Peer(gateway) as peer:
         peer.listen("event")
         with Program(KILLED, gateway.command) as program:
@@ -233,7 +233,9 @@ def test_frozen_controller_is_gone_after_its_lease(shared_node, episode_bus):
             assert peer.event(EventKind.DISCONNECTED).source == "doomed"
 
 
-def test_name_of_a_connected_controller_is_free_only_once_its_connection_has_ended(shared_node, gateway):
+def test_zeromq_gateway__name_of_a_connected_controller_is_free_only_once_its_connection_has_ended(
+    shared_node, gateway
+):
     with Peer(gateway) as new, zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         new.listen("sample")
         sample = new.after(None)
@@ -256,7 +258,7 @@ def test_name_of_a_connected_controller_is_free_only_once_its_connection_has_end
         assert bus.controllers() == [("office", "c")]
 
 
-def test_name_of_a_controller_that_does_not_use_the_gateway_is_taken_too(shared_node, gateway):
+def test_zeromq_gateway__name_of_a_controller_that_does_not_use_the_gateway_is_taken_too(shared_node, gateway):
     with Peer(gateway) as peer, zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         with bus.controller("office") as link:
             kind, denied = peer.ask("rpc/claim", controller=link.name, actuators=[SETPOINT])
@@ -296,7 +298,7 @@ def test_peer_with_too_many_unanswered_requests__gets_an_error_and_delays_no_oth
         assert flood.ask("rpc/status")[0] == "Status"
 
 
-def test_killed_gateway_breaks_nothing_of_the_node(shared_node, episode_bus):
+def test_zeromq_gateway__killed_gateway_breaks_nothing_of_the_node(shared_node, episode_bus):
     with GatewayProgram(shared_node.endpoint) as gateway, Peer(gateway) as peer:
         peer.listen("sample")
         assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
@@ -341,7 +343,7 @@ def test_end_of_the_node__published_and_answered(scratch, node, own_gateway, end
         assert (kind, denied["error"]) == ("ErrorReply", "NodeNotFound")
 
 
-def test_failure_of_the_engine_is_an_event_after_the_command_was_accepted(shared_node, gateway):
+def test_zeromq_gateway__failure_of_the_engine_is_an_event_after_the_command_was_accepted(shared_node, gateway):
     """stopped engine → the command is accepted, although its timestep never ends → killed engine → event, reset"""
     with Peer(gateway) as peer, Peer(gateway) as watcher:
         peer.listen("sample")
@@ -393,7 +395,7 @@ BAD = {
 
 
 @pytest.mark.parametrize("topic", BAD)
-def test_bad_topics_are_denied_by_name(open_gateway, topic):
+def test_zeromq_gateway__bad_topics_are_denied_by_name(open_gateway, topic):
     open_gateway.requests.send_multipart([topic.encode(), msgpack.packb({})])
     echoed, _, payload = open_gateway.requests.recv_multipart()
     assert echoed.decode() == topic
@@ -413,7 +415,7 @@ def test_bad_topics_are_denied_by_name(open_gateway, topic):
         ("rpc/status", b"\x00" * (codec.MAX_BYTES + 1), "at most 8388608"),
     ],
 )
-def test_bad_payloads_are_denied_with_the_reason(open_gateway, what, payload, words):
+def test_zeromq_gateway__bad_payloads_are_denied_with_the_reason(open_gateway, what, payload, words):
     kind, denied = open_gateway.ask(what, payload)
     assert (kind, denied["error"]) == ("ErrorReply", "BadMessage")
     assert words in denied["message"]
@@ -440,7 +442,7 @@ def test_any_frames__have_one_answer(open_gateway, frames):
     assert open_gateway.silent()
 
 
-def test_an_envelope_comes_back_as_it_was():
+def test_zeromq_gateway__envelope_returns_as_it_was():
     assert split([b"r", b"", b"t", b"p"], 3)[0].envelope == (b"",)
     peer, rest = split([b"r", b"1", b"2", b"", b"t", b"p"], 3)
     assert (peer.route, peer.envelope, list(rest)) == (b"r", (b"1", b"2", b""), [b"t", b"p"])
@@ -471,7 +473,7 @@ def test_invalid_options__refused_before_anything_starts(shared_node, gateway):
     assert "nobody listens on" in _fails("--connect", f"tcp/127.0.0.1:{free_port()}")
 
 
-def test_ctrl_c_ends_it_in_good_order(shared_node):
+def test_zeromq_gateway__ctrl_c_ends_it_in_good_order(shared_node):
     with GatewayProgram(shared_node.endpoint) as gateway, Peer(gateway) as peer:
         assert peer.ask("rpc/status")[0] == "Status"
         assert peer.ask("rpc/sing")[0] == "ErrorReply"
@@ -483,14 +485,14 @@ def test_ctrl_c_ends_it_in_good_order(shared_node):
 # Examples
 
 
-def test_python_example(gateway):
+def test_zeromq_gateway__python_example(gateway):
     command = [sys.executable, str(EXAMPLES / "zeromq_controller.py")]
     command += ["--publish", gateway.publish, "--command", gateway.command]
     done = subprocess.run(command, capture_output=True, text=True, timeout=90)
     assert (done.stdout, done.stderr) == ("96 timesteps to 2017-07-04T00:00:00\n", "")
 
 
-def test_python_example_ends_with_the_reason_when_the_engine_dies(shared_node, gateway):
+def test_zeromq_gateway__python_example_ends_with_the_reason_when_the_engine_dies(shared_node, gateway):
     shared_node.engine.send_signal(signal.SIGSTOP)
     command = [sys.executable, str(EXAMPLES / "zeromq_controller.py")]
     command += ["--publish", gateway.publish, "--command", gateway.command]
@@ -502,7 +504,7 @@ def test_python_example_ends_with_the_reason_when_the_engine_dies(shared_node, g
     assert err == "the engine process was killed by SIGKILL after sample 0; it printed no error\n"
 
 
-def test_c_example(gateway, scratch):
+def test_zeromq_gateway__c_example(gateway, scratch):
     compiler = shutil.which("cc") or shutil.which("gcc")
     if compiler is None:
         pytest.skip("there is no C compiler; on Debian: apt install gcc libc6-dev")

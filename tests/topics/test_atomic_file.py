@@ -9,7 +9,7 @@ import pytest
 from zenostat.topics.atomic_file import atomic_file
 
 
-def test_a_file_is_replaced_on_success(tmp_path: Path) -> None:
+def test_atomic_file__file_is_replaced_on_success(tmp_path: Path) -> None:
     path = tmp_path / "a.zip"
     path.write_text("old")
     with atomic_file(path) as temporary:
@@ -20,7 +20,7 @@ def test_a_file_is_replaced_on_success(tmp_path: Path) -> None:
     assert path.read_text() == "new"
 
 
-def test_an_error_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
+def test_atomic_file__error_leaves_the_old_file_and_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "a.zip"
     path.write_text("old")
 

@@ -40,29 +40,29 @@ ENDS = st.integers(0, 24)
 
 
 @given(DAYS)
-def test_a_day_is_read_back_as_it_is_written(day: date) -> None:
+def test_calendar__day_is_read_back_as_it_is_written(day: date) -> None:
     assert parse_day(day.isoformat(), "begin", 1) == day
     assert parse_day(format_month_day(day.month, day.day), "begin", day.year) == day
 
 
 @pytest.mark.parametrize("text", ["7-1", "07-1", "7-01", " 07-01 ", "2018-7-1"])
-def test_zeros_and_blanks_may_differ(text: str) -> None:
+def test_calendar__zeros_and_blanks_may_differ(text: str) -> None:
     assert parse_day(text, "begin", 2018) == date(2018, 7, 1)
 
 
 @pytest.mark.parametrize("text", ["", "07", "07/01", "1 July", "07-01-2018", "17-07-01", "2018-07-01T00:00", "07-001"])
-def test_another_format_is_no_day(text: str) -> None:
+def test_calendar__another_format_is_no_day(text: str) -> None:
     with pytest.raises(InvalidConfig, match=r"end .* is not a date; write it as MM-DD or YYYY-MM-DD"):
         parse_day(text, "end")
 
 
 @pytest.mark.parametrize("text", ["00-01", "13-01", "07-00", "07-32", "02-30", "2018-04-31"])
-def test_a_day_that_no_year_has_is_no_calendar_date(text: str) -> None:
+def test_calendar__day_that_no_year_has_is_no_calendar_date(text: str) -> None:
     with pytest.raises(InvalidConfig, match=r"begin .* is not a calendar date"):
         parse_day(text, "begin")
 
 
-def test_29_february_exists_in_leap_years_only() -> None:
+def test_calendar__29_february_exists_in_leap_years_only() -> None:
     assert parse_day("02-29", "begin") == date(LEAP_YEAR, 2, 29)
     with pytest.raises(InvalidConfig, match="'02-29' does not exist in 2017, the model's year"):
         parse_day("02-29", "begin", 2017)
@@ -71,7 +71,7 @@ def test_29_february_exists_in_leap_years_only() -> None:
 
 
 @given(st.integers(-1, 14), st.integers(-1, 33))
-def test_a_month_has_the_days_of_a_leap_year(month: int, day: int) -> None:
+def test_calendar__month_has_the_days_of_a_leap_year(month: int, day: int) -> None:
     lengths = dict(enumerate((31, 29, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31), start=1))
     assert is_month_day(month, day) == (1 <= day <= lengths.get(month, 0))
 
@@ -80,13 +80,13 @@ def test_a_month_has_the_days_of_a_leap_year(month: int, day: int) -> None:
 
 
 @given(MOMENTS, st.sampled_from(["T", " "]))
-def test_a_moment_is_read_back_as_it_is_written(moment: datetime, separator: str) -> None:
+def test_calendar__moment_is_read_back_as_it_is_written(moment: datetime, separator: str) -> None:
     text = moment.isoformat(separator)
     assert parse_moment(text, 1) == moment
     assert parse_moment(text[len("2017-") :], moment.year) == moment
 
 
-def test_seconds_and_the_time_of_day_may_be_left_out() -> None:
+def test_calendar__seconds_and_the_time_of_day_may_be_left_out() -> None:
     assert parse_moment("07-03T08:15", 2017) == datetime(2017, 7, 3, 8, 15)
     assert parse_moment("07-03", 2017) == datetime(2017, 7, 3)
     assert parse_moment(" 02-29 ") == datetime(LEAP_YEAR, 2, 29)
@@ -95,13 +95,13 @@ def test_seconds_and_the_time_of_day_may_be_left_out() -> None:
 @pytest.mark.parametrize(
     "text", ["", "noon", "08:00", "7-3", "07-03T8:00", "07-03T08", "2017-07-03T08:00Z", "17-07-03"]
 )
-def test_another_format_is_no_moment(text: str) -> None:
+def test_calendar__another_format_is_no_moment(text: str) -> None:
     with pytest.raises(ValueError, match="expected a date and time such as 2017-07-03T08:00"):
         parse_moment(text)
 
 
 @pytest.mark.parametrize("text", ["13-01", "02-30", "07-03T24:00", "07-03T08:60", "2017-02-29T00:00"])
-def test_a_moment_that_does_not_exist_is_rejected(text: str) -> None:
+def test_calendar__moment_that_does_not_exist_is_rejected(text: str) -> None:
     with pytest.raises(ValueError, match="is not a valid date and time"):
         parse_moment(text)
 
@@ -110,13 +110,13 @@ def test_a_moment_that_does_not_exist_is_rejected(text: str) -> None:
 
 
 @given(MOMENTS)
-def test_a_time_of_each_day_or_year_is_read_back(moment: datetime) -> None:
+def test_calendar__time_of_each_day_or_year_is_read_back(moment: datetime) -> None:
     assert parse_clock_time(f"{moment:%H:%M}", "schedule") == (moment.hour, moment.minute)
     expected = (moment.month, moment.day, moment.hour, moment.minute)
     assert parse_clock_time(f"{moment:%m-%d %H:%M}", "schedule") == expected
 
 
-def test_each_year_may_have_29_february() -> None:
+def test_calendar__each_year_may_have_29_february() -> None:
     assert parse_clock_time("02-29 00:00", "schedule") == (2, 29, 0, 0)
 
 
@@ -124,7 +124,7 @@ def test_each_year_may_have_29_february() -> None:
     "text",
     ["", "7:30", "07:5", "07:30:00", "24:00", "07:60", "02-30 07:30", "13-01 07:30", "07-01", "07-01T07:30", 7, None],
 )
-def test_another_text_is_no_clock_time(text: Any) -> None:
+def test_calendar__another_text_is_no_clock_time(text: Any) -> None:
     with pytest.raises(InvalidConfig, match=r"schedule: .* is not a time; write '07:30' or '07-01 07:30'"):
         parse_clock_time(text, "schedule")
 
@@ -132,7 +132,7 @@ def test_another_text_is_no_clock_time(text: Any) -> None:
 # Days of the week
 
 
-def test_the_position_of_a_weekday_is_that_of_the_standard_library() -> None:
+def test_calendar__position_of_a_weekday_is_that_of_the_standard_library() -> None:
     monday = date(2017, 7, 3)
     for position, (name, full_name) in enumerate(zip(WEEKDAYS, WEEKDAY_NAMES, strict=True)):
         assert (monday + timedelta(position)).weekday() == position
@@ -151,12 +151,12 @@ def test_the_position_of_a_weekday_is_that_of_the_standard_library() -> None:
         (" FRI - sat ", {4, 5}),
     ],
 )
-def test_weekdays_are_names_and_spans(text: str, days: set[int]) -> None:
+def test_calendar__weekdays_are_names_and_spans(text: str, days: set[int]) -> None:
     assert parse_weekdays(text, "days") == days
 
 
 @given(st.integers(0, 6), st.integers(0, 6))
-def test_a_span_of_weekdays_ends_at_the_next_day_of_that_name(first: int, last: int) -> None:
+def test_calendar__span_of_weekdays_ends_at_the_next_day_of_that_name(first: int, last: int) -> None:
     days = [first]
     while days[-1] != last:
         days.append((days[-1] + 1) % 7)
@@ -164,7 +164,7 @@ def test_a_span_of_weekdays_ends_at_the_next_day_of_that_name(first: int, last: 
 
 
 @pytest.mark.parametrize("text", ["", "monday", "mon-", "-mon", "mon-fri-sun", "mon;tue", "0", "mon,"])
-def test_other_texts_are_no_weekdays(text: str) -> None:
+def test_calendar__other_texts_are_no_weekdays(text: str) -> None:
     with pytest.raises(InvalidConfig, match=r"days = .*; expected weekdays, such as 'mon-fri'"):
         parse_weekdays(text, "days")
 
@@ -173,7 +173,7 @@ def test_other_texts_are_no_weekdays(text: str) -> None:
 
 
 @given(HOURS, ENDS)
-def test_a_span_of_hours_is_not_empty(start: int, end: int) -> None:
+def test_calendar__span_of_hours_is_not_empty(start: int, end: int) -> None:
     if start == end:
         with pytest.raises(ValueError, match="a different end"):
             check_hours((start, end))
@@ -183,7 +183,7 @@ def test_a_span_of_hours_is_not_empty(start: int, end: int) -> None:
 
 
 @given(HOURS, HOURS)
-def test_a_span_and_its_complement_are_a_day(start: int, end: int) -> None:
+def test_calendar__span_and_its_complement_are_a_day(start: int, end: int) -> None:
     if start != end:
         assert all(in_hours((start, end), hour) != in_hours((end, start), hour) for hour in range(24))
 
@@ -191,7 +191,7 @@ def test_a_span_and_its_complement_are_a_day(start: int, end: int) -> None:
 @pytest.mark.parametrize(
     "hours", [(-1, 6), (24, 6), (8, 25), (8, -1), (8.5, 8.5), (float("nan"), 6.0), (6.0, float("nan"))]
 )
-def test_hours_that_no_day_has_are_rejected(hours: tuple[float, float]) -> None:
+def test_calendar__hours_that_no_day_has_are_rejected(hours: tuple[float, float]) -> None:
     with pytest.raises(ValueError, match="expected a start from 0 to below 24 h"):
         check_hours(hours)
 
@@ -200,7 +200,7 @@ def test_hours_that_no_day_has_are_rejected(hours: tuple[float, float]) -> None:
     ("hours", "inside", "outside"),
     [((8.5, 17), (8.5, 12.0, 16.99), (8.49, 17.0, 0.0)), ((22, 6), (22.0, 23.5, 0.0, 5.99), (6.0, 12.0, 21.99))],
 )
-def test_a_start_is_inclusive_and_an_end_exclusive(
+def test_calendar__start_is_inclusive_and_an_end_exclusive(
     hours: tuple[float, float], inside: tuple[float, ...], outside: tuple[float, ...]
 ) -> None:
     assert in_hours(hours, np.array(inside)).tolist() == [True] * len(inside)
@@ -209,14 +209,14 @@ def test_a_start_is_inclusive_and_an_end_exclusive(
 
 
 @pytest.mark.parametrize("hours", [[8, 8], [24, 2], [8, 25]])
-def test_faults_and_tables_reject_the_same_hours(hours: list[int]) -> None:
+def test_calendar__faults_and_tables_reject_the_same_hours(hours: list[int]) -> None:
     for model in (When, Period):
         with pytest.raises(ValueError, match="expected a start from 0 to below 24 h"):
             model.model_validate({"value": 1.0, "hours": hours} if model is Period else {"hours": hours})
 
 
 @given(MOMENTS)
-def test_the_hour_of_a_leap_year_is_the_same_in_each_year(moment: datetime) -> None:
+def test_calendar__hour_of_a_leap_year_is_the_same_in_each_year(moment: datetime) -> None:
     in_leap_year = moment.replace(year=LEAP_YEAR)
     assert hour_of_leap_year(moment) == (in_leap_year - datetime(LEAP_YEAR, 1, 1)) // timedelta(hours=1)
 

@@ -124,12 +124,12 @@ def refused(message: type[Message], payload: bytes, encoding: str = "") -> str:
 
 
 @given(whatever)
-def test_what_is_sent_arrives(message: Message) -> None:
+def test_codec__what_is_sent_arrives(message: Message) -> None:
     kind = type(message)
     assert codec.decode(kind, codec.encode(message), codec.encoding(kind)) == message
 
 
-def test_a_manifest_arrives_with_its_points() -> None:
+def test_codec__manifest_arrives_with_its_points() -> None:
     sent = manifest(sensors=[sensor("t")], meters=[meter("e")], actuators=[actuator("heat", 15.0, 22.5)], slots=2)
     arrived = codec.decode(Manifest, codec.encode(sent), codec.encoding(Manifest))
     assert arrived == sent
@@ -137,7 +137,7 @@ def test_a_manifest_arrives_with_its_points() -> None:
 
 
 @given(st.lists(st.floats(), max_size=6))
-def test_arrays_arrive_to_the_last_bit(values: list[float]) -> None:
+def test_codec__arrays_arrive_to_the_last_bit(values: list[float]) -> None:
     raw = struct.pack(f"<{len(values)}d", *values)
     sent = Command(episode=[0], step=[0], values=raw)
     array = codec.floats(codec.decode(Command, codec.encode(sent)).values, (1, len(values)), "values")
@@ -146,18 +146,18 @@ def test_arrays_arrive_to_the_last_bit(values: list[float]) -> None:
 
 
 @given(whatever)
-def test_the_hot_path_packs_what_encode_packs(message: Message) -> None:
+def test_codec__hot_path_packs_what_encode_packs(message: Message) -> None:
     assume(not isinstance(message, Ack | Status))  # the hot path has no messages within messages
     assert codec.pack(**message.__dict__) == codec.encode(message)
 
 
 @given(lists, lists, st.binary(max_size=300))
-def test_a_command_is_its_head_and_its_values(episode: list[int], step: list[int], values: bytes) -> None:
+def test_codec__command_is_its_head_and_its_values(episode: list[int], step: list[int], values: bytes) -> None:
     whole = codec.encode(Command(episode=episode, step=step, values=values))
     assert codec.CommandHead(episode, len(values)).at(step) + values == whole
 
 
-def test_the_values_stand_in_the_payload_as_little_endian_float64() -> None:
+def test_codec__values_stand_in_the_payload_as_little_endian_float64() -> None:
     assert codec.encode(Command(episode=[0], step=[0], values=struct.pack("<d", 26.0))).endswith(
         b"\x00\x00\x00\x00\x00\x00\x3a\x40"  # 26 = 1.625 * 2**4: sign 0, exponent 1027 = 0x403, fraction 0xA…
     )
@@ -167,19 +167,19 @@ def test_the_values_stand_in_the_payload_as_little_endian_float64() -> None:
 
 
 @given(st.sampled_from(TRAVELLING), st.binary(max_size=200))
-def test_garbage_is_a_bad_message_and_nothing_else(kind: type[Message], payload: bytes) -> None:
+def test_codec__garbage_is_a_bad_message_and_nothing_else(kind: type[Message], payload: bytes) -> None:
     with contextlib.suppress(BadMessage):
         assert isinstance(codec.decode(kind, payload), kind)
 
 
 @given(st.sampled_from(TRAVELLING), anything)
-def test_any_other_value_is_a_bad_message_and_nothing_else(kind: type[Message], value: Any) -> None:
+def test_codec__any_other_value_is_a_bad_message_and_nothing_else(kind: type[Message], value: Any) -> None:
     with contextlib.suppress(BadMessage):
         assert isinstance(codec.decode(kind, msgpack.packb(value)), kind)
 
 
 @given(whatever, anything, st.data())
-def test_a_field_with_any_other_value_is_a_bad_message_and_nothing_else(
+def test_codec__field_with_any_other_value_is_a_bad_message_and_nothing_else(
     message: Message, value: Any, data: st.DataObject
 ) -> None:
     fields = dict(message.__dict__)
@@ -190,19 +190,19 @@ def test_a_field_with_any_other_value_is_a_bad_message_and_nothing_else(
 
 
 @given(whatever, st.data())
-def test_a_truncated_message_is_refused(message: Message, data: st.DataObject) -> None:
+def test_codec__truncated_message_is_refused(message: Message, data: st.DataObject) -> None:
     payload = codec.encode(message)
     refused(type(message), payload[: data.draw(st.integers(0, len(payload) - 1))])
 
 
 @given(whatever, st.binary(min_size=1, max_size=4))
-def test_a_message_with_a_tail_is_refused(message: Message, tail: bytes) -> None:
+def test_codec__message_with_a_tail_is_refused(message: Message, tail: bytes) -> None:
     refused(type(message), codec.encode(message) + tail)
 
 
 @pytest.mark.parametrize("depth", [100, 500, 600, 5000, 500_000])
 @pytest.mark.parametrize("opening", [b"\x91", b"\x81\xa1a"], ids=["lists", "maps"])
-def test_a_nested_bomb_is_refused(opening: bytes, depth: int) -> None:
+def test_codec__nested_bomb_is_refused(opening: bytes, depth: int) -> None:
     bomb = opening * depth + b"\xc0"
     refused(Write, bomb)
     refused(Write, b"\x81\xa5value" + bomb)
@@ -210,12 +210,12 @@ def test_a_nested_bomb_is_refused(opening: bytes, depth: int) -> None:
 
 
 @pytest.mark.parametrize("head", [b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff"])
-def test_a_length_that_lies_is_refused(head: bytes) -> None:
+def test_codec__length_that_lies_is_refused(head: bytes) -> None:
     refused(Write, head)
     refused(Write, b"\x81\xa5value" + head)
 
 
-def test_an_oversized_payload_is_refused_unread() -> None:
+def test_codec__oversized_payload_is_refused_unread() -> None:
     blank = bytes(codec.MAX_BYTES)
     message = refused(Command, codec.encode(Command(episode=[0], step=[0], values=blank)))
     assert str(codec.MAX_BYTES) in message
@@ -224,7 +224,7 @@ def test_an_oversized_payload_is_refused_unread() -> None:
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("where", NUMBERS)
-def test_a_number_that_is_not_finite_is_refused_by_its_path(where: str, bad: float) -> None:
+def test_codec__number_that_is_not_finite_is_refused_by_its_path(where: str, bad: float) -> None:
     kind, fields, name = NUMBERS[where]
     codec.decode(kind, msgpack.packb(fields))
     message = refused(kind, msgpack.packb(fields | {name: bad}))
@@ -233,52 +233,52 @@ def test_a_number_that_is_not_finite_is_refused_by_its_path(where: str, bad: flo
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf])
-def test_a_number_that_is_not_finite_is_refused_in_free_options_too(bad: float) -> None:
+def test_codec__number_that_is_not_finite_is_refused_in_free_options_too(bad: float) -> None:
     refused(Reset, msgpack.packb({"seed": bad}))
     refused(EpisodeStart, msgpack.packb({"engine_start": "reused", "weather": "", "noise_parameters": {"sigma": bad}}))
 
 
-def test_a_wrong_type_deep_within_is_refused_by_its_path() -> None:
+def test_codec__wrong_type_deep_within_is_refused_by_its_path() -> None:
     fields = msgpack.unpackb(codec.encode(manifest(actuators=[actuator("heat"), actuator("cool")])))
     fields["actuators"][1]["low"] = [1.0]
     assert "actuators.1.low" in refused(Manifest, msgpack.packb(fields))
 
 
-def test_all_faults_are_named_at_once() -> None:
+def test_codec__all_faults_are_named_at_once() -> None:
     message = refused(Write, msgpack.packb({"value": "warm", "priority": 17, "duration_s": 0, "colour": "red"}))
     assert all(f"{name}: " in message for name in ("value", "priority", "duration_s", "colour"))
     assert "'warm'" in message
     assert "17" in message
 
 
-def test_a_rule_on_several_fields_is_named_without_a_path_or_their_values() -> None:
+def test_codec__rule_on_several_fields_is_named_without_a_path_or_their_values() -> None:
     with pytest.raises(ValidationError) as caught:
         NodeSettings(listen=[], connect=[])
     assert codec.describe_validation_errors(caught.value) == "name an endpoint to listen on, or one to connect to"
 
 
-def test_a_fault_quotes_no_more_than_a_line() -> None:
+def test_codec__fault_quotes_no_more_than_a_line() -> None:
     assert len(refused(Write, msgpack.packb({"value": "x" * 100_000}))) < 300
 
 
 @pytest.mark.parametrize("value", [None, 3, "text", [], [1.0]], ids=["nothing", "number", "text", "empty list", "list"])
-def test_a_message_is_a_map_of_its_fields(value: object) -> None:
+def test_codec__message_is_a_map_of_its_fields(value: object) -> None:
     assert "map of its fields" in refused(Write, msgpack.packb(value))
 
 
 @pytest.mark.parametrize("key", [1, b"value", None], ids=["number", "bytes", "nothing"])
-def test_field_names_are_text(key: object) -> None:
+def test_codec__field_names_are_text(key: object) -> None:
     refused(Write, msgpack.packb({key: 1.0}))
 
 
-def test_another_version_is_refused_by_name() -> None:
+def test_codec__another_version_is_refused_by_name() -> None:
     payload = codec.encode(Write(value=1.0))
     message = refused(Write, payload, "application/msgpack;zenostat/1.Write")
     assert "zenostat/2.Write" in message
     assert "zenostat/1.Write" in message
 
 
-def test_another_class_is_refused_by_name() -> None:
+def test_codec__another_class_is_refused_by_name() -> None:
     message = refused(Write, codec.encode(Write(value=1.0)), codec.encoding(Command))
     assert "zenostat/2.Write" in message
     assert "zenostat/2.Command" in message
@@ -287,7 +287,7 @@ def test_another_class_is_refused_by_name() -> None:
 @pytest.mark.parametrize(
     "encoding", ["text/plain", "application/json", "zenoh/string", "application/msgpack;other/1.Write"]
 )
-def test_an_encoding_that_is_no_msgpack_is_refused_by_name(encoding: str) -> None:
+def test_codec__encoding_that_is_no_msgpack_is_refused_by_name(encoding: str) -> None:
     assert f"got {encoding!r}" in refused(Write, codec.encode(Write(value=1.0)), encoding)
 
 
@@ -303,12 +303,12 @@ def test_an_encoding_that_is_no_msgpack_is_refused_by_name(encoding: str) -> Non
         (b"\x91\xa5panel", ""),
     ],
 )
-def test_a_text_is_read_of_what_else_is_wrong(payload: bytes, source: str) -> None:
+def test_codec__text_is_read_of_what_else_is_wrong(payload: bytes, source: str) -> None:
     assert codec.text_field(payload, "source", 128) == source
 
 
 @pytest.mark.parametrize("encoding", ["", "zenoh/bytes", "application/msgpack"])
-def test_a_stranger_that_names_no_version_is_checked_like_any_other(encoding: str) -> None:
+def test_codec__stranger_that_names_no_version_is_checked_like_any_other(encoding: str) -> None:
     assert codec.decode(Write, msgpack.packb({"value": 21}), encoding) == Write(value=21.0)
     refused(Write, msgpack.packb({"value": 21, "priority": 0}), encoding)
 
@@ -317,7 +317,7 @@ def test_a_stranger_that_names_no_version_is_checked_like_any_other(encoding: st
 
 
 @given(st.integers(0, 64), st.integers(0, 4), st.integers(0, 4))
-def test_an_array_has_the_size_of_its_shape_or_is_refused(size: int, slots: int, points: int) -> None:
+def test_codec__array_has_the_size_of_its_shape_or_is_refused(size: int, slots: int, points: int) -> None:
     raw = bytes(size)
     if size == 8 * slots * points:
         assert codec.floats(raw, (slots, points), "values").shape == (slots, points)
@@ -331,13 +331,13 @@ def test_an_array_has_the_size_of_its_shape_or_is_refused(size: int, slots: int,
             codec.uint8s(raw, (slots, points), "operations")
 
 
-def test_arrays_stand_in_c_order_slots_first() -> None:
+def test_codec__arrays_stand_in_c_order_slots_first() -> None:
     raw = struct.pack("<6d", 0, 1, 2, 10, 11, 12)
     assert codec.floats(raw, (2, 3), "values").tolist() == [[0, 1, 2], [10, 11, 12]]
     assert codec.uint8s(bytes([1, 2, 3, 4]), (2, 2), "operations").tolist() == [[1, 2], [3, 4]]
 
 
-def test_a_message_cannot_be_changed_through_its_arrays() -> None:
+def test_codec__message_cannot_be_changed_through_its_arrays() -> None:
     array = codec.floats(bytes(8), (1, 1), "values")
     assert not array.flags.writeable
     with pytest.raises(ValueError, match="read-only"):

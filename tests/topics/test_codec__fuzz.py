@@ -77,17 +77,17 @@ def refused(kind: type[Message], payload: bytes) -> str:
 
 
 @given(st.sampled_from(KINDS), st.binary(max_size=300))
-def test_arbitrary_bytes(kind: type[Message], payload: bytes) -> None:
+def test_codec__arbitrary_bytes(kind: type[Message], payload: bytes) -> None:
     check(kind, payload)
 
 
 @pytest.mark.parametrize("kind", SEEDS)
-def test_what_is_mutated_was_a_message(kind: type[Message]) -> None:
+def test_codec__what_is_mutated_was_a_message(kind: type[Message]) -> None:
     assert check(kind, msgpack.packb(SEEDS[kind]))
 
 
 @given(st.sampled_from([*SEEDS]), st.data())
-def test_mutated_bytes(kind: type[Message], data: st.DataObject) -> None:
+def test_codec__mutated_bytes(kind: type[Message], data: st.DataObject) -> None:
     payload = bytearray(msgpack.packb(SEEDS[kind]))
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(payload)))
@@ -97,14 +97,14 @@ def test_mutated_bytes(kind: type[Message], data: st.DataObject) -> None:
 
 
 @given(st.sampled_from([*SEEDS]), odd, st.data())
-def test_odd_values_in_odd_places(kind: type[Message], value: Any, data: st.DataObject) -> None:
+def test_codec__odd_values_in_odd_places(kind: type[Message], value: Any, data: st.DataObject) -> None:
     fields = dict(SEEDS[kind])
     fields[data.draw(st.sampled_from([*fields, "", "colour", "a/b", "x" * 5000]))] = value
     check(kind, msgpack.packb(fields))
 
 
 @given(st.sampled_from(KINDS), st.dictionaries(odd.filter(lambda v: isinstance(v, (int, float, bytes, str))), odd))
-def test_odd_maps(kind: type[Message], fields: dict[Any, Any]) -> None:
+def test_codec__odd_maps(kind: type[Message], fields: dict[Any, Any]) -> None:
     check(kind, msgpack.packb(fields))
 
 
@@ -124,7 +124,7 @@ def test_odd_maps(kind: type[Message], fields: dict[Any, Any]) -> None:
     ids=["lists", "maps", "4 GB list", "4 GB map", "4 GB bytes", "4 GB text", "4 GB extension", "lists of millions"],
 )
 @pytest.mark.parametrize("within", [False, True])
-def test_a_bomb_costs_no_memory(kind: type[Message], bomb: bytes, within: bool) -> None:
+def test_codec__bomb_costs_no_memory(kind: type[Message], bomb: bytes, within: bool) -> None:
     payload = b"\x81" + msgpack.packb(next(iter(SEEDS[kind]))) + bomb if within else bomb
     tracemalloc.start()
     try:
@@ -136,7 +136,7 @@ def test_a_bomb_costs_no_memory(kind: type[Message], bomb: bytes, within: bool) 
 
 @pytest.mark.parametrize("kind", REQUESTS)
 @pytest.mark.parametrize("entry", [b"\xc0", b"\x80", b"\xa1x", b"\x91\x90"])
-def test_a_list_of_a_million_is_refused_before_it_is_looked_at(kind: type[Message], entry: bytes) -> None:
+def test_codec__list_of_a_million_is_refused_before_it_is_looked_at(kind: type[Message], entry: bytes) -> None:
     payload = b"\x81\xa7episode\xdd" + PLENTY.to_bytes(4, "big") + entry * PLENTY
     tracemalloc.start()
     try:
@@ -147,13 +147,13 @@ def test_a_list_of_a_million_is_refused_before_it_is_looked_at(kind: type[Messag
 
 
 @given(st.integers(1, 60), st.integers(1, 200))
-def test_entries_are_counted_in_all_lists_together(outer: int, inner: int) -> None:
+def test_codec__entries_are_counted_in_all_lists_together(outer: int, inner: int) -> None:
     error_text = refused(Command, msgpack.packb({"episode": [[0] * inner] * outer, "step": [], "values": bytes(9000)}))
     # The map, the outer list, the inner ones.
     assert ("entries" in error_text) == (3 + outer + outer * inner > codec.MAX_ENTRIES)
 
 
-def test_as_many_entries_as_are_allowed_are_a_message() -> None:
+def test_codec__as_many_entries_as_are_allowed_are_a_message() -> None:
     most = codec.MAX_ITEMS[Claim]
     claim = Claim(controller="c", actuators=[f"a{i}" for i in range(most - 4)])
     assert codec.decode(Claim, codec.encode(claim)) == claim
@@ -161,14 +161,14 @@ def test_as_many_entries_as_are_allowed_are_a_message() -> None:
     assert f"more than {most} entries" in refused(Claim, codec.encode(longer))
 
 
-def test_of_thousands_of_faults_the_first_are_named() -> None:
+def test_codec__of_thousands_of_faults_the_first_are_named() -> None:
     error_text = refused(Command, msgpack.packb({"episode": [-1] * 3000, "step": [0], "values": b""}))
     assert "episode.0: " in error_text
     assert "and 2990 more" in error_text
     assert len(error_text) < 2000
 
 
-def test_a_field_name_is_quoted_in_part() -> None:
+def test_codec__field_name_is_quoted_in_part() -> None:
     assert len(refused(Write, msgpack.packb({"value": 1.0, "x" * 100_000: 1}))) < 400
 
 
@@ -192,30 +192,30 @@ def test_a_field_name_is_quoted_in_part() -> None:
         "list for a name", "map for a name", "reserved",
     ],
 )  # fmt: skip
-def test_what_msgpack_has_and_messages_have_not(payload: bytes) -> None:
+def test_codec__what_msgpack_has_and_messages_have_not(payload: bytes) -> None:
     refused(Write, payload)
 
 
-def test_a_whole_number_beyond_64_bits_of_float_is_a_finite_number() -> None:
+def test_codec__whole_number_beyond_64_bits_of_float_is_a_finite_number() -> None:
     assert codec.decode(Write, b"\x81\xa5value\xcf" + b"\xff" * 8) == Write(value=float(2**64))
 
 
-def test_minus_zero_stays_minus_zero() -> None:
+def test_codec__minus_zero_stays_minus_zero() -> None:
     value = codec.decode(Write, msgpack.packb({"value": -0.0})).value
     assert struct.pack("<d", value) == struct.pack("<d", -0.0)
 
 
-def test_of_a_field_that_comes_twice_the_last_one_counts() -> None:
+def test_codec__of_a_field_that_is_repeated_the_last_one_counts() -> None:
     twice = b"\x82\xa5value" + msgpack.packb(1.0) + b"\xa5value" + msgpack.packb(2.0)
     assert codec.decode(Write, twice) == Write(value=2.0)
 
 
-def test_all_messages_are_fuzzed() -> None:
+def test_codec__all_messages_are_fuzzed() -> None:
     assert {Manifest, Sample, fault_plan.FaultPlan, fault_plan.Bias} <= set(KINDS)
     assert len(KINDS) > 50
 
 
-def test_the_limits_in_the_documentation_are_those_of_the_code() -> None:
+def test_codec__limits_in_the_documentation_are_those_of_the_code() -> None:
     from zenostat.bridge.exchange import step_exchange
     from zenostat.bridge.node import publications, subscriptions
     from zenostat.bridge.transport import session

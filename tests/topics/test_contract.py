@@ -64,17 +64,17 @@ def resolved(reference: str) -> Any:
 # The document
 
 
-def test_it_has_the_form_of_asyncapi_3() -> None:
+def test_contract__it_has_the_form_of_asyncapi_3() -> None:
     asyncapi_validators.schema_validator().validate(CONTRACT)
 
 
 @pytest.mark.process
-def test_the_parser_of_the_standard_has_nothing_against_it() -> None:
+def test_contract__parser_of_the_standard_has_nothing_against_it() -> None:
     problems = asyncapi_validators.parser_problems(DOCUMENT)
     assert problems == []
 
 
-def test_the_schema_of_the_specification_refuses_a_discriminator_of_openapi() -> None:
+def test_contract__schema_of_the_specification_refuses_a_discriminator_of_openapi() -> None:
     wrong = copy.deepcopy(CONTRACT)
     plan = wrong["components"]["schemas"]["FaultPlan"]["properties"]["faults"]["items"]
     plan["discriminator"] = {"propertyName": "kind"}
@@ -93,7 +93,7 @@ def test_a_discriminator__is_a_required_property_and_each_alternative_has_its_va
         assert sorted(schema["properties"][name]["enum"]) == sorted(values)
 
 
-def test_the_servers_are_the_endpoints_where_nodes_listen() -> None:
+def test_contract__servers_are_the_endpoints_where_nodes_listen() -> None:
     locators = {}
     for name, server in CONTRACT["servers"].items():
         defaults = {variable: row["default"] for variable, row in server["variables"].items()}
@@ -105,7 +105,7 @@ def test_the_servers_are_the_endpoints_where_nodes_listen() -> None:
     assert resolved(needed["$ref"])["type"] == "X509"
 
 
-def test_all_references_lead_somewhere() -> None:
+def test_contract__all_references_lead_somewhere() -> None:
     references = [node["$ref"] for node in walk(CONTRACT) if isinstance(node.get("$ref"), str)]
     assert len(references) > len(TOPICS)
     for reference in references:
@@ -113,7 +113,7 @@ def test_all_references_lead_somewhere() -> None:
 
 
 @rows
-def test_a_row_has_a_channel_at_its_key(topic: Topic) -> None:
+def test_contract__row_has_a_channel_at_its_key(topic: Topic) -> None:
     channel = CONTRACT["channels"][channel_name(topic)]
     address = channel["address"]
     assert address.format(node="office", name="one") == topic.at("office", name="one")
@@ -123,7 +123,7 @@ def test_a_row_has_a_channel_at_its_key(topic: Topic) -> None:
     )
 
 
-def test_no_two_rows_share_a_channel() -> None:
+def test_contract__no_two_rows_share_a_channel() -> None:
     assert len(CONTRACT["channels"]) == len(TOPICS)
     assert len({channel["address"] for channel in CONTRACT["channels"].values()}) == len(TOPICS)
 
@@ -133,7 +133,7 @@ def _named(references: list[dict[str, str]]) -> list[str]:
 
 
 @rows
-def test_a_row_has_an_operation_with_its_messages_and_replies(topic: Topic) -> None:
+def test_contract__row_has_an_operation_with_its_messages_and_replies(topic: Topic) -> None:
     operation = CONTRACT["operations"][channel_name(topic)]
     assert operation["action"] == ("send" if topic.sender is Role.NODE else "receive")
     assert _named(operation["messages"]) == [topic.message.__name__ if topic.message else "Presence"]
@@ -144,7 +144,7 @@ def test_a_row_has_an_operation_with_its_messages_and_replies(topic: Topic) -> N
         assert _named(asked["reply"]["messages"]) == [topic.reply.__name__, ErrorReply.__name__]
 
 
-def test_operations_speak_of_messages_of_their_own_channel() -> None:
+def test_contract__operations_speak_of_messages_of_their_own_channel() -> None:
     # The specification: an operation's messages, and its reply's, are references into the channel.
     for operation in CONTRACT["operations"].values():
         for side in (operation, operation.get("reply")):
@@ -153,27 +153,27 @@ def test_operations_speak_of_messages_of_their_own_channel() -> None:
 
 
 @every_class
-def test_a_message_has_its_encoding_and_a_schema(kind: type[Message]) -> None:
+def test_contract__message_has_its_encoding_and_a_schema(kind: type[Message]) -> None:
     message = CONTRACT["components"]["messages"][kind.__name__]
     assert message["contentType"] == codec.encoding(kind)
     assert resolved(message["payload"]["$ref"])["properties"].keys() == kind.model_fields.keys()
 
 
 @pytest.mark.parametrize("kind", EVERY, ids=lambda c: c.__name__)
-def test_every_class_has_a_schema_that_is_closed(kind: type[Message]) -> None:
+def test_contract__every_class_has_a_schema_that_is_closed(kind: type[Message]) -> None:
     schema = CONTRACT["components"]["schemas"][kind.__name__]
     jsonschema.Draft7Validator.check_schema(schema)
     assert schema["additionalProperties"] is False
 
 
-def test_schemas_need_nothing_that_is_newer_than_draft_7() -> None:
+def test_contract__schemas_need_nothing_that_is_newer_than_draft_7() -> None:
     # Schemas of AsyncAPI 3.0 that name no other format are a superset of JSON Schema draft 7.
     newer = {"$defs", "prefixItems", "unevaluatedProperties", "dependentRequired", "dependentSchemas", "minContains"}
     for schema in walk(CONTRACT["components"]["schemas"]):
         assert not newer & {key for key, value in schema.items() if not isinstance(value, dict) or "type" not in value}
 
 
-def test_every_error_is_named() -> None:
+def test_contract__every_error_is_named() -> None:
     named = CONTRACT["components"]["messages"]["ErrorReply"]["x-errors"]
     assert {"ZenostatError", "RequestRejected", "UnknownName", "NodeLost"} <= named.keys()
     assert all(issubclass(getattr(sys.modules["zenostat.topics.errors"], name), ZenostatError) for name in named)
@@ -236,14 +236,14 @@ def fields_of(message: Message) -> dict[str, Any]:
 
 @pytest.mark.parametrize("full", [True, False], ids=["full", "bare"])
 @every_class
-def test_a_real_message_fits_its_schema(kind: type[Message], full: bool) -> None:
+def test_contract__real_message_fits_its_schema(kind: type[Message], full: bool) -> None:
     message = build_message(kind, full=full)
     assert codec.decode(kind, codec.encode(message)) == message
     validator(kind).validate(fields_of(message))
 
 
 @every_class
-def test_what_a_node_would_refuse_does_not_fit(kind: type[Message]) -> None:
+def test_contract__what_a_node_would_refuse_does_not_fit(kind: type[Message]) -> None:
     fields = fields_of(build_message(kind, full=True))
     assert not validator(kind).is_valid({**fields, "colour": "red"})
     required = [name for name, field in kind.model_fields.items() if field.is_required()]
@@ -256,7 +256,7 @@ def test_what_a_node_would_refuse_does_not_fit(kind: type[Message]) -> None:
             assert not validator(kind).is_valid({**fields, name: "a text"})
 
 
-def test_raw_arrays_tell_their_elements() -> None:
+def test_contract__raw_arrays_tell_their_elements() -> None:
     schemas = CONTRACT["components"]["schemas"]
     assert schemas["Sample"]["properties"]["values"]["x-items"] == "float64"
     assert schemas["Sample"]["properties"]["source_index"]["x-items"] == "uint16"
@@ -269,7 +269,7 @@ def test_raw_arrays_tell_their_elements() -> None:
 # The file and the page
 
 
-def test_the_file_is_what_the_command_gives(tmp_path: Path) -> None:
+def test_contract__file_is_what_the_command_gives(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-P", "-m", "zenostat.cli.main", "asyncapi", "--output", str(tmp_path / "asyncapi.yaml")],
         capture_output=True,
@@ -282,7 +282,7 @@ def test_the_file_is_what_the_command_gives(tmp_path: Path) -> None:
     assert DOCUMENT.read_text(encoding="utf-8") == text, "python tests/support/contract_page.py writes it again"
 
 
-def test_the_command_prints_it_and_names_a_folder_that_is_not_there() -> None:
+def test_contract__command_prints_it_and_names_a_folder_that_is_not_there() -> None:
     command = [sys.executable, "-P", "-m", "zenostat.cli.main", "asyncapi"]
     printed = subprocess.run(command, capture_output=True, text=True)
     assert yaml.safe_load(printed.stdout) == CONTRACT
@@ -291,13 +291,13 @@ def test_the_command_prints_it_and_names_a_folder_that_is_not_there() -> None:
     assert "there is no folder" in missing.stderr
 
 
-def test_the_page_is_what_the_code_gives() -> None:
+def test_contract__page_is_what_the_code_gives() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert set(re.findall(r"<!-- made: (\w+) -->", text)) == contract_page.parts().keys()
     assert contract_page.page(text) == text, "python tests/support/contract_page.py writes it again"
 
 
-def test_the_page_names_every_array() -> None:
+def test_contract__page_names_every_array() -> None:
     documented = set(
         re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:float|u?int)\d+ \|$", PAGE.read_text(encoding="utf-8"), re.M)
     )
@@ -318,7 +318,7 @@ def _bytes_on_the_page(part: str) -> bytes:
     return bytes.fromhex("".join(line[:60] for line in text[1].splitlines()).replace(" ", ""))
 
 
-def test_the_bytes_on_the_page_are_these_messages() -> None:
+def test_contract__bytes_on_the_page_are_these_messages() -> None:
     """By hand: a stranger's msgpack, and floats as IEEE 754 has them."""
     command = msgpack.unpackb(_bytes_on_the_page("command"))
     assert command == {"episode": [0], "step": [3], "operations": None, "values": command["values"]}
@@ -332,12 +332,12 @@ def test_the_bytes_on_the_page_are_these_messages() -> None:
         assert codec.decode(type(message), _bytes_on_the_page(part)) == message
 
 
-def test_the_command_on_the_page_is_one_that_a_node_knows_by_its_first_bytes() -> None:
+def test_contract__command_on_the_page_is_one_that_a_node_knows_by_its_first_bytes() -> None:
     head = codec.CommandHead([0], 16).at([3])
     assert _bytes_on_the_page("command") == head + COMMAND.values
 
 
-def test_keys_on_the_page_are_the_table() -> None:
+def test_contract__keys_on_the_page_are_the_table() -> None:
     documented = re.findall(r"^\| `zenostat/v2/\{node\}/(\S+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
     assert documented == [topic.key for topic in TOPICS]
     assert keys.PREFIX == "zenostat/v2"

@@ -37,7 +37,7 @@ def tree(cls: type[ZenostatError] = ZenostatError, depth: int = 0) -> Iterator[t
 ALL = [cls for _, cls in tree()]
 
 
-def test_the_tree_is_as_drawn() -> None:
+def test_errors__tree_is_as_drawn() -> None:
     assert errors.__doc__ is not None
     drawn = [
         (match.start(1) // 4 - 1, match[1])
@@ -48,13 +48,13 @@ def test_the_tree_is_as_drawn() -> None:
 
 
 @pytest.mark.parametrize("cls", ALL, ids=lambda c: c.__name__)
-def test_an_error_crosses_a_process_border_as_itself(cls: type[ZenostatError]) -> None:
+def test_errors__error_crosses_a_process_border_as_itself(cls: type[ZenostatError]) -> None:
     arrived = from_wire(to_wire(cls("what, where and what would have been right")))
     assert type(arrived) is cls
     assert str(arrived) == "what, where and what would have been right"
 
 
-def test_a_strangers_exception_keeps_its_types_name() -> None:
+def test_errors__strangers_exception_keeps_its_types_name() -> None:
     arrived = from_wire(to_wire(KeyError("x")))
     assert type(arrived) is ZenostatError
     assert str(arrived) == "KeyError: 'x'"
@@ -64,7 +64,7 @@ def test_a_strangers_exception_keeps_its_types_name() -> None:
     ("fields", "text"),
     [({}, "no reason given"), ({"error": "Later", "message": "of a later version"}, "of a later version")],
 )
-def test_what_is_not_known_arrives_as_the_root(fields: dict[str, str], text: str) -> None:
+def test_errors__what_is_not_known_arrives_as_the_root(fields: dict[str, str], text: str) -> None:
     arrived = from_wire(fields)
     assert type(arrived) is ZenostatError
     assert str(arrived) == text
@@ -74,7 +74,7 @@ def test_from_wire__creates_no_class_of_the_interpreter() -> None:
     assert type(from_wire({"error": "SystemExit", "message": "1"})) is ZenostatError
 
 
-def test_one_except_catches_all() -> None:
+def test_errors__one_except_catches_all() -> None:
     with pytest.raises(ZenostatError):
         raise RequestRejected("no")
 
@@ -84,13 +84,13 @@ def test_one_except_catches_all() -> None:
 SETPOINTS = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "attic_cooling_setpoint", "lights"]
 
 
-def test_names_that_contain_the_text_come_first() -> None:
+def test_errors__names_that_contain_the_text_come_first() -> None:
     suggestion = did_you_mean("cooling", [*SETPOINTS, "coolings", "coling"])
     assert suggestion.startswith("did you mean 'core_zn_cooling_setpoint', 'attic_cooling_setpoint', 'coolings'")
     assert suggestion.endswith(" or 'coling'?")
 
 
-def test_names_that_are_spelled_alike_are_near() -> None:
+def test_errors__names_that_are_spelled_alike_are_near() -> None:
     assert did_you_mean("ligths", SETPOINTS) == "did you mean 'lights'?"
     assert did_you_mean("LIGHTS", SETPOINTS) == "did you mean 'lights'?"
 
@@ -109,31 +109,31 @@ TYPES = ["Fan:ZoneExhaust", "ZoneEarthtube", "ZoneList", "Zone", "HVACTemplate:T
         ("vresion", "'Version'"),
     ],
 )
-def test_a_typo_and_another_case_are_nearer_than_a_part_of_a_word(name: str, nearest: str) -> None:
+def test_errors__typo_and_another_case_are_nearer_than_a_part_of_a_word(name: str, nearest: str) -> None:
     assert did_you_mean(name, TYPES).startswith(f"did you mean {nearest}")
 
 
 @pytest.mark.parametrize(
     "name", ["Zone Air Temperature 4711x", "zone air temperature 4711", "oZne Air Temperature 4711"]
 )
-def test_of_very_many_names_a_typo_at_any_place_finds_the_right_one(name: str) -> None:
+def test_errors__of_very_many_names_a_typo_at_any_place_finds_the_right_one(name: str) -> None:
     known = [f"{kind} {number}" for number in range(5000) for kind in ("Zone Air Temperature", "Node Mass Flow Rate")]
     assert did_you_mean(name, known).startswith("did you mean 'Zone Air Temperature 4711'")
 
 
-def test_where_nothing_is_near_some_are_shown() -> None:
+def test_errors__where_nothing_is_near_some_are_shown() -> None:
     assert did_you_mean("qqq", SETPOINTS, limit=2) == (
         "there are: 'core_zn_cooling_setpoint', 'core_zn_heating_setpoint' and 2 more"
     )
     assert did_you_mean("", ["a", "b"]) == "there are: 'a', 'b'"
 
 
-def test_where_there_is_nothing_it_says_so() -> None:
+def test_errors__where_there_is_nothing_it_is_reported() -> None:
     assert did_you_mean("x", []) == "there are none"
 
 
 @given(st.text(max_size=8), st.lists(st.text(max_size=8), max_size=12), st.integers(1, 5))
-def test_only_known_names_are_offered_and_never_too_many(name: str, known: list[str], most: int) -> None:
+def test_errors__only_known_names_are_offered_and_never_too_many(name: str, known: list[str], most: int) -> None:
     suggestion = did_you_mean(name, iter(known), limit=most)
     if not known:
         assert suggestion == "there are none"
@@ -156,7 +156,7 @@ def test_only_known_names_are_offered_and_never_too_many(name: str, known: list[
 
 
 @given(st.sampled_from(SETPOINTS))
-def test_a_name_is_nearest_to_itself(name: str) -> None:
+def test_errors__name_is_nearest_to_itself(name: str) -> None:
     assert did_you_mean(name, SETPOINTS).startswith(f"did you mean {name!r}")
 
 
@@ -164,12 +164,12 @@ def test_a_name_is_nearest_to_itself(name: str) -> None:
 
 
 @pytest.mark.parametrize("endpoint", [DEFAULT_ENDPOINT, "tcp/[::1]:7447", "tcp/localhost:0", "unixsock-stream/run/z"])
-def test_an_endpoint_is_taken(endpoint: str) -> None:
+def test_errors__endpoint_is_taken(endpoint: str) -> None:
     assert check_endpoint(endpoint) == endpoint
 
 
 @pytest.mark.parametrize("endpoint", ["", "127.0.0.1:7447", "tcp/", "tcp:127.0.0.1:7447", "udp/127.0.0.1:1", "tcp/a b"])
-def test_what_is_no_endpoint_is_refused_with_the_form(endpoint: str) -> None:
+def test_errors__what_is_no_endpoint_is_refused_with_the_form(endpoint: str) -> None:
     with pytest.raises(InvalidConfig, match="write tcp/HOST:PORT") as raised:
         check_endpoint(endpoint)
     assert repr(endpoint) in str(raised.value)
@@ -204,7 +204,7 @@ def test_silent_program__has_an_error_of_its_own(family: int, tmp_path: Path) ->
         open_session(connect=[endpoint])
 
 
-def test_the_path_of_a_unix_socket_is_not_taken_over(tmp_path: Path) -> None:
+def test_errors__path_of_a_unix_socket_is_not_taken_over(tmp_path: Path) -> None:
     path = tmp_path / "bus"
     path.write_text("")
     with pytest.raises(AddressInUse, match="already exists"):

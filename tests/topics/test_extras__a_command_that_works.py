@@ -18,7 +18,7 @@ ROOT = Path(__file__).resolve().parents[2]
 EXTRAS = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
 
 
-def test_the_command_works_in_any_folder() -> None:
+def test_extras__command_works_in_any_folder() -> None:
     """It names this Python and this checkout by their whole paths."""
     python, *pip, requirement = shlex.split(install_command("plots"))
     assert (python, pip) == (sys.executable, ["-m", "pip", "install", "-e"])
@@ -26,7 +26,7 @@ def test_the_command_works_in_any_folder() -> None:
     assert (Path(root), extra) == (ROOT, "plots")
 
 
-def test_no_page_or_error_has_the_index_install_it() -> None:
+def test_extras__no_page_or_error_has_the_index_install_it() -> None:
     """All extras that are named exist, and none is looked for on a package index."""
     folders = (*(link.name for link in (ROOT / "src" / "zenostat").iterdir() if link.is_symlink()), "docs", "examples")
     files = [p for name in folders for p in (ROOT / name).rglob("*") if p.suffix in (".py", ".md", ".c")]
@@ -39,7 +39,7 @@ def test_no_page_or_error_has_the_index_install_it() -> None:
     assert len(named) > 5
 
 
-def test_the_extra_for_videos_has_what_gymnasium_needs_for_them() -> None:
+def test_extras__extra_for_videos_has_what_gymnasium_needs_for_them() -> None:
     """Gymnasium's error names an extra of its own, which installs much that a video does not need."""
     needed = [re.match(r"[\w-]+", line)[0] for line in requires("gymnasium") if 'extra == "other"' in line]
     (extra,) = EXTRAS["video"]

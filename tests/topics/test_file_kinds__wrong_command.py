@@ -16,7 +16,7 @@ FILES = {
 
 @pytest.mark.parametrize("kind", FileKind)
 @pytest.mark.parametrize("expected", FileKind)
-def test_a_file_of_another_kind_is_refused(kind: FileKind, expected: FileKind) -> None:
+def test_file_kinds__file_of_another_kind_is_refused(kind: FileKind, expected: FileKind) -> None:
     if kind is expected:
         check_file_kind(FILES[kind], expected, "f.yaml")
         return
@@ -25,5 +25,7 @@ def test_a_file_of_another_kind_is_refused(kind: FileKind, expected: FileKind) -
 
 
 @pytest.mark.parametrize("fields", [set(), {"parameters"}, {"study", "algorithm"}, {"nonsense"}])
-def test_a_file_that_may_be_of_the_expected_kind_is_left_to_the_checks_of_its_fields(fields: set[str]) -> None:
+def test_file_kinds__file_that_may_be_of_the_expected_kind_is_left_to_the_checks_of_its_fields(
+    fields: set[str],
+) -> None:
     check_file_kind(fields, FileKind.TUNING, "f.yaml")

@@ -21,7 +21,7 @@ def hold(path: Path, held: Event) -> None:
 
 
 @pytest.mark.process
-def test_a_lock_ends_with_the_process_that_holds_it(tmp_path: Path) -> None:
+def test_file_lock__lock_ends_with_the_process_that_holds_it(tmp_path: Path) -> None:
     path, context = tmp_path / "lock", multiprocessing.get_context("spawn")
     held = context.Event()
     holder = context.Process(target=hold, args=(path, held))
@@ -41,7 +41,7 @@ def test_a_lock_ends_with_the_process_that_holds_it(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_cannot_have_a_lock(tmp_path: Path) -> None:
+def test_file_lock__place_that_cannot_have_a_lock(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with (
         pytest.raises(InvalidConfig, match=r"cannot create .*file/lock: "),

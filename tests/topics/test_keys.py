@@ -59,7 +59,7 @@ def all_messages() -> set[type[Message]]:
 
 
 @rows
-def test_a_key_lies_below_the_root_of_its_node(topic: Topic) -> None:
+def test_keys__key_lies_below_the_root_of_its_node(topic: Topic) -> None:
     key = KeyExpr(topic.at("office", name="one"))
     assert str(key).startswith("zenostat/v2/office/")
     assert keys.node_of(str(key)) == "office"
@@ -67,13 +67,13 @@ def test_a_key_lies_below_the_root_of_its_node(topic: Topic) -> None:
 
 
 @rows
-def test_the_last_chunk_is_the_name_where_the_row_has_one(topic: Topic) -> None:
+def test_keys__last_chunk_is_the_name_where_the_row_has_one(topic: Topic) -> None:
     last = keys.last_chunk(topic.at("office", name="one"))
     assert (last == "one") == topic.key.endswith("{name}")
 
 
 @rows
-def test_a_key_is_found_by_its_own_wildcards_and_not_by_another_node(topic: Topic) -> None:
+def test_keys__key_is_found_by_its_own_wildcards_and_not_by_another_node(topic: Topic) -> None:
     key = KeyExpr(topic.at("office", name="one"))
     assert KeyExpr(topic.at("*", name="*")).includes(key)
     assert KeyExpr(topic.at("office", name="*")).includes(key)
@@ -81,7 +81,7 @@ def test_a_key_is_found_by_its_own_wildcards_and_not_by_another_node(topic: Topi
 
 
 @rows
-def test_wildcards_match_all_but_presence(topic: Topic) -> None:
+def test_keys__wildcards_match_all_but_presence(topic: Topic) -> None:
     key = KeyExpr(topic.at("office", name="one"))
     hidden = topic.delivery is Delivery.TOKEN
     assert hidden == ("@" in topic.key)
@@ -89,13 +89,13 @@ def test_wildcards_match_all_but_presence(topic: Topic) -> None:
         assert KeyExpr(pattern).intersects(key) is not hidden, pattern
 
 
-def test_no_two_rows_can_be_taken_for_each_other() -> None:
+def test_keys__no_two_rows_can_be_taken_for_each_other() -> None:
     expressions = [KeyExpr(topic.at("*", name="*")) for topic in TOPICS]
     for index, one in enumerate(expressions):
         assert not [str(other) for other in expressions[index + 1 :] if one.intersects(other)]
 
 
-def test_the_own_stream_is_the_manifest_the_samples_and_the_events() -> None:
+def test_keys__own_stream_is_the_manifest_the_samples_and_the_events() -> None:
     stream = KeyExpr(f"{keys.root('office')}/{keys.OWN_STREAM}")
     within = {t.key for t in TOPICS if stream.intersects(KeyExpr(t.at("office", name="one")))}
     assert within == {"manifest", "sample", "event"}
@@ -105,7 +105,7 @@ def test_the_own_stream_is_the_manifest_the_samples_and_the_events() -> None:
 
 
 @rows
-def test_what_travels_has_a_class_and_presence_has_none(topic: Topic) -> None:
+def test_keys__what_travels_has_a_class_and_presence_has_none(topic: Topic) -> None:
     assert (topic.message is None) == (topic.delivery is Delivery.TOKEN)
 
 
@@ -117,14 +117,14 @@ def test_query__has_a_reply_and_is_never_the_nodes(topic: Topic) -> None:
 
 
 @rows
-def test_what_the_node_streams_never_makes_it_wait(topic: Topic) -> None:
+def test_keys__what_the_node_streams_never_makes_it_wait(topic: Topic) -> None:
     # The manifest is no stream: it is sent once, and losing it would leave a reader without names.
     if topic.sender is Role.NODE and topic is not keys.MANIFEST and topic.message is not None:
         assert topic.delivery is Delivery.DROP
 
 
 @rows
-def test_commands_and_writes_are_not_lost(topic: Topic) -> None:
+def test_keys__commands_and_writes_are_not_lost(topic: Topic) -> None:
     if topic.key.startswith(("command/", "actuator/")):
         assert topic.delivery is Delivery.BLOCK
 
@@ -141,25 +141,25 @@ def test_put__has_an_acknowledged_query_beside_it(put: Topic, request_row: Topic
 
 
 @pytest.mark.parametrize("message", sorted(all_messages(), key=lambda m: m.__name__), ids=lambda m: m.__name__)
-def test_an_encoding_names_the_class_and_the_version_and_survives_zenoh(message: type[Message]) -> None:
+def test_keys__encoding_names_the_class_and_the_version_and_survives_zenoh(message: type[Message]) -> None:
     encoding = codec.encoding(message)
     assert encoding == f"application/msgpack;zenostat/2.{message.__name__}"
     assert str(zenoh.Encoding(encoding)) == encoding
 
 
-def test_every_message_that_travels_is_in_the_table() -> None:
+def test_keys__every_message_that_travels_is_in_the_table() -> None:
     nested = set().union(*(nested_in(message) for message in all_messages()))
     in_table = {kind for t in TOPICS for kind in (t.message, t.reply) if kind is not None}
     assert all_messages() - nested - {ErrorReply} == in_table - nested  # any request may be answered by ErrorReply
     assert in_table <= all_messages()
 
 
-def test_the_table_has_every_row_that_the_module_defines() -> None:
+def test_keys__table_has_every_row_that_the_module_defines() -> None:
     assert {value for value in vars(keys).values() if isinstance(value, Topic)} == set(TOPICS)
     assert len(TOPICS) == len(set(TOPICS))
 
 
-def test_no_key_is_spelled_outside_of_the_table() -> None:
+def test_keys__no_key_is_spelled_outside_of_the_table() -> None:
     beginnings = (keys.PREFIX, *(t.key.split("{")[0] for t in TOPICS if "/" in t.key))
     spelled = [
         f"{file.relative_to(ROOT)}:{node.lineno} {node.value!r}"
@@ -174,7 +174,7 @@ def test_no_key_is_spelled_outside_of_the_table() -> None:
 
 
 @given(st.text() | st.text(string.printable))
-def test_any_text_can_be_made_a_name(text: str) -> None:
+def test_keys__any_text_can_be_made_a_name(text: str) -> None:
     name = keys.safe_name(text)
     assert keys.check_name(name, "the name") == name
     assert keys.safe_name(name) == name
@@ -195,12 +195,12 @@ def test_any_text_can_be_made_a_name(text: str) -> None:
         ("a" * 200, "a" * 128),
     ],
 )
-def test_names_are_made_safe(text: str, name: str) -> None:
+def test_keys__names_are_made_safe(text: str, name: str) -> None:
     assert keys.safe_name(text) == name
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "*", "a b", "-a", ".a", "@live", "a$", "ä", "a\n", "a" * 129])
-def test_an_unfit_name_is_refused_with_a_fit_one(name: str) -> None:
+def test_keys__unfit_name_is_refused_with_a_fit_one(name: str) -> None:
     with pytest.raises(InvalidConfig) as raised:
         keys.check_name(name, "the node name")
     assert "the node name" in str(raised.value)
@@ -209,5 +209,5 @@ def test_an_unfit_name_is_refused_with_a_fit_one(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["a", "_a", "Core_ZN.1-b", "0", "a" * 128])
-def test_a_fit_name_stays_as_it_is(name: str) -> None:
+def test_keys__fit_name_stays_as_it_is(name: str) -> None:
     assert keys.check_name(name, "the node name") == name

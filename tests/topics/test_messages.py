@@ -34,7 +34,7 @@ CLASSES = sorted(
 
 
 @pytest.mark.parametrize("kind", CLASSES, ids=lambda c: c.__name__)
-def test_a_class_is_frozen_closed_finite_and_explained(kind: type[Message]) -> None:
+def test_messages__class_is_frozen_closed_finite_and_explained(kind: type[Message]) -> None:
     assert kind.model_config["frozen"]
     assert kind.model_config["extra"] == "forbid"
     assert kind.model_config["allow_inf_nan"] is False
@@ -42,19 +42,19 @@ def test_a_class_is_frozen_closed_finite_and_explained(kind: type[Message]) -> N
     assert kind.__doc__.strip().endswith(".")
 
 
-def test_a_message_cannot_be_changed() -> None:
+def test_messages__message_cannot_be_changed() -> None:
     write = Write(value=21.0)
     with pytest.raises(ValidationError, match="frozen"):
         write.value = 22.0
 
 
-def test_an_unknown_field_is_refused() -> None:
+def test_messages__unknown_field_is_refused() -> None:
     with pytest.raises(ValidationError, match="colour"):
         Write.model_validate({"value": 21.0, "colour": "red"})
 
 
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
-def test_a_number_that_is_not_finite_is_refused(bad: float) -> None:
+def test_messages__number_that_is_not_finite_is_refused(bad: float) -> None:
     with pytest.raises(ValidationError):
         Write(value=bad)
     with pytest.raises(ValidationError):
@@ -64,40 +64,40 @@ def test_a_number_that_is_not_finite_is_refused(bad: float) -> None:
 
 
 @pytest.mark.parametrize("priority", [1, 8, 16])
-def test_bacnet_has_sixteen_levels(priority: int) -> None:
+def test_messages__bacnet_has_sixteen_levels(priority: int) -> None:
     assert Write(value=1.0, priority=priority).priority == priority
     assert Claim(controller="a", priority=priority).priority == priority
 
 
 @pytest.mark.parametrize("priority", [0, 17, -1])
-def test_there_is_no_other_level(priority: int) -> None:
+def test_messages__there_is_no_other_level(priority: int) -> None:
     with pytest.raises(ValidationError):
         Write(value=1.0, priority=priority)
     with pytest.raises(ValidationError):
         Claim(controller="a", priority=priority)
 
 
-def test_a_person_writes_above_a_controller() -> None:
+def test_messages__person_writes_above_a_controller() -> None:
     # BACnet (ASHRAE 135, table 19-1): level 8 is the manual operator's; a lower number rules a higher one.
     assert Write(value=1.0).priority == 8
     assert Claim(controller="a").priority > 8
 
 
-def test_a_claim_asks_for_all_and_is_waited_for_unless_it_says_else() -> None:
+def test_messages__claim_asks_for_all_and_is_waited_for_unless_it_states_otherwise() -> None:
     claim = Claim(controller="a")
     assert claim.actuators is None
     assert claim.required
 
 
 @pytest.mark.parametrize("seconds", [0.0, -1.0])
-def test_a_write_lasts_some_time_or_for_good(seconds: float) -> None:
+def test_messages__write_lasts_some_time_or_for_good(seconds: float) -> None:
     with pytest.raises(ValidationError):
         Write(value=1.0, duration_s=seconds)
     assert Write(value=1.0).duration_s is None
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "*", "a b", "@a", "-a", "a\n", "ä", "a" * 129])
-def test_what_cannot_stand_in_a_key_is_no_name(name: str) -> None:
+def test_messages__what_cannot_stand_in_a_key_is_no_name(name: str) -> None:
     with pytest.raises(ValidationError):
         Claim(controller=name)
     with pytest.raises(ValidationError):
@@ -105,35 +105,35 @@ def test_what_cannot_stand_in_a_key_is_no_name(name: str) -> None:
 
 
 @pytest.mark.parametrize("field", ["episode", "step"])
-def test_steps_and_episodes_are_counted_from_zero(field: str) -> None:
+def test_messages__steps_and_episodes_are_counted_from_zero(field: str) -> None:
     fields = {"episode": [0], "step": [0], "values": b""}
     Command.model_validate(fields)
     with pytest.raises(ValidationError):
         Command.model_validate(fields | {field: [-1]})
 
 
-def test_the_values_of_a_command_stand_last() -> None:
+def test_messages__values_of_a_command_stand_last() -> None:
     assert list(Command.model_fields)[-1] == "values"
 
 
-def test_a_manifest_names_the_sensors_and_then_the_meters() -> None:
+def test_messages__manifest_names_the_sensors_and_then_the_meters() -> None:
     built = manifest(sensors=[sensor("b"), sensor("a")], meters=[meter("0")], actuators=[actuator("heat")])
     assert built.names == ("b", "a", "0")
 
 
 @pytest.mark.parametrize("step_s", [0.0, -1.0, float("nan"), float("inf")])
-def test_a_timestep_is_positive_and_finite(step_s: float) -> None:
+def test_messages__timestep_is_positive_and_finite(step_s: float) -> None:
     fields = manifest().model_dump()
     with pytest.raises(ValidationError):
         Manifest.model_validate(fields | {"step_s": step_s})
 
 
-def test_a_timestep_may_have_any_length() -> None:
+def test_messages__timestep_may_have_any_length() -> None:
     built = manifest().model_copy(update={"step_s": 0.5})
     assert built.timestep == timedelta(milliseconds=500)
 
 
-def test_kinds_and_flags_travel_as_plain_text_and_numbers() -> None:
+def test_messages__kinds_and_flags_travel_as_plain_text_and_numbers() -> None:
     assert Event(kind="late", text="").kind is EventKind.LATE
     assert Sensor(name="a", variable="v", key="k", unit="W", aggregation="mean").aggregation == "mean"
     assert int(Flag.FIRST) & int(Flag.TRUNCATED) == 0
@@ -164,7 +164,7 @@ def view(wire: Sample = WIRE, slot: int = 0) -> SampleView:
     return SampleView(wire, BUILDING, value_index(BUILDING), slot=slot)
 
 
-def test_each_slot_has_its_own_part_of_the_frame() -> None:
+def test_messages__each_slot_has_its_own_part_of_the_frame() -> None:
     first, second = view(), view(slot=1)
     assert first.as_dict() == {"zone_t": 21.5, "outdoor_t": -5.0, "electricity": 0.0}
     assert second.as_dict() == {"zone_t": 25.25, "outdoor_t": 30.0, "electricity": 9.0e5}
@@ -181,18 +181,18 @@ def test_sample__has_effective_values_and_their_sources() -> None:
     assert view(slot=1).value_source == {"heat": "", "cool": "wall"}
 
 
-def test_a_value_is_read_by_name_and_an_unknown_name_lists_near_ones() -> None:
+def test_messages__value_is_read_by_name_and_an_unknown_name_lists_near_ones() -> None:
     assert view()["outdoor_t"] == -5.0
     with pytest.raises(UnknownName, match="'zone_t'"):
         view()["zone_temp"]
 
 
-def test_a_frame_of_another_size_is_a_bad_message() -> None:
+def test_messages__frame_of_another_size_is_a_bad_message() -> None:
     short = WIRE.model_copy(update={"values": WIRE.values[:-8]})
     with pytest.raises(BadMessage, match="40 bytes; 48 expected"):
         view(short)["zone_t"]
 
 
-def test_a_listener_cannot_answer() -> None:
+def test_messages__listener_cannot_answer() -> None:
     with pytest.raises(UnknownName, match="only a controller can answer"):
         view().send({"heat": 20.0})

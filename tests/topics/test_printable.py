@@ -38,7 +38,7 @@ def is_control(character: str) -> bool:
     )
 
 
-def test_exactly_the_controls_of_unicode_are_replaced_one_for_one() -> None:
+def test_printable__exactly_the_controls_of_unicode_are_replaced_one_for_one() -> None:
     every = "".join(map(chr, range(sys.maxunicode + 1)))
     replaced = replace_controls(every)
     assert len(replaced) == len(every)
@@ -48,14 +48,14 @@ def test_exactly_the_controls_of_unicode_are_replaced_one_for_one() -> None:
 
 
 @given(st.text())
-def test_a_replacement_is_final_and_keeps_the_length(text: str) -> None:
+def test_printable__replacement_is_final_and_keeps_the_length(text: str) -> None:
     once = replace_controls(text)
     assert replace_controls(once) == once
     assert len(once) == len(text)
     assert replace_controls_in_lines(text).count("\n") == text.count("\n")
 
 
-def test_texts_in_any_script_stay_as_they_are() -> None:
+def test_printable__texts_in_any_script_stay_as_they_are() -> None:
     for text in ("Zürich °C", "مبنى المكتب", "משרד", "办公楼", "👩‍🔬", "a\u00a0b", "[bold]x[/bold]"):
         assert replace_controls(text) == text
 
@@ -83,7 +83,7 @@ def bare_texts(schema: Any, path: str) -> Iterator[str]:
                 yield from bare_texts(part, f"{path}.{name}")
 
 
-def test_no_field_of_any_message_is_left_out() -> None:
+def test_printable__no_field_of_any_message_is_left_out() -> None:
     classes = [kind for kind in subclasses(Message) if kind.__module__.startswith("zenostat.topics.")]
     assert len(classes) > 60
     for kind in classes:
@@ -91,7 +91,7 @@ def test_no_field_of_any_message_is_left_out() -> None:
         assert list(bare_texts(kind.__pydantic_core_schema__, kind.__name__)) == []
 
 
-def test_a_decoded_message_has_no_controls() -> None:
+def test_printable__decoded_message_has_no_controls() -> None:
     raw = codec.pack(kind="warning", text=EVIL, source=EVIL, error=EVIL)
     event = codec.decode(Event, raw)
     assert (event.source, event.error) == (HARMLESS, HARMLESS)
@@ -105,7 +105,7 @@ def test_a_decoded_message_has_no_controls() -> None:
     assert codec.decode(ErrorReply, codec.pack(error="X\x1b", message="a\nb\x07")).message == "a\nb␇"
 
 
-def test_the_points_of_a_manifest_and_the_sources_of_a_sample_have_none() -> None:
+def test_printable__points_of_a_manifest_and_the_sources_of_a_sample_have_none() -> None:
     from zenostat.agent_sdk.testing import FakeEnv
 
     fields = FakeEnv().manifest.model_dump(mode="json")
@@ -122,13 +122,13 @@ def test_the_points_of_a_manifest_and_the_sources_of_a_sample_have_none() -> Non
     assert (decoded.sources[1], decoded.time) == (HARMLESS, ["2017-07-01␛"])
 
 
-def test_a_name_with_controls_is_no_name_and_the_error_has_none() -> None:
+def test_printable__name_with_controls_is_no_name_and_the_error_has_none() -> None:
     with pytest.raises(BadMessage) as caught:
         codec.decode(Claim, codec.pack(controller=EVIL, **{f"field{EVIL}": 1}))
     assert str(caught.value).isprintable()
     assert codec.text_field(codec.pack(source=EVIL, value=[]), "source", 128) == HARMLESS
 
 
-def test_names_in_keys_have_no_controls() -> None:
+def test_printable__names_in_keys_have_no_controls() -> None:
     key = f"zenostat/v2/off\x1b[2Jice/command/a{chr(0x202E)}b"
     assert (keys.node_of(key), keys.last_chunk(key)) == ("off␛[2Jice", "a\ufffdb")

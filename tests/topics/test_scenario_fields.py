@@ -27,23 +27,23 @@ from zenostat.topics.scenario_fields import MEANING, NODE_ARGUMENTS, FileFields,
 FILE_ONLY = set(FileFields.__annotations__)
 
 
-def test_the_fields_of_a_file_are_those_that_the_schema_validates() -> None:
+def test_scenario_fields__fields_of_a_file_are_those_that_the_schema_validates() -> None:
     assert set(Scenario.model_fields) <= MEANING.keys()
     assert set(Scenario.model_fields) - set(NODE_ARGUMENTS) == FILE_ONLY
 
 
-def test_each_argument_is_a_setting_of_a_node() -> None:
+def test_scenario_fields__each_argument_is_a_setting_of_a_node() -> None:
     settings = {*NodeConfig.model_fields, *Scenario.model_fields, *PlantSettings.model_fields}
     assert set(NODE_ARGUMENTS) - settings == {"file"}  # becomes `scenario`
 
 
 @pytest.mark.parametrize("name", MEANING)
-def test_a_meaning_is_one_sentence(name: str) -> None:
+def test_scenario_fields__meaning_is_one_sentence(name: str) -> None:
     assert re.fullmatch(r"[A-Z](?:[^.]|\.(?=\w))*\.", MEANING[name])
 
 
 @pytest.mark.parametrize("env_type", [BuildingEnv, BuildingVectorEnv])
-def test_the_signature_of_an_environment_lists_each_argument(env_type: type) -> None:
+def test_scenario_fields__signature_of_an_environment_lists_each_argument(env_type: type) -> None:
     parameters = inspect.signature(env_type).parameters
     assert set(NODE_ARGUMENTS) <= parameters.keys()
     assert {parameters[name].default for name in NODE_ARGUMENTS} == {None}
@@ -51,12 +51,12 @@ def test_the_signature_of_an_environment_lists_each_argument(env_type: type) -> 
     assert not FILE_ONLY - {"reward"} & parameters.keys()
 
 
-def test_building_and_weather_may_be_positional() -> None:
+def test_scenario_fields__building_and_weather_may_be_positional() -> None:
     names = list(inspect.signature(BuildingEnv).parameters.values())
     assert [p.name for p in names if p.kind is p.POSITIONAL_OR_KEYWORD] == ["building", "weather"]
 
 
-def test_a_function_keeps_its_own_parameters() -> None:
+def test_scenario_fields__function_keeps_its_own_parameters() -> None:
     def function(self: Any, building: str = "own", *, more: int = 2, **arguments: Any) -> None:
         raise NotImplementedError
 
@@ -67,7 +67,7 @@ def test_a_function_keeps_its_own_parameters() -> None:
 
 
 @pytest.mark.parametrize("function", [BuildingEnv, BuildingVectorEnv, make, make_vec])
-def test_an_unknown_argument_is_named_with_a_near_one(function: Any) -> None:
+def test_scenario_fields__unknown_argument_is_named_with_a_near_one(function: Any) -> None:
     with pytest.raises(
         UnknownArgument, match="unexpected keyword argument 'wheather'; did you mean 'weather'"
     ) as raised:
@@ -84,13 +84,13 @@ def _settings(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> dict[str, Any
     return runs[0]
 
 
-def test_the_command_line_has_the_defaults_of_a_node(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenario_fields__command_line_has_the_defaults_of_a_node(monkeypatch: pytest.MonkeyPatch) -> None:
     config, _ = zenostat.cli.node._read(_settings(monkeypatch))
     assert config.monitoring  # on the bus there may be a monitor; an environment has none by default
     assert config.model_copy(update={"what": {}, "monitoring": False}) == NodeConfig()
 
 
-def test_each_option_sets_its_argument(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenario_fields__each_option_sets_its_argument(monkeypatch: pytest.MonkeyPatch) -> None:
     values = {
         "scenario": "mine.yaml", "building": "b", "weather": "w", "begin": "07-01", "end": "07-02",
         "steps_per_hour": 6, "output_dir": "/o", "keep_last": 2, "monitoring": False, "baseline": True, "branches": 3,
@@ -106,7 +106,7 @@ def test_each_option_sets_its_argument(monkeypatch: pytest.MonkeyPatch) -> None:
     assert {name: settings[name] for name in values} == expected
 
 
-def test_the_settings_that_are_no_arguments_follow_their_options(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_scenario_fields__settings_that_are_no_arguments_follow_their_options(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = _settings(
         monkeypatch, "--mode", "paced", "--speed", "60", "--grace", "1.5", "--deadline", "2.5", "--no-listen",
         "--connect", "tcp/127.0.0.1:1", "--slots", "2", "--name", "office",
@@ -125,20 +125,20 @@ def test_the_settings_that_are_no_arguments_follow_their_options(monkeypatch: py
         ("demo", ["building", "weather", "begin", "end"]),
     ],
 )
-def test_the_help_of_a_command_has_the_same_sentence(command: str, names: list[str]) -> None:
+def test_scenario_fields__help_of_a_command_has_the_same_sentence(command: str, names: list[str]) -> None:
     parameters = get_command(app).commands[command].params  # type: ignore[attr-defined]
     help_texts = {parameter.name.removeprefix("no_"): parameter.help for parameter in parameters}
     assert [name for name in names if not help_texts[name].startswith(MEANING[name])] == []
 
 
-def test_the_schema_of_scenario_files_describes_each_field() -> None:
+def test_scenario_fields__schema_of_scenario_files_describes_each_field() -> None:
     properties = scenario_schema()["properties"]
     assert {name: schema["description"] for name, schema in properties.items()} == {
         name: MEANING[name] for name in Scenario.model_fields
     }
 
 
-def test_the_page_is_what_the_code_gives() -> None:
+def test_scenario_fields__page_is_what_the_code_gives() -> None:
     text = PAGE.read_text(encoding="utf-8")
     assert page(text) == text, "python tests/support/arguments_page.py writes it again"
 
@@ -147,7 +147,7 @@ def test_the_page_is_what_the_code_gives() -> None:
     ("name", "values"),
     [("branches", (0, 4096)), ("keep_last", (1,)), ("unresponsive_s", (0.001,))],
 )
-def test_the_values_of_a_range_are_accepted(name: str, values: tuple[float, ...]) -> None:
+def test_scenario_fields__values_of_a_range_are_accepted(name: str, values: tuple[float, ...]) -> None:
     assert [getattr(read_config({name: value}), name) for value in values] == [*values]
 
 
@@ -155,7 +155,7 @@ def test_the_values_of_a_range_are_accepted(name: str, values: tuple[float, ...]
     ("name", "values"),
     [("branches", (-1, 4097)), ("keep_last", (0,)), ("unresponsive_s", (0.0, -1.0))],
 )
-def test_a_value_outside_its_range_is_rejected(name: str, values: tuple[float, ...]) -> None:
+def test_scenario_fields__value_outside_its_range_is_rejected(name: str, values: tuple[float, ...]) -> None:
     for value in values:
         with pytest.raises(InvalidConfig, match=name):
             read_config({name: value})
@@ -165,6 +165,6 @@ def test_a_value_outside_its_range_is_rejected(name: str, values: tuple[float, .
     ("name", "value"),
     [("discrete", 1), ("terminate", [{"points": ["t"], "low": 1.0, "duration_h": -0.5}]), ("sizing", "weathr")],
 )
-def test_a_field_outside_its_range_is_rejected(name: str, value: Any) -> None:
+def test_scenario_fields__field_outside_its_range_is_rejected(name: str, value: Any) -> None:
     with pytest.raises(InvalidConfig, match=name):
         read_scenario({"building": "b", "weather": "w", name: value})

@@ -22,12 +22,12 @@ from zenostat.topics.scenario_ids import (
 )
 
 
-def test_the_wheels_names_are_those_of_its_catalogue():
+def test_scenario_ids__wheels_names_are_those_of_its_catalogue():
     assert tuple(entry.name for entry in catalog.bundled_buildings()) == BUILDINGS
     assert tuple(entry.name for entry in catalog.bundled_weathers()) == WEATHERS
 
 
-def test_each_building_has_four_scenarios_in_each_weather():
+def test_scenario_ids__each_building_has_four_scenarios_in_each_weather():
     ids = bundled_ids()
     assert len(ids) == len(set(ids)) == 32 * 16 * 4 == 2048
     assert ids[:4] == (
@@ -40,7 +40,7 @@ def test_each_building_has_four_scenarios_in_each_weather():
     assert not set(ids) & set(pack_ids())
 
 
-def test_the_packs_ids_are_those_of_its_files():
+def test_scenario_ids__packs_ids_are_those_of_its_files():
     sinergym()
     assert pack_ids() == tuple(pack_scenarios())
     counts = Counter(name.split("-")[0] for name in pack_ids() if name != DEMO)
@@ -53,17 +53,17 @@ def test_the_packs_ids_are_those_of_its_files():
     assert list(counts) == list(PACK_IDS)
 
 
-def test_every_id_can_stand_in_a_topic():
+def test_scenario_ids__every_id_can_stand_in_a_topic():
     for name in all_ids():
         assert check_name(name, "the id") == name
 
 
-def test_all_ids_are_those_of_packs_paper_and_wheel_without_a_repetition():
+def test_scenario_ids__all_ids_are_those_of_packs_paper_and_wheel_without_a_repetition():
     assert set(all_ids()) == {*pack_ids(), *PAPER_IDS, *bundled_ids()}
     assert len(all_ids()) == len(set(all_ids())) == 109 + 4 + 2048
 
 
-def test_noise_comes_after_the_forms():
+def test_scenario_ids__noise_comes_after_the_forms():
     assert variants("a", "b", ("continuous",)) == ["a-b-continuous-v1", "a-b-continuous-stochastic-v1"]
     assert variants("a", "b") == [
         "a-b-continuous-v1",

@@ -41,7 +41,7 @@ WHITE, DARK = (255, 255, 255), (13, 17, 23)
         ("__", "__"),
     ],
 )
-def test_labels_of_points(name: str, text: str) -> None:
+def test_display__labels_of_points(name: str, text: str) -> None:
     assert label(name) == text
 
 
@@ -65,19 +65,19 @@ def test_labels_of_points(name: str, text: str) -> None:
         ("", ""),
     ],
 )
-def test_labels_of_zones(key: str, text: str) -> None:
+def test_display__labels_of_zones(key: str, text: str) -> None:
     assert zone_label(key) == text
 
 
 @given(st.lists(st.text(), unique=True))
-def test_labels_of_a_building_are_distinct(keys: list[str]) -> None:
+def test_display__labels_of_a_building_are_distinct(keys: list[str]) -> None:
     labels = zone_labels(keys)
     assert len(labels) == len(keys)
     duplicates = [(a, b) for (a, x), (b, y) in combinations(zip(keys, labels, strict=True), 2) if x == y]
     assert duplicates == []
 
 
-def test_units_are_those_of_engineers() -> None:
+def test_display__units_are_those_of_engineers() -> None:
     units = {"degC": "°C", "percent": "%", "W": "W", "delta_degC": "K", "1": "", "W/m2": "W/m²", "furlong": "furlong"}
     assert {unit: unit_label(unit) for unit in units} == units
     assert point_unit(sensor("n", "Zone People Occupant Count", "core", "1")) == "people"
@@ -127,7 +127,7 @@ def _deuteranopic_lab(color: tuple[int, ...]) -> np.ndarray[tuple[int], np.dtype
     return np.array([116 * y - 16, 500 * (x - y), 200 * (y - z)])
 
 
-def test_the_distance_of_deuteranopes_is_that_of_colors_which_they_confuse() -> None:
+def test_display__distance_of_deuteranopes_is_that_of_colors_which_they_confuse() -> None:
     assert deuteranopic_distance(WHITE, (0, 0, 0)) == pytest.approx(100.0, abs=0.1)
     # Orange red and olive: 67 apart for other readers.
     assert deuteranopic_distance((224, 86, 51), (142, 143, 25)) == pytest.approx(2.7, abs=0.05)
@@ -142,7 +142,7 @@ def test_zone_colors__differ_for_thirty_zones_on_both_backgrounds() -> None:
     assert all(contrast(zone_color(place), WHITE) >= 3.0 for place in range(30, 200))  # of any number
 
 
-def test_end_uses_have_colors_of_their_own() -> None:
+def test_display__end_uses_have_colors_of_their_own() -> None:
     labels = {"humidifier": "humidification"}
     names = ["".join(f" {c.lower()}" if c.isupper() else c for c in use).strip() for use in END_USES]
     uses = [labels.get(name, name) for name in names]
@@ -170,18 +170,18 @@ def test_line_colors__differ_on_both_backgrounds(colors: tuple[tuple[int, int, i
     assert min(contrast(color, ground) for color in colors for ground in (WHITE, DARK)) >= 3.0
 
 
-def test_the_comfort_scale_is_read_with_deuteranopia() -> None:
+def test_display__comfort_scale_is_read_with_deuteranopia() -> None:
     steps = [comfort_color(k) for k in (-4.0, -2.0, -0.05, 0.0, 0.05, 2.0, 4.0)]
     assert min(deuteranopic_distance(a, b) for a, b in combinations(steps, 2)) >= 10.0
 
 
-def test_contrast_is_that_of_wcag() -> None:
+def test_display__contrast_is_that_of_wcag() -> None:
     assert contrast(WHITE, (0, 0, 0)) == pytest.approx(21.0)
     assert contrast((119, 119, 119), WHITE) == pytest.approx(4.48, abs=0.01)  # the known limit of gray on white: #777
     assert hex_color((31, 119, 180)) == "#1f77b4"
 
 
-def test_the_comfort_scale_is_blue_below_pale_within_orange_above_and_gray_if_unknown() -> None:
+def test_display__comfort_scale_is_blue_below_pale_within_orange_above_and_gray_if_unknown() -> None:
     cold, within, warm, unknown = (comfort_color(k) for k in (-2.0, 0.0, 2.0, float("nan")))
     assert cold[2] > cold[1] > cold[0]
     assert warm[0] > warm[1] > warm[2]
@@ -194,7 +194,7 @@ def test_the_comfort_scale_is_blue_below_pale_within_orange_above_and_gray_if_un
 
 
 @given(st.floats(0.05, 3.9), st.floats(0.05, 0.1))
-def test_the_farther_outside_the_darker(deviation_k: float, more_k: float) -> None:
+def test_display__farther_outside_the_darker(deviation_k: float, more_k: float) -> None:
     """So the scale is read without seeing hues."""
     for sign in (-1.0, 1.0):
         near, far = comfort_color(sign * deviation_k), comfort_color(sign * (deviation_k + more_k))

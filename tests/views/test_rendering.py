@@ -74,7 +74,7 @@ def has_color(picture: Picture, color: tuple[float, ...]) -> bool:
 # The interface
 
 
-def test_a_picture_has_gymnasiums_form_from_the_reset_to_the_end() -> None:
+def test_rendering__picture_has_gymnasiums_form_from_the_reset_to_the_end() -> None:
     env = fake(steps_per_hour=1)
     with pytest.raises(EpisodeChanged, match="reset"):
         env.render()
@@ -92,11 +92,11 @@ def test_a_picture_has_gymnasiums_form_from_the_reset_to_the_end() -> None:
 
 @pytest.mark.filterwarnings("ignore:.*Box observation space (minimum|maximum) value is (-)?infinity.*")
 @pytest.mark.filterwarnings("ignore:.*we recommend using a symmetric and normalized space.*")
-def test_gymnasiums_checker_passes_with_its_render_modes() -> None:
+def test_rendering__gymnasiums_checker_passes_with_its_render_modes() -> None:
     check_env(fake())
 
 
-def test_gymnasium_collects_the_frames_of_an_episode() -> None:
+def test_rendering__gymnasium_collects_the_frames_of_an_episode() -> None:
     env = gym.make("zenostat/Fake-v1", zones=1, render_mode="rgb_array_list")
     env.reset(seed=0)
     for _ in range(3):
@@ -105,7 +105,7 @@ def test_gymnasium_collects_the_frames_of_an_episode() -> None:
     assert [frame.shape for frame in frames] == [(640, 960, 3)] * 4
 
 
-def test_without_a_render_mode_nothing_is_recorded_or_imported() -> None:
+def test_rendering__without_a_render_mode_nothing_is_recorded_or_imported() -> None:
     script = (
         "import sys, gymnasium, zenostat\n"
         "env = gymnasium.make('zenostat/Fake-v1'); env.reset(seed=0); env.step(env.action_space.sample())\n"
@@ -117,7 +117,7 @@ def test_without_a_render_mode_nothing_is_recorded_or_imported() -> None:
 # Equal pictures
 
 
-def test_a_picture_depends_on_its_samples_alone() -> None:
+def test_rendering__picture_depends_on_its_samples_alone() -> None:
     """Neither on what was drawn before, nor on the user's style."""
     once, often = fake(end="07-04"), fake(end="07-04")
     run(once, 110)
@@ -137,7 +137,7 @@ def test_a_picture_depends_on_its_samples_alone() -> None:
         assert np.array_equal(styled.render(), expected)
 
 
-def test_a_slots_picture_is_that_of_a_single_environment() -> None:
+def test_rendering__slots_picture_is_that_of_a_single_environment() -> None:
     vector, single = FakeVectorEnv(2, zones=2, render_mode="rgb_array"), fake()
     with pytest.raises(EpisodeChanged, match="reset"):
         vector.render()
@@ -153,7 +153,7 @@ def test_a_slots_picture_is_that_of_a_single_environment() -> None:
     assert (first != second).any()
 
 
-def test_a_slot_that_starts_anew_shows_only_its_new_episode() -> None:
+def test_rendering__slot_that_starts_anew_shows_only_its_new_episode() -> None:
     vector = FakeVectorEnv(2, zones=1, steps_per_hour=1, render_mode="rgb_array")
     vector.reset(seed=0)
     actions = np.array([[20.0, 25.0]] * 2)
@@ -171,7 +171,7 @@ def test_a_slot_that_starts_anew_shows_only_its_new_episode() -> None:
 # What it shows
 
 
-def test_the_lines_are_the_samples() -> None:
+def test_rendering__lines_are_the_samples() -> None:
     env = fake(control="zone")
     rows = run(env, 30)
     shown = panels(env)
@@ -198,7 +198,7 @@ def test_the_lines_are_the_samples() -> None:
     )
 
 
-def test_the_legend_has_the_latest_values() -> None:
+def test_rendering__legend_has_the_latest_values() -> None:
     env = fake()
     values, action, *_ = run(env, 40)[-1]
     shown, index = panels(env), {name: i for i, name in enumerate(env.manifest.names)}
@@ -208,7 +208,7 @@ def test_the_legend_has_the_latest_values() -> None:
     assert actions["Zone 1 heating setpoint"] == f"{action[0]:.1f}"
 
 
-def test_setpoints_are_those_in_effect() -> None:
+def test_rendering__setpoints_are_those_in_effect() -> None:
     env = fake(control="building")
     env.reset(seed=0)
     for heating in (17.0, 21.0, 19.0):
@@ -221,7 +221,7 @@ def test_setpoints_are_those_in_effect() -> None:
     assert not len(heating_lines[1].get_xdata())  # both zones have the same
 
 
-def test_band_and_occupied_hours_are_where_they_belong() -> None:
+def test_rendering__band_and_occupied_hours_are_where_they_belong() -> None:
     """The band's pixels are those of its temperatures, and the people's stripe begins at 8 o'clock."""
     env = fake(control="building")
     env.reset(seed=1)
@@ -245,7 +245,7 @@ def test_band_and_occupied_hours_are_where_they_belong() -> None:
     assert color_at(25.4, 10.3) not in {white, green, color_at(28.6, 10.3)}
 
 
-def test_zones_have_the_colors_of_all_pictures() -> None:
+def test_rendering__zones_have_the_colors_of_all_pictures() -> None:
     from zenostat.metrics.roles import roles
 
     env = fake(zones=4)
@@ -256,7 +256,7 @@ def test_zones_have_the_colors_of_all_pictures() -> None:
     assert all(has_color(picture[:, 714:732], color) for color in colors)  # in the legend
 
 
-def test_no_text_is_cut_and_nothing_covers_the_curves() -> None:
+def test_rendering__no_text_is_cut_and_nothing_covers_the_curves() -> None:
     """Margins are blank, and between plot and legend there is a gap."""
     for zones in (1, 3, 20):
         env = fake(zones=zones)
@@ -269,7 +269,7 @@ def test_no_text_is_cut_and_nothing_covers_the_curves() -> None:
         assert (picture[30:600, 714:950] < 120).any(axis=(1, 2)).mean() > 0.15  # legends
 
 
-def test_many_zones_are_a_range_and_the_worst_zone() -> None:
+def test_rendering__many_zones_are_a_range_and_the_worst_zone() -> None:
     zones = [Zone(f"zone_{n}") for n in range(9)] + [Zone("attic", aperture_m2=9.0, cooling_w=0.0)]
     env = fake(zones=zones, reward={"kind": "linear", "summer": (15.0, 26.0)})
     rows = run(env, 72)
@@ -289,7 +289,7 @@ def test_many_zones_are_a_range_and_the_worst_zone() -> None:
 # Other tasks
 
 
-def test_a_choice_is_shown_with_what_it_sets() -> None:
+def test_rendering__choice_is_shown_with_what_it_sets() -> None:
     env = fake(control="building", discrete=5)
     env.reset(seed=0)
     for choice in (0, 4, 2):
@@ -302,7 +302,7 @@ def test_a_choice_is_shown_with_what_it_sets() -> None:
     }  # fmt: skip
 
 
-def test_several_choices_have_a_lane_each() -> None:
+def test_rendering__several_choices_have_a_lane_each() -> None:
     env = fake(control="zone", discrete=3)
     env.reset(seed=0)
     env.step([0, 2])
@@ -314,7 +314,7 @@ def test_several_choices_have_a_lane_each() -> None:
     assert second == pytest.approx([-1.1, -1.9])
 
 
-def test_without_reward_and_actions_their_panels_are_left_out() -> None:
+def test_rendering__without_reward_and_actions_their_panels_are_left_out() -> None:
     env = fake(reward=None, actions={})
     run(env, 3)
     titles = set(panels(env))
@@ -325,7 +325,7 @@ def test_without_reward_and_actions_their_panels_are_left_out() -> None:
     assert legend(panels(scenario)["Zone temperature (°C)"])["Comfort band (default)"] == "20.0 to 26.0"
 
 
-def test_a_reward_of_many_terms_shows_the_first_and_the_rest() -> None:
+def test_rendering__reward_of_many_terms_shows_the_first_and_the_rest() -> None:
     def many(values: Mapping[str, Any], begin: datetime) -> dict[str, float]:
         return {f"term_{n}": -float(n) for n in range(7)}
 
@@ -336,7 +336,7 @@ def test_a_reward_of_many_terms_shows_the_first_and_the_rest() -> None:
     assert list(legend(panel))[-1] == "4 other terms"
 
 
-def test_terms_that_change_during_an_episode_are_those_of_the_latest_timestep() -> None:
+def test_rendering__terms_that_change_during_an_episode_are_those_of_the_latest_timestep() -> None:
     def changing(values: Mapping[str, Any], begin: datetime) -> dict[str, float]:
         return {"energy": -1.0, "cold" if begin.hour < 2 else "hot": -2.0}
 
@@ -350,7 +350,7 @@ def test_terms_that_change_during_an_episode_are_those_of_the_latest_timestep() 
     np.testing.assert_array_equal(steps_of(panel._lines[2]), [np.nan, np.nan, -2.0, -2.0])
 
 
-def test_values_that_are_not_finite_leave_a_gap() -> None:
+def test_rendering__values_that_are_not_finite_leave_a_gap() -> None:
     env = fake(zones=7, steps_per_hour=1)
     run(env, 2)
     assert env._history is not None
@@ -370,7 +370,7 @@ def test_values_that_are_not_finite_leave_a_gap() -> None:
 @pytest.mark.parametrize(
     ("step_s", "rows"), [(1.0, 1441), (60.0, 1441), (900.0, 97), (3600.0, 49), (86400.0, 49)], ids=str
 )
-def test_a_day_is_recorded_but_not_too_few_or_too_many_timesteps(step_s: float, rows: int) -> None:
+def test_rendering__day_is_recorded_but_not_too_few_or_too_many_timesteps(step_s: float, rows: int) -> None:
     step, begin = timedelta(seconds=step_s), datetime(2017, 1, 1)  # local standard time
     history, values = EpisodeHistory(step), np.zeros(1)
     history.start(begin, values, values, {})
@@ -381,7 +381,7 @@ def test_a_day_is_recorded_but_not_too_few_or_too_many_timesteps(step_s: float, 
     assert history.total == -1999.0
 
 
-def test_an_action_array_that_is_used_again_does_not_change_the_record() -> None:
+def test_rendering__action_array_that_is_used_again_does_not_change_the_record() -> None:
     env = fake(zones=1)
     env.reset(seed=0)
     action = np.array([20.0, 25.0])

@@ -15,7 +15,7 @@ NUMBERS = st.floats(-1e6, 1e6, allow_subnormal=False)
 
 
 @given(NUMBERS, NUMBERS, st.integers(3, 9), st.booleans())
-def test_an_axis_contains_its_values_and_has_at_least_two_round_ticks(
+def test_rendering__axis_contains_its_values_and_has_at_least_two_round_ticks(
     first: float,
     second: float,
     most: int,
@@ -37,7 +37,7 @@ def test_an_axis_contains_its_values_and_has_at_least_two_round_ticks(
         (13.5, 15.5, ["13:30", "13:45", "14:00", "14:15", "14:30", "14:45", "15:00", "15:15", "15:30"]),
     ],
 )
-def test_time_ticks_are_round(first: float, last: float, texts: list[str]) -> None:
+def test_rendering__time_ticks_are_round(first: float, last: float, texts: list[str]) -> None:
     origin = datetime(2017, 7, 3)  # local standard time
     assert [format_time_tick(origin, tick) for tick in time_ticks(first, last)] == texts
     assert format_time(origin) == "Mon 3 Jul 2017, 00:00"
@@ -52,9 +52,9 @@ def test_time_ticks_are_round(first: float, last: float, texts: list[str]) -> No
         (2.5e7, "Pa", "2.5e+07"),
     ],
 )  # fmt: skip
-def test_values_have_a_sensible_number_of_digits(value: float, unit: str, text: str) -> None:
+def test_rendering__values_have_a_sensible_number_of_digits(value: float, unit: str, text: str) -> None:
     assert format_value(value, unit) == text
 
 
-def test_negative_values_have_a_minus_sign() -> None:
+def test_rendering__negative_values_have_a_minus_sign() -> None:
     assert format_value(-3955.0, "") == "\N{MINUS SIGN}3,955"

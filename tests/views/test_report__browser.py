@@ -73,7 +73,7 @@ def pixels(page: Any) -> np.ndarray:
     return picture
 
 
-def test_light_and_dark_pages_are_drawn_and_differ(opened: Any) -> None:
+def test_report__light_and_dark_pages_are_drawn_and_differ(opened: Any) -> None:
     light, dark = pixels(opened()), pixels(opened(scheme="dark"))
     assert light.mean() > 0.85
     assert dark.mean() < 0.35
@@ -81,14 +81,14 @@ def test_light_and_dark_pages_are_drawn_and_differ(opened: Any) -> None:
     assert dark.std() > 0.05
 
 
-def test_lines_and_texts_of_drawings_are_light_on_dark_pages(opened: Any) -> None:
+def test_report__lines_and_texts_of_drawings_are_light_on_dark_pages(opened: Any) -> None:
     colors = "[...document.querySelectorAll('#load-duration-title')].map(e => getComputedStyle(e.closest('svg')"
     text = f"{colors}.querySelector('text')).fill)[0]"
     light, dark = opened().evaluate(text), opened(scheme="dark").evaluate(text)
     assert light != dark
 
 
-def test_names_of_users_do_not_run(opened: Any) -> None:
+def test_report__names_of_users_do_not_run(opened: Any) -> None:
     page = opened()
     assert page.title().startswith("<script>")
     assert page.locator("h1").inner_text() == HOSTILE
@@ -96,12 +96,12 @@ def test_names_of_users_do_not_run(opened: Any) -> None:
 
 
 @pytest.mark.parametrize("width", [390, 768, 1400])
-def test_the_page_does_not_scroll_sideways(opened: Any, width: int) -> None:
+def test_report__page_does_not_scroll_sideways(opened: Any, width: int) -> None:
     page = opened(width)
     assert page.evaluate("document.documentElement.scrollWidth") <= width
 
 
-def test_no_two_labels_of_a_drawing_overlap(opened: Any) -> None:
+def test_report__no_two_labels_of_a_drawing_overlap(opened: Any) -> None:
     page = opened(1000)
     overlaps = page.evaluate(
         """() => [...document.querySelectorAll('figure svg')].flatMap(svg => {
@@ -115,7 +115,7 @@ def test_no_two_labels_of_a_drawing_overlap(opened: Any) -> None:
     assert overlaps == []
 
 
-def test_labels_stay_within_their_drawings(opened: Any) -> None:
+def test_report__labels_stay_within_their_drawings(opened: Any) -> None:
     page = opened(1000)
     outside = page.evaluate(
         """() => [...document.querySelectorAll('figure svg')].flatMap(svg => {
@@ -128,7 +128,7 @@ def test_labels_stay_within_their_drawings(opened: Any) -> None:
     assert outside == []
 
 
-def test_the_printed_page_is_light_and_shows_the_scenario(opened: Any) -> None:
+def test_report__printed_page_is_light_and_shows_the_scenario(opened: Any) -> None:
     page = opened(700, "dark")
     folded = page.locator("details.print pre")
     assert not folded.is_visible()
@@ -141,7 +141,7 @@ def test_the_printed_page_is_light_and_shows_the_scenario(opened: Any) -> None:
     assert page.locator("details.print[open]").count() == 0
 
 
-def test_links_lead_to_their_sections(opened: Any) -> None:
+def test_report__links_lead_to_their_sections(opened: Any) -> None:
     page = opened()
     anchors = page.eval_on_selector_all("nav a", "links => links.map(a => a.getAttribute('href'))")
     assert len(anchors) >= 8
@@ -192,7 +192,7 @@ def ticks(page: Any, name: str) -> list[str]:
 
 
 @pytest.mark.parametrize("width", [390, 1400])
-def test_the_values_at_the_pointer_are_those_of_the_data(opened: Any, width: int) -> None:
+def test_report__values_at_the_pointer_are_those_of_the_data(opened: Any, width: int) -> None:
     page = opened(width)
     assert said_at(page, "load-duration", 0.2) == [
         said_at(page, "load-duration", 0.2)[0], "baseline", "30.00 kW", "<img src=x onerror=alert(1)>", "27.00 kW",
@@ -213,7 +213,7 @@ def test_pointer__shows_the_sources_of_actuator_values(opened: Any) -> None:
     assert texts[2::2] == ["set by the building's own control", "set by rbc"]
 
 
-def test_values_disappear_with_the_pointer(opened: Any) -> None:
+def test_report__values_disappear_with_the_pointer(opened: Any) -> None:
     page = opened()
     assert said_at(page, "weather", 0.5)
     page.mouse.move(5, 5)
@@ -221,7 +221,7 @@ def test_values_disappear_with_the_pointer(opened: Any) -> None:
 
 
 @pytest.mark.parametrize("back", ["double click", "Escape"])
-def test_dragging_zooms_in_time_and_out_again(opened: Any, back: str) -> None:
+def test_report__dragging_zooms_in_time_and_out_again(opened: Any, back: str) -> None:
     page = opened()
     before = drawing(page, "weather").inner_html()
     labels = ticks(page, "weather")
@@ -238,7 +238,7 @@ def test_dragging_zooms_in_time_and_out_again(opened: Any, back: str) -> None:
     assert drawing(page, "weather").inner_html() == before
 
 
-def test_a_zoomed_line_goes_through_its_values(opened: Any) -> None:
+def test_report__zoomed_line_goes_through_its_values(opened: Any) -> None:
     page = opened()
     drag(page, "weather", 0.5, 0.75)
     gap = drawing(page, "weather").evaluate(
@@ -255,7 +255,7 @@ def test_a_zoomed_line_goes_through_its_values(opened: Any) -> None:
     assert degrees == pytest.approx([10.0 + 20.0 * (hour - 1) / 23 for hour in (12, 18)], abs=0.1)
 
 
-def test_figures_are_read_with_the_keyboard(opened: Any) -> None:
+def test_report__figures_are_read_with_the_keyboard(opened: Any) -> None:
     page = opened()
     scroll = page.locator(".scroll", has=drawing(page, "weather"))
     scroll.focus()
@@ -272,7 +272,7 @@ def test_figures_are_read_with_the_keyboard(opened: Any) -> None:
     assert page.locator(".tip:visible").count() == drawing(page, "weather").locator(".zoomed").count() == 0
 
 
-def test_without_scripts_the_page_is_the_same_but_for_the_hint(browser: Any, report: Path, opened: Any) -> None:
+def test_report__without_scripts_the_page_is_the_same_but_for_the_hint(browser: Any, report: Path, opened: Any) -> None:
     context = browser.new_context(viewport={"width": 1000, "height": 900}, java_script_enabled=False)
     try:
         plain = context.new_page()

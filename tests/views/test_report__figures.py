@@ -23,7 +23,7 @@ def begins(steps: int, minutes: int, first: np.datetime64 = MIDNIGHT) -> np.ndar
     return first + np.arange(steps) * np.timedelta64(minutes * 60, "s")
 
 
-def test_a_load_duration_falls_and_its_area_is_the_energy() -> None:
+def test_report__load_duration_falls_and_its_area_is_the_energy() -> None:
     power = np.random.default_rng(1).uniform(5.0, 50.0, 96)
     share, falling = load_duration(power)
     assert falling[0] == power.max()
@@ -33,7 +33,7 @@ def test_a_load_duration_falls_and_its_area_is_the_energy() -> None:
     assert (falling[:-1] * hours).sum() == pytest.approx(power.sum() / 4)
 
 
-def test_the_cell_of_a_carpet_is_the_mean_of_that_hour() -> None:
+def test_report__cell_of_a_carpet_is_the_mean_of_that_hour() -> None:
     values = np.arange(2 * 96, dtype=float)
     days, grid = by_hour(values, begins(2 * 96, 15), 900.0)
     assert [str(day) for day in days] == ["2017-07-03", "2017-07-04"]
@@ -42,7 +42,7 @@ def test_the_cell_of_a_carpet_is_the_mean_of_that_hour() -> None:
     assert grid[1, 23] == np.mean([188, 189, 190, 191])
 
 
-def test_a_carpet_of_a_run_that_begins_at_noon_is_blank_before() -> None:
+def test_report__carpet_of_a_run_that_begins_at_noon_is_blank_before() -> None:
     days, grid = by_hour(np.ones(13), begins(13, 60, MIDNIGHT + np.timedelta64(12, "h")), 3600.0)
     assert len(days) == 2
     assert np.isnan(grid[0, :12]).all()
@@ -51,12 +51,12 @@ def test_a_carpet_of_a_run_that_begins_at_noon_is_blank_before() -> None:
     assert np.isnan(grid[1, 1:]).all()
 
 
-def test_a_timestep_of_six_hours_counts_for_each_of_them() -> None:
+def test_report__timestep_of_six_hours_counts_for_each_of_them() -> None:
     _, grid = by_hour(np.array([1.0, 2.0, 3.0, 4.0]), begins(4, 360), 6 * 3600.0)
     assert grid[0].tolist() == [1.0] * 6 + [2.0] * 6 + [3.0] * 6 + [4.0] * 6
 
 
-def test_sums_are_by_day_for_weeks_and_by_month_for_longer_runs() -> None:
+def test_report__sums_are_by_day_for_weeks_and_by_month_for_longer_runs() -> None:
     days, sums = by_period(np.ones(14 * 24), begins(14 * 24, 60))
     assert sums.tolist() == [24.0] * 14
     assert str(days[-1]) == "2017-07-16"
@@ -65,7 +65,7 @@ def test_sums_are_by_day_for_weeks_and_by_month_for_longer_runs() -> None:
     assert sums.tolist() == [31 * 24.0, 31 * 24.0, 30 * 24.0]
 
 
-def test_end_uses_add_up_to_the_electricity() -> None:
+def test_report__end_uses_add_up_to_the_electricity() -> None:
     comparison = office_comparison()
     figure = energy.end_uses(comparison.curves)
     total = comparison.runs[0].results[0].energy_kwh["electricity"]
@@ -74,7 +74,7 @@ def test_end_uses_add_up_to_the_electricity() -> None:
     assert "other electricity" not in figure.data["end use"]
 
 
-def test_what_the_meter_counts_beyond_the_end_uses_is_shown_as_other() -> None:
+def test_report__what_the_meter_counts_beyond_the_end_uses_is_shown_as_other() -> None:
     of = office(("core",), steps=4)
     part = run("rbc", of, [10.0] * 4, [[24.0] * 4], [[0.0] * 4])
     part.trajectory.values[:, -3:] *= 0.5  # half of all end uses is not metered
@@ -84,7 +84,7 @@ def test_what_the_meter_counts_beyond_the_end_uses_is_shown_as_other() -> None:
     assert figure.data["rbc (kWh)"][-1] == pytest.approx(5.0)
 
 
-def test_energy_by_day_is_that_of_the_metrics() -> None:
+def test_report__energy_by_day_is_that_of_the_metrics() -> None:
     comparison = office_comparison()
     figure = energy.periods(comparison.curves)
     assert figure is not None
@@ -113,7 +113,7 @@ def test_peak_time__is_the_end_of_the_timestep_with_the_highest_power() -> None:
     assert one.quantities.peak_time == datetime(2017, 7, 3, 0, 45)
 
 
-def test_degree_hours_by_zone_add_up_to_the_metric_and_the_worst_zone_comes_first() -> None:
+def test_report__degree_hours_by_zone_add_up_to_the_metric_and_the_worst_zone_is_first() -> None:
     comparison = office_comparison()
     figure = comfort.degree_hours(comparison.curves)
     assert figure is not None
@@ -123,7 +123,7 @@ def test_degree_hours_by_zone_add_up_to_the_metric_and_the_worst_zone_comes_firs
     assert sum(figure.data["rbc: above (K h)"]) == pytest.approx(comparison.runs[1].results[0].occupied_outside_kh)
 
 
-def test_cold_zones_count_below_and_empty_ones_not_at_all() -> None:
+def test_report__cold_zones_count_below_and_empty_ones_not_at_all() -> None:
     of = office(("core", "south"), steps=8)
     cold, nobody = [20.0] * 8, [0.0] * 8
     part = run("rbc", of, [1.0] * 8, [cold, cold], [[1.0] * 8, nobody])
@@ -132,7 +132,7 @@ def test_cold_zones_count_below_and_empty_ones_not_at_all() -> None:
     assert list(below) == [pytest.approx(3.0 * 2.0), 0.0]  # the band of July begins at 23 degC
 
 
-def test_a_zone_that_is_always_comfortable_is_not_drawn() -> None:
+def test_report__zone_that_is_always_comfortable_is_not_drawn() -> None:
     of = office(("core",), steps=8)
     part = run("rbc", of, [1.0] * 8, [[24.0] * 8], [[1.0] * 8])
     figure = comfort.degree_hours([Curve("rbc", 0, part.quantities)])
@@ -141,7 +141,7 @@ def test_a_zone_that_is_always_comfortable_is_not_drawn() -> None:
     assert "within the comfort band" in figure.caption
 
 
-def test_the_carpet_of_a_zone_has_its_deviation() -> None:
+def test_report__carpet_of_a_zone_has_its_deviation() -> None:
     figure = carpets.zone(office_comparison().curves, "South", 1)
     assert figure is not None
     hours = dict(zip(figure.data["hour"], figure.data["rbc (K)"], strict=True))
@@ -149,7 +149,7 @@ def test_the_carpet_of_a_zone_has_its_deviation() -> None:
     assert hours["2017-07-03 08:00"] == pytest.approx(2.0)
 
 
-def test_hours_of_a_year_without_occupants_are_fainter() -> None:
+def test_report__hours_of_a_year_without_occupants_are_fainter() -> None:
     steps = 365 * 24
     hours = np.arange(steps)
     is_open = (hours % 24 >= 8) & (hours % 24 < 18) & (hours // 24 % 7 < 5)
@@ -164,7 +164,7 @@ def test_hours_of_a_year_without_occupants_are_fainter() -> None:
     assert "Faint: nobody there." in figure.caption
 
 
-def test_hours_within_the_band_are_blank_and_others_the_stronger_the_farther() -> None:
+def test_report__hours_within_the_band_are_blank_and_others_the_stronger_the_farther() -> None:
     alpha = carpets.tint(np.array([0.0, 0.1, 1.0, 2.0, 6.0, -0.1, -2.0]))[:, 3]
     assert alpha[0] == 0.0
     assert 0.0 < alpha[1] < alpha[2] < alpha[3] == alpha[4] == 1.0
@@ -183,7 +183,7 @@ def test_timeline__has_setpoints_and_their_sources() -> None:
     assert {name: share.mean() for name, share in actuators.source_shares(curves[0]).items()} == {"": 1.0}
 
 
-def test_rewards_add_up() -> None:
+def test_report__rewards_add_up() -> None:
     comparison = office_comparison()
     figure = reward.reward(comparison.curves)
     assert figure is not None
@@ -191,7 +191,7 @@ def test_rewards_add_up() -> None:
     assert figure.data["rbc: comfort"][-1] == pytest.approx(-96.0)
 
 
-def test_episodes_with_the_same_weather_are_drawn_once() -> None:
+def test_report__episodes_with_the_same_weather_are_drawn_once() -> None:
     of = office_comparison().runs[0]
     same = of.weathers[0]
     assert same is not None
@@ -221,7 +221,7 @@ def test_weather__axes_keep_their_width_with_many_stochastic_episodes(names: tup
     )
 
 
-def test_without_points_there_are_no_figures() -> None:
+def test_report__without_points_there_are_no_figures() -> None:
     of = office(("core",), steps=4).model_copy(update={"sensors": (), "meters": (), "actuators": ()})
     nothing = run("rbc", office(("core",), steps=4), [1.0] * 4, [[24.0] * 4], [[0.0] * 4])
     trajectory = nothing.trajectory
@@ -235,7 +235,7 @@ def test_without_points_there_are_no_figures() -> None:
     assert reward.reward(curves) is None
 
 
-def test_joules_of_the_made_up_office_are_its_power() -> None:
+def test_report__joules_of_the_made_up_office_are_its_power() -> None:
     part = run("rbc", office(("core",), steps=4), [10.0] * 4, [[24.0] * 4], [[0.0] * 4])
     assert part.results[0].energy_kwh["electricity"] == pytest.approx(10.0)
     assert part.trajectory.values[1, 2] == pytest.approx(2.5 * J_PER_KWH)

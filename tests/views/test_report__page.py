@@ -72,7 +72,7 @@ def text(comparison: Comparison) -> str:
     return page(comparison)
 
 
-def test_the_totals_are_those_of_the_evaluation(comparison: Comparison, text: str) -> None:
+def test_report__totals_are_those_of_the_evaluation(comparison: Comparison, text: str) -> None:
     rows = dict(re.findall(r'<tr data-metric="([^"]+)">(.*?)</tr>', text))
     assert "03 Jul 08:15" in rows.pop("peak_time")
     assert list(rows) == [metric.key for metric in (*metrics(comparison), *kpis(comparison))]
@@ -90,7 +90,7 @@ def test_the_totals_are_those_of_the_evaluation(comparison: Comparison, text: st
         assert change.verdict in cells[-1]  # in words, not by color alone
 
 
-def test_the_document_is_well_formed_and_its_ids_are_unique(text: str) -> None:
+def test_report__document_is_well_formed_and_its_ids_are_unique(text: str) -> None:
     document = Document(text)
     ids = list(document.attributes("id"))
     assert len(ids) == len(set(ids))
@@ -99,7 +99,7 @@ def test_the_document_is_well_formed_and_its_ids_are_unique(text: str) -> None:
     assert references
 
 
-def test_each_drawing_and_table_has_a_name(text: str) -> None:
+def test_report__each_drawing_and_table_has_a_name(text: str) -> None:
     document = Document(text)
     drawings = [attributes for tag, attributes in document.elements if tag == "svg"]
     ids = set(document.attributes("id"))
@@ -110,14 +110,14 @@ def test_each_drawing_and_table_has_a_name(text: str) -> None:
     assert all("scope" in attributes for tag, attributes in document.elements if tag == "th")
 
 
-def test_headings_are_in_order(text: str) -> None:
+def test_report__headings_are_in_order(text: str) -> None:
     levels = [int(tag[1]) for tag, _ in Document(text).elements if re.fullmatch("h[1-6]", tag)]
     assert levels[0] == 1
     assert levels.count(1) == 1
     assert all(later <= earlier + 1 for earlier, later in pairwise(levels))
 
 
-def test_nothing_is_loaded_from_anywhere(text: str) -> None:
+def test_report__nothing_is_loaded_from_anywhere(text: str) -> None:
     document = Document(text)
     (policy,) = (a["content"] or "" for tag, a in document.elements if a.get("http-equiv") == "Content-Security-Policy")
     assert policy.startswith("default-src 'none'; img-src data:;")
@@ -135,7 +135,7 @@ HOSTILE_NAMES = ("$a_1$ & $b$", "<img src=x onerror=alert(1)>")
 """Names of controllers, short enough for figures."""
 
 
-def test_names_of_users_are_text() -> None:
+def test_report__names_of_users_are_text() -> None:
     hostile = office_comparison(HOSTILE_NAMES, building=HOSTILE, scenario=f"id: {HOSTILE}", command=HOSTILE)
     hostile = Comparison(hostile.runs, hostile.scenario, hostile.command, {HOSTILE: HOSTILE}, {"peak_kw": HOSTILE})
     text = page(hostile)
@@ -155,11 +155,11 @@ def test_names_of_users_are_text() -> None:
         assert any("Stacked bars" in data and name in data for data in shown)
 
 
-def test_the_same_input_gives_the_same_bytes(comparison: Comparison, text: str) -> None:
+def test_report__same_input_gives_the_same_bytes(comparison: Comparison, text: str) -> None:
     assert page(office_comparison(scenario=comparison.scenario, command=comparison.command)) == text
 
 
-def test_what_is_not_measured_is_named() -> None:
+def test_report__what_is_not_measured_is_named() -> None:
     of = office(("core",), steps=8).model_copy(update={"meters": ()})
     whole = run("rbc", office(("core",), steps=8), [1.0] * 8, [[24.0] * 8], [[1.0] * 8])
     trajectory = whole.trajectory
@@ -169,7 +169,7 @@ def test_what_is_not_measured_is_named() -> None:
     assert 'id="end-use"' not in text
 
 
-def test_several_episodes_have_intervals_and_say_which_one_is_drawn() -> None:
+def test_report__several_episodes_have_intervals_and_state_which_one_is_drawn() -> None:
     pytest.importorskip("scipy")
     of = office(("core",), steps=8)
     runs = tuple(run(name, of, [10.0] * 8, [[24.0] * 8], [[1.0] * 8], episodes=3) for name in ("baseline", "rbc"))
@@ -179,7 +179,7 @@ def test_several_episodes_have_intervals_and_say_which_one_is_drawn() -> None:
 
 
 @pytest.mark.slow
-def test_a_year_of_two_controllers_is_below_a_megabyte_though_nothing_repeats() -> None:
+def test_report__year_of_two_controllers_is_below_a_megabyte_though_nothing_repeats() -> None:
     of = office([f"zone_{number}" for number in range(26)], steps=35040, begin="2017-01-01T00:00:00")
     hours = np.arange(35040) / 4
     random = np.random.default_rng(5)
@@ -204,7 +204,7 @@ def test_a_year_of_two_controllers_is_below_a_megabyte_though_nothing_repeats() 
 
 
 @pytest.mark.parametrize("colors", [LIGHT, DARK])
-def test_texts_and_lines_have_contrast(colors: dict[str, str]) -> None:
+def test_report__texts_and_lines_have_contrast(colors: dict[str, str]) -> None:
     def rgb(name: str) -> list[int]:
         return [int(colors[name][place : place + 2], 16) for place in (1, 3, 5)]
 
@@ -217,7 +217,7 @@ def test_texts_and_lines_have_contrast(colors: dict[str, str]) -> None:
     assert len(set(colors.values())) == len(colors)  # the color tells the variable
 
 
-def test_figures_for_papers(comparison: Comparison, tmp_path: Path) -> None:
+def test_report__figures_for_papers(comparison: Comparison, tmp_path: Path) -> None:
     from matplotlib.image import imread
 
     files = write_figures(comparison, tmp_path / "figures")
@@ -235,7 +235,7 @@ def test_figures_for_papers(comparison: Comparison, tmp_path: Path) -> None:
     assert [float(cell) for cell in lines[1].split(",")[1:]] == pytest.approx([440.0, 396.0])
 
 
-def test_drawings_of_a_comparison_are_made_once(comparison: Comparison) -> None:
+def test_report__drawings_of_a_comparison_are_made_once(comparison: Comparison) -> None:
     def drawings(of: Any) -> list[Figure]:
         return [figure for section in sections(of) for figure in section.figures]
 
@@ -250,7 +250,7 @@ def test_drawings_of_a_comparison_are_made_once(comparison: Comparison) -> None:
         ("d.html", "is a folder"),
     ],
 )
-def test_a_path_that_cannot_be_written_is_named(
+def test_report__path_that_cannot_be_written_is_named(
     path: str, message: str, comparison: Comparison, tmp_path: Path
 ) -> None:
     (tmp_path / "d.html").mkdir()
@@ -258,7 +258,7 @@ def test_a_path_that_cannot_be_written_is_named(
         write_report(comparison, tmp_path / path)
 
 
-def test_figures_need_a_folder(comparison: Comparison, tmp_path: Path) -> None:
+def test_report__figures_need_a_folder(comparison: Comparison, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(InvalidConfig, match="this is a file"):
         write_figures(comparison, tmp_path / "file")
@@ -266,6 +266,6 @@ def test_figures_need_a_folder(comparison: Comparison, tmp_path: Path) -> None:
         write_figures(comparison, tmp_path / "nowhere" / "figures")
 
 
-def test_an_evaluation_without_recordings_has_no_report(tmp_path: Path) -> None:
+def test_report__evaluation_without_recordings_has_no_report(tmp_path: Path) -> None:
     with pytest.raises(InvalidConfig, match="trace=True"):
         Evaluation((), {}).report(tmp_path / "a.html")

@@ -43,7 +43,7 @@ def entries(series: list[Series]) -> Any:
     return entry
 
 
-def test_values_are_within_half_a_step_of_their_range_and_gaps_stay_gaps() -> None:
+def test_report__values_are_within_half_a_step_of_their_range_and_gaps_stay_gaps() -> None:
     random = np.random.default_rng(3)
     y = np.concatenate([random.uniform(-40.0, 90.0, 500), np.full(90, 7.0), [np.nan] * 3, random.uniform(0.0, 1.0, 9)])
     x = np.sort(random.uniform(0.0, 365.0, len(y)))
@@ -54,7 +54,7 @@ def test_values_are_within_half_a_step_of_their_range_and_gaps_stay_gaps() -> No
     assert len(line["y"][2]) < 2 * 520  # 90 equal values take a few letters
 
 
-def test_lowest_and_highest_value_are_exact_and_a_constant_is_one_number() -> None:
+def test_report__lowest_and_highest_value_are_exact_and_a_constant_is_one_number() -> None:
     x = np.arange(5) / 96
     lines = entries([Series("a", "", x, np.array([21.1, 24.3, 21.1, 24.3, 21.1])), Series("b", "", x, np.full(5, 0.1))])
     high, flat = (unpacked(line["y"], 2) for line in lines["series"])
@@ -63,7 +63,7 @@ def test_lowest_and_highest_value_are_exact_and_a_constant_is_one_number() -> No
     assert lines["series"][0]["x"] == pytest.approx([0.0, 1 / 96])  # equal distances are not listed
 
 
-def test_the_box_of_an_axis_is_where_it_is_drawn() -> None:
+def test_report__box_of_an_axis_is_where_it_is_drawn() -> None:
     def fill(figure: Any) -> None:
         axis = figure.subplots()
         axis.plot([0.0, 1.0], [5.0, 6.0], label="power")
@@ -81,7 +81,7 @@ def test_the_box_of_an_axis_is_where_it_is_drawn() -> None:
     assert (entry["span"], entry["series"][0]["label"]) == ([0.0, 1.0], "power")
 
 
-def test_names_of_users_do_not_end_the_block() -> None:
+def test_report__names_of_users_do_not_end_the_block() -> None:
     text = page(office_comparison(("baseline", "</script><b>")))
     blocks = re.findall(r'<script type="application/json">(.*?)</script>', text)
     labels = {line["label"] for block in blocks for entry in json.loads(block) for line in entry["series"]}

@@ -40,21 +40,21 @@ def comparison() -> Comparison:
     return office_comparison()
 
 
-def test_the_difference_of_one_episode(comparison: Comparison) -> None:
+def test_report__difference_of_one_episode(comparison: Comparison) -> None:
     reference, other = comparison.runs
     change = difference(with_electricity(other, 90.0), with_electricity(reference, 100.0), ELECTRICITY)
     assert change is not None
     assert (change.mean, change.percent, change.half_width, change.verdict) == (-10.0, -10.0, None, "better")
 
 
-def test_a_higher_reward_is_better_and_its_percent_has_the_sign_of_the_difference(comparison: Comparison) -> None:
+def test_report__higher_reward_is_better_and_its_percent_has_the_sign_of_the_difference(comparison: Comparison) -> None:
     reference, other = comparison.runs
     change = difference(changed(other, reward=-50.0), changed(reference, reward=-100.0), REWARD)
     assert change is not None
     assert (change.mean, change.percent, change.verdict) == (50.0, 50.0, "better")
 
 
-def test_differences_are_those_of_the_same_episodes(comparison: Comparison) -> None:
+def test_report__differences_are_those_of_the_same_episodes(comparison: Comparison) -> None:
     # The episodes differ by far more than the controllers, but each time by the same 10 kWh.
     reference, other = comparison.runs
     change = difference(with_electricity(other, 90, 490, 890), with_electricity(reference, 100, 500, 900), ELECTRICITY)
@@ -64,7 +64,7 @@ def test_differences_are_those_of_the_same_episodes(comparison: Comparison) -> N
     assert change.verdict == "better"
 
 
-def test_an_interval_that_contains_zero_is_unclear(comparison: Comparison) -> None:
+def test_report__interval_that_contains_zero_is_unclear(comparison: Comparison) -> None:
     pytest.importorskip("scipy")
     reference, other = comparison.runs
     change = difference(with_electricity(other, 90, 520, 880), with_electricity(reference, 100, 500, 900), ELECTRICITY)
@@ -74,14 +74,14 @@ def test_an_interval_that_contains_zero_is_unclear(comparison: Comparison) -> No
     assert change.verdict == "unclear"
 
 
-def test_a_reference_of_zero_has_no_percent(comparison: Comparison) -> None:
+def test_report__reference_of_zero_has_no_percent(comparison: Comparison) -> None:
     reference, other = comparison.runs
     change = difference(with_electricity(other, 5.0), with_electricity(reference, 0.0), ELECTRICITY)
     assert change is not None
     assert (change.percent, change.verdict) == (None, "worse")
 
 
-def test_quantities_that_nobody_measures_have_no_row(comparison: Comparison) -> None:
+def test_report__quantities_that_nobody_measures_have_no_row(comparison: Comparison) -> None:
     keys = [metric.key for metric in metrics(comparison)]
     assert keys[:4] == ["electricity_kwh", "hvac_electricity_kwh", "site_kwh_m2", "peak_kw"]
     assert "natural_gas_kwh" not in keys
@@ -89,7 +89,7 @@ def test_quantities_that_nobody_measures_have_no_row(comparison: Comparison) -> 
     assert keys[-3:] == ["reward", "reward.energy", "reward.comfort"]
 
 
-def test_the_result_names_savings_and_the_zone_that_pays_for_them(comparison: Comparison) -> None:
+def test_report__result_names_savings_and_the_zone_that_pays_for_them(comparison: Comparison) -> None:
     (text,) = texts_of(comparison)
     # 10 kW by day, 30 kW for ten hours: 440 kWh; the second controller uses a tenth less.
     assert text.startswith(
@@ -99,7 +99,7 @@ def test_the_result_names_savings_and_the_zone_that_pays_for_them(comparison: Co
     assert "the worst zone is South (20 K h too warm)" in text
 
 
-def test_the_result_says_when_nothing_differs(comparison: Comparison) -> None:
+def test_report__result_states_that_nothing_differs(comparison: Comparison) -> None:
     (text,) = texts_of(Comparison((comparison.runs[0], replace(comparison.runs[0], name="same"))))
     assert "same used as much electricity as baseline (440 kWh)" in text
     assert "Occupied zones were within the comfort band at all times, as under baseline." in text
@@ -114,7 +114,7 @@ def test_the_result_says_when_nothing_differs(comparison: Comparison) -> None:
         (600.0, "40.0 % less than under baseline"),
     ],
 )
-def test_the_result_never_says_zero_percent_less(comparison: Comparison, outside: float, words: str) -> None:
+def test_report__result_never_states_zero_percent_less(comparison: Comparison, outside: float, words: str) -> None:
     reference, other = comparison.runs
     metrics_of_both = (changed(reference, occupied_outside_kh=1000.0), changed(other, occupied_outside_kh=outside))
     (text,) = texts_of(Comparison(metrics_of_both))
@@ -131,24 +131,26 @@ def test_the_result_never_says_zero_percent_less(comparison: Comparison, outside
         (["package.module:" + "Long" * 9], ["LongLongLongLongLongLongLon\N{HORIZONTAL ELLIPSIS}"]),
     ],
 )
-def test_long_names_are_shortened_and_stay_distinct(names: list[str], short: list[str]) -> None:
+def test_report__long_names_are_shortened_and_stay_distinct(names: list[str], short: list[str]) -> None:
     assert short_names(names) == short
 
 
-def test_the_result_of_one_controller_alone(comparison: Comparison) -> None:
+def test_report__result_of_one_controller_alone(comparison: Comparison) -> None:
     (text,) = texts_of(Comparison(comparison.runs[1:]))
     assert text.startswith("rbc used 396 kWh of electricity, with a peak of 27 kW.")
     assert "outside the comfort band by 20 K h" in text
 
 
-def test_the_result_names_episodes_that_ended_early_and_commands_that_were_not_accepted(comparison: Comparison) -> None:
+def test_report__result_names_episodes_that_ended_early_and_commands_that_were_not_accepted(
+    comparison: Comparison,
+) -> None:
     reference, other = comparison.runs
     texts = texts_of(Comparison((reference, changed(other, terminated=True, steps=40, late=2, rejected=1))))
     assert any("ended 1 of 1 episodes early, after 40 of 96 timesteps" in text for text in texts)
     assert any("did not accept 3 messages of rbc" in text for text in texts)
 
 
-def test_the_result_of_several_episodes_says_so_and_what_is_not_clear(comparison: Comparison) -> None:
+def test_report__result_of_several_episodes_is_reported_and_what_is_not_clear(comparison: Comparison) -> None:
     pytest.importorskip("scipy")
     reference, other = comparison.runs
     pair = (with_electricity(reference, 100, 500, 900), with_electricity(other, 90, 520, 880))
@@ -163,16 +165,16 @@ def test_the_result_of_several_episodes_says_so_and_what_is_not_clear(comparison
         (0.5432, "0.543"), (0.0, "0"), (-0.00001, "\N{ALMOST EQUAL TO}\N{NO-BREAK SPACE}0"),
      (-383.26, "\N{MINUS SIGN}383.3"), (12.0, "12")],
 )  # fmt: skip
-def test_numbers_have_about_four_digits(value: float, text: str) -> None:
+def test_report__numbers_have_about_four_digits(value: float, text: str) -> None:
     assert number(value) == text
 
 
 @pytest.mark.parametrize(("value", "text"), [(5.25, "+5.25"), (-5.25, "\N{MINUS SIGN}5.25"), (0.0, "0")])
-def test_differences_have_a_sign(value: float, text: str) -> None:
+def test_report__differences_have_a_sign(value: float, text: str) -> None:
     assert signed(value) == text
 
 
-def test_episodes_of_different_length_are_not_rated(comparison: Comparison) -> None:
+def test_report__episodes_of_different_length_are_not_rated(comparison: Comparison) -> None:
     reference, other = comparison.runs
     shorter = changed(other, steps=40, terminated=True)
     change = difference(shorter, reference, ELECTRICITY)
@@ -184,7 +186,7 @@ def test_episodes_of_different_length_are_not_rated(comparison: Comparison) -> N
     assert "steps" not in [metric.key for metric in metrics(comparison)]
 
 
-def test_percents_of_nearly_nothing_are_left_out(comparison: Comparison) -> None:
+def test_report__percents_of_nearly_nothing_are_left_out(comparison: Comparison) -> None:
     reference, other = comparison.runs
     change = difference(with_electricity(other, 5.0), with_electricity(reference, 1e-9), ELECTRICITY)
     assert change is not None

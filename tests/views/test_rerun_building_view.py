@@ -17,7 +17,9 @@ def _times(count: int, step_s: int) -> np.ndarray:
 
 
 @given(SERIES, st.integers(1, 59))
-def test_the_color_shown_is_that_of_the_sample_whatever_the_blocks_are(values: list[float], cut: int) -> None:
+def test_rerun_building_view__color_shown_is_that_of_the_sample_whatever_the_blocks_are(
+    values: list[float], cut: int
+) -> None:
     deviations, times = np.array(values)[:, None], _times(len(values), PERIOD_S)
     whole, parts = ColorChanges(1).select(times, deviations), ColorChanges(1)
     (first,), (second,) = (parts.select(times[part], deviations[part]) for part in (slice(cut), slice(cut, None)))
@@ -29,18 +31,18 @@ def test_the_color_shown_is_that_of_the_sample_whatever_the_blocks_are(values: l
         assert np.isnan(color) if np.isnan(value) else abs(color - value) <= QUANTUM_K / 2 + 1e-9
 
 
-def test_equal_colors_are_one() -> None:
+def test_rerun_building_view__equal_colors_are_one() -> None:
     ((rows, shown),) = ColorChanges(1).select(_times(5, 900), np.array([[0.0], [0.02], [1.0], [1.1], [0.0]]))
     assert rows.tolist() == [0, 2, 4]
     assert shown.tolist() == [0.0, 1.0, 0.0]
 
 
-def test_short_timesteps_have_one_color_in_a_quarter_of_an_hour() -> None:
+def test_rerun_building_view__short_timesteps_have_one_color_in_a_quarter_of_an_hour() -> None:
     ((rows, _),) = ColorChanges(1).select(_times(61, 60), np.arange(61.0)[:, None])
     assert rows.tolist() == [0, 15, 30, 45, 60]
 
 
-def test_slightly_outside_is_not_shown_as_within() -> None:
+def test_rerun_building_view__slightly_outside_is_not_shown_as_within() -> None:
     ((_, shown),) = ColorChanges(1).select(_times(3, 900), np.array([[0.0], [0.1], [-0.1]]))
     assert shown[0] == 0.0
     assert shown[1] > 0.0 > shown[2]

@@ -36,7 +36,7 @@ class _Node:
 
 
 @pytest.mark.parametrize(("rows", "loses"), [(100, 0), (7, 0), (7, 2)])
-def test_all_points_of_all_samples_that_the_node_has(rows: int, loses: int) -> None:
+def test_rerun_history__all_points_of_all_samples_that_the_node_has(rows: int, loses: int) -> None:
     node = _Node(rows, loses=loses)
     first, table = read_history(node.query, node.manifest, 3, 20)
     points = len(node.manifest.points) + len(node.manifest.actuators)
@@ -46,12 +46,12 @@ def test_all_points_of_all_samples_that_the_node_has(rows: int, loses: int) -> N
     np.testing.assert_array_equal(table, expected)
 
 
-def test_another_episode_has_no_samples_of_this_one() -> None:
+def test_rerun_history__another_episode_has_no_samples_of_this_one() -> None:
     node = _Node(100)
     assert read_history(node.query, node.manifest, 2, 20) is None
 
 
-def test_a_node_that_has_replaced_all_of_them() -> None:
+def test_rerun_history__node_that_has_replaced_all_of_them() -> None:
     node = _Node(100)
     node.oldest = 50
     assert read_history(node.query, node.manifest, 3, 20) is None

@@ -45,7 +45,7 @@ def recording(scratch: Path) -> rr.RecordingStream:
     return stream
 
 
-def test_one_node_opens_on_its_building(recording: rr.RecordingStream) -> None:
+def test_rerun_layout__one_node_opens_on_its_building(recording: rr.RecordingStream) -> None:
     node = _node(recording)
     layout = blueprint([(node.model, node.view)])
     first, *others = layout.root_container.contents
@@ -59,7 +59,7 @@ def test_one_node_opens_on_its_building(recording: rr.RecordingStream) -> None:
     recording.send_blueprint(layout)
 
 
-def test_views_show_entities_that_are_logged(recording: rr.RecordingStream) -> None:
+def test_rerun_layout__views_show_entities_that_are_logged(recording: rr.RecordingStream) -> None:
     """A path that is logged nowhere would be an empty view."""
     node = _node(recording)
     paths = {node.view.log.path(series.path) for series in node.view.series}
@@ -70,7 +70,7 @@ def test_views_show_entities_that_are_logged(recording: rr.RecordingStream) -> N
             assert {str(path) for path in view.visualizer_overrides} <= paths
 
 
-def test_several_nodes_have_an_overview_and_a_tab_each(recording: rr.RecordingStream) -> None:
+def test_rerun_layout__several_nodes_have_an_overview_and_a_tab_each(recording: rr.RecordingStream) -> None:
     nodes = [_node(recording, node=name) for name in ("north", "plain")]
     layout = blueprint([(node.model, node.view) for node in nodes])
     tabs = layout.root_container.contents
@@ -85,7 +85,7 @@ def test_several_nodes_have_an_overview_and_a_tab_each(recording: rr.RecordingSt
     recording.send_blueprint(layout)
 
 
-def test_nodes_of_different_years_have_a_cursor_in_common(recording: rr.RecordingStream) -> None:
+def test_rerun_layout__nodes_of_different_years_have_a_cursor_in_common(recording: rr.RecordingStream) -> None:
     """On the timeline of the time since each one's begin; nodes whose episodes overlap share simulated time."""
     north = _node(recording, node="north")
     for begin, end, timeline in (
@@ -100,7 +100,7 @@ def test_nodes_of_different_years_have_a_cursor_in_common(recording: rr.Recordin
         assert len(first) == (1 if timeline == "elapsed" else 2)
 
 
-def test_one_zone_is_drawn_once(recording: rr.RecordingStream) -> None:
+def test_rerun_layout__one_zone_is_drawn_once(recording: rr.RecordingStream) -> None:
     room = builders.manifest(
         sensors=[builders.sensor("room_temperature", "").model_copy(update={"key": ""})],
         actuators=[builders.actuator("heating_setpoint")],
@@ -115,7 +115,9 @@ def test_one_zone_is_drawn_once(recording: rr.RecordingStream) -> None:
     assert len(titles) == len(set(titles))
 
 
-def test_plots_have_free_time_for_their_legend_and_none_without_one(recording: rr.RecordingStream) -> None:
+def test_rerun_layout__plots_have_free_time_for_their_legend_and_none_without_one(
+    recording: rr.RecordingStream,
+) -> None:
     """A letter of a legend takes about 6.5 px of the 950 that half of a usual screen has for a plot."""
     node = _node(recording)
     names = {node.view.log.path(series.path): series.names for series in node.view.series}
@@ -138,7 +140,7 @@ def test_plots_have_free_time_for_their_legend_and_none_without_one(recording: r
     assert lengths == {1, 2}
 
 
-def test_tabs_are_found_by_name() -> None:
+def test_rerun_layout__tabs_are_found_by_name() -> None:
     for name in ("Building", "Plant", "Other points", "Overview", "office/Control"):
         check_tab(name)
     with pytest.raises(InvalidConfig, match="--tab control: there is no tab 'control'; did you mean 'Control'"):
@@ -178,21 +180,21 @@ def _viewer_blueprint(*nodes: str) -> Blueprint:
         (["north", "south"], "south/Control", {"root": "container/south", "south": "container/south-Control"}),
     ],
 )
-def test_a_tab_is_opened(nodes: list[str], name: str, active: dict[str, str]) -> None:
+def test_rerun_layout__tab_is_opened(nodes: list[str], name: str, active: dict[str, str]) -> None:
     layout = _viewer_blueprint(*nodes)
     open_tab(layout, name)
     for container, child in active.items():
         assert layout[f"/container/{container}"]["ContainerBlueprint"]["active_tab"] == child
 
 
-def test_a_tab_of_several_nodes_needs_the_nodes_name() -> None:
+def test_rerun_layout__tab_of_several_nodes_needs_the_nodes_name() -> None:
     with pytest.raises(ViewerError, match="several nodes have the tab 'Control'; did you mean 'north/Control' or"):
         open_tab(_viewer_blueprint("north", "south"), "Control")
     with pytest.raises(ViewerError, match="--tab Zones: the layout has no tab 'Zones'"):
         open_tab(_viewer_blueprint("office"), "Zones")
 
 
-def test_overview_has_a_row_for_each_node_in_order() -> None:
+def test_rerun_layout__overview_has_a_row_for_each_node_in_order() -> None:
     warm = NodeNumbers(low_degc=20.04, high_degc=27.0, hvac_kw=12.34, facility_kwh=12345.6, occupied_kh=1.0)
     rows = [NodeRow("south", "hospital", NodeNumbers(), is_connected=False), NodeRow("north", "office", warm)]
     _, _, north, south = overview(rows).splitlines()
@@ -205,10 +207,10 @@ def test_overview_has_a_row_for_each_node_in_order() -> None:
 @pytest.mark.parametrize(
     ("count", "text"), [(0.0, "0 people"), (0.6, "1 person"), (1.0, "1 person"), (2.0, "2 people")]
 )
-def test_one_person_is_not_people(count: float, text: str) -> None:
+def test_rerun_layout__one_person_is_not_people(count: float, text: str) -> None:
     assert f"**{text}**" in markdown(NodeNumbers(people=count))
 
 
-def test_a_number_that_is_not_there_is_a_dash() -> None:
+def test_rerun_layout__number_that_is_not_there_is_a_dash() -> None:
     assert quantity(None, "kW") == "\N{EN DASH}"
     assert quantity(0.0, "people", 0) == "0 people"

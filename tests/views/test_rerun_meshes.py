@@ -15,7 +15,7 @@ WALL = np.array([[0.0, 0.0, 3.0], [0.0, 0.0, 0.0], [8.0, 0.0, 0.0], [8.0, 0.0, 3
 
 
 @given(st.floats(0.01, 2.99))
-def test_a_cut_wall_has_its_share_of_the_area(height: float) -> None:
+def test_rerun_meshes__cut_wall_has_its_share_of_the_area(height: float) -> None:
     cut = clip_above(WALL, height)
     assert area(cut) == pytest.approx(8.0 * height)
     assert cut[:, 2].max() == pytest.approx(height)
@@ -26,7 +26,7 @@ def test_cut__keeps_what_is_below_and_removes_what_is_above() -> None:
     assert clip_above(WALL, -0.1).shape == (0, 3)
 
 
-def test_zones_are_cut_above_their_floor_and_plena_are_left_out() -> None:
+def test_rerun_meshes__zones_are_cut_above_their_floor_and_plena_are_left_out() -> None:
     model = building_model(two_storeys(), ZONES)
     assert sorted(model.zones) == sorted([ZONES[0], ZONES[1].upper()])
     for mesh in model.zones.values():
@@ -39,32 +39,32 @@ def test_zones_are_cut_above_their_floor_and_plena_are_left_out() -> None:
     assert upper - lower > 4.0  # apart
 
 
-def test_triangles_of_a_zone_cover_its_floor() -> None:
+def test_rerun_meshes__triangles_of_a_zone_cover_its_floor() -> None:
     mesh = building_model(two_storeys(), ZONES).zones[ZONES[0]]
     corners = mesh.positions[mesh.triangles]
     is_floor = np.ptp(corners[:, :, 2], axis=1) == 0
     assert sum(area(triangle) for triangle in corners[is_floor]) == pytest.approx(200.0)
 
 
-def test_an_unconditioned_room_beside_others_is_drawn() -> None:
+def test_rerun_meshes__unconditioned_room_beside_others_is_drawn() -> None:
     rooms = [("Office", 0, (0, 0, 0), (9, 9, 3), True), ("Stairs", 0, (9, 0, 0), (12, 9, 3), False)]
     assert set(building_model(geometry(rooms, [0.0]), ["Office"]).zones) == {"Office", "Stairs"}
 
 
-def test_no_zone_no_building() -> None:
+def test_rerun_meshes__no_zone_no_building() -> None:
     assert building_model(geometry([], [0.0]), []) is None
     assert building_model(geometry([("Plenum", 0, (0, 0, 3), (9, 9, 4), False)], [3.0]), []) is None
 
 
 @pytest.mark.parametrize("count", [1, 2, MAX_STACKED])
-def test_few_storeys_are_apart_vertically(count: int) -> None:
+def test_rerun_meshes__few_storeys_are_apart_vertically(count: int) -> None:
     offsets = storey_offsets(np.array([30.0, 20.0]), [3.0 * place for place in range(count)])
     assert (offsets[:, :2] == 0).all()
     assert (np.diff(offsets[:, 2]) > 5.0).all()
 
 
 @pytest.mark.parametrize("count", [5, 6, 10, 30])
-def test_many_storeys_lie_side_by_side_on_one_level(count: int) -> None:
+def test_rerun_meshes__many_storeys_lie_side_by_side_on_one_level(count: int) -> None:
     floors = np.array([3.0 * place for place in range(count)])
     offsets = storey_offsets(np.array([30.0, 20.0]), floors.tolist())
     assert (floors + offsets[:, 2] == 0).all()
@@ -73,7 +73,7 @@ def test_many_storeys_lie_side_by_side_on_one_level(count: int) -> None:
     assert (apart.any(axis=2) | np.eye(count, dtype=bool)).all()
 
 
-def test_storeys_side_by_side_have_labels() -> None:
+def test_rerun_meshes__storeys_side_by_side_have_labels() -> None:
     rooms = [(f"Zone {n}", n, (0, 0, 3 * n), (20, 10, 3 * n + 3), True) for n in range(5)]
     model = building_model(geometry(rooms, [3.0 * n for n in range(5)]), [])
     assert [text for text, _ in model.storey_labels] == [f"Storey {n}" for n in range(1, 6)]
@@ -87,7 +87,9 @@ def test_storeys_side_by_side_have_labels() -> None:
         ([0.0, 4.0, 50.0], [1, 10, 1], ["Storey 1", "Storeys 2 to 11", "Storey 12"]),
     ],
 )
-def test_storeys_are_numbered_from_the_ground(floors_m: list[float], multipliers: list[int], names: list[str]) -> None:
+def test_rerun_meshes__storeys_are_numbered_from_the_ground(
+    floors_m: list[float], multipliers: list[int], names: list[str]
+) -> None:
     rooms = [(f"Zone {n}", n, (0, 0, floor), (20, 10, floor + 3), True) for n, floor in enumerate(floors_m)]
     building = geometry(rooms, floors_m)
     zones = tuple(
@@ -97,7 +99,7 @@ def test_storeys_are_numbered_from_the_ground(floors_m: list[float], multipliers
     assert storey_names(building.model_copy(update={"zones": zones})) == names
 
 
-def test_a_zones_name_stands_above_its_floor() -> None:
+def test_rerun_meshes__zones_name_is_above_its_floor() -> None:
     model = building_model(two_storeys(), ZONES)
     for name, mesh in model.zones.items():
         east, north, up = model.zone_places[name]

@@ -56,7 +56,7 @@ def _add(node: NodeStream, *args: Any, **kwargs: Any) -> None:
         node.add_sample(sample)
 
 
-def test_values_colors_and_times_are_those_of_the_samples(scratch: Path) -> None:
+def test_rerun_node_stream__values_colors_and_times_are_those_of_the_samples(scratch: Path) -> None:
     path, manifest = scratch / "run.rrd", office()
     table = rows(8, core_air_temperature=[22, 22, 28, 28, 28.01, 17, 17, 22], outdoor_temperature=np.arange(8.0))
     with _node(path, manifest, two_storeys()) as node:
@@ -77,7 +77,7 @@ def test_values_colors_and_times_are_those_of_the_samples(scratch: Path) -> None
     assert core in static(path, "Mesh3D:vertex_positions")
 
 
-def test_sun_is_south_of_the_building_at_noon_and_absent_at_night(scratch: Path) -> None:
+def test_rerun_node_stream__sun_is_south_of_the_building_at_noon_and_absent_at_night(scratch: Path) -> None:
     path, manifest = scratch / "run.rrd", office()
     with _node(path, manifest, two_storeys()) as node:
         _add(node, manifest, rows(97))
@@ -93,7 +93,7 @@ def test_sun_is_south_of_the_building_at_noon_and_absent_at_night(scratch: Path)
     assert sun[70][0][0] < center[0]
 
 
-def test_events_have_the_simulated_time_of_their_step(scratch: Path) -> None:
+def test_rerun_node_stream__events_have_the_simulated_time_of_their_step(scratch: Path) -> None:
     path, manifest = scratch / "run.rrd", office()
     with _node(path, manifest) as node:
         _add(node, manifest, rows(1))
@@ -108,7 +108,7 @@ def test_events_have_the_simulated_time_of_their_step(scratch: Path) -> None:
     assert logged(path, "TextLog:text")[events][12] == ["1 Jul 03:00  connected: rbc controls (rbc)"]
 
 
-def test_events_are_those_of_their_episode(scratch: Path) -> None:
+def test_rerun_node_stream__events_are_those_of_their_episode(scratch: Path) -> None:
     path, manifest = scratch / "run.rrd", office()
     with _node(path, manifest) as node:
         for episode in (0, 1):
@@ -124,7 +124,7 @@ def _views(part: Any) -> list[Any]:
     return [view for child in part.contents for view in _views(child)] if isinstance(part, rrb.Container) else [part]
 
 
-def test_each_episode_has_entities_of_its_own_and_the_layout_the_newest(scratch: Path) -> None:
+def test_rerun_node_stream__each_episode_has_entities_of_its_own_and_the_layout_the_newest(scratch: Path) -> None:
     path, manifest = scratch / "run.rrd", office()
     with _node(path, manifest) as node:
         for episode in (0, 1):
@@ -138,7 +138,7 @@ def test_each_episode_has_entities_of_its_own_and_the_layout_the_newest(scratch:
         assert [vectors[step][0] for step in range(3)] == [20.0 + episode] * 3
 
 
-def test_lost_samples_are_counted_and_old_ones_ignored(scratch: Path) -> None:
+def test_rerun_node_stream__lost_samples_are_counted_and_old_ones_ignored(scratch: Path) -> None:
     manifest = office()
     all_samples = samples(manifest, rows(10))
     with _node(scratch / "run.rrd", manifest) as node:
@@ -148,7 +148,9 @@ def test_lost_samples_are_counted_and_old_ones_ignored(scratch: Path) -> None:
 
 
 @pytest.mark.parametrize("begins_at", [0, 7])
-def test_samples_before_the_first_one_count_from_the_episodes_first_step(scratch: Path, begins_at: int) -> None:
+def test_rerun_node_stream__samples_before_the_first_one_count_from_the_episodes_first_step(
+    scratch: Path, begins_at: int
+) -> None:
     """An episode that goes on from a snapshot at step 7 has no earlier samples."""
     manifest = office()
     with _node(scratch / "run.rrd", manifest) as node:
@@ -158,7 +160,9 @@ def test_samples_before_the_first_one_count_from_the_episodes_first_step(scratch
 
 
 @pytest.mark.parametrize(("kept", "missed"), [(4, 2), (100, 0)])
-def test_the_history_of_the_node_precedes_the_first_sample(scratch: Path, kept: int, missed: int) -> None:
+def test_rerun_node_stream__history_of_the_node_precedes_the_first_sample(
+    scratch: Path, kept: int, missed: int
+) -> None:
     """A node that keeps four samples has replaced two; one that keeps a hundred began its episode at step 2."""
     path, manifest = scratch / "run.rrd", office()
     table = rows(8, core_air_temperature=20.0 + np.arange(8))
@@ -194,7 +198,9 @@ def test_sample__has_its_counters_and_value_sources(scratch: Path) -> None:
         assert f"Sat 1 Jul 2017, {clock}" in texts[step][0]
 
 
-def test_alarms_and_faults_are_those_of_each_step_though_events_follow_their_sample(scratch: Path) -> None:
+def test_rerun_node_stream__alarms_and_faults_are_those_of_each_step_though_events_follow_their_sample(
+    scratch: Path,
+) -> None:
     path, manifest = scratch / "run.rrd", office()
     table = rows(5)
     with _node(path, manifest) as node:
@@ -222,7 +228,7 @@ def _alarm(step: int, state: AlarmState, slot: int = 0) -> Event:
     return Event(kind=EventKind.ALARM, text="too warm", step=step, alarm=change)
 
 
-def test_what_holds_for_a_timestep_begins_with_sample_1(scratch: Path) -> None:
+def test_rerun_node_stream__what_holds_for_a_timestep_begins_with_sample_1(scratch: Path) -> None:
     """The timestep that sample 0 closes belongs to the warmup, whose setpoints may be far from the episode's."""
     path, manifest = scratch / "run.rrd", office()
     with _node(path, manifest) as node:
@@ -233,7 +239,7 @@ def test_what_holds_for_a_timestep_begins_with_sample_1(scratch: Path) -> None:
     assert sorted(scalars[f"{EPISODE}/temperatures"]) == [0, 1, 2]
 
 
-def test_numbers_of_the_newest_sample(scratch: Path) -> None:
+def test_rerun_node_stream__numbers_of_the_newest_sample(scratch: Path) -> None:
     path, manifest = scratch / "run.rrd", office()
     table = rows(3, core_air_temperature=28.0, electricity=3.6e6, core_occupants=[0, 2, 2], outdoor_temperature=31.5)
     with _node(path, manifest) as node:
@@ -260,7 +266,7 @@ def test_numbers_of_the_newest_sample(scratch: Path) -> None:
         assert f"**{shown}**" in text
 
 
-def test_reward_terms_are_those_of_each_timestep(scratch: Path) -> None:
+def test_rerun_node_stream__reward_terms_are_those_of_each_timestep(scratch: Path) -> None:
     path, manifest, begins = scratch / "run.rrd", office(), []
 
     def terms(values: Any, begin: Any) -> dict[str, float]:
@@ -274,7 +280,7 @@ def test_reward_terms_are_those_of_each_timestep(scratch: Path) -> None:
     assert static(path, "SeriesLines:names")[f"{EPISODE}/reward"] == ["Energy", "Comfort"]
 
 
-def test_a_reward_that_cannot_be_bound_is_left_out(scratch: Path) -> None:
+def test_rerun_node_stream__reward_that_cannot_be_bound_is_left_out(scratch: Path) -> None:
     path, manifest = scratch / "run.rrd", office()
 
     def unbound(_: Manifest) -> None:
@@ -286,7 +292,7 @@ def test_a_reward_that_cannot_be_bound_is_left_out(scratch: Path) -> None:
 
 
 @pytest.mark.parametrize("days", [1, 60])
-def test_zones_and_value_sources_are_pictures_with_the_cursor(scratch: Path, days: int) -> None:
+def test_rerun_node_stream__zones_and_value_sources_are_pictures_with_the_cursor(scratch: Path, days: int) -> None:
     path = scratch / "run.rrd"
     with _node(path, manifest := office(steps=96 * days, end="2017-08-30T00:00:00")) as node:
         _add(node, manifest, rows(9))
@@ -308,7 +314,7 @@ def test_zones_and_value_sources_are_pictures_with_the_cursor(scratch: Path, day
     ],
     ids=["empty", "sensor", "actuator"],
 )
-def test_a_plant_without_zones_has_a_layout(scratch: Path, manifest: Manifest) -> None:
+def test_rerun_node_stream__plant_without_zones_has_a_layout(scratch: Path, manifest: Manifest) -> None:
     path = scratch / "run.rrd"
     with _node(path, manifest) as node:
         _add(node, manifest, np.ones((3, len(manifest.points))))
@@ -316,7 +322,7 @@ def test_a_plant_without_zones_has_a_layout(scratch: Path, manifest: Manifest) -
     assert len(entities) == bool(manifest.points) + 2 * bool(manifest.actuators)  # commanded and effective values
 
 
-def test_only_the_first_slot_is_shown(scratch: Path) -> None:
+def test_rerun_node_stream__only_the_first_slot_is_shown(scratch: Path) -> None:
     path, manifest = scratch / "run.rrd", office(slots=2)
     with _node(path, manifest) as node:
         for sample in samples(office(), rows(2, core_air_temperature=21.5)):

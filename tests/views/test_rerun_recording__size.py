@@ -17,7 +17,7 @@ YEAR, SHARE = 35040, 10
 LIMIT_BYTES = 27e6
 
 
-def test_a_year_of_sixty_points_stays_below_27_megabytes(scratch: Path) -> None:
+def test_rerun_recording__year_of_sixty_points_stays_below_27_megabytes(scratch: Path) -> None:
     """By a tenth of a year: zones whose temperature swings by 4 K each day, and noise, at night none."""
     path, manifest = scratch / "run.rrd", office(steps=YEAR, end="2018-07-01T00:00:00")
     units = ("m3/s", "kg/s", "W/m2", "Pa", "percent")

@@ -33,7 +33,7 @@ def _plots(manifest: Manifest) -> dict[str, Series]:
 
 
 @given(st.lists(st.sampled_from([0.0, 1.0, float("nan")]), min_size=1, max_size=40))
-def test_rows_left_out_are_equal_to_both_neighbors_that_are_kept(values: list[float]) -> None:
+def test_rerun_series__rows_left_out_are_equal_to_both_neighbors_that_are_kept(values: list[float]) -> None:
     table = np.array(values)[:, None]
     kept = significant_rows(table)
     assert kept[0] == 0
@@ -43,17 +43,17 @@ def test_rows_left_out_are_equal_to_both_neighbors_that_are_kept(values: list[fl
             np.testing.assert_array_equal(table[row], table[neighbor])
 
 
-def test_a_constant_line_is_two_rows() -> None:
+def test_rerun_series__constant_line_is_two_rows() -> None:
     assert significant_rows(np.full((300, 3), 21.0)).tolist() == [0, 299]
 
 
-def test_coldest_median_and_warmest_zone_ignore_unknown_zones() -> None:
+def test_rerun_series__coldest_median_and_warmest_zone_ignore_unknown_zones() -> None:
     nan = float("nan")
     table = np.array([[20.0, 24.0, 22.0], [nan, 19.0, 23.0], [nan, nan, nan]])
     np.testing.assert_array_equal(temperature_range(table), [[20, 22, 24], [19, 21, 23], [nan, nan, nan]])
 
 
-def test_meters_are_drawn_in_kilowatts() -> None:
+def test_rerun_series__meters_are_drawn_in_kilowatts() -> None:
     manifest = office()
     table = rows(2, electricity=[0.0, 9e6], cooling=[0.0, 3.6e6])  # J in a quarter of an hour
     block, plots = _block(manifest, table), _plots(manifest)
@@ -66,7 +66,7 @@ def test_meters_are_drawn_in_kilowatts() -> None:
     assert plots["energy"].compute(block, totals)[1] == pytest.approx([2.5])
 
 
-def test_zones_have_their_labels_and_their_color_in_each_plot() -> None:
+def test_rerun_series__zones_have_their_labels_and_their_color_in_each_plot() -> None:
     plots = _plots(office())
     assert plots["temperatures"].names == ["Core", "Perimeter 1"]
     assert plots["temperatures"].colors == plots["occupants"].colors
@@ -74,13 +74,13 @@ def test_zones_have_their_labels_and_their_color_in_each_plot() -> None:
     assert plots["outdoors"].names == ["Outdoors"]
 
 
-def test_band_is_bold_while_any_zone_is_occupied() -> None:
+def test_rerun_series__band_is_bold_while_any_zone_is_occupied() -> None:
     block = _block(office(), rows(3, core_occupants=[0, 2, 0]))
     nan = float("nan")
     np.testing.assert_array_equal(band_rows(block), [[nan, nan, 20, 26], [20, 26, 20, 26], [nan, nan, 20, 26]])
 
 
-def test_a_node_without_end_uses_has_its_other_fuels_beside_its_electric_power() -> None:
+def test_rerun_series__node_without_end_uses_has_its_other_fuels_beside_its_electric_power() -> None:
     manifest = builders.manifest(
         meters=[builders.meter("electricity"), builders.meter("gas", "NaturalGas:Facility")],
         actuators=[builders.actuator("heating_setpoint")],
@@ -91,7 +91,7 @@ def test_a_node_without_end_uses_has_its_other_fuels_beside_its_electric_power()
     assert plots["energy"].names == ["Whole building"]
 
 
-def test_commands_are_drawn_apart_from_effective_values_with_gaps_where_they_were_relinquished() -> None:
+def test_rerun_series__commands_are_drawn_apart_from_effective_values_with_gaps_where_they_were_relinquished() -> None:
     manifest = office()
     messages = samples(manifest, rows(2), effective=(20.0, 25.0), commanded=(21.0, float("nan")))
     messages.append(samples(manifest, rows(1), first=2)[0])  # a node that does not report its commands
@@ -109,7 +109,7 @@ def test_commands_are_drawn_apart_from_effective_values_with_gaps_where_they_wer
         assert (commands.names, commands.colors) == (effective.names, effective.colors)
 
 
-def test_a_plant_without_zones_has_plots_by_unit() -> None:
+def test_rerun_series__plant_without_zones_has_plots_by_unit() -> None:
     tank = builders.manifest(
         sensors=[
             builders.sensor("tank_level", "", unit="m").model_copy(update={"key": ""}),
@@ -122,7 +122,7 @@ def test_a_plant_without_zones_has_plots_by_unit() -> None:
     assert titles == ["Other points (m)", "Flow (m³/s)", "Commanded values", "Effective values"]
 
 
-def test_energy_so_far_is_logged_at_few_steps_and_at_the_end() -> None:
+def test_rerun_series__energy_so_far_is_logged_at_few_steps_and_at_the_end() -> None:
     energy = _plots(office())["energy"]
     steps = np.arange(35041)
     rows = energy.rows(steps, np.zeros((len(steps), 1)), 35040)

@@ -19,7 +19,7 @@ def _add(totals: Totals, table: np.ndarray, *, first: int = 0, fault_free: np.nd
     return totals.add(reader.block(samples(manifest, table, first=first, fault_free=fault_free)))
 
 
-def test_degree_hours_are_deviations_times_hours_over_all_zones() -> None:
+def test_rerun_totals__degree_hours_are_deviations_times_hours_over_all_zones() -> None:
     table = rows(3, core_air_temperature=[30, 28, 22], perimeter_air_temperature=[22, 17, 19], core_occupants=[0, 1, 1])
     sums = _add(Totals(office(), roles(office())), table)
     # Sample 0 does not count; then 2 K above and 3 K below for a quarter of an hour, then 1 K below.
@@ -27,7 +27,7 @@ def test_degree_hours_are_deviations_times_hours_over_all_zones() -> None:
     assert sums.occupied_kh == pytest.approx([0.0, 0.5, 0.5])
 
 
-def test_energy_goes_on_in_the_next_block() -> None:
+def test_rerun_totals__energy_goes_on_in_the_next_block() -> None:
     totals = Totals(office(), roles(office()))
     first = _add(totals, rows(2, electricity=3.6e6))
     second = _add(totals, rows(2, electricity=7.2e6), first=2)
@@ -37,19 +37,19 @@ def test_energy_goes_on_in_the_next_block() -> None:
     assert np.isnan(second.hvac_kwh).all()
 
 
-def test_injected_faults_do_not_count() -> None:
+def test_rerun_totals__injected_faults_do_not_count() -> None:
     sums = _add(
         Totals(office(), roles(office())), rows(2, core_air_temperature=90.0), fault_free=rows(2)
     )  # a sensor that reads 90 degC in a zone at 22 degC
     assert sums.outside_kh.tolist() == [0.0, 0.0]
 
 
-def test_unknown_temperatures_are_not_outside() -> None:
+def test_rerun_totals__unknown_temperatures_are_not_outside() -> None:
     sums = _add(Totals(office(), roles(office())), rows(2, core_air_temperature=float("nan")))
     assert sums.outside_kh.tolist() == [0.0, 0.0]
 
 
-def test_the_peak_is_that_of_the_timesteps_so_far() -> None:
+def test_rerun_totals__peak_is_that_of_the_timesteps_so_far() -> None:
     totals = Totals(office(), roles(office()))
     first = _add(totals, rows(3, electricity=[9e6, 3.6e6, 1.8e6]))  # sample 0 does not count
     second = _add(totals, rows(2, electricity=[0.9e6, 5.4e6]), first=3)
@@ -57,7 +57,7 @@ def test_the_peak_is_that_of_the_timesteps_so_far() -> None:
     np.testing.assert_allclose(second.peak_kw, [4.0, 6.0])
 
 
-def test_fuels_besides_electricity_are_added_up() -> None:
+def test_rerun_totals__fuels_besides_electricity_are_added_up() -> None:
     """900 kJ in a quarter of an hour are 1 kW, and a quarter of a kilowatt hour."""
     manifest = office(meters=[builders.meter("electricity"), builders.meter("gas", "NaturalGas:Facility")])
     table = rows(3)

@@ -12,7 +12,7 @@ def _shown(sources: SourceColumns, column: int) -> str:
     return list(sources.names)[sources.shown[0, column]]
 
 
-def test_a_short_override_is_seen_in_a_year_wherever_the_blocks_are_cut() -> None:
+def test_rerun_value_sources__short_override_is_seen_in_a_year_wherever_the_blocks_are_cut() -> None:
     """A year has 26 timesteps a column: the override of one timestep is the color of its column, and of no other."""
     for cut in (1, 27, 30, 52):
         sources = SourceColumns(1, Columns(35040))
@@ -25,7 +25,7 @@ def test_a_short_override_is_seen_in_a_year_wherever_the_blocks_are_cut() -> Non
         assert (sources.shown[:, 3:] == -1).all()
 
 
-def test_nobody_is_baseline_control() -> None:
+def test_rerun_value_sources__nobody_is_baseline_control() -> None:
     sources = SourceColumns(2, Columns(10))
     sources.add(np.arange(2), np.array([["", "rbc"], ["rbc", ""]], object))
     names = list(sources.names)

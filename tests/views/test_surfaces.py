@@ -61,18 +61,20 @@ def check_triangles(corners: np.ndarray) -> None:
 
 @settings(max_examples=200, deadline=None)
 @given(placed_polygons())
-def test_triangles_cover_a_concave_polygon_once(corners: np.ndarray) -> None:
+def test_surfaces__triangles_cover_a_concave_polygon_once(corners: np.ndarray) -> None:
     check_triangles(corners)
     check_triangles(corners[::-1])
 
 
 @pytest.mark.parametrize("corners", [SQUARE, COMB, FRAME, np.insert(SQUARE, 1, [[1, 0, 0]] * 2, axis=0)])
 @pytest.mark.parametrize("axes", [(0, 1, 2), (1, 2, 0), (2, 0, 1), (1, 0, 2)])
-def test_triangles_cover_polygons_with_holes_and_repeated_corners(corners: np.ndarray, axes: tuple[int, ...]) -> None:
+def test_surfaces__triangles_cover_polygons_with_holes_and_repeated_corners(
+    corners: np.ndarray, axes: tuple[int, ...]
+) -> None:
     check_triangles(corners[:, axes])
 
 
-def test_a_polygon_has_three_corners() -> None:
+def test_surfaces__polygon_has_three_corners() -> None:
     with pytest.raises(ValueError, match="at least 3 corners, not 2"):
         triangulate(SQUARE[:2])
 
@@ -89,13 +91,15 @@ def test_a_polygon_has_three_corners() -> None:
         ([(0, 0, 0), (3, 0, 0), (3, 4, 3), (0, 4, 3)], 180, 36.8699),  # a roof that rises 3 on 4 to the north
     ],
 )
-def test_directions_follow_from_the_corners(corners: list[tuple[float, ...]], azimuth: float, tilt: float) -> None:
+def test_surfaces__directions_follow_from_the_corners(
+    corners: list[tuple[float, ...]], azimuth: float, tilt: float
+) -> None:
     polygon = np.array(corners, float)
     assert azimuth_deg(polygon) == pytest.approx(azimuth, abs=1e-6)
     assert tilt_deg(polygon) == pytest.approx(tilt, abs=1e-4)
 
 
-def test_the_area_is_exact_far_from_the_origin() -> None:
+def test_surfaces__area_is_exact_far_from_the_origin() -> None:
     assert area(SQUARE + np.array([1e6, -1e6, 3e3])) == pytest.approx(4, rel=1e-9)
 
 
@@ -116,7 +120,7 @@ def geometry(**fields: object) -> Geometry:
     return Geometry(**usual | fields)  # type: ignore[arg-type]
 
 
-def test_surfaces_are_decoded_in_order() -> None:
+def test_surfaces__are_decoded_in_order() -> None:
     roof, shade = surfaces(codec.decode(Geometry, codec.encode(geometry())))
     assert (roof.kind, roof.zone, roof.is_exposed) == (SurfaceKind.ROOF, 0, True)
     assert (shade.kind, shade.zone, shade.is_exposed) == (SurfaceKind.SHADING, None, False)
@@ -137,12 +141,12 @@ def test_surfaces_are_decoded_in_order() -> None:
         ({"corners": np.full(21, np.nan, "<f4").tobytes()}, "corners contains NaN"),
     ],
 )
-def test_arrays_that_do_not_fit_are_named(fields: dict[str, bytes], text: str) -> None:
+def test_surfaces__arrays_that_do_not_fit_are_named(fields: dict[str, bytes], text: str) -> None:
     with pytest.raises(BadMessage, match=text):
         surfaces(geometry(**fields))
 
 
-def test_a_geometry_without_surfaces_is_empty() -> None:
+def test_surfaces__geometry_without_surfaces_is_empty() -> None:
     empty = dict.fromkeys(("kinds", "zone_index", "exposed", "corner_counts", "corners"), b"")
     assert surfaces(geometry(**empty)) == []
 
@@ -156,7 +160,7 @@ def test_a_geometry_without_surfaces_is_empty() -> None:
         (60.0, 3, 20, 30, 180),
     ],
 )
-def test_the_noon_sun_of_solstices_and_equinox(
+def test_surfaces__noon_sun_of_solstices_and_equinox(
     latitude: float, month: int, day: int, elevation: float, azimuth: float
 ) -> None:
     # At the meridian of the time zone, the sun culminates within 17 minutes of noon.
@@ -167,7 +171,7 @@ def test_the_noon_sun_of_solstices_and_equinox(
     assert (noon[0] - azimuth + 180) % 360 - 180 == pytest.approx(0, abs=0.5)
 
 
-def test_the_sun_rises_in_the_east_and_is_below_the_horizon_at_night() -> None:
+def test_surfaces__sun_rises_in_the_east_and_is_below_the_horizon_at_night() -> None:
     morning, night = (sun_direction(0.0, 0.0, 0.0, datetime(2017, 3, 20, hour)) for hour in (7, 0))
     assert morning[0] == pytest.approx(90, abs=1)
     assert 10 < morning[1] < 20
