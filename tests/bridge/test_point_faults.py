@@ -13,36 +13,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from support.point_faults import ACTUATORS, BEGIN, HOUR, NAMES, NAN, STEP_S, point_faults, room
 
 from zenostat.bridge.faults import FaultTransition, PointFaults, Transition, read_plan
 from zenostat.topics import codec, yaml12
 from zenostat.topics.calendar import WEEKDAYS
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.fault_plan import KINDS, FaultPlan
-from zenostat.topics.messages import Actuator
 
 ROOT = Path(__file__).parents[2]
-BEGIN = datetime(2017, 7, 3)  # a Monday
-STEP_S = 900
-HOUR = 4
-NAMES = ("room_temperature", "hall_temperature", "power")
-NAN = math.nan
-
-
-def actuator(name: str, low: float | None = 10.0, high: float | None = 30.0) -> Actuator:
-    return Actuator(name=name, component_type="a", control_type="b", key="c", unit="degC", low=low, high=high)
-
-
-ACTUATORS = (actuator("cooling"), actuator("heating"), actuator("damper", None, None))
-
-
-def plan_of(*faults: dict[str, Any], seed: int = 1) -> FaultPlan:
-    return FaultPlan.model_validate({"seed": seed, "faults": faults})
-
-
-def point_faults(*faults: dict[str, Any], seed: int = 1, slots: int = 1, **arguments: Any) -> PointFaults:
-    named = {"points": NAMES, "actuators": ACTUATORS, "step_s": STEP_S, "begin": BEGIN} | arguments
-    return PointFaults(plan_of(*faults, seed=seed), slots=slots, **named)
 
 
 def series(faults: PointFaults, values: list[float], first: int = 0) -> list[float]:
@@ -58,10 +37,6 @@ def series(faults: PointFaults, values: list[float], first: int = 0) -> list[flo
 def commands(faults: PointFaults, values: list[float]) -> list[float]:
     """Return the cooling setpoints that the building gets."""
     return [float(faults.apply_to_commands(np.array([[v, 12.0, NAN]]), [k])[0, 0]) for k, v in enumerate(values)]
-
-
-def room(kind: str, **arguments: Any) -> dict[str, Any]:
-    return {"kind": kind, "points": "room_temperature", **arguments}
 
 
 def cooling(kind: str, **arguments: Any) -> dict[str, Any]:
@@ -551,90 +526,6 @@ def test_point_faults__plan_without_faults_is_a_node_in_order() -> None:
     assert faults.apply_to_commands(wanted, [0]) is wanted
     assert not faults.disturbs_points
     assert not faults.disturbs_actuators
-
-
-WRONG = {
-    "faults: [": ["is not valid YAML"],
-    "fault: []": ["fault: there is no such field; did you mean 'faults'"],
-    "seed: -1": ["seed: Input should be greater than or equal to 0, got -1"],
-    "faults: [{points: a, offset: 1}]": ["faults.0: the kind is missing: one of bias, gain"],
-    "faults: [{kind: biass, points: a}]": ["faults.0: no kind 'biass'; did you mean 'bias'"],
-    "faults: [bias]": ["faults.0: a fault is a map with a kind"],
-    "faults: [{kind: bias, points: a}]": ["faults.0.bias.offset: it is missing"],
-    "faults: [{kind: bias, points: a, offset: '1'}]": ["faults.0.bias.offset: Input should be a valid number"],
-    "faults: [{kind: bias, points: a, offset: .nan}]": ["faults.0.bias.offset: Input should be a finite number"],
-    "faults: [{kind: bias, points: a, offset: 1, factor: 2}]": ["faults.0.bias.factor: there is no such field"],
-    "faults: [{kind: bias, offset: 1}]": ["name points (sensors and meters) or actuators"],
-    "faults: [{kind: loss, probability: 0.1}]": ["give samples: true, or commands"],
-    "faults: [{kind: loss, points: a, probability: 0.1}]": ["faults.0.loss.points: there is no such field"],
-    "faults: [{kind: clip, points: a}]": ["give low, high or both"],
-    "faults: [{kind: clip, points: a, low: 2, high: 1}]": ["low 2 is not below high 1"],
-    "faults: [{kind: noise, points: a, sigma: 0}]": ["faults.0.noise.sigma: Input should be greater than 0"],
-    "faults: [{kind: spike, points: a, amplitude: 1, probability: 1.5}]": ["probability: Input should be less than"],
-    "faults: [{kind: delay, points: a, steps: 1.5}]": ["faults.0.delay.steps: Input should be a valid integer"],
-    "faults: [{kind: drop, points: a, when: {from_step: 5, to_step: 5}}]": ["from_step 5 is not before to_step 5"],
-    "faults: [{kind: drop, points: a, when: {lasts_steps: 5}}]": ["lasts_steps requires a probability"],
-    "faults: [{kind: drop, points: a, when: {from_time: noon}}]": ["expected a date and time such as 2017-07-03T08:00"],
-    "faults: [{kind: drop, points: a, when: {from_time: 02-30}}]": ["'02-30' is not a valid date and time"],
-    "faults: [{kind: drop, points: a, when: {hours: [9, 9]}}]": ["such as [9, 20] or [22, 6]"],
-    "faults: [{kind: drop, points: a, when: {weekdays: [Monday]}}]": ["Input should be 'mon', 'tue'"],
-    "faults: [{kind: drop, points: a, name: x}, {kind: freeze, points: a, name: x}]": ["used more than once: 'x'"],
-    "faults: [{kind: drop, points: a b}, {kind: gain, points: c}]": ["faults.0.drop.points.0", "faults.1.gain.factor"],
-}
-
-
-@pytest.mark.parametrize("text", WRONG)
-def test_point_faults__wrong_file_states_all_that_is_wrong(text: str, tmp_path: Path) -> None:
-    path = tmp_path / "faults.yaml"
-    path.write_text(text)
-    with pytest.raises(InvalidConfig) as error:
-        read_plan(path)
-    assert str(path) in str(error.value)
-    for message in WRONG[text]:
-        assert message in str(error.value)
-
-
-def test_point_faults__file_that_is_not_there_is_a_mistake_of_the_users(tmp_path: Path) -> None:
-    with pytest.raises(InvalidConfig, match=r"there is no file .*nowhere\.yaml"):
-        read_plan(tmp_path / "nowhere.yaml")
-
-
-def test_point_faults__plan_that_does_not_fit_the_node_is_refused_with_all_its_mistakes() -> None:
-    with pytest.raises(InvalidConfig) as error:
-        point_faults(
-            room("bias", name="far", offset=1.0, when={"from_time": "2018-07-03"}),
-            {"kind": "drop", "points": ["room_temprature", "cooling", "*_temperature"]},
-            {"kind": "stuck", "actuators": ["*", "power"], "value": 45.0},
-            {"kind": "drop", "name": "between", "points": "power", "when": {"hours": [0.1, 0.2]}},
-            end=BEGIN + timedelta(days=7),
-        )
-    assert str(error.value).splitlines() == [
-        "fault 'drop 2': no sensor or meter 'room_temprature'; did you mean 'room_temperature' or 'hall_temperature'?",
-        "fault 'drop 2': no sensor or meter 'cooling'; name it under actuators",
-        "fault 'stuck 3': no actuator 'power'; name it under points",
-        "fault 'stuck 3': cooling cannot be stuck at 45; its bounds are 10 to 30 degC",
-        "fault 'stuck 3': heating cannot be stuck at 45; its bounds are 10 to 30 degC",
-        "fault 'far' is never active: no sample is in its window; samples are every 900 s from 2017-07-03T00:00 to "
-        "2017-07-10T00:00",
-        "fault 'between' is never active: no sample is in its window; samples are every 900 s from 2017-07-03T00:00 to "
-        "2017-07-10T00:00",
-    ]
-
-
-@pytest.mark.parametrize("begins", [7, 8, 9, 10])
-def test_point_faults__delay_that_begins_amid_an_episode_lets_no_former_command_through(begins: int) -> None:
-    faults = point_faults({"kind": "delay", "actuators": "cooling", "steps": 3})
-    faults.apply_to_commands(np.array([[29.0, 12.0, NAN]]), [-1])  # what had been commanded last
-    commanded = [
-        float(faults.apply_to_commands(np.array([[10.0 + k / 4, 12.0, NAN]]), [k])[0, 0])
-        for k in range(begins, begins + 8)
-    ]
-    np.testing.assert_array_equal(commanded, [NAN, NAN, NAN, *(10.0 + k / 4 for k in range(begins, begins + 5))])
-
-
-def test_point_faults__windows_that_last_longer_than_any_episode_are_refused() -> None:
-    with pytest.raises(ValueError, match="less than 2147483648"):
-        plan_of({"kind": "drop", "points": "power", "when": {"probability": 0.1, "lasts_steps": 2**63}})
 
 
 def test_point_faults__wildcard_leaves_unobserved_points_alone_and_draws_the_same_for_the_others() -> None:
