@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from math import isfinite, isnan
 from typing import Any
 from urllib.parse import parse_qs
 
 from pydantic_core import from_json
 
-from zenostat.topics.errors import UsageError
+from zenostat.topics.errors import UsageError, did_you_mean
 
 MAX_BYTES = 1_000_000
 _FORM = "application/x-www-form-urlencoded"
@@ -110,3 +110,20 @@ def unknown_names(unknown: Sequence[str], parameter: str) -> BadRequest:
 def _short(value: Any) -> str:
     text = repr(value)
     return text if len(text) <= 80 else f"{text[:80]}..."
+
+
+def choice(value: Any, name: str, choices: Iterable[str]) -> str:
+    """Return a text that is one of the choices; `BadRequest` lists similar ones."""
+    if not isinstance(value, str) or value not in choices:
+        raise BadRequest(
+            f"Invalid value {str(value)[:80]!r} for {name}: {did_you_mean(str(value)[:80], list(choices))}"
+        )
+    return value
+
+
+def seed(value: Any) -> int:
+    """Return a seed from 0 to 2**32 - 1; `BadRequest` for any other."""
+    number = positive(value, "seed")
+    if number != int(number) or number >= 2**32:
+        raise BadRequest(f"Invalid value {value} for seed. Value must be an integer from 0 to {2**32 - 1}.")
+    return int(number)

@@ -22,7 +22,6 @@ from zenostat.gateways.boptest.prices import ELECTRICITY_PRICES, Rates
 from zenostat.gateways.boptest.simulation import DAY_S, Interruption, Simulation, row_range
 from zenostat.gateways.boptest.test_periods import PERIOD_S, TIME_PERIODS, WARMUP_S
 from zenostat.metrics.trajectory import Trajectory
-from zenostat.topics.errors import did_you_mean
 from zenostat.topics.messages import CommandOp
 
 Payload = Any
@@ -318,20 +317,20 @@ class BuildingTest:
         answer: dict[str, Any] = dict.fromkeys(_SCENARIO)
         price, period = fields.get("electricity_price"), fields.get("time_period")
         if price is not None:
-            self.scenario["electricity_price"] = answer["electricity_price"] = _choice(
+            self.scenario["electricity_price"] = answer["electricity_price"] = parsing.choice(
                 price, "electricity_price", ELECTRICITY_PRICES
             )
         if period is not None:
             self._check_no_branch()
-            self._day(_choice(period, "time_period", TIME_PERIODS))
+            self._day(parsing.choice(period, "time_period", TIME_PERIODS))
             self.scenario["time_period"] = period
         for name in ("temperature_uncertainty", "solar_uncertainty"):
             level = fields.get(name)
             if level is not None:
-                level = _choice(level, name, ("none", *LEVELS))
+                level = parsing.choice(level, name, ("none", *LEVELS))
             self.scenario[name] = answer[name] = level
         seed = fields.get("seed")
-        self.scenario["seed"] = answer["seed"] = None if seed is None else _seed(seed)
+        self.scenario["seed"] = answer["seed"] = None if seed is None else parsing.seed(seed)
         self.forecaster.forget_errors()
         if period is not None:
             start_s = float(self._day(period) * DAY_S - WARMUP_S)
@@ -391,18 +390,3 @@ class BuildingTest:
 def _weather_name(point: str) -> str:
     """Return the name of the measurement of a weather point: `weaSta_reaWeaTDryBul_y`."""
     return f"weaSta_reaWea{point[0].upper()}{point[1:]}_y"
-
-
-def _choice(value: Any, name: str, choices: Any) -> str:
-    if not isinstance(value, str) or value not in choices:
-        raise BadRequest(
-            f"Invalid value {str(value)[:80]!r} for {name}: {did_you_mean(str(value)[:80], list(choices))}"
-        )
-    return value
-
-
-def _seed(value: Any) -> int:
-    number = parsing.positive(value, "seed")
-    if number != int(number) or number >= 2**32:
-        raise BadRequest(f"Invalid value {value} for seed. Value must be an integer from 0 to {2**32 - 1}.")
-    return int(number)
