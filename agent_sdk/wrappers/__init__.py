@@ -11,6 +11,7 @@ from zenostat.agent_sdk.wrappers.names import action_names_of, names_of, observa
 from zenostat.agent_sdk.wrappers.numeric_infos import NumericInfos
 from zenostat.agent_sdk.wrappers.observation import (
     CyclicTime,
+    MetricObservation,
     PreviousObservation,
     ReducedObservation,
     SetpointDifference,
@@ -29,6 +30,7 @@ __all__ = [
     "EpisodeLog",
     "IncrementalAction",
     "MeansLog",
+    "MetricObservation",
     "NumericInfos",
     "PreviousObservation",
     "ReducedObservation",

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from zenostat.agent_sdk.wrappers.names import indices_of, require_units
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import TimeField
 
 FIELDS = ("hour", "day_of_week", "day_of_year")
@@ -126,6 +126,56 @@ class PreviousObservation(BuildingWrapper):
     """
 
     logic = _PreviousLogic
+
+
+class _MetricLogic(ObservationLogic):
+    def __init__(self, view: EnvView, metrics: Sequence[str]) -> None:
+        super().__init__(view)
+        if not metrics or len(set(metrics)) < len(metrics):
+            raise InvalidConfig(f"{view.wrapper_name}: name at least one metric, each once; got {list(metrics)}")
+        self._metrics = list(metrics)
+        infinite = np.full(len(metrics), np.inf, np.float32)
+        self.extend(self._metrics, -infinite, infinite)
+        self._latest = np.zeros((view.slots, len(metrics)))
+
+    def observe(self, batch: ResetBatch | StepBatch, *, is_reset: bool) -> Values:
+        for row, slot in enumerate(batch.slots):
+            if not is_reset:
+                self._latest[slot] = self._read(batch.infos.get(row, "reward_metrics") or {})
+            elif not batch.infos.step(row):  # at a snapshot, the values are those of its state
+                self._latest[slot] = 0.0
+        return append(batch.observations, self._latest[batch.slots])
+
+    def _read(self, metrics: Mapping[str, Any]) -> list[float]:
+        unknown = [name for name in self._metrics if name not in metrics]
+        if unknown:
+            raise InvalidConfig(
+                f"{self.view.wrapper_name}: the reward has no metric {unknown[0]!r}; "
+                + did_you_mean(unknown[0], metrics)
+            )
+        return [float(metrics[name]) for name in self._metrics]
+
+    def get_state(self) -> list[dict[str, Any]]:
+        return [{"latest": row} for row in self._latest.tolist()]
+
+    def set_state(self, slots: Sequence[Mapping[str, Any]]) -> None:
+        self._latest[:] = np.array([state["latest"] for state in slots]).reshape(self._latest.shape)
+
+
+class MetricObservation(BuildingWrapper):
+    """Append metrics of the reward, such as `peak_kw`, the month's peak demand so far; 0 at the start of an episode.
+
+    A reward with a demand charge depends on the peak so far. With this observation it is a function of what the agent
+    observes and does.
+
+    Args:
+        metrics: names of entries of `info["reward_metrics"]`.
+
+    Raises:
+        InvalidConfig: no metric is named; or, at the first step, the reward does not have one of them.
+    """
+
+    logic = _MetricLogic
 
 
 class _ReducedLogic(ObservationLogic):

@@ -24,6 +24,7 @@ from zenostat.agent_sdk.wrappers.names import reject_wrappers
 from zenostat.agent_sdk.wrappers.numeric_infos import NumericInfos
 from zenostat.agent_sdk.wrappers.observation import (
     CyclicTime,
+    MetricObservation,
     PreviousObservation,
     ReducedObservation,
     SetpointDifference,
@@ -37,6 +38,7 @@ OURS: dict[str, type[BuildingWrapper]] = {
     wrapper.__name__: wrapper
     for wrapper in (
         CyclicTime,
+        MetricObservation,
         PreviousObservation,
         WeatherForecast,
         TimeSeriesObservation,

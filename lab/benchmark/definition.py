@@ -158,7 +158,10 @@ class BenchmarkSet:
     def training(self, algorithm: str, building: str, season: str) -> dict[str, Any]:
         """Return the fields of a training file; `zenostat.training.read_training` reads them."""
         published = self.published_training(algorithm, building, season)
-        return published | {"arguments": published["arguments"] | {"actuators": frozen_actuators(building)}}
+        later: dict[str, Any] = {"arguments": published["arguments"] | {"actuators": frozen_actuators(building)}}
+        if algorithm == "ppo":  # the default of version 1
+            later["parameters"] = published["parameters"] | {"policy_kwargs": {"log_std_init": 0.0}}
+        return published | later
 
     def published_training(self, algorithm: str, building: str, season: str) -> dict[str, Any]:
         """Return the fields of a training file of version 1 as published; for hashes."""

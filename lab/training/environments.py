@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from contextlib import ExitStack
 from functools import partial
 from typing import Any
@@ -14,13 +13,15 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, Ve
 from zenostat.agent_sdk.envs.arguments import check_agent_fields, of_scenario
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
 from zenostat.agent_sdk.wrappers import action_names_of, apply_wrappers, wrappers_of
+from zenostat.agent_sdk.wrappers.names import attribute
 from zenostat.agent_sdk.wrappers.serialization import check_wrappers
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.lab.training.config import TrainingConfig
 from zenostat.lab.training.episode_recorder import EpisodeRecorder
-from zenostat.lab.training.parameters import algorithm_class
+from zenostat.lab.training.horizon import discount
 from zenostat.topics import yaml12
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.messages import Manifest
 
 RESCALED = {"wrapper": "RescaleAction", "min_action": -1.0, "max_action": 1.0}
 """The wrapper of `normalization: {actions: true}`."""
@@ -115,6 +116,12 @@ class TrainingEnv:
         """Names of the actions."""
         return action_names_of(self.env)
 
+    @property
+    def episode(self) -> tuple[float, int]:
+        """Length of a timestep, s, and timesteps of an episode."""
+        manifest: Manifest = attribute(self.env, "manifest")
+        return manifest.step_s, manifest.steps
+
     def scenario(self) -> str:
         """Return the scenario with all wrappers as the text of a scenario file; "" without a node."""
         link = getattr(self.env.unwrapped, "link", None)
@@ -138,11 +145,9 @@ def _normalization(config: TrainingConfig, env: VecEnv) -> VecNormalize | None:
         return None
     if settings.observations and not isinstance(env.observation_space, gym.spaces.Box):
         raise InvalidConfig(f"normalization.observations: a Box is needed, got {env.observation_space}")
-    parameters = inspect.signature(algorithm_class(config.algorithm).__init__).parameters
-    gamma = config.parameters.get("gamma", parameters["gamma"].default)
     return VecNormalize(
         env, norm_obs=settings.observations, norm_reward=settings.rewards, clip_obs=settings.clip_observations,
-        clip_reward=settings.clip_rewards, gamma=gamma,
+        clip_reward=settings.clip_rewards, gamma=discount(config),
     )  # fmt: skip
 
 

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+import warnings
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -34,6 +36,7 @@ from zenostat.lab.training.config import EVALUATIONS, TrainingConfig
 from zenostat.lab.training.curve import LearningCurve
 from zenostat.lab.training.environments import TrainingEnv, check_environment, make_env
 from zenostat.lab.training.evaluation_callback import EvaluationCallback
+from zenostat.lab.training.horizon import discount, horizon_warning, scale_warning
 from zenostat.lab.training.logs import check_logs, make_logger
 from zenostat.lab.training.parameters import check_action_space, check_algorithm, make_model
 from zenostat.metrics.episode_metrics import EpisodeMetrics
@@ -168,6 +171,8 @@ class _Run:
         env = TrainingEnv(config)
         stack.callback(env.close)
         check_action_space(config, env.outermost.action_space, env.action_names)
+        if text := horizon_warning(discount(config), *env.episode):
+            warnings.warn(text, stacklevel=3)
         model = make_model(config, env.outermost)
         mark_normalized(model)
         files.create(folder, config, env.wrappers(), env.scenario())
@@ -244,6 +249,8 @@ class _TrainingCallback(BaseCallback):  # type: ignore[misc,unused-ignore]  # wi
         super().__init__()
         self._env, self._evaluation, self._curve, self._folder, self._stop = env, evaluation, curve, folder, stop
         self._interval = config.checkpoint_steps or max(config.steps // EVALUATIONS, 1)
+        self._gamma = discount(config)
+        self._checks_scale = resumed is None and not (config.normalization and config.normalization.rewards)
         self._resumed, self._captured = resumed, float("-inf")
         self._latest: Checkpoint | None = None
         self._due = 0
@@ -286,6 +293,8 @@ class _TrainingCallback(BaseCallback):  # type: ignore[misc,unused-ignore]  # wi
 
     def _on_step(self) -> bool:
         self._curve.add_episodes(self.num_timesteps, self.locals["infos"])
+        if self._checks_scale:
+            self._check_scale(self.locals["infos"])
         if self.report is not None:
             self.report(self.num_timesteps)
         if self._stop.is_set() and self._latest is not None:
@@ -296,6 +305,14 @@ class _TrainingCallback(BaseCallback):  # type: ignore[misc,unused-ignore]  # wi
             self.stopped_at = max(newest, self._latest.step)
             return False
         return True
+
+    def _check_scale(self, infos: Sequence[Mapping[str, Any]]) -> None:
+        """Warn once, at the end of the first episode, if its rewards are too large or too small."""
+        for episode in (info["episode"] for info in infos if "episode" in info):
+            self._checks_scale = False
+            if text := scale_warning(self._gamma, float(episode["r"]), int(episode["l"])):
+                warnings.warn(text, stacklevel=2)
+            return
 
     def _on_training_end(self) -> None:
         if self.stopped_at is None:

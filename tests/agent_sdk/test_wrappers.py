@@ -37,6 +37,7 @@ PRICE = {"hourly": list(range(8760)), "unit": "EUR/MWh"}
 CHAINS: dict[str, list[dict[str, Any]]] = {
     "CyclicTime": [{"wrapper": "CyclicTime"}],
     "PreviousObservation": [{"wrapper": "PreviousObservation", "names": ["core", "electricity"]}],
+    "MetricObservation": [{"wrapper": "MetricObservation", "metrics": ["joules"]}],
     "WeatherForecast": [
         {"wrapper": "WeatherForecast", "columns": [DRY, "relative_humidity", WIND], "n": 3, "spacing_h": 0.5}
     ],
@@ -424,7 +425,7 @@ def test_wrappers__one_class_wraps_single_and_vector_environments() -> None:
     assert isinstance(w.CyclicTime(env=fakes(1)), gym.vector.VectorWrapper)
     bases = (w.BuildingWrapper, w.MeansLog)
     ours = [kind for name in w.__all__ if isinstance(kind := getattr(w, name), type) and kind not in bases]
-    assert len(ours) == 14
+    assert len(ours) == 15
     assert all(issubclass(kind, w.BuildingWrapper) for kind in ours)
 
 

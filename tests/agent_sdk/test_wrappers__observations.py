@@ -13,6 +13,7 @@ from support.fakes import NAMES, FakeBuilding
 from support.wrapped_fakes import DRY, MIDDLE, WIND, episode, fake, named
 
 from zenostat import wrappers as w
+from zenostat.agent_sdk.testing import FakeEnv
 from zenostat.agent_sdk.wrappers.observation import cyclic
 from zenostat.agent_sdk.wrappers.weather_forecast import ErrorModel, error_path
 from zenostat.topics.errors import InvalidConfig, UnknownName
@@ -52,6 +53,24 @@ def test_wrappers__previous_observation_begins_anew() -> None:
         seen = [named(env, env.step(MIDDLE)[0]) for _ in range(3)]
         assert [values["core"] for values in seen] == [24.5, 25.25, 25.625]
         assert [values["previous_core"] for values in seen] == [23.0, 24.5, 25.25]
+
+
+def test_wrappers__metric_observation_is_the_peak_so_far() -> None:
+    env = w.MetricObservation(FakeEnv(zones=1, steps_per_hour=1, reward={"kind": "peak"}), ["peak_kw"])
+    for _ in range(2):
+        steps = episode(env, env.action_space.sample)
+        seen = [named(env, observation)["peak_kw"] for observation, *_ in steps]
+        assert seen[0] == 0.0
+        assert seen[1:] == [np.float32(info["reward_metrics"]["peak_kw"]) for *_, info in steps[1:]]
+        assert seen == sorted(seen)
+        assert seen[-1] > 0.0
+
+
+def test_wrappers__metric_that_the_reward_lacks_is_named() -> None:
+    env = w.MetricObservation(fake(), ["peak_kw"])
+    env.reset(seed=0)
+    with pytest.raises(InvalidConfig, match="the reward has no metric 'peak_kw'"):
+        env.step(MIDDLE)
 
 
 def test_wrappers__setpoint_difference_and_reduced_observation() -> None:

@@ -22,12 +22,14 @@ pytest.importorskip("stable_baselines3")
 torch = pytest.importorskip("torch")
 
 from stable_baselines3.common.save_util import load_from_zip_file  # noqa: E402
-from stable_baselines3.common.vec_env import VecMonitor, VecNormalize  # noqa: E402
+from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormalize  # noqa: E402
 
 from zenostat.agent_sdk.controllers import Agent, load_controller  # noqa: E402
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3  # noqa: E402
 from zenostat.lab.evaluate import run_episode  # noqa: E402
 from zenostat.lab.training import ALGORITHMS, load_policy, read_training, resume_training, train  # noqa: E402
+from zenostat.lab.training.horizon import horizon_warning, scale_warning  # noqa: E402
+from zenostat.lab.training.parameters import make_model  # noqa: E402
 from zenostat.lab.training.run import check_training  # noqa: E402
 
 NET = {"net_arch": [8]}
@@ -230,3 +232,51 @@ def test_training__two_intervals_exclude_each_other() -> None:
         read_training(
             {"algorithm": "ppo", "scenario": "x", "steps": 1, "evaluation": {"every_steps": 1, "every_episodes": 1}}
         )
+
+
+@pytest.mark.parametrize(
+    ("normalization", "arguments", "log_std"),
+    [({}, {}, -1.5), ({}, {"log_std_init": -2.0}, -2.0), ({"actions": False}, {}, 0.0), (False, {}, 0.0)],
+)
+def test_make_model__exploration_is_scaled_to_rescaled_actions(
+    normalization: Any, arguments: dict[str, float], log_std: float, tmp_path: Path
+) -> None:
+    parameters = {"policy_kwargs": arguments, "n_steps": 8, "batch_size": 8}
+    config = read_training(fields("ppo", tmp_path, normalization=normalization) | {"parameters": parameters})
+    env = DummyVecEnv([lambda: gym.make("zenostat/Fake-v1")])
+    assert make_model(config, env).policy.log_std.tolist() == [log_std] * env.action_space.shape[0]
+
+
+@pytest.mark.parametrize(
+    ("gamma", "step_s", "steps", "text"),
+    [
+        (0.99, 900.0, 672, ""),  # 25 hours of a week
+        (0.5, 900.0, 672, "looks 30 minutes ahead with timesteps of 900 s"),
+        (0.5, 900.0, 672, "0.9792 looks 12 h ahead"),  # 1 - 0.25 / 12
+        (0.999, 900.0, 96, "looks 1000 timesteps ahead, but an episode has 96: choose at most 0.9896"),
+        (0.99, 900.0, 96, ""),
+        (1.0, 3600.0, 24, "looks inf timesteps ahead"),
+        (0.5, 3600.0, 24, ""),
+    ],
+)
+def test_horizon_warning__compares_discount_and_episode(gamma: float, step_s: float, steps: int, text: str) -> None:
+    warning = horizon_warning(gamma, step_s, steps)
+    assert text in warning
+    assert bool(warning) == bool(text)
+
+
+@pytest.mark.parametrize(
+    ("reward", "warns"),
+    [(-96.0, False), (-9600.0, True), (-0.0096, True), (0.0, False)],  # -1, -100 and -1e-4 a timestep, times 50
+)
+def test_scale_warning__compares_discounted_returns(reward: float, warns: bool) -> None:
+    assert bool(scale_warning(0.98, reward, 96)) == warns
+
+
+def test_training__warns_once_of_rewards_that_are_too_large(tmp_path: Path) -> None:
+    scale = {"reward": {"kind": "linear", "lambda_energy": 1.0, "lambda_temperature": 1e5}}
+    training = fields("ppo", tmp_path / "file", normalization={"rewards": False}, evaluation=False)
+    training["arguments"] = {**training["arguments"], **scale}
+    with pytest.warns(UserWarning, match="discounted returns are about") as caught:
+        train(read_training(training))
+    assert sum("discounted returns" in str(warning.message) for warning in caught) == 1
