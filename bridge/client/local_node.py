@@ -20,7 +20,7 @@ import psutil
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.scratch import Scratch
-from zenostat.bridge.runtime.signals import override_signals
+from zenostat.bridge.runtime.signals import defer_interrupts, override_signals
 from zenostat.topics.errors import NodeLost, from_wire
 from zenostat.topics.messages import Manifest
 
@@ -72,18 +72,19 @@ class LocalNode:
             # -P: files in the caller's folder must not shadow packages of the same name.
             # A process group of its own: Ctrl-C in the terminal is for the owner, which then ends the node. Not a
             # session of its own: Linux schedules sessions against each other, which costs about 20 us per step.
-            process = subprocess.Popen(
-                [
-                    sys.executable,
-                    "-P",
-                    "-m",
-                    "zenostat.bridge.python_plant" if "plant" in settings else "zenostat.eplus_node",
-                ],
-                stdin=subprocess.PIPE,
-                stdout=subprocess.PIPE,
-                process_group=0,
-            )
-            self._processes.append(process)
+            with defer_interrupts():  # a process whose start is interrupted would be nobody's
+                process = subprocess.Popen(
+                    [
+                        sys.executable,
+                        "-P",
+                        "-m",
+                        "zenostat.bridge.python_plant" if "plant" in settings else "zenostat.eplus_node",
+                    ],
+                    stdin=subprocess.PIPE,
+                    stdout=subprocess.PIPE,
+                    process_group=0,
+                )
+                self._processes.append(process)
             _nodes.add(process)
             on_process(self)
             self._wait_ready(process, config)

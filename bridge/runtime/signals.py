@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -20,3 +21,16 @@ def override_signals(handler: Callable[[int, Any], Any] | signal.Handlers, *numb
     finally:
         for number, former in previous.items():
             signal.signal(number, former)
+
+
+@contextmanager
+def defer_interrupts() -> Iterator[None]:
+    """Let a Ctrl-C of this block take effect at its end; in threads other than the main one, nothing changes."""
+    if threading.current_thread() is not threading.main_thread():  # Ctrl-C interrupts only the main thread
+        yield
+        return
+    received: list[int] = []
+    with override_signals(lambda number, _: received.append(number), signal.SIGINT):
+        yield
+    if received:
+        signal.raise_signal(signal.SIGINT)

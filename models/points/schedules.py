@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,9 @@ _MODIFIERS = (
 _HOLIDAYS = b"HOLIDAYS/DAYLIGHT SAVINGS"
 _FORMAT = "1"
 _LEAD_TOLERANCE_S = 0.5
+_MOST_RECENT = 16
+_RECENT: dict[tuple[object, ...], dict[int, list[float]]] = {}
+"""Values of the episodes that started last: resets by a fork take milliseconds."""
 
 
 def schedule_values(building: Building, period: Period, weather: Path, names: list[str]) -> NDArray[np.float64]:
@@ -75,9 +79,8 @@ def schedule_values(building: Building, period: Period, weather: Path, names: li
         model = write(objects, target.parent)
         energyplus.call("schedules", model, json.dumps(names), weather, target, file=building.file or building.name)
 
-    holidays = next((line for line in weather.read_bytes().splitlines()[:8] if line.startswith(_HOLIDAYS)), b"")
     content = json.dumps([objects, names], sort_keys=True)
-    key = digest(content, holidays, energyplus.version(), _FORMAT)
+    key = digest(content, _holidays(weather), energyplus.version(), _FORMAT)
     return np.frombuffer(cached_bytes(f"schedules/{key}.f64", make), np.float64).reshape(period.steps, len(names))
 
 
@@ -99,15 +102,27 @@ def scheduled_values(points: Points, building: Building, period: Period, weather
     At the end of the run period, a schedule keeps the value of the last timestep.
     """
     leading = {i: sensor for i, sensor in enumerate(points.sensors) if sensor.lead_s}
-    names = sorted({sensor.key for sensor in leading.values()})
-    if not names:
+    if not leading:
         return {}
-    values = schedule_values(building, period, weather, names)
-    samples = np.arange(period.steps + 1)
-    return {
-        i: values[np.minimum(samples + _timesteps(s, period) - 1, period.steps - 1), names.index(s.key)].tolist()
-        for i, s in leading.items()
-    }
+    places = tuple((i, sensor.key, sensor.lead_s) for i, sensor in leading.items())
+    key = (building.content, period, _holidays(weather), places)
+    if key not in _RECENT:
+        names = sorted({sensor.key for sensor in leading.values()})
+        values = schedule_values(building, period, weather, names)
+        samples = np.arange(period.steps + 1)
+        while len(_RECENT) >= _MOST_RECENT:
+            _RECENT.pop(next(iter(_RECENT)), None)
+        _RECENT[key] = {
+            i: values[np.minimum(samples + _timesteps(s, period) - 1, period.steps - 1), names.index(s.key)].tolist()
+            for i, s in leading.items()
+        }
+    return _RECENT[key]
+
+
+def _holidays(weather: Path) -> bytes:
+    """Return the line of a weather file's header with its holidays and daylight saving time; empty without one."""
+    with weather.open("rb") as file:
+        return next((line for line in islice(file, 8) if line.startswith(_HOLIDAYS)), b"")
 
 
 def _timesteps(sensor: Sensor, period: Period) -> int:
