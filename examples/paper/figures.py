@@ -2,7 +2,8 @@
 
     python examples/paper/figures.py runs --out figures
 
-Needs `runs/year.csv` and the recordings in `runs/year`; training and search are drawn if their folders are there.
+Needs `runs/year.csv` and the recordings in `runs/year`; trainings (`runs/ppo`, further seeds `runs/ppo-1`, …) and the
+search (`runs/search`) are drawn if their folders are there.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ LABELS = {"baseline": "baseline", "examples": "rule", "incremental": "incrementa
 ZONES = (("west_zone_air_temperature", "west zone", "series-2"), ("east_zone_air_temperature", "east zone", "series-3"))
 MONTHS = "JFMAMJJASOND"
 TRAINED = ("ppo", "sac", "td3")
+YEAR = 35_040
+"""Timesteps of an episode."""
 
 
 def episodes(folder: Path) -> dict[str, Any]:
@@ -61,36 +64,36 @@ def draw_zones(runs: dict[str, Any], titles: dict[str, str], path: Path) -> None
     save(figure, path)
 
 
+def evaluations(folder: Path) -> tuple[list[float], list[float]]:
+    """Return the years of training and the mean reward of each evaluation of a training."""
+    rows = read_rows(folder / "evaluations.csv")
+    return [row["step"] / YEAR for row in rows], [row["mean_reward"] for row in rows]
+
+
 def draw_training(folder: Path, rules: dict[str, float], path: Path) -> None:
-    """Draw the reward of each evaluation during the trainings, with the rules on the same period as lines."""
+    """Draw the reward of each evaluation during the trainings, with the rules over the same year as lines."""
     figure, axes = plt.subplots(figsize=(theme.FULL_IN, 2.8), layout="constrained")
     for place, name in enumerate(TRAINED, 1):
-        if (folder / name / "curve.csv").exists():
-            rows = read_rows(folder / name / "curve.csv")
-            axes.plot(
-                [row["episode"] for row in rows],
-                [row["mean_reward"] for row in rows],
-                marker="o",
-                color=theme.series_color(place),
-                label=name.upper(),
-            )
+        for number, seed in enumerate(sorted(folder.glob(f"{name}*/evaluations.csv"))):
+            label = name.upper() if number == 0 else None
+            axes.plot(*evaluations(seed.parent), marker="o", color=theme.series_color(place), label=label)
     for place, (name, value) in enumerate(rules.items()):
         axes.axhline(value, color=theme.LIGHT["muted"], linestyle=theme.series_dashes(place + 2), label=name)
-    axes.set(title="Evaluations during training", xlabel="episodes of training", ylabel="mean reward")
+    axes.set(title="Evaluations during training", xlabel="years of training", ylabel="mean reward")
     axes.legend(ncols=5)
     save(figure, path)
 
 
 def draw_search(rows: list[dict[str, float]], path: Path) -> None:
     """Draw parallel coordinates: a line for each combination, darker for a higher reward."""
-    names = ["learning_rate", "n_steps", "batch_size", "gamma", "mean_reward"]
+    names = [f"parameters.{name}" for name in ("learning_rate", "n_steps", "batch_size", "gamma")] + ["reward"]
     figure, axes = plt.subplots(figsize=(theme.FULL_IN, 3.0), layout="constrained")
     columns = {name: np.array([row[name] for row in rows]) for name in names}
-    rank = np.argsort(np.argsort(columns["mean_reward"])) / max(len(rows) - 1, 1)
+    rank = np.argsort(np.argsort(columns["reward"])) / max(len(rows) - 1, 1)
     scaled = {}
     for place, name in enumerate(names):
         values = np.unique(columns[name])
-        if name == "mean_reward":
+        if name == "reward":
             spread = np.ptp(values) or 1.0
             scaled[name] = (columns[name] - values[0]) / spread
             ends = ((0.0, f"{values[0]:.4f}"), (1.0, f"{values[-1]:.4f}"))
@@ -103,11 +106,11 @@ def draw_search(rows: list[dict[str, float]], path: Path) -> None:
             axes.annotate(
                 text, (place, height), (4, 0), textcoords="offset points", va="center", fontsize=7, bbox=label
             )
-    for number in np.argsort(columns["mean_reward"]):
+    for number in np.argsort(columns["reward"]):
         color = mpl.colormaps["viridis"](1.0 - rank[number])
         axes.plot(range(len(names)), [scaled[name][number] for name in names], color=color, alpha=0.8)
-    axes.set_xticks(range(len(names)), [name.replace("_", " ") for name in names])
-    axes.set(title=f"PPO: {len(rows)} combinations, best evaluation of each", yticks=[], xlim=(-0.1, len(names) - 0.7))
+    axes.set_xticks(range(len(names)), [name.removeprefix("parameters.").replace("_", " ") for name in names])
+    axes.set(title=f"PPO: {len(rows)} combinations, last evaluation of each", yticks=[], xlim=(-0.1, len(names) - 0.7))
     axes.grid(visible=True, axis="x")
     save(figure, path)
 
@@ -175,19 +178,19 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="FOLDER")
     options = parser.parse_args()
     options.out.mkdir(parents=True, exist_ok=True)
-    runs = episodes(options.runs / "year")
+    runs, year = episodes(options.runs / "year"), read_rows(options.runs / "year.csv")
     with mpl.rc_context(theme.style("paper")):
         draw_zones(runs, {"baseline": "Default control: 20 and 23 °C"}, options.out / "paper-default.png")
         rules = {"rule": "The rule of the paper", "incremental": "The controller incremental"}
         draw_zones(runs, rules, options.out / "paper-rule.png")
-        period = options.runs / "training.csv"
-        means = {row["controller"]: row["mean_reward"] for row in read_rows(period)} if period.exists() else {}
-        if any((options.runs / name / "curve.csv").exists() for name in TRAINED):
+        means = {LABELS.get(row["controller"], "rule"): row["mean_reward"] for row in year}
+        if any(options.runs.glob(f"{name}*/evaluations.csv") for name in TRAINED):
             draw_training(options.runs, means, options.out / "paper-training.png")
-        if (results := options.runs / "sweep" / "results.csv").exists():
-            draw_search(read_rows(results), options.out / "paper-search.png")
+        if (trials := options.runs / "search" / "trials.csv").exists():
+            complete = [row for row in read_rows(trials) if row["state"] == "COMPLETE"]
+            draw_search(complete, options.out / "paper-search.png")
         draw_months(runs, options.out / "paper-months.png")
-    print_table(read_rows(options.runs / "year.csv"))
+    print_table(year)
 
 
 if __name__ == "__main__":

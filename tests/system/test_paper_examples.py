@@ -11,41 +11,86 @@ import pytest
 from support.run_cli import run_program
 
 from zenostat.models import data_packs
+from zenostat.topics import yaml12
 
-SCRIPTS = Path(__file__).parents[2] / "examples" / "paper"
+PAPER = Path(__file__).parents[2] / "examples" / "paper"
+
+
+def _rows(path: Path) -> list[dict[str, str]]:
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))
 
 
 @pytest.mark.slow
-def test_paper_examples__short_training_writes_its_curve_its_best_model_and_a_recording(scratch: Path) -> None:
+def test_paper_training_file__trains_and_evaluates_by_episodes(scratch: Path) -> None:
     pytest.importorskip("stable_baselines3")
     data_packs.add("sinergym-paper")
-    call = ["ppo", "--begin", "07-01", "--end", "07-01", "--episodes", "2", "--evaluate-every", "1", "--out", "run"]
-    call += ["--set", "n_steps=96", "--set", "batch_size=32"]
-    script = [sys.executable, str(SCRIPTS / "train.py")]
-    done = subprocess.run([*script, *call], cwd=scratch, capture_output=True, text=True, timeout=280)
+    day = ["--set", "arguments.begin=07-01", "--set", "arguments.end=07-01", "--steps", "192"]
+    day += [
+        "--set",
+        "evaluation.every_episodes=1",
+        "--set",
+        "parameters.n_steps=96",
+        "--set",
+        "parameters.batch_size=32",
+    ]
+    done = run_program("train", str(PAPER / "ppo.yaml"), *day, cwd=scratch)
     assert done.returncode == 0, done.stderr
-    with (scratch / "run" / "curve.csv").open(newline="") as file:
-        rows = [{name: float(text) for name, text in row.items()} for row in csv.DictReader(file)]
-    assert [(row["step"], row["episode"]) for row in rows] == [(96.0, 1.0), (192.0, 2.0)]
+    rows = _rows(scratch / "runs" / "ppo" / "evaluations.csv")
+    assert [(int(row["step"]), row["seed"]) for row in rows] == [(96, "1000"), (192, "1000")]
     for row in rows:
-        assert row["mean_reward"] == pytest.approx(-(0.5 * 5e-5 * row["power_w"] + 0.5 * row["deviation_k"]))
-    best = max(rows, key=lambda row: row["mean_reward"])
-    assert f"best: episode {best['episode']:.4f}  mean_reward {best['mean_reward']:.4f}" in done.stdout
-    assert {path.suffix for path in (scratch / "run").iterdir()} == {".zip", ".pkl", ".yaml", ".csv", ".json", ".mcap"}
+        power_w = -float(row["mean_reward.energy"]) / (0.5 * 5e-5)
+        assert float(row["mean_reward"]) == pytest.approx(-0.5 * (5e-5 * power_w + float(row["mean_deviation_k"])))
+        assert float(row["mean_power_w"]) == pytest.approx(power_w)
+
+
+@pytest.mark.slow
+def test_paper_search__best_combinations_continue_their_trainings(scratch: Path) -> None:
+    pytest.importorskip("optuna")
+    data_packs.add("sinergym-paper")
+    training = yaml12.read_mapping(PAPER / "ppo.yaml") | {"arguments": {"begin": "07-01", "end": "07-01"}}
+    search = yaml12.read_mapping(PAPER / "search.yaml")
+    one = {name: values[:1] for name, values in search["parameters"].items()}
+    small = {"steps": [96], "evaluation.every_episodes": [1], "parameters.n_steps": [96], "parameters.batch_size": [32]}
+    parameters = one | small | {"parameters.gamma": [0.9, 0.99]}
+    (scratch / "search.yaml").write_text(yaml12.dump(search | {"training": training, "parameters": parameters}))
+    done = run_program("tune", "search.yaml", cwd=scratch)
+    assert done.returncode == 0, done.stderr
+    trials = {int(row["trial"]): float(row["reward"]) for row in _rows(scratch / "runs" / "search" / "trials.csv")}
+    (scratch / "best_ten.py").write_text((PAPER / "best_ten.py").read_text().replace("YEAR = 35_040", "YEAR = 96"))
+    script = [sys.executable, "best_ten.py", "runs/search", "--count", "1", "--years", "2"]
+    done = subprocess.run(script, cwd=scratch, capture_output=True, text=True, timeout=280)
+    assert done.returncode == 0, done.stderr
+    steps = {
+        trial: [int(row["step"]) for row in _rows(folder / "training" / "evaluations.csv")]
+        for trial in trials
+        if (folder := scratch / "runs" / "search" / "trials" / f"{trial:04d}").is_dir()
+    }
+    best = max(trials, key=lambda trial: trials[trial])
+    assert steps == {trial: [96, 192] if trial == best else [96] for trial in trials}
+
+
+def test_paper_search__has_108_combinations_of_two_years() -> None:
+    pytest.importorskip("stable_baselines3")
+    from zenostat.lab.training.tuning_config import load_tuning
+
+    config = load_tuning(PAPER / "search.yaml")
+    assert len(config.grid()) == 108
+    assert config.parameters["steps"].choices == (2 * 35_040,)
 
 
 @pytest.mark.slow
 def test_the_pages_first_command_and_its_figures__work_in_an_empty_folder_on_part_of_a_year(scratch: Path) -> None:
     pytest.importorskip("matplotlib")
     data_packs.add("sinergym-paper")
-    page = (SCRIPTS.parents[1] / "docs" / "paper.md").read_text()
+    page = (PAPER.parents[1] / "docs" / "paper.md").read_text()
     command = next(line for line in page.splitlines() if line.startswith("zenostat evaluate"))
-    (scratch / "examples").symlink_to(SCRIPTS.parent)
+    (scratch / "examples").symlink_to(PAPER.parent)
     period = ["--begin", "06-30", "--end", "07-01"]
     done = run_program(*command.split()[1:], *period, cwd=scratch)
     assert done.returncode == 0, done.stderr
     assert (scratch / "runs" / "year.csv").is_file()
-    script = [sys.executable, "-W", "error", str(SCRIPTS / "figures.py"), "runs", "--out", "figures"]
+    script = [sys.executable, "-W", "error", str(PAPER / "figures.py"), "runs", "--out", "figures"]
     drawn = subprocess.run(script, cwd=scratch, capture_output=True, text=True, timeout=280)
     assert (drawn.returncode, drawn.stderr) == (0, "")
     assert (scratch / "figures" / "paper-months.png").is_file()
