@@ -75,7 +75,8 @@ def train(
 def _read(file: Path | None, options: dict[str, Any], texts: Sequence[str], resume: bool) -> TrainingConfig:
     """Read the training file or folder, and override its fields."""
     from zenostat.agent_sdk.controllers.training_folder import is_training
-    from zenostat.lab.training.config import read_file, read_training
+    from zenostat.lab.config_file import read_file
+    from zenostat.lab.training.config import read_training
     from zenostat.lab.training.run import resume_training
 
     if resume and file is None and "output" not in options:
@@ -95,7 +96,7 @@ def override_fields(fields: dict[str, Any], options: dict[str, Any], texts: Sequ
     Raises:
         InvalidConfig: a text has another form.
     """
-    from zenostat.lab.training.config import with_field
+    from zenostat.lab.config_file import with_field
 
     fields = {**fields, **options}
     for text in texts:

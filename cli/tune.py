@@ -13,7 +13,7 @@ from zenostat.cli.train import SetFields, override_fields, stop_signals
 from zenostat.topics.file_kinds import FileKind
 
 if TYPE_CHECKING:
-    from zenostat.lab.training.tuning_config import TuningConfig
+    from zenostat.lab.tuning.study_config import StudyConfig
 
 _SHOWN = 15
 
@@ -37,16 +37,16 @@ def tune(
     The same command continues a study, and on other machines with the same database it joins in. Ctrl-C ends the
     running trials; they are repeated when the study continues.
     """
-    from zenostat.lab.training.config import read_file
-    from zenostat.lab.training.tuning_config import read_tuning
+    from zenostat.lab.config_file import read_file
+    from zenostat.lab.tuning.read import read_tuning
 
     options: dict[str, Any] = {"workers": workers, "trials": trials, "storage": storage}
     options["output"] = None if output is None else str(output)
     overrides = {name: value for name, value in options.items() if value is not None}
     read = override_fields(read_file(file, FileKind.TUNING), overrides, fields or ())
     config = read_tuning(read, str(file), file.parent)
-    from zenostat.lab.training.study import Tuning
-    from zenostat.lab.training.study_figures import write_results
+    from zenostat.lab.tuning.study import Tuning
+    from zenostat.lab.tuning.study_figures import write_results
 
     with stop_signals() as (stop, received), progress() as bars:
         bar = bars.add_task(config.study, total=config.trials, rate="")
@@ -72,7 +72,7 @@ def _line(trial: Any) -> str:
     return f"trial {trial.number}: {trial.state.name.lower()} {outcome} ({values})"
 
 
-def _show(config: TuningConfig, study: Any) -> None:
+def _show(config: StudyConfig, study: Any) -> None:
     """Print the best trials, and how many there are of each state."""
     sign = -1 if config.direction == "maximize" else 1
     finished = sorted((t for t in study.trials if t.state.name == "COMPLETE"), key=lambda t: sign * t.value)

@@ -14,12 +14,14 @@ class FileKind(StrEnum):
     SCENARIO = "scenario"
     TRAINING = "training"
     TUNING = "tuning"
+    CONTROLLER = "controller"
 
 
 _FIELDS = {
     FileKind.SCENARIO: {"building", "weather", "sensors", "actuators"},
     FileKind.TRAINING: {"algorithm", "scenario", "steps", "normalization"},
     FileKind.TUNING: {"study", "training", "sampler", "trials"},
+    FileKind.CONTROLLER: {"controller"},
 }
 """Fields that only files of one kind have, at least one of which is required."""
 
@@ -27,6 +29,7 @@ _COMMANDS = {
     FileKind.SCENARIO: "give it to zenostat evaluate, or as the `scenario` of a training file",
     FileKind.TRAINING: "use zenostat train",
     FileKind.TUNING: "use zenostat tune",
+    FileKind.CONTROLLER: "give it to zenostat run or evaluate as --controller",
 }
 
 

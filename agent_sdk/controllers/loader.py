@@ -14,6 +14,8 @@ from pathlib import Path
 from types import ModuleType
 
 from zenostat.agent_sdk.controllers.base import Controller, ControllerProtocol
+from zenostat.agent_sdk.controllers.controller_file import read_controller_file
+from zenostat.agent_sdk.controllers.parameters import check_parameters, with_parameters
 from zenostat.bridge.runtime.source_loader import source_spec
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 
@@ -28,14 +30,19 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
         text: a short name; the folder of a training, or `ppo:model.zip` (see `zenostat.training.load_policy`);
             `path/to/file.py:MyController`; or `package.module:MyController`, also for modules in the current folder.
             While the file is loaded, it can import modules from its own folder, which take precedence
-            over installed modules of the same name.
+            over installed modules of the same name. `FILE.yaml` is a controller file, as `zenostat tune` writes it:
+            a bundled controller with parameters. `CONTROLLER@FILE.yaml` is any of the above with the parameters of
+            such a file.
 
     Raises:
         UnknownName: no such name, file, module or class.
-        InvalidConfig: loading the file fails, or the class is not a controller.
+        InvalidConfig: loading the file fails, or the class is not a controller; or a controller file is invalid, or
+            names code.
     """
     if text in CONTROLLERS:
         return CONTROLLERS[text]
+    if text.casefold().endswith((".yaml", ".yml")):
+        return _load_file_of_parameters(text)
     if text.casefold().endswith(".zip") or (":" not in text and Path(text).expanduser().is_dir()):
         from zenostat.agent_sdk.controllers.policy_loader import load_policy  # torch takes seconds to import
 
@@ -48,6 +55,23 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
             f"package.module:MyController"
         )
     return _controller_class(_load_module(source), name, source)
+
+
+def _load_file_of_parameters(text: str) -> Callable[..., ControllerProtocol]:
+    """Load a bundled controller with the parameters of a file, or (`CONTROLLER@FILE.yaml`) the one that is named.
+
+    A file is data, so it may choose a bundled controller, but no code: a class has to be named outside of it.
+    """
+    name, at, path = text.rpartition("@")
+    file = read_controller_file(Path(path if at else text))
+    if not at and file.controller not in CONTROLLERS:
+        raise InvalidConfig(
+            f"{text} names the controller {file.controller!r}, which is not a bundled one "
+            f"({', '.join(CONTROLLERS)}); a file does not choose code: name it yourself, as {file.controller}@{text}"
+        )
+    factory = load_controller(name if at else file.controller)
+    check_parameters(factory, file.parameters)
+    return with_parameters(factory, file.parameters)
 
 
 def _load_module(source: str) -> ModuleType:

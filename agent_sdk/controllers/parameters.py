@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 from zenostat.topics.errors import InvalidConfig, did_you_mean
@@ -70,16 +71,41 @@ def make_controller(factory: Callable[..., T], manifest: Manifest, parameters: M
         ControllerMismatch: a required parameter is left out, or the node lacks what the controller needs.
         InvalidConfig: an unknown or invalid parameter.
     """
-    name = getattr(factory, "__name__", str(factory))
+    name = check_parameters(factory, parameters)
     signature = list(inspect.signature(factory).parameters.values())[1:]
-    known = [p.name for p in signature if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
-    if not any(p.kind is p.VAR_KEYWORD for p in signature):
-        for unknown in set(parameters) - set(known):
-            raise InvalidConfig(f"{name} has no parameter {unknown!r}; {did_you_mean(unknown, known)}")
-    missing = [p.name for p in signature if p.name in known and p.default is p.empty and p.name not in parameters]
+    missing = [
+        p.name
+        for p in signature
+        if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD) and p.default is p.empty and p.name not in parameters
+    ]
     if missing:
         raise ControllerMismatch(f"{name} needs {_join(missing)}: --set {missing[0]}=..., or {missing[0]}= in Python")
     return factory(manifest, **parameters)
+
+
+def with_parameters(factory: Callable[..., T], parameters: Mapping[str, Any]) -> Callable[..., T]:
+    """Return a factory with other defaults of its parameters; the same one if there are none."""
+    if not parameters:
+        return factory
+    changed = functools.partial(factory, **parameters)
+    functools.update_wrapper(changed, factory, ("__name__", "__doc__"), ())
+    del changed.__wrapped__  # type: ignore[attr-defined]  # `inspect.signature` would show its defaults
+    return changed
+
+
+def check_parameters(factory: Callable[..., Any], names: Iterable[str]) -> str:
+    """Check that a controller has parameters of these names, and return its own name.
+
+    Raises:
+        InvalidConfig: it lacks one of them.
+    """
+    own_name = getattr(factory, "__name__", str(factory))
+    signature = list(inspect.signature(factory).parameters.values())[1:]
+    known = [p.name for p in signature if p.kind in (p.KEYWORD_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    if not any(p.kind is p.VAR_KEYWORD for p in signature):
+        for unknown in sorted(set(names) - set(known)):
+            raise InvalidConfig(f"{own_name} has no parameter {unknown!r}; {did_you_mean(unknown, known)}")
+    return str(own_name)
 
 
 def _join(names: Sequence[str]) -> str:

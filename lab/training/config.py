@@ -6,39 +6,30 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, ValidationError, model_validator
+from pydantic import Field, ValidationError, model_validator
 
 from zenostat.agent_sdk.envs.arguments import of_scenario
-from zenostat.topics import yaml12
+from zenostat.lab.config_file import (
+    FIELDS,
+    FIELDS_OR_FALSE,
+    ConfigPart,
+    Count,
+    No,
+    Number,
+    Seed,
+    read_file,
+)
 from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import InvalidConfig, UnknownName
-from zenostat.topics.file_kinds import FileKind, check_file_kind
+from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import safe_name
-from zenostat.topics.seed_validation import MAX_SEED
 
-Count = Annotated[int, Field(strict=True, ge=1)]
-Number = Annotated[float, Field(strict=True, gt=0)]
-Seed = Annotated[int, Field(strict=True, ge=0, le=MAX_SEED)]
 TrainingSeed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
 """NumPy's global generator, which stable-baselines3 seeds, accepts 32 bits."""
 EVALUATIONS = 10
 """Evaluations, and checkpoints, of a training whose file gives no interval."""
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-def _switch(value: Any) -> str:
-    return "@false" if value is False else "@fields"
-
-
-No = Annotated[Literal[False], Tag("@false")]
-FIELDS, FIELDS_OR_FALSE = Tag("@fields"), Discriminator(_switch)
-"""Marks of a field that is false or has fields of its own; errors are those of the form that was used."""
-
-
-class Normalization(_Part):
+class Normalization(ConfigPart):
     """Settings of `VecNormalize` and `RescaleAction`.
 
     Attributes:
@@ -55,7 +46,7 @@ class Normalization(_Part):
     clip_rewards: Number = 10.0
 
 
-class Evaluation(_Part):
+class Evaluation(ConfigPart):
     """Evaluations during the training, in an environment of their own.
 
     Attributes:
@@ -80,7 +71,7 @@ class Evaluation(_Part):
         return self
 
 
-class TrainingConfig(_Part):
+class TrainingConfig(ConfigPart):
     """A training: the fields of a training file.
 
     Attributes:
@@ -160,34 +151,6 @@ def read_training(fields: Mapping[str, Any], what: str = "the training") -> Trai
         raise InvalidConfig(f"{what}: {describe_validation_errors(error, TrainingConfig.model_fields)}") from None
 
 
-def read_file(path: str | Path, kind: FileKind = FileKind.TRAINING) -> dict[str, Any]:
-    """Return the fields of a training or tuning file; paths in it are relative to the working directory.
-
-    Raises:
-        UnknownName: there is no such file, or it cannot be read.
-        InvalidConfig: it is not YAML, or a file of another kind.
-    """
-    path = Path(path)
-    fields = yaml12.read_mapping(path, UnknownName)
-    check_file_kind(fields, kind, str(path))
-    return fields
-
-
 def load_training(path: str | Path) -> TrainingConfig:
     """Read a training file; errors as of `read_file` and `read_training`."""
     return read_training(read_file(path), str(path))
-
-
-def with_field(fields: Mapping[str, Any], path: str, value: Any) -> dict[str, Any]:
-    """Return a copy of nested fields with one set: `parameters.learning_rate`.
-
-    Raises:
-        InvalidConfig: a part of the path is a field that has no fields of its own.
-    """
-    first, dot, rest = path.partition(".")
-    if not dot:
-        return {**fields, first: value}
-    inner = fields.get(first) or {}
-    if not isinstance(inner, Mapping):
-        raise InvalidConfig(f"{path}: {first} is {inner!r} and has no fields")
-    return {**fields, first: with_field(inner, rest, value)}

@@ -16,11 +16,12 @@ from zenostat.agent_sdk.wrappers import action_names_of, apply_wrappers, wrapper
 from zenostat.agent_sdk.wrappers.names import attribute
 from zenostat.agent_sdk.wrappers.serialization import check_wrappers
 from zenostat.bridge.client.controller_link import ControllerLink
+from zenostat.lab.scenario_env import pop_env_id
 from zenostat.lab.training.config import TrainingConfig
 from zenostat.lab.training.episode_recorder import EpisodeRecorder
 from zenostat.lab.training.horizon import discount
 from zenostat.topics import yaml12
-from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.errors import ErrorCollector, InvalidConfig
 from zenostat.topics.messages import Manifest
 
 RESCALED = {"wrapper": "RescaleAction", "min_action": -1.0, "max_action": 1.0}
@@ -38,30 +39,15 @@ def check_environment(config: TrainingConfig) -> None:
     errors.collect(lambda: check_wrappers(config.wrappers))
     scenarios = [config.scenario, (config.evaluation and config.evaluation.scenario) or config.scenario]
     for scenario in dict.fromkeys(scenarios):
-        errors.collect(partial(_env_id, of_scenario(scenario)))
+        errors.collect(partial(pop_env_id, of_scenario(scenario)))
         errors.collect(partial(check_agent_fields, scenario))
     errors.raise_if_any()
-
-
-def _env_id(arguments: dict[str, Any]) -> str:
-    """Return the id for `gym.make`, and remove the scenario from the arguments.
-
-    Raises:
-        UnknownName: there is no such id.
-    """
-    if "file" in arguments:
-        return "zenostat/Scenario-v1"
-    name = str(arguments.pop("scenario"))
-    if f"zenostat/{name}" not in gym.registry:
-        known = [env_id.removeprefix("zenostat/") for env_id in gym.registry if env_id.startswith("zenostat/")]
-        raise UnknownName(f"there is no scenario {name!r}; {did_you_mean(name, known)}; see `zenostat scenarios`")
-    return f"zenostat/{name}"
 
 
 def make_env(config: TrainingConfig, *, for_evaluation: bool = False) -> gym.Env[Any, Any]:
     """Make one environment of a training within its wrappers."""
     arguments = config.environment(for_evaluation=for_evaluation)
-    env: gym.Env[Any, Any] = _wrapped(gym.make(_env_id(arguments), **arguments), config)
+    env: gym.Env[Any, Any] = _wrapped(gym.make(pop_env_id(arguments), **arguments), config)
     return env
 
 
@@ -69,7 +55,7 @@ def make_slots(config: TrainingConfig) -> gym.vector.VectorEnv[Any, Any, Any]:
     """Make the vector environment of a training within its wrappers."""
     arguments = config.environment()
     mode: Any = gym.VectorizeMode.VECTOR_ENTRY_POINT
-    env_id = _env_id(arguments)
+    env_id = pop_env_id(arguments)
     env: gym.vector.VectorEnv[Any, Any, Any] = _wrapped(
         gym.make_vec(env_id, config.slots, mode, autoreset_mode="SameStep", **arguments), config
     )

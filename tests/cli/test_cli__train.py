@@ -144,14 +144,14 @@ def test_cli__options_override_the_file_and_resume_continues(trained: Path, tmp_
 
 def test_cli__study_whose_trainings_are_invalid_ends_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("optuna")
-    from zenostat.lab.training.study import Tuning
-    from zenostat.lab.training.tuning_config import load_tuning
+    from zenostat.lab.tuning.read import load_tuning
+    from zenostat.lab.tuning.study import Tuning
     from zenostat.topics.errors import InvalidConfig
 
     tuning = Tuning(load_tuning(tmp_path / write(tmp_path, "s.yaml", STUDY, output=str(tmp_path / "study"))))
     for _ in range(2):
         tuning._check_first_trials("dqn needs one discrete action")
-    with pytest.raises(InvalidConfig, match="no trial of the study can be trained: dqn needs one"):
+    with pytest.raises(InvalidConfig, match="no trial of the study can be run: dqn needs one"):
         tuning._check_first_trials("dqn needs one discrete action")
     valid = Tuning(load_tuning(tmp_path / "s.yaml"))
     for reason in ("bad", None, "bad", "bad", "bad", "bad"):  # one that was valid: the others are points of the space

@@ -16,9 +16,11 @@ from zenostat.topics.errors import InvalidConfig
 optuna = pytest.importorskip("optuna")
 pytest.importorskip("stable_baselines3")
 
-from zenostat.lab.training.study import Tuning, distribution, open_study  # noqa: E402
-from zenostat.lab.training.study_figures import write_results  # noqa: E402
-from zenostat.lab.training.tuning_config import Range, TuningConfig, read_tuning  # noqa: E402
+from zenostat.lab.tuning.read import read_tuning  # noqa: E402
+from zenostat.lab.tuning.search_space import distribution  # noqa: E402
+from zenostat.lab.tuning.study import Tuning, open_study  # noqa: E402
+from zenostat.lab.tuning.study_config import Range  # noqa: E402
+from zenostat.lab.tuning.study_figures import write_results  # noqa: E402
 
 TRAINING: dict[str, Any] = {
     "algorithm": "a2c", "scenario": "Fake-v1", "steps": 60, "threads": 1,
@@ -31,7 +33,7 @@ SEARCHED: dict[str, Any] = {
 }
 
 
-def study(output: Path, **changes: Any) -> TuningConfig:
+def study(output: Path, **changes: Any) -> Any:
     fields = {"study": "s", "training": TRAINING, "parameters": SEARCHED, "trials": 3, "pruner": False}
     return read_tuning({**fields, "output": str(output), **changes})
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import importlib.util
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,10 @@ from optuna.distributions import BaseDistribution
 from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
-from zenostat.lab.training.tuning_config import TuningConfig
+from zenostat.lab.tuning.search_space import DEFAULT, distributions
+from zenostat.lab.tuning.study_config import Range
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import install_command
 
 RETRY_OF = "retry_of"
 """Attribute of a trial that repeats another one: the number of the first."""
@@ -20,17 +24,24 @@ RETRY_OF = "retry_of"
 class TrialSeededSampler(BaseSampler):
     """A sampler with a seed of its own for each trial, from the study's seed and the number of trials before.
 
-    A sampler of Optuna with a fixed seed draws the same first trials in each process: on each machine of a study, and
-    again when a study continues. Trials that repeat others are not counted, so a study that was interrupted draws what
-    it would have drawn otherwise.
+    The trial of the defaults is not sampled. A sampler of Optuna with a fixed seed draws the same first trials in each
+    process: on each machine of a study, and again when a study continues. Trials that repeat others are not counted, so
+    a study that was interrupted draws what it would have drawn otherwise.
 
     Args:
         make: makes the sampler from a seed.
         seed: seed of the study.
+        jointly: what is sampled jointly; None: what the sampler infers from finished trials, of which that of the
+            defaults has no values.
     """
 
-    def __init__(self, make: Callable[[int], BaseSampler], seed: int) -> None:
-        self._make, self._seed = make, seed
+    def __init__(
+        self,
+        make: Callable[[int], BaseSampler],
+        seed: int,
+        jointly: dict[str, BaseDistribution] | None = None,
+    ) -> None:
+        self._make, self._seed, self._jointly = make, seed, jointly
         self._sampler = make(seed)
 
     def before_trial(self, study: optuna.Study, trial: FrozenTrial) -> None:
@@ -42,6 +53,10 @@ class TrialSeededSampler(BaseSampler):
 
     def infer_relative_search_space(self, study: optuna.Study, trial: FrozenTrial) -> dict[str, BaseDistribution]:
         """Return what is sampled jointly."""
+        if DEFAULT in trial.user_attrs:
+            return {}
+        if self._jointly is not None:
+            return self._jointly
         return self._sampler.infer_relative_search_space(study, trial)
 
     def sample_relative(
@@ -63,9 +78,19 @@ class TrialSeededSampler(BaseSampler):
         self._sampler.after_trial(study, trial, state, values)
 
 
-def make_sampler(config: TuningConfig) -> BaseSampler:
-    """Return the sampler of a study; the points of a grid are queued when the study is created."""
-    kind: Callable[..., BaseSampler] = (
-        optuna.samplers.TPESampler if config.sampler == "tpe" else optuna.samplers.RandomSampler
+def make_sampler(name: str, seed: int, searched: Mapping[str, Range]) -> BaseSampler:
+    """Return the sampler of a study; the points of a grid are queued when the study is created.
+
+    Raises:
+        InvalidConfig: the package that CMA-ES needs is missing.
+    """
+    if name == "tpe":
+        return TrialSeededSampler(lambda trial_seed: optuna.samplers.TPESampler(seed=trial_seed), seed)
+    if name != "cma-es":
+        return TrialSeededSampler(lambda trial_seed: optuna.samplers.RandomSampler(seed=trial_seed), seed)
+    if importlib.util.find_spec("cmaes") is None:
+        raise InvalidConfig(f"sampler: cma-es needs the package cmaes: {install_command('tune')}")
+    jointly = {name: space for name, space in sorted(distributions(searched).items()) if not space.single()}
+    return TrialSeededSampler(
+        lambda trial_seed: optuna.samplers.CmaEsSampler(seed=trial_seed, warn_independent_sampling=False), seed, jointly
     )
-    return TrialSeededSampler(lambda seed: kind(seed=seed), config.seed)

@@ -1,37 +1,24 @@
-"""Tuning files: a training, the parameters to search, sampler, pruner and database."""
+"""Fields that all tuning files have: search space, sampler, pruner, budget and database."""
 
 from __future__ import annotations
 
 import itertools
+from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 
-from zenostat.lab.training.config import (
-    FIELDS,
-    FIELDS_OR_FALSE,
-    Count,
-    No,
-    TrainingConfig,
-    read_file,
-    read_training,
-    with_field,
-)
-from zenostat.topics.codec import describe_validation_errors
+from zenostat.lab.config_file import FIELDS, FIELDS_OR_FALSE, ConfigPart, Count, No
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.file_kinds import FileKind
 
-Scalar = bool | int | float | str | None
 _Number = Annotated[float, Field(strict=True)]
+Sampler = Literal["tpe", "random", "grid", "cma-es"]
+Direction = Literal["maximize", "minimize"]
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
-
-
-class Range(_Part):
+class Range(ConfigPart):
     """A parameter to search: numbers from `low` to `high`, or `choices`.
 
     Attributes:
@@ -82,13 +69,16 @@ def _as_choices(value: Any) -> Any:
     return {"choices": value} if isinstance(value, list) else value
 
 
-class Pruner(_Part):
+SearchSpace = Annotated[dict[str, Annotated[Range, BeforeValidator(_as_choices)]], Field(min_length=1)]
+
+
+class Pruner(ConfigPart):
     """Ends trials whose evaluations are worse than those of others at the same step.
 
     Attributes:
         kind: `median`, or `halving` (asynchronous successive halving).
         startup_trials: number of finished trials before the first is pruned; of `median`.
-        warmup_steps: training steps before a trial is pruned.
+        warmup_steps: steps before a trial is pruned: of training, or episodes of a controller.
     """
 
     kind: Literal["median", "halving"] = "median"
@@ -96,34 +86,39 @@ class Pruner(_Part):
     warmup_steps: Annotated[int, Field(strict=True, ge=0)] = 0
 
 
-class TuningConfig(_Part):
-    """A study: the fields of a tuning file.
+class StudyConfig(ConfigPart, ABC):
+    """A study: the fields that all tuning files have.
 
     Attributes:
         study: name of the study in its database.
-        training: path of a training file, or its fields.
-        parameters: what to search, by field of the training: `parameters.learning_rate`, `slots`, `wrappers`.
-        sampler: `tpe`, `random` or `grid`.
+        parameters: what to search.
+        sampler: `tpe`, `random`, `grid` or `cma-es`.
         seed: seed of the sampler; with one worker, the same study gives the same trials, also if it was interrupted.
         trials: number of trials; of a grid by default all its points.
         workers: number of trials at the same time on this machine.
-        metric: metric of the evaluations to optimize, as `reward` or `hvac_electricity_kwh`.
+        metric: metric to optimize, as `reward` or `hvac_electricity_kwh`.
         direction: whether to maximize it.
-        pruner: false: every trial is trained to its end.
+        pruner: false: every trial is run to its end.
         retries: how often the trial of a killed process is repeated as another trial.
         storage: URL of the database; by default a SQLite file in `output`.
         output: folder of the results, with a folder for each trial.
+        trial_module: module of the process that runs a trial.
+        keeps_processes: whether the process of a trial runs further ones.
+        begins_with_default: whether the first trial searches nothing, and so has the subject's own defaults.
     """
 
+    trial_module: ClassVar[str]
+    keeps_processes: ClassVar[bool]
+    begins_with_default: ClassVar[bool]
+
     study: Annotated[str, Field(min_length=1)]
-    training: dict[str, Any] | str
-    parameters: Annotated[dict[str, Annotated[Range, BeforeValidator(_as_choices)]], Field(min_length=1)]
-    sampler: Literal["tpe", "random", "grid"] = "tpe"
+    parameters: SearchSpace
+    sampler: Sampler = "tpe"
     seed: Annotated[int, Field(strict=True, ge=0, lt=2**32)] = 0
     trials: Count | None = None
     workers: Annotated[int, Field(strict=True, ge=1, le=256)] = 1
     metric: str = "reward"
-    direction: Literal["maximize", "minimize"] = "maximize"
+    direction: Direction = "maximize"
     pruner: Annotated[Annotated[Pruner, FIELDS] | No, FIELDS_OR_FALSE] = Pruner()
     retries: Annotated[int, Field(strict=True, ge=0)] = 0
     storage: str | None = None
@@ -139,11 +134,15 @@ class TuningConfig(_Part):
         """URL of the database."""
         return self.storage or f"sqlite:///{(self.folder / 'study.db').absolute()}"
 
+    @property
+    def first_values(self) -> dict[str, Any]:
+        """The first value of each searched parameter."""
+        return {name: r.choices[0] if r.choices is not None else r.low for name, r in self.parameters.items()}
+
     def identity(self) -> dict[str, Any]:
-        """Return what must not change while a study exists: training, search space, sampler and metric."""
-        fields = ("training", "parameters", "sampler", "seed", "metric", "direction", "pruner")
+        """Return what must not change while a study exists."""
         plain = self.model_dump(mode="json")
-        return {name: plain[name] for name in fields}
+        return {name: value for name, value in plain.items() if name not in _FREE}
 
     def grid(self) -> list[dict[str, Any]]:
         """Return the points of the grid, in the order of the file."""
@@ -155,44 +154,39 @@ class TuningConfig(_Part):
                 raise InvalidConfig(f"parameters.{name}: {error}") from None
         return [dict(zip(self.parameters, values, strict=True)) for values in itertools.product(*columns)]
 
-    def training_of(self, values: Mapping[str, Any], output: Path) -> TrainingConfig:
-        """Return the training with these values of the searched parameters."""
-        assert isinstance(self.training, dict)
-        fields: dict[str, Any] = {**self.training, "output": str(output)}
-        for path, value in values.items():
-            fields = with_field(fields, path, value)
-        return read_training(fields)
+    def checked(self, what: str) -> Any:
+        """Return the study with its number of trials.
+
+        Raises:
+            InvalidConfig: the grid has ranges without a step, there is no number of trials, or `cma-es` has a choice.
+        """
+        if self.sampler == "grid":
+            points = self.grid()
+            return self.model_copy(update={"trials": self.trials or len(points)})
+        if self.trials is None:
+            raise InvalidConfig(f"{what}: trials: it is missing; only a grid has a number of its own")
+        choices = [name for name, searched in self.parameters.items() if searched.choices is not None]
+        if self.sampler == "cma-es" and (choices or len(self.parameters) < 2):
+            problem = f"{choices[0]} is a list of choices" if choices else "there is only one"
+            raise InvalidConfig(f"{what}: sampler: cma-es needs two or more ranges, but {problem}; use tpe")
+        return self
+
+    @abstractmethod
+    def check(self) -> None:
+        """Check, before anything starts, what takes a library or a file.
+
+        Raises:
+            InvalidConfig: something is invalid.
+        """
+
+    @abstractmethod
+    def trial_fields(self, values: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+        """Return what the process of a trial needs, as JSON; `values` are those of the searched parameters."""
+
+    @abstractmethod
+    def best_fields(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the fields of `best.yaml`."""
 
 
-def read_tuning(fields: Mapping[str, Any], what: str = "the study", folder: Path = Path()) -> TuningConfig:
-    """Validate the fields of a tuning file, and the training with the first value of each searched parameter.
-
-    Args:
-        fields: the fields.
-        what: the file, for errors.
-        folder: the folder to which the path of the training file is relative.
-
-    Raises:
-        InvalidConfig: lists all errors.
-    """
-    try:
-        config = TuningConfig.model_validate(dict(fields))
-    except ValidationError as error:
-        raise InvalidConfig(f"{what}: {describe_validation_errors(error, TuningConfig.model_fields)}") from None
-    if isinstance(config.training, str):
-        config = config.model_copy(update={"training": read_file(folder / config.training)})
-    if config.sampler == "grid":
-        points = config.grid()
-        config = config.model_copy(update={"trials": config.trials or len(points)})
-    elif config.trials is None:
-        raise InvalidConfig(f"{what}: trials: it is missing; only a grid has a number of its own")
-    first = {name: r.choices[0] if r.choices is not None else r.low for name, r in config.parameters.items()}
-    training = config.training_of(first, config.folder)
-    if not training.evaluation:
-        raise InvalidConfig(f"{what}: training.evaluation: a study compares evaluations, so it cannot be false")
-    return config
-
-
-def load_tuning(path: Path) -> TuningConfig:
-    """Read a tuning file; errors as of `read_file` and `read_tuning`."""
-    return read_tuning(read_file(path, FileKind.TUNING), str(path), path.parent)
+_FREE = ("study", "trials", "workers", "retries", "storage", "output")
+"""Fields that may change while a study exists."""

@@ -13,14 +13,15 @@ import numpy as np
 import optuna
 from optuna.trial import FrozenTrial, TrialState
 
-from zenostat.lab.training.tuning_config import TuningConfig
+from zenostat.lab.tuning.search_space import DEFAULT, encode
+from zenostat.lab.tuning.study_config import StudyConfig
 from zenostat.topics.atomic_file import atomic_file
 
 TABLE = "trials.csv"
 _COLUMNS = 3
 
 
-def write_results(study: optuna.Study, config: TuningConfig) -> list[Path]:
+def write_results(study: optuna.Study, config: StudyConfig) -> list[Path]:
     """Write `trials.csv`, and if Matplotlib is installed the figures `history`, `importance`, `slices` and `parallel`.
 
     Returns:
@@ -39,7 +40,8 @@ def write_results(study: optuna.Study, config: TuningConfig) -> list[Path]:
             value = "" if trial.value is None else trial.value
             writer.writerow([trial.number, trial.state.name, value, trial.last_step or "", seconds, *values, reason])
     finished = [trial for trial in trials if trial.state is TrialState.COMPLETE]
-    if importlib.util.find_spec("matplotlib") is None or not finished:
+    searched = [trial for trial in finished if DEFAULT not in trial.user_attrs]
+    if importlib.util.find_spec("matplotlib") is None or not searched:
         return [table]
     from zenostat.views.report.figures.base import draw
     from zenostat.views.report.svg import save
@@ -47,10 +49,10 @@ def write_results(study: optuna.Study, config: TuningConfig) -> list[Path]:
     rows = -(-len(config.parameters) // _COLUMNS)
     figures: dict[str, tuple[float, Callable[[Any], None]]] = {
         "history": (3.0, lambda figure: _history(figure, trials, config)),
-        "slices": (2.4 * rows, lambda figure: _slices(figure, finished, config)),
-        "parallel": (3.2, lambda figure: _parallel(figure, finished, config)),
+        "slices": (2.4 * rows, lambda figure: _slices(figure, searched, config)),
+        "parallel": (3.2, lambda figure: _parallel(figure, searched, config)),
     }
-    if importances := _importances(study, finished):
+    if importances := _importances(study, searched):
         figures["importance"] = (0.7 + 0.3 * len(importances), lambda figure: _importance(figure, importances))
     return [
         table,
@@ -68,7 +70,7 @@ def _importances(study: optuna.Study, finished: list[FrozenTrial]) -> dict[str, 
         return optuna.importance.get_param_importances(study, evaluator=evaluator)
 
 
-def _history(figure: Any, trials: list[FrozenTrial], config: TuningConfig) -> None:
+def _history(figure: Any, trials: list[FrozenTrial], config: StudyConfig) -> None:
     from zenostat.views.report.figures.base import legend_above
     from zenostat.views.report.theme import LIGHT
 
@@ -103,7 +105,7 @@ def _importance(figure: Any, importances: dict[str, float]) -> None:
     axis.set_xlabel("importance (PED-ANOVA)")
 
 
-def _slices(figure: Any, finished: list[FrozenTrial], config: TuningConfig) -> None:
+def _slices(figure: Any, finished: list[FrozenTrial], config: StudyConfig) -> None:
     from zenostat.views.report.theme import LIGHT
 
     names = list(config.parameters)
@@ -125,7 +127,7 @@ def _slices(figure: Any, finished: list[FrozenTrial], config: TuningConfig) -> N
     axes[0].set_ylabel(config.metric)
 
 
-def _parallel(figure: Any, finished: list[FrozenTrial], config: TuningConfig) -> None:
+def _parallel(figure: Any, finished: list[FrozenTrial], config: StudyConfig) -> None:
     """One line per trial over the parameters, darker the better its value."""
     from zenostat.views.report.theme import LIGHT
 
@@ -158,14 +160,12 @@ def _parallel(figure: Any, finished: list[FrozenTrial], config: TuningConfig) ->
     axis.set_title("one line per trial, stronger where better; orange: the best", pad=18)
 
 
-def _places(name: str, finished: list[FrozenTrial], config: TuningConfig) -> tuple[list[Any], list[str] | None]:
+def _places(name: str, finished: list[FrozenTrial], config: StudyConfig) -> tuple[list[Any], list[str] | None]:
     """Return the places of the trials on an axis, and its labels if the parameter has choices."""
     values = [trial.params[name] for trial in finished]
     choices = config.parameters[name].choices
     if choices is None:
         return values, None
-    from zenostat.lab.training.study import encode
-
     labels = [str(encode(choice)) for choice in choices]
     return [labels.index(str(value)) for value in values], labels
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
-from zenostat.lab.training.tuning_config import Pruner
+from zenostat.lab.tuning.study_config import Pruner
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 

@@ -1,4 +1,4 @@
-"""Studies of Optuna on trainings: each trial is a process of its own, so that its end affects no other."""
+"""Studies of Optuna: trials run in processes of their own, so that the end of one affects no other."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from zenostat.lab.training.parameters import check_algorithm
-from zenostat.lab.training.study_storage import (
+from zenostat.lab.tuning.search_space import DEFAULT, ask, decode, encode
+from zenostat.lab.tuning.study_config import StudyConfig
+from zenostat.lab.tuning.study_storage import (
     HEARTBEAT_S,
     database_errors,
     make_pruner,
     open_storage,
     without_password,
 )
-from zenostat.lab.training.trial import REQUEST, RESULT
-from zenostat.lab.training.tuning_config import Range, TuningConfig
+from zenostat.lab.tuning.trial import REQUEST, RESULT
 from zenostat.topics import yaml12
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
@@ -35,48 +35,19 @@ with requires_extra("tune", "tuning", "Optuna"):
     import optuna
     from optuna.trial import FrozenTrial, TrialState
 
-    from zenostat.lab.training.study_sampler import RETRY_OF, make_sampler
+    from zenostat.lab.tuning.study_sampler import RETRY_OF, make_sampler
 
 _IDENTITY = "zenostat"
 _POLL_S = 0.2
 _INVALID_TRIALS = 3
-"""Number of first trials that fail because the training is invalid, after which the study ends."""
+"""Number of first trials that fail because their configuration is invalid, after which the study ends."""
 _END_S = 20.0
 """Time for a trial's process to write its checkpoint, after which it is killed."""
 
 OnTrial = Callable[[FrozenTrial], None]
 
 
-def distribution(searched: Range) -> optuna.distributions.BaseDistribution:
-    """Return the distribution of a searched parameter; choices that are lists or mappings are searched as JSON."""
-    if searched.choices is not None:
-        return optuna.distributions.CategoricalDistribution([encode(choice) for choice in searched.choices])
-    assert searched.low is not None
-    assert searched.high is not None
-    if searched.is_integer:
-        step = int(searched.step or 1)
-        return optuna.distributions.IntDistribution(int(searched.low), int(searched.high), log=searched.log, step=step)
-    return optuna.distributions.FloatDistribution(searched.low, searched.high, log=searched.log, step=searched.step)
-
-
-def encode(choice: Any) -> Any:
-    """Return a choice as Optuna stores it: a scalar, or JSON text of a list or mapping."""
-    return json.dumps(choice) if isinstance(choice, list | tuple | Mapping) else choice
-
-
-def _decode(config: TuningConfig, values: Mapping[str, Any]) -> dict[str, Any]:
-    by_text = {
-        name: {
-            encode(choice): choice for choice in searched.choices or () if isinstance(choice, list | tuple | Mapping)
-        }
-        for name, searched in config.parameters.items()
-    }
-    return {
-        name: by_text[name].get(value, value) if isinstance(value, str) else value for name, value in values.items()
-    }
-
-
-def open_study(config: TuningConfig) -> optuna.Study:
+def open_study(config: StudyConfig) -> optuna.Study:
     """Create the study of a configuration, or open it if it exists.
 
     Raises:
@@ -86,12 +57,15 @@ def open_study(config: TuningConfig) -> optuna.Study:
     identity = json.loads(json.dumps(config.identity()))
     with database_errors(config.url):
         storage = open_storage(config.url)
-        arguments: dict[str, Any] = {"sampler": make_sampler(config), "pruner": make_pruner(config.pruner)}
+        sampler = make_sampler(config.sampler, config.seed, config.parameters)
+        arguments: dict[str, Any] = {"sampler": sampler, "pruner": make_pruner(config.pruner)}
         try:
             study = optuna.create_study(
                 study_name=config.study, storage=storage, direction=config.direction, **arguments
             )
             study.set_user_attr(_IDENTITY, identity)
+            if config.begins_with_default:
+                study.enqueue_trial({}, user_attrs={DEFAULT: True})
             if config.sampler == "grid":
                 for point in config.grid():
                     study.enqueue_trial({name: encode(value) for name, value in point.items()})
@@ -113,6 +87,7 @@ class _Worker:
     trial: optuna.Trial
     process: subprocess.Popen[bytes]
     folder: Path
+    log: Path
 
 
 class Tuning:
@@ -125,16 +100,16 @@ class Tuning:
         on_trial: called with each trial that has ended here.
 
     Raises:
-        InvalidConfig: see `open_study`; or the algorithm's parameters are invalid.
+        InvalidConfig: see `open_study` and `StudyConfig.check`.
     """
 
-    def __init__(self, config: TuningConfig, on_trial: OnTrial | None = None) -> None:
+    def __init__(self, config: StudyConfig, on_trial: OnTrial | None = None) -> None:
         self._config, self._on_trial = config, on_trial
-        first = {name: r.choices[0] if r.choices is not None else r.low for name, r in config.parameters.items()}
-        check_algorithm(config.training_of(first, config.folder))
+        config.check()
         optuna.logging.set_verbosity(optuna.logging.WARNING)
         self.study = open_study(config)
         self._workers: list[_Worker] = []
+        self._idle: list[tuple[subprocess.Popen[bytes], Path]] = []
         self._beat = 0.0
         self._invalid: int | None = 0
 
@@ -150,7 +125,7 @@ class Tuning:
             stop: when it is set, the running trials are ended and queued again, and this returns.
 
         Raises:
-            InvalidConfig: the database was lost; or the trainings of the first trials are all invalid.
+            InvalidConfig: the database was lost; or the first trials are all invalid.
         """
         stop = stop or threading.Event()
         with ExitStack() as stack:
@@ -160,7 +135,7 @@ class Tuning:
                 warnings.filterwarnings("ignore", "Heartbeat of storage")  # `_heartbeat` records it
                 while not stop.is_set():
                     self._heartbeat()
-                    for worker in [worker for worker in self._workers if worker.process.poll() is not None]:
+                    for worker in [worker for worker in self._workers if self._has_ended(worker)]:
                         self._finish(worker)
                     while len(self._workers) < self._config.workers and self._is_open():
                         self._start()
@@ -182,33 +157,52 @@ class Tuning:
 
     def _start(self) -> None:
         config = self._config
-        distributions = {name: distribution(searched) for name, searched in config.parameters.items()}
-        trial = self.study.ask(distributions)
-        folder = config.folder / "trials" / f"{trial.number:04d}"
+        trial = ask(self.study, config.parameters)
+        folder = (config.folder / "trials" / f"{trial.number:04d}").absolute()
         shutil.rmtree(folder, ignore_errors=True)  # of a deleted study of that name
         folder.mkdir(parents=True)
-        training = config.training_of(_decode(config, trial.params), folder / "training")
         request = {
             "url": config.url, "study": config.study, "trial_id": trial._trial_id, "metric": config.metric,  # noqa: SLF001
-            "pruner": config.pruner and config.pruner.model_dump(), "training": training.plain(),
+            "pruner": config.pruner and config.pruner.model_dump(),
+            **config.trial_fields(decode(config.parameters, trial.params), folder),
         }  # fmt: skip
         (folder / REQUEST).write_text(json.dumps(request, indent=1), encoding="utf-8")
         (folder / REQUEST).chmod(0o600)  # the URL may contain a password
-        with (folder / "log.txt").open("wb") as log:
+        process, log = self._process(folder)
+        self._workers.append(_Worker(trial, process, folder, log))
+
+    def _process(self, folder: Path) -> tuple[subprocess.Popen[bytes], Path]:
+        """Return a process that runs the trial of a folder, and the path of its log."""
+        while self._idle:
+            process, log = self._idle.pop()
+            if process.poll() is None and _send(process, folder):
+                return process, log
+        log, keeps = folder / "log.txt", self._config.keeps_processes
+        arguments = [] if keeps else [str(folder)]
+        with log.open("wb") as output:
             process = subprocess.Popen(
-                [sys.executable, "-P", "-m", "zenostat.lab.training.trial", str(folder), str(os.getpid())],
-                stdin=subprocess.DEVNULL, stdout=log, stderr=log, process_group=0,
+                [sys.executable, "-P", "-m", self._config.trial_module, *arguments, str(os.getpid())],
+                stdin=subprocess.PIPE if keeps else subprocess.DEVNULL, stdout=output, stderr=output, process_group=0,
             )  # fmt: skip
-        self._workers.append(_Worker(trial, process, folder))
+        if keeps:
+            _send(process, folder)
+        return process, log
+
+    def _has_ended(self, worker: _Worker) -> bool:
+        if self._config.keeps_processes and (worker.folder / RESULT).is_file():
+            return True
+        return worker.process.poll() is not None
 
     def _finish(self, worker: _Worker, *, interrupted: bool = False) -> None:
         """Record the result of a trial whose process has ended."""
         self._workers.remove(worker)
+        if worker.process.stdin is not None and worker.process.poll() is None:
+            self._idle.append((worker.process, worker.log))
         try:
             result = json.loads((worker.folder / RESULT).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             code = worker.process.returncode
-            result = {"state": "fail", "reason": f"its process ended with {code}; see {worker.folder / 'log.txt'}"}
+            result = {"state": "fail", "reason": f"its process ended with {code}; see {worker.log}"}
             result["again"] = interrupted or self._may_retry(worker.trial)
         states = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "fail": TrialState.FAIL}
         if result["state"] == "fail":
@@ -220,19 +214,20 @@ class Tuning:
             self.study.tell(worker.trial, value, state=states[result["state"]])
         if result.get("again"):
             of = worker.trial.user_attrs.get(RETRY_OF, worker.trial.number)
-            self.study.enqueue_trial(worker.trial.params, user_attrs={RETRY_OF: of})
+            default = {name: True for name in (DEFAULT,) if name in worker.trial.user_attrs}
+            self.study.enqueue_trial(worker.trial.params, user_attrs={RETRY_OF: of, **default})
         if self._on_trial is not None:
             self._on_trial(self.study.trials[worker.trial.number])
         self._check_first_trials(reason)
 
     def _check_first_trials(self, reason: str | None) -> None:
-        """Count the first trials whose training is invalid; None: it is valid."""
+        """Count the first trials that are invalid; None: this one is valid."""
         if reason is None:
             self._invalid = None
         elif self._invalid is not None:
             self._invalid += 1
             if self._invalid >= min(_INVALID_TRIALS, self._config.trials or 1):
-                raise InvalidConfig(f"no trial of the study can be trained: {reason}")
+                raise InvalidConfig(f"no trial of the study can be run: {reason}")
 
     def _may_retry(self, trial: optuna.Trial) -> bool:
         of = trial.user_attrs.get(RETRY_OF, trial.number)
@@ -251,15 +246,20 @@ class Tuning:
 
     def _end_processes(self) -> None:
         """End the processes of the trials; their nodes end with them."""
-        for worker in self._workers:
-            worker.process.terminate()
+        processes = [worker.process for worker in self._workers] + [process for process, _ in self._idle]
+        self._idle = []
+        for process in processes:
+            process.terminate()
         deadline = time.monotonic() + _END_S
-        for worker in self._workers:
+        for process in processes:
             try:
-                worker.process.wait(max(deadline - time.monotonic(), 0.1))
+                process.wait(max(deadline - time.monotonic(), 0.1))
             except subprocess.TimeoutExpired:
-                worker.process.kill()
-                worker.process.wait()
+                process.kill()
+                process.wait()
+            if process.stdin is not None:
+                with suppress(OSError):
+                    process.stdin.close()
 
     def best(self) -> optuna.trial.FrozenTrial | None:
         """Return the best finished trial; None before the first has finished."""
@@ -269,12 +269,23 @@ class Tuning:
             return None
 
     def write_best(self) -> Path | None:
-        """Write the training of the best trial as a file for `zenostat train`; None before the first has finished."""
+        """Write the training or controller of the best trial as `best.yaml`; None before the first has finished."""
         best = self.best()
         if best is None:
             return None
         path = self._config.folder / "best.yaml"
-        training = self._config.training_of(_decode(self._config, best.params), self._config.folder / "best")
+        fields = self._config.best_fields(decode(self._config.parameters, best.params))
         with atomic_file(path) as temporary:
-            temporary.write_text(yaml12.dump(training.plain()), encoding="utf-8")
+            temporary.write_text(yaml12.dump(fields), encoding="utf-8")
         return path
+
+
+def _send(process: subprocess.Popen[bytes], folder: Path) -> bool:
+    """Ask a process to run the trial of a folder; return whether it can still be asked."""
+    assert process.stdin is not None
+    try:
+        process.stdin.write(f"{folder}\n".encode())
+        process.stdin.flush()
+    except OSError:
+        return False
+    return True

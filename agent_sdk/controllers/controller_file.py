@@ -1,0 +1,50 @@
+"""Controller files: a controller by name with parameters, as `zenostat tune` writes them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from zenostat.topics import yaml12
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.file_kinds import FileKind, check_file_kind
+
+
+class ControllerFile(BaseModel):
+    """Content of a controller file.
+
+    Attributes:
+        controller: short name of a bundled controller, or a class as for `load_controller`.
+        parameters: its parameters by name; all others have their defaults.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    controller: str = Field(min_length=1, strict=True)
+    parameters: dict[str, Any] = Field(default_factory=dict)
+
+
+def read_controller_file(path: Path) -> ControllerFile:
+    """Read a controller file.
+
+    Raises:
+        UnknownName: there is no such file, or it cannot be read.
+        InvalidConfig: it is not YAML, a file of another kind, or has invalid fields.
+    """
+    fields = yaml12.read_mapping(path, UnknownName)
+    check_file_kind(fields, FileKind.CONTROLLER, str(path))
+    try:
+        return ControllerFile.model_validate(fields)
+    except ValidationError as error:
+        raise InvalidConfig(f"{path}: {describe_validation_errors(error, ControllerFile.model_fields)}") from None
+
+
+def write_controller_file(path: Path, controller: str, parameters: dict[str, Any]) -> None:
+    """Write a controller file, replacing one that exists."""
+    with atomic_file(path) as temporary:
+        fields = {"controller": controller, "parameters": parameters}
+        temporary.write_text(yaml12.dump(fields), encoding="utf-8")

@@ -1,0 +1,69 @@
+"""Hours of high prices, by the price of the task's reward."""
+
+from __future__ import annotations
+
+from datetime import datetime, timedelta
+
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
+from zenostat.agent_sdk.rewards.manifest_data import known_rewards
+from zenostat.agent_sdk.time_series import TimeOfUse, TimeSeries
+from zenostat.topics.messages import Manifest
+
+_HOUR = timedelta(hours=1)
+
+
+class PricePeaks:
+    """Hours whose price is above the middle between the day's lowest and highest price.
+
+    Args:
+        manifest: manifest of the node; the price is that of electricity in the reward that is paid, else in the
+            scenario's.
+        lead_h: hours before a peak in which zones are preconditioned, 0 to 12.
+
+    Raises:
+        ControllerMismatch: no reward of the task has a price.
+    """
+
+    def __init__(self, manifest: Manifest, lead_h: float) -> None:
+        self._price = price_of(manifest)
+        self._lead = timedelta(hours=lead_h)
+        self._peaks: dict[datetime, tuple[bool, ...]] = {}
+
+    def is_peak(self, at: datetime) -> bool:
+        """Return whether the price is high at a time."""
+        day = at.replace(hour=0, minute=0, second=0, microsecond=0)
+        if day not in self._peaks:
+            prices = [float(self._price.at(day + hour * _HOUR)) for hour in range(24)]
+            middle = (min(prices) + max(prices)) / 2
+            self._peaks = {day: tuple(price > middle for price in prices), **dict(list(self._peaks.items())[:1])}
+        return self._peaks[day][at.hour]
+
+    def is_before_peak(self, at: datetime) -> bool:
+        """Return whether a peak begins within the lead from now on."""
+        if self.is_peak(at):
+            return False
+        end, hour = at + self._lead, at.replace(minute=0, second=0, microsecond=0) + _HOUR
+        while hour <= end:
+            if self.is_peak(hour):
+                return True
+            hour += _HOUR
+        return False
+
+
+def price_of(manifest: Manifest) -> TimeSeries:
+    """Return the price of electricity in the task's reward.
+
+    Raises:
+        ControllerMismatch: no reward of the task has a price.
+    """
+    for reward in known_rewards(manifest):
+        price = getattr(reward, "price", None)
+        if isinstance(price, TimeSeries):
+            price.load()
+            return price
+        if hasattr(reward, "periods"):
+            return TimeOfUse(table=reward.periods, otherwise=reward.otherwise, unit=reward.unit)
+    raise ControllerMismatch(
+        f"preconditioning before price peaks needs the price of electricity, which the reward of node "
+        f"{manifest.node!r} does not have: use the reward occupied_cost, energy_cost or tariff"
+    )

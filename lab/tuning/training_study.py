@@ -1,0 +1,61 @@
+"""Tuning files of trainings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, ClassVar
+
+from zenostat.lab.config_file import with_field
+from zenostat.lab.training.config import TrainingConfig, read_training
+from zenostat.lab.tuning.study_config import StudyConfig
+from zenostat.topics.errors import InvalidConfig
+
+
+class TrainingStudy(StudyConfig):
+    """A study of trainings: the fields of a tuning file with `training`.
+
+    Its parameters are fields of the training: `parameters.learning_rate`, `slots`, `wrappers`.
+
+    Attributes:
+        training: path of a training file, or its fields. The value of a trial is the mean of its last evaluation.
+    """
+
+    trial_module: ClassVar[str] = "zenostat.lab.tuning.training_trial"
+    keeps_processes: ClassVar[bool] = False
+    begins_with_default: ClassVar[bool] = False
+
+    training: dict[str, Any] | str
+
+    def training_of(self, values: Mapping[str, Any], output: Path) -> TrainingConfig:
+        """Return the training with these values of the searched parameters."""
+        assert isinstance(self.training, dict)
+        fields: dict[str, Any] = {**self.training, "output": str(output)}
+        for path, value in values.items():
+            fields = with_field(fields, path, value)
+        return read_training(fields)
+
+    def checked(self, what: str) -> Any:
+        """Return the study with its number of trials; see `StudyConfig.checked`.
+
+        Raises:
+            InvalidConfig: the training with the first value of each searched parameter is invalid as well.
+        """
+        config = super().checked(what)
+        if not config.training_of(config.first_values, config.folder).evaluation:
+            raise InvalidConfig(f"{what}: training.evaluation: a study compares evaluations, so it cannot be false")
+        return config
+
+    def check(self) -> None:
+        """Check the parameters of the algorithm."""
+        from zenostat.lab.training.parameters import check_algorithm
+
+        check_algorithm(self.training_of(self.first_values, self.folder))
+
+    def trial_fields(self, values: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+        """Return the training of a trial."""
+        return {"training": self.training_of(values, folder / "training").plain()}
+
+    def best_fields(self, values: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the fields of a training file."""
+        return self.training_of(values, self.folder / "best").plain()

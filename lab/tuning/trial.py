@@ -1,0 +1,82 @@
+"""Trials in their process: what is asked for, intermediate values, and the result."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig, UsageError, ZenostatError, did_you_mean
+
+REQUEST, RESULT = "trial.json", "result.json"
+
+
+class Pruned(Exception):  # an outcome
+    """The pruner ends the trial."""
+
+
+class TrialReport:
+    """Intermediate values of the trial that a request describes, in the database of its study.
+
+    Args:
+        request: the study's URL and name, the trial's id, and the pruner.
+
+    Raises:
+        InvalidConfig: the database cannot be used.
+    """
+
+    def __init__(self, request: dict[str, Any]) -> None:
+        import optuna
+
+        from zenostat.lab.tuning.study_config import Pruner
+        from zenostat.lab.tuning.study_storage import database_errors, make_pruner, open_storage
+
+        self._url = request["url"]
+        settings = request["pruner"] and Pruner.model_validate(request["pruner"])
+        with database_errors(self._url):
+            storage = open_storage(self._url)
+            study = optuna.load_study(study_name=request["study"], storage=storage, pruner=make_pruner(settings))
+            self._trial = optuna.trial.Trial(study, request["trial_id"])
+        self.values: list[float] = []
+
+    def add(self, value: float, step: int) -> None:
+        """Report a value.
+
+        Raises:
+            Pruned: the pruner ends the trial.
+        """
+        from zenostat.lab.tuning.study_storage import database_errors
+
+        self.values.append(value)
+        with database_errors(self._url):
+            self._trial.report(value, step)
+            if self._trial.should_prune():
+                raise Pruned
+
+
+def mean_metric(results: Sequence[Any], metric: str) -> float:
+    """Return the mean of a metric over episodes.
+
+    Raises:
+        InvalidConfig: the episodes do not have it.
+    """
+    import numpy as np
+
+    values = [result.metrics().get(metric) for result in results]
+    if None in values:
+        names = [name for name, value in results[0].metrics().items() if value is not None]
+        raise InvalidConfig(f"metric: the evaluations have no {metric!r}; {did_you_mean(metric, names)}")
+    return float(np.mean(np.array(values, np.float64)))
+
+
+def run_request(folder: Path, run: Callable[[dict[str, Any]], dict[str, Any]]) -> None:
+    """Run the trial that is described in a folder, and write its result there; without a result it has failed."""
+    request = json.loads((folder / REQUEST).read_text(encoding="utf-8"))
+    try:
+        result = run(request)
+    except ZenostatError as error:
+        result = {"state": "fail", "reason": str(error), "invalid": isinstance(error, UsageError)}
+    with atomic_file(folder / RESULT) as temporary:
+        temporary.write_text(json.dumps(result), encoding="utf-8")
