@@ -1,4 +1,4 @@
-"""`zenostat tune`: search the parameters of a training."""
+"""`zenostat tune`: search the parameters of a training or of a controller."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from zenostat.lab.tuning.study_config import StudyConfig
 
 _SHOWN = 15
+_DEFAULT = "default"
+"""Text for a trial that has the defaults of the controller."""
 
 
 def tune(
@@ -30,7 +32,7 @@ def tune(
     output: Annotated[Path | None, typer.Option(help="Folder of the results.")] = None,
     fields: SetFields = None,
 ) -> None:
-    """Search the parameters of a training with Optuna: a process for each trial, several at the same time.
+    """Search the parameters of a training or of a controller with Optuna, in processes, several at the same time.
 
     Example: `zenostat tune examples/tune.yaml --workers 2`
 
@@ -69,6 +71,7 @@ def tune(
 def _line(trial: Any) -> str:
     outcome = trial.user_attrs.get("reason", "") if trial.state.name == "FAIL" else _number(trial.value)
     values = ", ".join(f"{name.rpartition('.')[2]} {_number(value)}" for name, value in trial.params.items())
+    values = values or _DEFAULT
     return f"trial {trial.number}: {trial.state.name.lower()} {outcome} ({values})"
 
 
@@ -78,7 +81,7 @@ def _show(config: StudyConfig, study: Any) -> None:
     finished = sorted((t for t in study.trials if t.state.name == "COMPLETE"), key=lambda t: sign * t.value)
     names = list(config.parameters)
     rows = [
-        (str(trial.number), _number(trial.value), *(_number(trial.params[name]) for name in names))
+        (str(trial.number), _number(trial.value), *(_number(trial.params.get(name, _DEFAULT)) for name in names))
         for trial in finished[:_SHOWN]
     ]
     counts: dict[str, int] = {}

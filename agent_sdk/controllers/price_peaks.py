@@ -5,6 +5,7 @@ from __future__ import annotations
 from datetime import datetime, timedelta
 
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
+from zenostat.agent_sdk.rewards.energy_cost import TariffReward
 from zenostat.agent_sdk.rewards.manifest_data import known_rewards
 from zenostat.agent_sdk.time_series import TimeOfUse, TimeSeries
 from zenostat.topics.messages import Manifest
@@ -61,7 +62,7 @@ def price_of(manifest: Manifest) -> TimeSeries:
         if isinstance(price, TimeSeries):
             price.load()
             return price
-        if hasattr(reward, "periods"):
+        if isinstance(reward, TariffReward):
             return TimeOfUse(table=reward.periods, otherwise=reward.otherwise, unit=reward.unit)
     raise ControllerMismatch(
         f"preconditioning before price peaks needs the price of electricity, which the reward of node "

@@ -14,7 +14,7 @@ from zenostat.agent_sdk.controllers import ControllerProtocol, load_controller
 from zenostat.lab.tuning.controller_episodes import ControllerEpisodes
 from zenostat.lab.tuning.controller_study import check_names
 from zenostat.lab.tuning.search_space import DEFAULT, ask, decode
-from zenostat.lab.tuning.study_config import Direction, Range, SearchSpace
+from zenostat.lab.tuning.study_config import Direction, Range, SearchSpace, starting_point
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
@@ -95,8 +95,8 @@ def tune_controller(
     Args:
         controller: text as for `load_controller`, or a class.
         arguments: of `gym.make`, with the scenario's id as `scenario`, or its file as `file`.
-        parameters: what to search, by the controller's parameters, each as in a tuning file: `{"low": 0, "high": 3}`,
-            or a list of choices.
+        parameters: what to search, by the controller's parameters, each as in a tuning file: `{"low": 0, "high": 3}`
+            (with `log`, `step` or `start` as well), or a list of choices.
         weathers: weather files, each with an episode for each seed; by default those of the scenario.
         seeds: seeds of the episodes.
         fixed: parameters that are not searched.
@@ -122,6 +122,8 @@ def tune_controller(
     pruner = _pruner(max(len(weathers), 1) if prune and sampler != "cma-es" else None)
     study = optuna.create_study(direction=direction, sampler=make_sampler(sampler, seed, searched), pruner=pruner)
     study.enqueue_trial({}, user_attrs={DEFAULT: True})
+    if start := starting_point(searched):
+        study.enqueue_trial(start)
     records: list[TrialRecord] = []
     with closing(ControllerEpisodes(arguments, weathers, seeds)) as episodes, warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)

@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 RULE_SEARCH_SPACE: dict[str, Any] = {
-    "heating_margin": {"low": -4.0, "high": 2.0},
-    "cooling_margin": {"low": -4.0, "high": 2.0},
-    "heating_setback": {"low": 0.0, "high": 8.0},
-    "cooling_setback": {"low": 0.0, "high": 8.0},
-    "occupancy_threshold": {"low": 0.0, "high": 0.6},
-    "start_rate": {"low": 0.5, "high": 8.0, "log": True},
-    "limit_cooling": {"low": 0.0, "high": 4.0},
-    "precooling": {"low": 0.0, "high": 3.0},
-    "shed_cooling": {"low": 0.0, "high": 3.0},
+    "heating_margin": {"low": -2.0, "high": 1.5, "start": 0.3},
+    "cooling_margin": {"low": -2.0, "high": 1.5, "start": 0.3},
+    "heating_setback": {"low": 0.0, "high": 9.0, "start": 6.0},
+    "cooling_setback": {"low": 0.0, "high": 9.0, "start": 6.0},
+    "occupancy_threshold": {"low": 0.0, "high": 0.6, "start": 0.05},
+    "start_rate": {"low": 0.5, "high": 16.0, "log": True, "start": 3.0},
+    "limit_cooling": {"low": 0.0, "high": 3.0, "start": 0.5},
+    "precooling": {"low": 0.0, "high": 3.0, "start": 0.2},
+    "shed_cooling": {"low": 0.0, "high": 2.0, "start": 0.2},
 }
 """Of `rbc`, for a reward with a price and a demand charge, and comfort in occupied hours."""

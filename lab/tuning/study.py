@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.lab.tuning.search_space import DEFAULT, ask, decode, encode
-from zenostat.lab.tuning.study_config import StudyConfig
+from zenostat.lab.tuning.study_config import StudyConfig, starting_point
 from zenostat.lab.tuning.study_storage import (
     HEARTBEAT_S,
     database_errors,
@@ -47,6 +47,13 @@ _END_S = 20.0
 OnTrial = Callable[[FrozenTrial], None]
 
 
+def _without_nulls(value: Any) -> Any:
+    """Return JSON without fields that are null: one that a later version adds changes no study."""
+    if isinstance(value, dict):
+        return {name: _without_nulls(part) for name, part in value.items() if part is not None}
+    return [_without_nulls(part) for part in value] if isinstance(value, list) else value
+
+
 def open_study(config: StudyConfig) -> optuna.Study:
     """Create the study of a configuration, or open it if it exists.
 
@@ -54,7 +61,7 @@ def open_study(config: StudyConfig) -> optuna.Study:
         InvalidConfig: the database cannot be used, or has a study of that name with other settings.
     """
     config.folder.mkdir(parents=True, exist_ok=True)
-    identity = json.loads(json.dumps(config.identity()))
+    identity = _without_nulls(json.loads(json.dumps(config.identity())))
     with database_errors(config.url):
         storage = open_storage(config.url)
         sampler = make_sampler(config.sampler, config.seed, config.parameters)
@@ -66,12 +73,12 @@ def open_study(config: StudyConfig) -> optuna.Study:
             study.set_user_attr(_IDENTITY, identity)
             if config.begins_with_default:
                 study.enqueue_trial({}, user_attrs={DEFAULT: True})
-            if config.sampler == "grid":
-                for point in config.grid():
-                    study.enqueue_trial({name: encode(value) for name, value in point.items()})
+            start = starting_point(config.parameters)
+            for point in config.grid() if config.sampler == "grid" else [start] if start else []:
+                study.enqueue_trial({name: encode(value) for name, value in point.items()})
         except optuna.exceptions.DuplicatedStudyError:
             study = optuna.load_study(study_name=config.study, storage=storage, **arguments)
-            saved = study.user_attrs.get(_IDENTITY, {})
+            saved = _without_nulls(study.user_attrs.get(_IDENTITY, {}))
             if differing := [name for name in identity if saved.get(name) != identity[name]]:
                 raise InvalidConfig(
                     f"the study {config.study!r} exists in {without_password(config.url)} with other settings "

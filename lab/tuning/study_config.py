@@ -26,6 +26,7 @@ class Range(ConfigPart):
         log: whether to search on a logarithmic scale.
         step: distance of the numbers, from `low` on.
         choices: values, each a scalar or a list.
+        start: value in the trial that begins the search, and the middle of the first generation of `cma-es`.
     """
 
     low: int | _Number | None = None
@@ -33,6 +34,7 @@ class Range(ConfigPart):
     log: bool = False
     step: int | _Number | None = None
     choices: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
+    start: int | _Number | None = None
 
     @model_validator(mode="after")
     def _is_complete(self) -> Range:
@@ -42,6 +44,10 @@ class Range(ConfigPart):
             raise ValueError("low is above high")
         if self.log and (self.step is not None or (self.low is not None and self.low <= 0)):
             raise ValueError("log needs a low above 0 and no step")
+        if self.start is not None and (
+            self.low is None or self.high is None or not self.low <= self.start <= self.high
+        ):
+            raise ValueError("start has to lie between low and high")
         return self
 
     @property
@@ -70,6 +76,11 @@ def _as_choices(value: Any) -> Any:
 
 
 SearchSpace = Annotated[dict[str, Annotated[Range, BeforeValidator(_as_choices)]], Field(min_length=1)]
+
+
+def starting_point(searched: Mapping[str, Range]) -> dict[str, Any]:
+    """Return the `start` values of those parameters that have one."""
+    return {name: parameter.start for name, parameter in searched.items() if parameter.start is not None}
 
 
 class Pruner(ConfigPart):

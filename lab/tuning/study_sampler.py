@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import importlib.util
+import math
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -13,7 +15,7 @@ from optuna.samplers import BaseSampler
 from optuna.trial import FrozenTrial, TrialState
 
 from zenostat.lab.tuning.search_space import DEFAULT, distributions
-from zenostat.lab.tuning.study_config import Range
+from zenostat.lab.tuning.study_config import Range, starting_point
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import install_command
 
@@ -91,6 +93,18 @@ def make_sampler(name: str, seed: int, searched: Mapping[str, Range]) -> BaseSam
     if importlib.util.find_spec("cmaes") is None:
         raise InvalidConfig(f"sampler: cma-es needs the package cmaes: {install_command('tune')}")
     jointly = {name: space for name, space in sorted(distributions(searched).items()) if not space.single()}
-    return TrialSeededSampler(
-        lambda trial_seed: optuna.samplers.CmaEsSampler(seed=trial_seed, warn_independent_sampling=False), seed, jointly
-    )
+    start = starting_point(searched)
+    middle = {name: start.get(name, _middle(searched[name])) for name in jointly} if start else None
+
+    def make(trial_seed: int) -> BaseSampler:
+        with warnings.catch_warnings():  # Optuna 6 will have no `x0`
+            warnings.simplefilter("ignore", FutureWarning)
+            return optuna.samplers.CmaEsSampler(x0=middle, seed=trial_seed, warn_independent_sampling=False)
+
+    return TrialSeededSampler(make, seed, jointly)
+
+
+def _middle(searched: Range) -> float:
+    assert searched.low is not None
+    assert searched.high is not None
+    return math.sqrt(searched.low * searched.high) if searched.log else (searched.low + searched.high) / 2
