@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 RULE_SEARCH_SPACE: dict[str, Any] = {
-    "heating_margin": {"low": -2.0, "high": 1.5, "start": 0.3},
-    "cooling_margin": {"low": -2.0, "high": 1.5, "start": 0.3},
+    "heating_margin": {"low": -1.0, "high": 1.5, "start": 0.3},
+    "cooling_margin": {"low": -1.0, "high": 1.5, "start": 0.3},
     "heating_setback": {"low": 0.0, "high": 9.0, "start": 6.0},
     "cooling_setback": {"low": 0.0, "high": 9.0, "start": 6.0},
     "occupancy_threshold": {"low": 0.0, "high": 0.6, "start": 0.05},
