@@ -184,6 +184,7 @@ class Tuning:
             process, log = self._idle.pop()
             if process.poll() is None and _send(process, folder):
                 return process, log
+            _close_input(process)
         log, keeps = folder / "log.txt", self._config.keeps_processes
         arguments = [] if keeps else [str(folder)]
         with log.open("wb") as output:
@@ -203,8 +204,11 @@ class Tuning:
     def _finish(self, worker: _Worker, *, interrupted: bool = False) -> None:
         """Record the result of a trial whose process has ended."""
         self._workers.remove(worker)
-        if worker.process.stdin is not None and worker.process.poll() is None:
-            self._idle.append((worker.process, worker.log))
+        if worker.process.stdin is not None:
+            if worker.process.poll() is None:
+                self._idle.append((worker.process, worker.log))
+            else:
+                _close_input(worker.process)
         try:
             result = json.loads((worker.folder / RESULT).read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -264,9 +268,7 @@ class Tuning:
             except subprocess.TimeoutExpired:
                 process.kill()
                 process.wait()
-            if process.stdin is not None:
-                with suppress(OSError):
-                    process.stdin.close()
+            _close_input(process)
 
     def best(self) -> optuna.trial.FrozenTrial | None:
         """Return the best finished trial; None before the first has finished."""
@@ -285,6 +287,13 @@ class Tuning:
         with atomic_file(path) as temporary:
             temporary.write_text(yaml12.dump(fields), encoding="utf-8")
         return path
+
+
+def _close_input(process: subprocess.Popen[bytes]) -> None:
+    """Close the pipe to a process, whose reading end may have gone with unread lines."""
+    if process.stdin is not None:
+        with suppress(OSError):
+            process.stdin.close()
 
 
 def _send(process: subprocess.Popen[bytes], folder: Path) -> bool:
