@@ -27,6 +27,10 @@ STUDY: dict[str, Any] = {
     "study": "s", "training": {**TRAINING, "evaluation": {"every_steps": 10}}, "trials": 5, "output": "study",
     "parameters": {"parameters.gamma": [0.9, 0.99]},
 }  # fmt: skip
+RULES: dict[str, Any] = {
+    "study": "r", "controller": "rbc", "scenario": "Fake-v1", "arguments": {**DAY, "control": "building"}, "trials": 3,
+    "output": "study", "parameters": {"margin": {"low": 0.0, "high": 1.5}},
+}  # fmt: skip
 
 
 def write(folder: Path, name: str, fields: dict[str, Any], **changes: Any) -> str:
@@ -97,6 +101,11 @@ def test_cli__help_has_an_example_and_fits_80_columns(command: str) -> None:
         (["tune", "none.yaml"], "there is no file"),
         (["tune", "s.yaml", "--set", "tirals=3"], "did you mean 'trials'"),
         (["tune", "s.yaml", "--set", "training.algorithm=pro"], "did you mean 'ppo'"),
+        (["tune", "r.yaml", "--set", "controller=rcb"], "no controller 'rcb'; did you mean 'rbc'"),
+        (["tune", "r.yaml", "--set", "parameters.marign=[1]"], "has no parameter 'marign'; did you mean 'margin'"),
+        (["tune", "r.yaml", "--set", "training=t.yaml"], "either a training or a controller"),
+        (["evaluate", "Fake-v1", "--controller", "r.yaml"], "r.yaml: study: there is no such field"),
+        (["evaluate", "Fake-v1", "--controller", "s.yaml"], "s.yaml is a tuning file, not a controller file"),
     ],
 )
 def test_cli__bad_input_is_one_sentence_before_anything_starts(command: list[str], text: str, tmp_path: Path) -> None:
@@ -104,6 +113,7 @@ def test_cli__bad_input_is_one_sentence_before_anything_starts(command: list[str
         pytest.importorskip("optuna")
     write(tmp_path, "t.yaml", TRAINING)
     write(tmp_path, "s.yaml", STUDY)
+    write(tmp_path, "r.yaml", RULES)
     (tmp_path / "empty").mkdir()
     assert text in error_of(*command, cwd=tmp_path)
     assert not (tmp_path / "out").exists()
@@ -156,6 +166,24 @@ def test_cli__study_whose_trainings_are_invalid_ends_with_the_reason(tmp_path: P
     valid = Tuning(load_tuning(tmp_path / "s.yaml"))
     for reason in ("bad", None, "bad", "bad", "bad", "bad"):  # one that was valid: the others are points of the space
         valid._check_first_trials(reason)
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_cli__study_of_a_controller_prints_its_trials_and_the_best_is_a_file(tmp_path: Path) -> None:
+    pytest.importorskip("optuna")
+    done = run_program("tune", write(tmp_path, "r.yaml", RULES), cwd=tmp_path, columns=120)
+    assert done.returncode == 0, done.stderr
+    text = plain(done.stdout)
+    assert "(default)" in text
+    assert text.endswith("study/best.yaml")
+    with (tmp_path / "study" / "trials.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert [row["margin"] == "" for row in rows] == [True, False, False]
+    best = yaml12.read_mapping(tmp_path / "study" / "best.yaml")
+    assert best["controller"] == "rbc"
+    again = run_program("tune", "r.yaml", cwd=tmp_path)  # nothing is left to do
+    assert (again.returncode, "trial 0:" in again.stdout) == (0, False)
 
 
 def weights(folder: Path) -> list[tuple[str, bytes]]:

@@ -20,7 +20,7 @@ optuna = pytest.importorskip("optuna")
 
 from zenostat.lab.tuning import RULE_SEARCH_SPACE, tune_controller  # noqa: E402
 from zenostat.lab.tuning.controller_episodes import ControllerEpisodes  # noqa: E402
-from zenostat.lab.tuning.read import read_tuning  # noqa: E402
+from zenostat.lab.tuning.read import load_tuning, read_tuning  # noqa: E402
 from zenostat.lab.tuning.study import Tuning  # noqa: E402
 from zenostat.lab.tuning.study_figures import write_results  # noqa: E402
 
@@ -204,6 +204,12 @@ def test_controller_study__default_pruner_waits_for_an_episode_of_each_weather(t
 def test_controller_study__recommended_search_space_fits_the_rules(tmp_path: Path) -> None:
     config = study(tmp_path, parameters=RULE_SEARCH_SPACE, sampler="cma-es")
     config.check()
+
+
+def test_controller_study__example_is_valid() -> None:
+    config: Any = load_tuning(Path(__file__).parents[2] / "examples" / "tune_rules.yaml")
+    config.check()
+    assert config.episodes == 3
 
 
 @pytest.mark.slow

@@ -45,6 +45,7 @@ SLOW = tuple(
         "mpc",
         "scenarios",
         "training",
+        "tuning",
         "vector",
         "wrappers",
     )
