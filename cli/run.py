@@ -35,7 +35,8 @@ def run(
         str,
         typer.Option(
             help="baseline (no commands), rbc (rules on comfort bands), random, fixed, setback (by the clock), "
-            "incremental, pid; or your own class: path/to/file.py:MyController or package.module:MyController."
+            "incremental, pid; a controller file (best.yaml of `zenostat tune`); or your own class: "
+            "path/to/file.py:MyController or package.module:MyController."
         ),
     ] = "rbc",
     parameters: Annotated[
