@@ -21,8 +21,8 @@ class OccupancyTimes:
 
     Args:
         step: length of a timestep.
-        threshold: share of the largest number of people in these zones so far, 0 to 1, from which on they count as
-            occupied; 0: anybody occupies them.
+        threshold: share of the largest number of people in these zones so far, 0 to 1, above which they count as
+            occupied; 0: anybody occupies them, 1: nobody does.
     """
 
     def __init__(self, step: timedelta, threshold: float = 0.0) -> None:
@@ -44,7 +44,7 @@ class OccupancyTimes:
             return False
         total = float(counts.sum())
         largest = self._largest[people] = max(self._largest.get(people, 0.0), total)
-        if total < self._threshold * largest:
+        if self._threshold and not total > self._threshold * largest:
             return False
         arrival = self._arrivals.get(people)
         if arrival is None or arrival.date() != now.date():
@@ -52,8 +52,8 @@ class OccupancyTimes:
         return True
 
     def is_assumed(self, people: People, now: datetime) -> bool:
-        """Return whether empty zones count as occupied because no arrival has been observed yet."""
-        return people not in self._arrivals and now.hour in OPEN_HOURS
+        """Return whether empty zones count as occupied because nobody has been observed yet."""
+        return people not in self._largest and now.hour in OPEN_HOURS
 
     def expected(self, people: People, now: datetime) -> tuple[datetime, ...]:
         """Return the next times at which people are expected: today, unless they came already, and tomorrow."""

@@ -54,8 +54,8 @@ class RuleBasedController(Controller):
         heating_setback: setback of heating setpoints, K; None: `setback`.
         cooling_setback: setback of cooling setpoints, K; None: `setback`.
         preconditioning: preconditioning time, h, 0 to 23.
-        occupancy_threshold: share of the largest number of people in the zones so far, 0 to 1, from which on they
-            count as occupied; 0: anybody occupies them.
+        occupancy_threshold: share of the largest number of people in the zones so far, 0 to 1, above which they count
+            as occupied; 0: anybody occupies them, 1: nobody does.
         start_rate: rate at which zones recover from the setback, K/h; None: `preconditioning` applies.
         start_outdoor: additional time for each kelvin between the heating setpoint and the outdoor temperature, h/K.
         start_longest: greatest preconditioning time of the optimum start, h, 0 to 23.

@@ -156,8 +156,17 @@ def test_rules__threshold_leaves_a_few_people_out() -> None:
     rules = RuleBasedController(of, occupancy_threshold=0.25, margin=0.0)
     day = MONDAY.replace(hour=12)
     assert setpoints(rules, of, day, people=8.0) == (20.0, 24.0)
-    assert setpoints(rules, of, day + QUARTER, people=2.0) == (20.0, 24.0)  # a quarter of 8
-    assert setpoints(rules, of, day + 2 * QUARTER, people=1.9) == (14.0, 30.0)
+    assert setpoints(rules, of, day + QUARTER, people=2.1) == (20.0, 24.0)
+    assert setpoints(rules, of, day + 2 * QUARTER, people=2.0) == (14.0, 30.0)  # a quarter of 8
+
+
+def test_rules__threshold_of_one_leaves_everybody_out() -> None:
+    of = office(TARIFF)
+    rules = RuleBasedController(of, occupancy_threshold=1.0, margin=0.0)
+    assert setpoints(rules, of, MONDAY.replace(hour=7), people=0.0) == (20.0, 24.0)  # nobody has been seen yet
+    for hour in (8, 12, 24 + 7, 24 + 12):
+        assert setpoints(rules, of, MONDAY + timedelta(hours=hour), people=8.0) == (14.0, 30.0)
+    assert setpoints(rules, of, MONDAY + timedelta(hours=36), people=0.0) == (14.0, 30.0)
 
 
 # Optimum start
