@@ -39,6 +39,11 @@ class ControllerEpisodes:
         self._env: gym.Env[Any, Any] = gym.make(pop_env_id(settings), **settings).unwrapped
         self._resets = [seed if number == 0 else None for seed in seeds for number in range(max(len(weathers), 1))]
 
+    @property
+    def count(self) -> int:
+        """Number of episodes."""
+        return len(self._resets)
+
     def value(
         self,
         factory: Callable[..., ControllerProtocol],

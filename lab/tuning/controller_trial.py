@@ -25,7 +25,10 @@ class TrialRunner:
         report, factory = TrialReport(request), load_controller(request["controller"])
         try:
             episodes = self._open(request["environment"])
-            value = episodes.value(factory, request["parameters"], request["metric"], lambda n, v: report.add(v, n))
+            value = episodes.value(
+                factory, request["parameters"], request["metric"],
+                lambda number, mean: report.add(mean, number, is_last=number == episodes.count),
+            )  # fmt: skip
         except Pruned:
             return {"state": "pruned", "value": report.values[-1]}
         except BaseException:

@@ -154,7 +154,7 @@ def _run(
         nonlocal latest
         latest = mean
         trial.report(mean, number)
-        if trial.should_prune():
+        if number < episodes.count and trial.should_prune():
             raise optuna.TrialPruned
 
     try:

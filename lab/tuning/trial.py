@@ -41,8 +41,8 @@ class TrialReport:
             self._trial = optuna.trial.Trial(study, request["trial_id"])
         self.values: list[float] = []
 
-    def add(self, value: float, step: int) -> None:
-        """Report a value.
+    def add(self, value: float, step: int, *, is_last: bool = False) -> None:
+        """Report a value; after the last one there is nothing to end.
 
         Raises:
             Pruned: the pruner ends the trial.
@@ -52,7 +52,7 @@ class TrialReport:
         self.values.append(value)
         with database_errors(self._url):
             self._trial.report(value, step)
-            if self._trial.should_prune():
+            if not is_last and self._trial.should_prune():
                 raise Pruned
 
 

@@ -112,6 +112,11 @@ def test_tune_controller__trials_below_the_median_are_ended_and_the_best_is_the_
     assert reports[-1][3] == pruned.value
 
 
+def test_tune_controller__trial_that_has_had_its_last_episode_is_finished() -> None:
+    tuned = tune_controller("rbc", ARGUMENTS, SPACE, trials=12, sampler="random")
+    assert not any(trial.pruned for trial in tuned.trials)
+
+
 def test_tune_controller__another_metric_is_minimized() -> None:
     tuned = tune_controller(
         "rbc", ARGUMENTS, SPACE, trials=4, metric="outside_kh", direction="minimize", sampler="random"
