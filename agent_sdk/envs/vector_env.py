@@ -24,6 +24,7 @@ from zenostat.agent_sdk.envs.vector_infos import Infos, masked, merge, select
 from zenostat.agent_sdk.envs.vector_sample import VectorLink, VectorSample, timestep
 from zenostat.agent_sdk.envs.vector_slot import Seeds, Slot, seeds_of, slots_of
 from zenostat.agent_sdk.rewards import AnyReward
+from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig
@@ -208,6 +209,16 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         if self._sample is None or self._done.any():
             raise EpisodeChanged("call reset() first: each slot must be in an episode")
         return take(link, self._sample.sample, self._state)
+
+    def slot_sample(self, slot: int) -> SampleView:
+        """Return the latest sample of a slot; its episode's first one where it has just reset itself.
+
+        Raises:
+            EpisodeChanged: No episode has started.
+        """
+        if self._sample is None:
+            raise EpisodeChanged("call reset() first")
+        return self._sample.sample.of_slot(slot)
 
     # Timesteps
 

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 import numpy as np
 from gymnasium import Space
 
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import WeatherSeries
 from zenostat.topics.seed_validation import check_seed
@@ -32,6 +33,9 @@ class SlotHost(Protocol):
 
     def slot_weather(self, slot: int, columns: Sequence[str]) -> WeatherSeries:
         """Return columns of a slot's weather file."""
+
+    def slot_sample(self, slot: int) -> SampleView:
+        """Return the latest sample of a slot."""
 
     def render_slot(self, slot: int) -> Any:
         """Return a picture of a slot."""
@@ -58,6 +62,11 @@ class Slot:
         if name in _SHARED:
             return getattr(self._env, name)
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    @property
+    def sample(self) -> SampleView:
+        """The slot's latest sample."""
+        return self._env.slot_sample(self.number)
 
     def set_context(self, values: Mapping[str, float | None]) -> None:
         """Set actuators that belong to no action; see `BuildingEnv.set_context`."""

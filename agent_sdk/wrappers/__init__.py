@@ -16,6 +16,7 @@ from zenostat.agent_sdk.wrappers.observation import (
     ReducedObservation,
     SetpointDifference,
 )
+from zenostat.agent_sdk.wrappers.residual_action import ResidualAction
 from zenostat.agent_sdk.wrappers.reward_vector import RewardVector
 from zenostat.agent_sdk.wrappers.serialization import apply_wrappers, wrappers_of
 from zenostat.agent_sdk.wrappers.time_series_observation import TimeSeriesObservation
@@ -34,6 +35,7 @@ __all__ = [
     "NumericInfos",
     "PreviousObservation",
     "ReducedObservation",
+    "ResidualAction",
     "RewardVector",
     "SetpointDifference",
     "TensorBoardLog",

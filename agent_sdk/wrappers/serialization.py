@@ -29,6 +29,7 @@ from zenostat.agent_sdk.wrappers.observation import (
     ReducedObservation,
     SetpointDifference,
 )
+from zenostat.agent_sdk.wrappers.residual_action import ResidualAction
 from zenostat.agent_sdk.wrappers.reward_vector import RewardVector
 from zenostat.agent_sdk.wrappers.time_series_observation import TimeSeriesObservation
 from zenostat.agent_sdk.wrappers.weather_forecast import WeatherForecast
@@ -46,6 +47,7 @@ OURS: dict[str, type[BuildingWrapper]] = {
         ReducedObservation,
         IncrementalAction,
         DiscreteIncrementalAction,
+        ResidualAction,
         RewardVector,
         ChangingContext,
         EpisodeLog,

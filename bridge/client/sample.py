@@ -43,6 +43,10 @@ class SampleView:
     ) -> None:
         self.message, self.manifest, self.slot, self._index, self._link = message, manifest, slot, index, link
 
+    def of_slot(self, slot: int) -> SampleView:
+        """Return another slot of the same sample."""
+        return SampleView(self.message, self.manifest, self._index, self._link, slot)
+
     @property
     def episode(self) -> int:
         """Number of the episode, from 0."""
