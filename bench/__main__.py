@@ -22,7 +22,21 @@ from typing import Any
 
 from rich.console import Console
 
-from bench import boptest, branches, growth, monitors, noise, plans, plants, processor, recording, resets, steps, vector
+from bench import (
+    boptest,
+    branches,
+    growth,
+    monitors,
+    noise,
+    plans,
+    plants,
+    processor,
+    recording,
+    resets,
+    steps,
+    training,
+    vector,
+)
 from zenostat.topics import VERSION
 
 PARTS: Mapping[str, Any] = {
@@ -34,6 +48,7 @@ PARTS: Mapping[str, Any] = {
     "branches": branches,
     "plans": plans,
     "vector": vector,
+    "training": training,
     "monitors": monitors,
     "recording": recording,
     "growth": growth,
