@@ -68,16 +68,28 @@ def test_name_errors(tree: ast.Module) -> Iterator[tuple[int, str]]:
 
 
 def imported(tree: ast.Module) -> list[tuple[int, str]]:
-    """Lines and names of the modules of this project and of simulators that a module imports, wherever it does."""
+    """Lines and names of what a module imports of this project and of simulators, wherever it does.
+
+    A name that is imported from a module is named with it: `zenostat.topics.errors.InvalidConfig`.
+    """
     modules = []
     for node in ast.walk(tree):
         names = []
         if isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+            names = [f"{node.module}.{alias.name}" for alias in node.names]
         elif isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         modules += [(node.lineno, name) for name in names if name.split(".")[0] in {"zenostat", *SIMULATORS}]
     return modules
+
+
+def loaded(tree: ast.Module) -> Iterator[str]:
+    """Names of the modules of this project that a module imports by a text: plug-ins, and what an extra brings."""
+    for node in ast.walk(tree):
+        match node:
+            case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name), args=[ast.Constant(value=str(text)), *_]):
+                if name in {"import_module", "import_extra", "__import__"} and text.startswith("zenostat."):
+                    yield text
 
 
 def definitions(path: Path, tree: ast.Module) -> set[str]:
@@ -137,14 +149,12 @@ def main(root: Path = ROOT) -> int:
         errors += test_name_errors(tree) if path.name.startswith("test_") else ()
         faults += [f"{path.relative_to(root)}:{line}: {text}" for line, text in errors]
     for module, path in modules.items():
-        package, needs = layer(module), set()
+        package, needs = layer(module), set(loaded(trees[path]))
         for line, name in imported(trees[path]):
             if not may_import(package, layer(name)):
                 faults.append(f"{path.relative_to(root)}:{line}: {package} must not import {name}")
-            if name in modules and name != module:
-                needs.add(name)
-        # A package's __init__ gathers what is below it; that is no cycle.
-        graph[module] = {name for name in needs if not module.startswith(f"{name}.")}
+            needs.add(name if name in modules else name.rpartition(".")[0])
+        graph[module] = needs & modules.keys()
     try:
         TopologicalSorter(graph).prepare()
     except CycleError as error:

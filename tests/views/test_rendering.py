@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 import zenostat  # noqa: F401  # registers the environments
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.agent_sdk.envs.rendering import EpisodeHistory
+from zenostat.agent_sdk.envs.episode_history import EpisodeHistory
 from zenostat.agent_sdk.testing import FakeBuilding, FakeLink, Zone
 from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
 from zenostat.topics.errors import EpisodeChanged

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.envs.rendering import EpisodeHistory
+from zenostat.agent_sdk.envs.episode_history import EpisodeHistory
 from zenostat.topics.messages import Manifest
 from zenostat.views.rendering.scale import time_ticks
 

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.style import context
 
-from zenostat.agent_sdk.envs.rendering import EpisodeHistory
+from zenostat.agent_sdk.envs.episode_history import EpisodeHistory
 from zenostat.agent_sdk.rewards import Reward
 from zenostat.topics.messages import Manifest
 from zenostat.views.rendering.artists import HEIGHT, INK, LEFT, MUTED, RIGHT, WIDTH
