@@ -65,7 +65,9 @@ print(time.perf_counter() - start, [m for m in ("rerun", "pyenergyplus") if m in
 def import_time() -> tuple[float, str]:
     """Return the median seconds of `import zenostat`, and which of Rerun and EnergyPlus it loads."""
     outputs = [
-        subprocess.run([sys.executable, "-c", IMPORT], capture_output=True, text=True, check=True).stdout.split(" ", 1)
+        subprocess.run([sys.executable, "-P", "-c", IMPORT], capture_output=True, text=True, check=True).stdout.split(
+            " ", 1
+        )
         for _ in range(5)
     ]
     return statistics.median(float(seconds) for seconds, _ in outputs), outputs[0][1].strip()

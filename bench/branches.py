@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -14,7 +13,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from bench import pace, scenes
+from bench import pace, programs, scenes
 
 SCENES = ("five-zone", "office-medium")
 MID_EPISODE = 2000
@@ -25,14 +24,8 @@ SEASONS = (10_000, 19_000, 28_000)
 
 def measure(*, quick: bool) -> dict[str, Any]:
     """Measure each building in a process of its own."""
-    results = {}
-    for scene in SCENES:
-        command = [sys.executable, "-m", "bench.branches", scene, *(("5",) if quick else ("40", *map(str, SEASONS)))]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-3000:]}")
-        results[scene] = json.loads(done.stdout.splitlines()[-1])
-    return results
+    arguments = ("5",) if quick else ("40", *map(str, SEASONS))
+    return {scene: programs.result("branches", scene, *arguments) for scene in SCENES}
 
 
 def _timed(times: list[float], work: Callable[[], Any]) -> Any:

@@ -15,6 +15,8 @@ import sys
 from contextlib import suppress
 from typing import Any
 
+from bench import programs
+
 STEP_S = 1.0
 COMMAND, MEASURED = "command", "measured"
 
@@ -56,8 +58,8 @@ class Controller:
             port = int(probe.getsockname()[1])
         self._helics, self._offset_s = helics, offset_s
         self._broker = helics.helicsCreateBroker(core, "", f"--federates=2 --port={port}")
-        plant = [sys.executable, "-m", "bench.helics_peer", core, str(port), str(offset_s)]
-        self._plant = subprocess.Popen(plant, stdin=subprocess.DEVNULL)
+        plant = programs.command("helics_peer", core, str(port), str(offset_s))
+        self._plant = subprocess.Popen(plant, stdin=subprocess.DEVNULL, env=programs.environment())
         self._federate, self._publication, self._input = _federate("controller", COMMAND, MEASURED, core, port, 0.0)
         self._time_s = self._value = 0.0
 

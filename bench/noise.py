@@ -17,7 +17,7 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
-from bench import pace
+from bench import pace, programs
 from bench.machine import OtherLoad
 
 OURS = ("third_day", "episode")
@@ -49,13 +49,12 @@ def measure(*, quick: bool) -> dict[str, Any]:
 
 def _run(kind: str, interpreter: str, resets: str, episodes: str) -> dict[str, float]:
     with tempfile.TemporaryDirectory(prefix="zenostat-bench-") as folder:
-        path = {"PYTHONPATH": str(PROGRAM.parents[1])} if kind in OURS else {}
         done = subprocess.run(
             [interpreter, str(PROGRAM), kind, resets, episodes],
             capture_output=True,
             text=True,
             check=False,
-            env={**os.environ, **path, "TMPDIR": folder},
+            env={**(programs.environment() if kind in OURS else os.environ), "TMPDIR": folder},
         )
     if done.returncode:
         raise RuntimeError(f"{kind} failed:\n{done.stderr[-3000:]}")

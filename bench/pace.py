@@ -21,6 +21,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from bench import programs
 from bench.machine import OtherLoad, ProcessorTime
 
 _TIMEOUT_S = 300.0
@@ -115,12 +116,12 @@ class Worker:
         self._close.callback(shutil.rmtree, folder, ignore_errors=True)
         self._log = self._close.enter_context((Path(folder) / "log").open("w+"))
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "bench.worker", kind, scene, json.dumps(options)],
+            programs.command("worker", kind, scene, json.dumps(options)),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=self._log,
             text=True,
-            env={**os.environ, "TMPDIR": folder, "PYTHONPATH": str(Path(__file__).parents[1]), **(env or {})},
+            env={**programs.environment(), "TMPDIR": folder, **(env or {})},
         )
         self._close.callback(self._end)
         try:

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import os
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from bench import pace, scenes
+from bench import pace, programs, scenes
 
 SCENES = ("five-zone", "office-small")
 PLANS, TIMESTEPS, BEGIN = 16, 24, 40
@@ -28,14 +27,7 @@ PLANS, TIMESTEPS, BEGIN = 16, 24, 40
 
 def measure(*, quick: bool) -> dict[str, Any]:
     """Measure each building in a process of its own."""
-    results = {}
-    for scene in SCENES:
-        command = [sys.executable, "-m", "bench.plans", scene, "3" if quick else "20"]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-3000:]}")
-        results[scene] = json.loads(done.stdout.splitlines()[-1])
-    return results
+    return {scene: programs.result("plans", scene, "3" if quick else "20") for scene in SCENES}
 
 
 class _Building:

@@ -6,7 +6,6 @@ import json
 import os
 import queue
 import subprocess
-import sys
 import tempfile
 import threading
 from collections.abc import Callable, Iterator
@@ -16,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from bench import programs
 from bench.pace import EndOfBursts, Pace
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
@@ -71,8 +71,8 @@ def _empty_node(placement: Affinity) -> Iterator[tuple[str, int | None]]:
     engine_core, core = affinity.pick_cores(placement)
     settings = {"name": NAME, "listen": [endpoint], "folder": folder, "affinity": placement}
     settings |= {"cpu": core, "engine_cpu": engine_core}
-    command = [sys.executable, "-m", "bench.empty_plant"]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0) as process:
+    command, pipe = programs.command("empty_plant"), subprocess.PIPE
+    with subprocess.Popen(command, stdin=pipe, stdout=pipe, process_group=0, env=programs.environment()) as process:
         assert process.stdin is not None
         assert process.stdout is not None
         process.stdin.write(json.dumps(settings).encode() + b"\n")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 import time
 from typing import Any
@@ -12,7 +11,7 @@ import psutil
 from rich.console import Console
 from rich.table import Table
 
-from bench import pace, scenes
+from bench import pace, programs, scenes
 from zenostat.topics.messages import EngineStart
 
 SCENES = ("five-zone", "office-small", "office-medium", "outpatient")
@@ -20,14 +19,8 @@ SCENES = ("five-zone", "office-small", "office-medium", "outpatient")
 
 def measure(*, quick: bool) -> dict[str, Any]:
     """Measure each building in a process of its own."""
-    results = {}
-    for scene in SCENES:
-        command = [sys.executable, "-m", "bench.resets", scene, *(("5", "1") if quick else ("25", "5"))]
-        done = subprocess.run(command, capture_output=True, text=True, check=False)
-        if done.returncode:
-            raise RuntimeError(f"{' '.join(command)} failed:\n{done.stderr[-3000:]}")
-        results[scene] = json.loads(done.stdout.splitlines()[-1])
-    return results
+    arguments = ("5", "1") if quick else ("25", "5")
+    return {scene: programs.result("resets", scene, *arguments) for scene in SCENES}
 
 
 def _reset_ms(env: Any, expected: EngineStart) -> float:

@@ -111,7 +111,7 @@ class Broker:
         for name, entries in tables.items():
             texts += [f"[{name}]", *(f"{key} = {json.dumps(value)}" for key, value in entries.items())]
         file.write_text("\n".join(texts))
-        return [sys.executable, "-m", "iotcore", "--config", str(file), "--log-level", "CRITICAL"]
+        return [sys.executable, "-P", "-m", "iotcore", "--config", str(file), "--log-level", "CRITICAL"]
 
     def start(self) -> None:
         self.process = subprocess.Popen(self._command, stderr=subprocess.DEVNULL, stdout=subprocess.DEVNULL)

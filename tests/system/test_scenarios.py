@@ -74,7 +74,7 @@ def play(env: BuildingEnv, seed: int | None) -> tuple[np.ndarray, dict[str, Any]
 @pytest.mark.slow
 def test_scenarios__shown_scenario_simulates_the_same(scratch: Path) -> None:
     name = "ref-small-office-USA_CO_Denver-discrete-v1"
-    show = [sys.executable, "-m", "zenostat.cli.main", "scenarios", "show", name]
+    show = [sys.executable, "-P", "-m", "zenostat.cli.main", "scenarios", "show", name]
     text = subprocess.run(show, capture_output=True, text=True, check=True).stdout
     (scratch / "mine.yaml").write_text(text)
     results = []

@@ -1,0 +1,33 @@
+"""Modules of the benchmarks as programs of their own."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def command(module: str, *arguments: str) -> list[str]:
+    """Return the command that runs a module; it needs `environment()`, since the working folder is not searched."""
+    return [sys.executable, "-P", "-m", f"bench.{module}", *arguments]
+
+
+def environment() -> dict[str, str]:
+    """Return the variables with which a program finds the benchmarks."""
+    return {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+
+
+def result(module: str, *arguments: str) -> Any:
+    """Run a module, and return what its last line of output says, as JSON.
+
+    Raises:
+        RuntimeError: the program failed; the text ends as its errors do.
+    """
+    program = command(module, *arguments)
+    done = subprocess.run(program, capture_output=True, text=True, check=False, env=environment())
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(program)} failed:\n{done.stderr[-3000:]}")
+    return json.loads(done.stdout.splitlines()[-1])
