@@ -7,6 +7,7 @@ text reaches the terminal.
 from __future__ import annotations
 
 import threading
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -46,6 +47,16 @@ class _PlainColumn(ProgressColumn):
 
 out = _PlainConsole()
 err = _PlainConsole(stderr=True)
+
+
+@contextmanager
+def warnings_printed() -> Iterator[None]:
+    """Print the warnings of the body of a `with` statement after it, one line each."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        yield
+    for warning in caught:
+        err.print(str(warning.message), soft_wrap=True)
 
 
 def print_error(text: str) -> None:

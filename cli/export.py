@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from zenostat.cli.console import err, out
+from zenostat.cli.console import err, out, warnings_printed
 from zenostat.cli.verify import File
 from zenostat.topics.errors import InvalidConfig
 
@@ -81,11 +80,8 @@ def _write_rrd(file: Path, path: Path) -> int:
 def _write_table(file: Path, to: Format, path: Path) -> int:
     from zenostat import recording
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings_printed():
         loaded = recording.load(file)
-    for warning in caught:
-        err.print(str(warning.message), markup=False, soft_wrap=True)
     writers = {
         Format.PARQUET: recording.write_parquet,
         Format.CSV: recording.write_csv,

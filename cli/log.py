@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Annotated
 
 import typer
 
-from zenostat.cli.console import err
+from zenostat.cli.console import warnings_printed
 from zenostat.cli.tables import show, show_json
 from zenostat.cli.verify import File
 from zenostat.topics.errors import UnknownName, did_you_mean
@@ -32,11 +31,8 @@ def log(
 
     from zenostat import recording
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
+    with warnings_printed():
         loaded = recording.load(file)
-    for warning in caught:
-        err.print(str(warning.message), markup=False, soft_wrap=True)
     entries = loaded.log
     if source is not None:
         entries = tuple(entry for entry in entries if fnmatchcase(entry.source, source))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from zenostat.cli.console import err
+from zenostat.cli.console import err, warnings_printed
 from zenostat.cli.options import Emissions, Price, read_rates
 from zenostat.cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
 from zenostat.topics.errors import InvalidConfig
@@ -54,12 +53,8 @@ def report(
 def _compare_recordings(files: list[Path], prices: Mapping[str, Rate], emissions: Mapping[str, Rate]) -> Comparison:
     from zenostat.views.report import compare_recordings
 
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        comparison = compare_recordings(files, prices=prices, emissions=emissions, command=command_line())
-    for warning in caught:
-        err.print(str(warning.message), markup=False, soft_wrap=True)
-    return comparison
+    with warnings_printed():
+        return compare_recordings(files, prices=prices, emissions=emissions, command=command_line())
 
 
 def _evaluate_training(folder: Path, prices: Mapping[str, Rate], emissions: Mapping[str, Rate]) -> Comparison:

@@ -30,7 +30,7 @@ from zenostat.agent_sdk.envs.fleet_nodes import (
 from zenostat.agent_sdk.envs.space_names import SpaceNames
 from zenostat.agent_sdk.envs.vector_env import Observations, StepResult, check_mode
 from zenostat.agent_sdk.envs.vector_infos import Infos
-from zenostat.agent_sdk.envs.vector_slot import Seeds, seeds_of, slots_of
+from zenostat.agent_sdk.envs.vector_slot import Seeds, SlotAccess, seeds_of, slots_of
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.topics.errors import EpisodeChanged, InvalidConfig, ZenostatError
@@ -43,7 +43,7 @@ _RETRY_S = 1.0
 """Time between two attempts to start an episode on a node that is lost."""
 
 
-class FleetVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
+class FleetVectorEnv(SlotAccess, SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
     """Nodes that run elsewhere, one per slot; `gym.make_vec("zenostat/Building-v1", 2, connect=[…], node="office")`.
 
     A step sends the commands of all slots before it waits for the first sample, so that all nodes simulate at the same
@@ -79,6 +79,7 @@ class FleetVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         RequestRejected: Another controller holds a node's actuators.
     """
 
+    envs: Sequence[BuildingEnv]
     closed = True  # until construction ends, because Gymnasium before 1.4 closes an environment when it is deleted
 
     def __init__(
@@ -292,23 +293,6 @@ class FleetVectorEnv(SpaceNames, VectorEnv[Observations, Any, NDArray[Any]]):
         """Set actuators that belong to no action in all slots; see `BuildingEnv.set_context`."""
         for env in self.envs:
             env.set_context(values)
-
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of each slot's environment and return the results, or return an attribute of each."""
-        members = [getattr(env, name) for env in self.envs]
-        return tuple(member(*args, **kwargs) if callable(member) else member for member in members)
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Return an attribute of each slot's environment."""
-        return tuple(getattr(env, name) for env in self.envs)
-
-    def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute of each environment: a list or tuple has a value for each, any other value is for all."""
-        slot_values = values if isinstance(values, list | tuple) else [values] * self.num_envs
-        if len(slot_values) != self.num_envs:
-            raise InvalidConfig(f"{name}: {len(slot_values)} values for {self.num_envs} slots")
-        for env, value in zip(self.envs, slot_values, strict=True):
-            setattr(env, name, value)
 
     def render(self) -> tuple[Any, ...]:
         """Return the result of `BuildingEnv.render` for each slot."""

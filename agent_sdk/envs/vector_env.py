@@ -21,8 +21,8 @@ from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
 from zenostat.agent_sdk.envs.snapshot import Snapshot, from_options, take
 from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.envs.vector_infos import Infos, masked, merge, select
-from zenostat.agent_sdk.envs.vector_sample import VectorLink, VectorSample, timestep
-from zenostat.agent_sdk.envs.vector_slot import Seeds, Slot, seeds_of, slots_of
+from zenostat.agent_sdk.envs.vector_sample import VectorLink, VectorSample
+from zenostat.agent_sdk.envs.vector_slot import Seeds, Slot, SlotAccess, seeds_of, slots_of
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.thread_guard import one_thread
@@ -39,7 +39,7 @@ StepResult = tuple[Observations, NDArray[np.float64], Flags, Flags, Infos]
 MAX_SLOTS = 256
 
 
-class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]):
+class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]):
     """One node with an engine for each environment; `gym.make_vec("zenostat/5zone-hot-continuous-v1", num_envs=8)`.
 
     All engines simulate their timestep at the same time; a step is one command to the node and one sample back. Slot i
@@ -116,7 +116,7 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
         self.render_mode = render_mode
         self.metadata = {"render_modes": [*RENDER_MODES], "render_fps": 4, "autoreset_mode": self.autoreset_mode}
         self.envs = tuple(Slot(self, number) for number in range(num_envs))
-        self._timestep, self._observed_indices = timestep(manifest), observed_indices(manifest)
+        self._timestep, self._observed_indices = manifest.timestep, observed_indices(manifest)
         self._sample: VectorSample | None = None
         self._busy = False
         self._observations = np.zeros(self.observation_space.shape or (), np.float32)
@@ -343,23 +343,6 @@ class BuildingVectorEnv(ConnectedEnv, VectorEnv[Observations, Any, NDArray[Any]]
     def slot_weather(self, slot: int, columns: Sequence[str]) -> WeatherSeries:
         """Return columns of the weather file of a slot's episode; see `BuildingEnv.weather`."""
         return self.link.weather(columns, slot) if slot else self.link.weather(columns)
-
-    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
-        """Call a method of each slot and return the results, or return an attribute of each; see `Slot`."""
-        members = [getattr(slot, name) for slot in self.envs]
-        return tuple(member(*args, **kwargs) if callable(member) else member for member in members)
-
-    def get_attr(self, name: str) -> tuple[Any, ...]:
-        """Return an attribute of each slot."""
-        return tuple(getattr(slot, name) for slot in self.envs)
-
-    def set_attr(self, name: str, values: Any) -> None:
-        """Set an attribute of each slot: a list or tuple has a value for each, any other value is for all."""
-        slot_values = values if isinstance(values, list | tuple) else [values] * self.num_envs
-        if len(slot_values) != self.num_envs:
-            raise InvalidConfig(f"{name}: {len(slot_values)} values for {self.num_envs} slots")
-        for slot, value in zip(self.envs, slot_values, strict=True):
-            setattr(slot, name, value)
 
     def render(self) -> tuple[Any, ...]:
         """Return the result of `BuildingEnv.render` for each slot."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from datetime import datetime, timedelta
+from datetime import datetime
 from typing import Protocol
 
 import numpy as np
@@ -146,8 +146,3 @@ class VectorSample:
             features = {span: time_features(fields, *span) for span in set(zip(begins, ends, strict=True))}
             observed[:, : len(fields)] = [features[span] for span in zip(begins, ends, strict=True)]
         return observed
-
-
-def timestep(manifest: Manifest) -> timedelta:
-    """Return the length of a timestep."""
-    return manifest.timestep

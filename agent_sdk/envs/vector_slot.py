@@ -81,6 +81,33 @@ class Slot:
         return self._env.render_slot(self.number)
 
 
+class SlotAccess:
+    """Gymnasium's access to all slots of a vector environment, each of which is an object in `envs`."""
+
+    envs: Sequence[Any]
+
+    def call(self, name: str, *args: Any, **kwargs: Any) -> tuple[Any, ...]:
+        """Call a method of each slot and return the results, or return an attribute of each."""
+        members = [getattr(slot, name) for slot in self.envs]
+        return tuple(member(*args, **kwargs) if callable(member) else member for member in members)
+
+    def get_attr(self, name: str) -> tuple[Any, ...]:
+        """Return an attribute of each slot."""
+        return tuple(getattr(slot, name) for slot in self.envs)
+
+    def set_attr(self, name: str, values: Any) -> None:
+        """Set an attribute of each slot: a list or tuple has a value for each, any other value is for all.
+
+        Raises:
+            InvalidConfig: Not one value for each slot.
+        """
+        slot_values = values if isinstance(values, list | tuple) else [values] * len(self.envs)
+        if len(slot_values) != len(self.envs):
+            raise InvalidConfig(f"{name}: {len(slot_values)} values for {len(self.envs)} slots")
+        for slot, value in zip(self.envs, slot_values, strict=True):
+            setattr(slot, name, value)
+
+
 def slots_of(options: Mapping[str, Any], count: int) -> list[int]:
     """Return the slots that a reset is for: those of `reset_mask`, or all.
 

@@ -243,10 +243,14 @@ class Connection:
 
     def read(self, node: str, *, slot: int = 0) -> SampleView:
         """Return a slot's current sample without controlling the node; `UnknownName` if there is no such slot."""
+        manifest = self._manifest_with(node, slot)
+        return SampleView(self.latest(node), manifest, value_index(manifest), slot=slot)
+
+    def _manifest_with(self, node: str, slot: int) -> Manifest:
         manifest = self.manifest(node)
         if not 0 <= slot < manifest.slots:
             raise UnknownName(f"node {node!r} has no slot {slot}; it has 0 to {manifest.slots - 1}")
-        return SampleView(self.latest(node), manifest, value_index(manifest), slot=slot)
+        return manifest
 
     def write(
         self,
@@ -296,9 +300,7 @@ class Connection:
         Raises:
             UnknownName: There is no such slot.
         """
-        manifest = self.manifest(node)
-        if not 0 <= slot < manifest.slots:
-            raise UnknownName(f"node {node!r} has no slot {slot}; it has 0 to {manifest.slots - 1}")
+        manifest = self._manifest_with(node, slot)
         return decode_priorities(self.ask(keys.PRIORITIES, node, Query(), PriorityArrays), manifest, slot)
 
     # Pace

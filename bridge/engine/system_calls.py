@@ -116,10 +116,15 @@ def reopen_files(folder: str) -> None:
             path = os.path.join(folder, base) if access == os.O_RDWR or base in _COPIED_FILES else os.devnull
         if path not in (link, os.devnull):
             shutil.copyfile(link, path)
-        reopened = os.open(path, flags & ~_NOT_AGAIN)
-        os.lseek(reopened, offset, os.SEEK_SET)
-        os.dup2(reopened, descriptor)
-        os.close(reopened)
+        _reopen(descriptor, path, flags & ~_NOT_AGAIN, offset)
+
+
+def _reopen(descriptor: int, path: str, flags: int, offset: int) -> None:
+    """Let a descriptor be of another file, at this offset."""
+    reopened = os.open(path, flags)
+    os.lseek(reopened, offset, os.SEEK_SET)
+    os.dup2(reopened, descriptor)
+    os.close(reopened)
 
 
 def replace_file(path: str, other: str, limit: int) -> None:
@@ -144,10 +149,7 @@ def replace_file(path: str, other: str, limit: int) -> None:
         offset = os.lseek(descriptor, 0, os.SEEK_CUR)
         if offset > limit:
             raise RuntimeError(f"{path} has been read up to byte {offset}, but may differ from byte {limit} on")
-        reopened = os.open(other, os.O_RDONLY)
-        os.lseek(reopened, offset, os.SEEK_SET)
-        os.dup2(reopened, descriptor)
-        os.close(reopened)
+        _reopen(descriptor, other, os.O_RDONLY, offset)
         return
     raise RuntimeError(f"{path} is not open")
 

@@ -149,10 +149,7 @@ class TestManager:
         Raises:
             UnknownTest: there is none with this id.
         """
-        with self._lock:
-            entry = self._entries.get(testid)
-        if entry is None:
-            raise UnknownTest(testid)
+        entry = self._entry(testid)
         entry.started.wait()
         if entry.test is None:
             raise UnknownTest(testid)
@@ -161,11 +158,13 @@ class TestManager:
 
     def status(self, testid: str) -> str:
         """Return `Queued` or `Running`; `UnknownTest` if there is no such test."""
+        return "Running" if self._entry(testid).started.is_set() else "Queued"
+
+    def _entry(self, testid: str) -> _Entry:
         with self._lock:
-            entry = self._entries.get(testid)
-        if entry is None:
-            raise UnknownTest(testid)
-        return "Running" if entry.started.is_set() else "Queued"
+            if testid not in self._entries:
+                raise UnknownTest(testid)
+            return self._entries[testid]
 
     def branch(self, testid: str, fields: Mapping[str, Any]) -> str:
         """Branch a test, and return the branch's id."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import zenoh
 
 from zenostat.gateways.bus_side import BusMessage, BusSide
-from zenostat.gateways.zeromq.delivery import DeliveryQueues, NodeView
+from zenostat.gateways.zeromq.delivery_queues import DeliveryQueues, NodeView
 from zenostat.gateways.zeromq.frames import Peer, Request, answer, denied, read, split
 from zenostat.gateways.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
 from zenostat.topics import codec, errors, keys

@@ -77,16 +77,7 @@ class CarpetView:
     def __init__(self, log: EpisodeLog, zones: Sequence[str], manifest: Manifest) -> None:
         columns = Columns(manifest.steps)
         self._carpet = Carpet(len(zones), columns)
-        self._picture = RowPicture(
-            log,
-            CARPET,
-            zones,
-            columns,
-            steps=manifest.steps,
-            step_s=manifest.step_s,
-            begin=np.datetime64(manifest.begin, "s"),
-            aspect=_ASPECT,
-        )
+        self._picture = RowPicture(log, CARPET, zones, columns, manifest, _ASPECT)
 
     def add(self, block: SampleBlock) -> None:
         """Add samples; `draw` logs them."""

@@ -10,6 +10,7 @@ import rerun as rr
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from zenostat.topics.messages import Manifest
 from zenostat.views.display.colors import RGB
 from zenostat.views.live.comfort_scale import draw_legend
 from zenostat.views.live.recording import EpisodeLog
@@ -55,8 +56,7 @@ class RowPicture:
         path: entity of the picture.
         names: labels of the rows.
         columns: of the episode.
-        steps, step_s: number of timesteps of the episode, and their length in s.
-        begin: simulated time of sample 0.
+        manifest: of the node.
         aspect: width by height.
     """
 
@@ -66,14 +66,12 @@ class RowPicture:
         path: str,
         names: Sequence[str],
         columns: Columns,
-        *,
-        steps: int,
-        step_s: float,
-        begin: np.datetime64,
+        manifest: Manifest,
         aspect: float,
     ) -> None:
         self._log, self._path, self._names, self._columns = log, path, list(names), columns
-        self._steps, self._step_s, self._begin = steps, step_s, begin
+        self._steps, self._step_s = manifest.steps, manifest.step_s
+        self._begin = np.datetime64(manifest.begin, "s")
         self._font = ImageFont.load_default(_FONT_PX)
         self._scale = max(1, MAX_COLUMNS // columns.count)
         width = columns.count * self._scale

@@ -70,16 +70,7 @@ class SourcesView:
     def __init__(self, log: EpisodeLog, actuators: Sequence[str], manifest: Manifest) -> None:
         columns = Columns(manifest.steps)
         self._sources = SourceColumns(len(actuators), columns)
-        self._picture = RowPicture(
-            log,
-            SOURCES,
-            actuators,
-            columns,
-            steps=manifest.steps,
-            step_s=manifest.step_s,
-            begin=np.datetime64(manifest.begin, "s"),
-            aspect=_ASPECT,
-        )
+        self._picture = RowPicture(log, SOURCES, actuators, columns, manifest, _ASPECT)
 
     def add(self, block: SampleBlock) -> None:
         """Add samples; `draw` logs them."""
