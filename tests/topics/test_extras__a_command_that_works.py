@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import inspect
+import json
 import re
 import shlex
 import sys
 import tomllib
 from importlib.metadata import requires
 from pathlib import Path
+from typing import Any
 
+import pytest
 from gymnasium.wrappers import RecordVideo
 
 from zenostat.topics.extras import install_command
@@ -24,6 +27,27 @@ def test_extras__command_works_in_any_folder() -> None:
     assert (python, pip) == (sys.executable, ["-m", "pip", "install", "-e"])
     root, _, extra = requirement.rstrip("]").rpartition("[")
     assert (Path(root), extra) == (ROOT, "plots")
+
+
+@pytest.mark.parametrize(
+    ("origin", "requirement"),
+    [
+        (None, "'zenostat[plots]'"),
+        ({"url": "file:///a%20b", "dir_info": {"editable": True}}, "-e '/a b[plots]'"),
+        ({"url": "file:///a.whl", "archive_info": {}}, "'zenostat[plots] @ file:///a.whl'"),
+    ],
+)
+def test_extras__command_names_where_zenostat_came_from(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, origin: dict[str, Any] | None, requirement: str
+) -> None:
+    """Without a `direct_url.json` (PEP 610) it was an index."""
+    recorded = tmp_path / "zenostat-0.1.0.dist-info"
+    recorded.mkdir()
+    (recorded / "METADATA").write_text("Metadata-Version: 2.4\nName: zenostat\nVersion: 0.1.0\n")
+    if origin is not None:
+        (recorded / "direct_url.json").write_text(json.dumps(origin))
+    monkeypatch.setattr(sys, "path", [str(tmp_path)])
+    assert install_command("plots") == f"{sys.executable} -m pip install {requirement}"
 
 
 def test_extras__no_page_or_error_has_the_index_install_it() -> None:
