@@ -27,10 +27,10 @@ from zenostat.agent_sdk.envs.fleet_nodes import (
     connect_all,
     node_addresses,
 )
+from zenostat.agent_sdk.envs.slot_access import Seeds, SlotAccess, seeds_of, slots_of
 from zenostat.agent_sdk.envs.space_names import SpaceNames
 from zenostat.agent_sdk.envs.vector_env import Observations, StepResult, check_mode
 from zenostat.agent_sdk.envs.vector_infos import Infos
-from zenostat.agent_sdk.envs.vector_slot import Seeds, SlotAccess, seeds_of, slots_of
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.topics.errors import EpisodeChanged, InvalidConfig, ZenostatError

@@ -18,11 +18,11 @@ from zenostat.agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv,
 from zenostat.agent_sdk.envs.episode_state import EpisodeState
 from zenostat.agent_sdk.envs.infos import VectorSampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
+from zenostat.agent_sdk.envs.slot_access import Seeds, Slot, SlotAccess, seeds_of, slots_of
 from zenostat.agent_sdk.envs.snapshot import Snapshot, from_options, take
 from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.envs.vector_infos import Infos, masked, merge, select
 from zenostat.agent_sdk.envs.vector_sample import VectorLink, VectorSample
-from zenostat.agent_sdk.envs.vector_slot import Seeds, Slot, SlotAccess, seeds_of, slots_of
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.thread_guard import one_thread
