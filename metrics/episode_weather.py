@@ -37,12 +37,12 @@ def read_weather(series: WeatherSeries | RecordedWeather, span: timedelta) -> Ep
     return EpisodeWeather(series.step_s, temperature, solar)
 
 
-def query_weather(bus: Bus | None, manifest: Manifest, slot: int = 0) -> EpisodeWeather | None:
+def query_weather(bus: Bus | None, manifest: Manifest) -> EpisodeWeather | None:
     """Query the weather of the running episode; None without a bus, or for a plant that has no weather file."""
     if bus is None:
         return None
     try:
-        series = bus.weather(manifest.node, WEATHER_COLUMNS, slot)
+        series = bus.weather(manifest.node, WEATHER_COLUMNS)
     except ZenostatError:
         return None
     return read_weather(series, manifest.steps * manifest.timestep)

@@ -196,9 +196,9 @@ class Subscriptions:
                 self._run_all(waiting)
         return controller, message
 
-    def run_pending(self, *, limit: int = _TASKS_PER_TURN) -> None:
-        """Run up to `limit` of the tasks that other threads have posted, or fewer if one ends the turn."""
-        self._turn = limit
+    def run_pending(self) -> None:
+        """Run up to `_TASKS_PER_TURN` of the tasks of other threads, or fewer if one ends the turn."""
+        self._turn = _TASKS_PER_TURN
         while self._tasks and self._turn > 0:
             self._turn -= 1
             self._tasks.popleft()()

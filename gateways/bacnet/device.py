@@ -6,8 +6,7 @@ import zlib
 from collections.abc import Iterable
 from typing import Any
 
-from bacpypes3.basetypes import DeviceStatus, ObjectTypesSupported, PropertyIdentifier, Segmentation
-from bacpypes3.constructeddata import ArrayOf
+from bacpypes3.basetypes import DeviceStatus, ObjectTypesSupported, Segmentation
 from bacpypes3.errors import PropertyError
 from bacpypes3.local.device import DeviceObject
 from bacpypes3.local.networkport import NetworkPortObject
@@ -26,8 +25,6 @@ MAX_APDU = 1476
 _OBJECT_TYPES = (
     "analogInput", "analogOutput", "analogValue", "binaryValue", "device", "datetimeValue", "networkPort",
 )  # fmt: skip
-
-_Properties = ArrayOf(PropertyIdentifier)
 
 
 class _ReadOnly:

@@ -44,7 +44,6 @@ class ModbusGateway:
         notify: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._node, self._priority = node, priority
-        self._float = "<f" if is_little_endian else ">f"
         self._is_little_endian = is_little_endian
         identity = {0: "Zenostat", 1: "zenostat-gateway-modbus", 2: node.manifest.versions.zenostat, 4: node.name}
         self.server = ModbusServer(self, host, port, identity)

@@ -66,13 +66,13 @@ class Figure:
     is_tabular: bool = False
 
 
-def draw(name: str, height_in: float, fill: Callable[[Any], None], width_in: float = FULL_IN) -> Any:
+def draw(name: str, height_in: float, fill: Callable[[Any], None]) -> Any:
     """Return a Matplotlib figure that `fill` draws into."""
     from matplotlib import rc_context
     from matplotlib.figure import Figure as Drawing
 
     with rc_context(style(name)):
-        figure = Drawing(figsize=(width_in, height_in))
+        figure = Drawing(figsize=(FULL_IN, height_in))
         fill(figure)
     return figure
 
@@ -125,11 +125,13 @@ def period_label(day: np.datetime64) -> str:
     return _MONTHS[date.month - 1] if day.dtype == "datetime64[M]" else _day(day)
 
 
+_MOST_COLUMNS = 4
+
 LEGEND_ROW_PT = 13.0
 """Height of a row of a legend, points."""
 
 
-def legend_above(axis: Any, columns: int = 4, **settings: Any) -> int:
+def legend_above(axis: Any, **settings: Any) -> int:
     """Put the legend above the axes, left, in as many rows as its texts need, and return their number.
 
     A legend that is wider than its figure would leave no room for the axes: long texts are cut, and there are fewer
@@ -141,7 +143,7 @@ def legend_above(axis: Any, columns: int = 4, **settings: Any) -> int:
     available_in = axis.figure.get_figwidth() - _LEGEND_MARGIN_IN
     shown = [_cut(label, available_in - _HANDLE_IN) for label in labels]
     widest_in = max(text_width(text) for text in shown) + _HANDLE_IN
-    columns = max(min(columns, int(available_in / widest_in)), 1)
+    columns = max(min(_MOST_COLUMNS, int(available_in / widest_in)), 1)
     axis.legend(
         handles, shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, borderaxespad=0.2,
         handlelength=1.8, columnspacing=1.6, borderpad=0.2, **settings,
