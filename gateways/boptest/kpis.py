@@ -1,4 +1,4 @@
-"""KPIs of a test: those of `zenostat.evaluation.kpis`, each sample added once, and the time ratio."""
+"""KPIs of a test: those of `zenostat.metrics.kpis`, each sample added once, and the time ratio."""
 
 from __future__ import annotations
 
