@@ -30,16 +30,22 @@ _ACTIONS = {"convert": "convert", "survey": "start", "schedules": "compute the s
 """What EnergyPlus does for each verb, for errors."""
 
 
-def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> None:
+def call(
+    verb: str,
+    *arguments: str | Path,
+    file: str | Path | None = None,
+    locate: Callable[[str], str | None] | None = None,
+) -> None:
     """Run this module as a program, which writes its result to the file that the last argument names.
 
     Args:
         verb: `convert`, `survey` or `schedules`.
         arguments: of the program.
         file: the file that an error refers to; the first argument if None.
+        locate: finds the place in the user's file that a message is about; see `zenostat.models.err_file.explain`.
 
     Raises:
-        ModelError: the child failed; the text has the severe messages of `eplusout.err`, and the lines of `file`.
+        ModelError: the child failed; the text has the severe messages of `eplusout.err`.
     """
     folder = Path(arguments[-1]).parent
     finished = subprocess.run(
@@ -55,7 +61,7 @@ def call(verb: str, *arguments: str | Path, file: str | Path | None = None) -> N
         output = (finished.stdout or "").strip().splitlines()[-5:]
         fallback = "\n  ".join([f"It exited with code {code} and this output:", *output])
         reports = sorted(folder.rglob("eplusout.err"), key=lambda path: path.stat().st_mtime_ns)
-        reason = explain(reports[-1].parent if reports else folder, fallback, source=source)
+        reason = explain(reports[-1].parent if reports else folder, fallback, locate=locate)
         crash = f": it crashed ({signal.Signals(-code).name})" if code < 0 else ""
         raise ModelError(f"EnergyPlus could not {_ACTIONS[verb]} {source}{crash}. {reason}")
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-
-from zenostat.models.building.source_lines import locate, read_objects
 
 _SEVERE = ("** Severe  **", "**  Fatal  **")
 _CONTINUATION = "**   ~~~   **"
@@ -35,7 +34,7 @@ def severe_messages(folder: Path) -> list[list[str]]:
     return messages
 
 
-def explain(folder: Path, fallback: str, *, source: Path | None = None) -> str:
+def explain(folder: Path, fallback: str, *, locate: Callable[[str], str | None] | None = None) -> str:
     """Return the messages as the end of an error text, or `fallback` if there are none.
 
     The first messages are the reason of an invalid model, and the others follow from them; the last ones are the reason
@@ -44,16 +43,15 @@ def explain(folder: Path, fallback: str, *, source: Path | None = None) -> str:
     Args:
         folder: EnergyPlus's output folder.
         fallback: the text if there are no messages.
-        source: the user's model file; its line is added where a message names one of its objects.
+        locate: returns the place in the user's file that a message is about, or None; it is added to the message.
     """
     messages = severe_messages(folder)
     if not messages:
         return fallback
-    objects = read_objects(source) if source is not None else []
     blocks = []
     for message in messages if len(messages) <= _FIRST + _LAST else [*messages[:_FIRST], *messages[-_LAST:]]:
-        location = locate(" ".join(message), objects) if objects else None
-        blocks.append([*message[:_MAX_LINES], *([f"({source}, {location})"] if location else [])])
+        place = locate(" ".join(message)) if locate is not None else None
+        blocks.append([*message[:_MAX_LINES], *([f"({place})"] if place else [])])
     if len(blocks) < len(messages):
         blocks.insert(_FIRST, [f"… {len(messages) - len(blocks)} more messages …"])
     return "\n  ".join(["EnergyPlus reports:", *(line for block in blocks for line in block)])

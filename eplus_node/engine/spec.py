@@ -9,6 +9,7 @@ from typing import Any
 
 from zenostat.bridge.engine.spec import EngineProgram, EngineSpec
 from zenostat.eplus_node.plan import Plan
+from zenostat.models.building.source_lines import locator
 from zenostat.models.energyplus import ISOLATED
 from zenostat.models.err_file import explain
 from zenostat.models.points.schedules import scheduled_values
@@ -18,7 +19,8 @@ from zenostat.topics.errors import ModelError
 
 
 def _failure(source: Path | None, text: str, folder: Path) -> ModelError:
-    return ModelError(f"{text}. {explain(folder, 'EnergyPlus gave no reason in eplusout.err', source=source)}")
+    locate = locator(source) if source is not None else None
+    return ModelError(f"{text}. {explain(folder, 'EnergyPlus gave no reason in eplusout.err', locate=locate)}")
 
 
 ENERGYPLUS = EngineProgram(

@@ -1,13 +1,12 @@
 """Convert an IDF to epJSON and check that no object was lost.
 
-EnergyPlus's converter skips what it does not know and continues, so the objects of the result are counted against
-those of the IDF.
+EnergyPlus's converter skips what it does not know and continues. So the file is read and checked here first, with the
+line of each error, and the objects of the result are counted against those of the IDF.
 """
 
 from __future__ import annotations
 
 import json
-import re
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,43 +14,40 @@ from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
-from zenostat.models.building.transition import idf_objects
+from zenostat.models.building.diagnostics import describe, diagnose, diagnose_format, verdict
+from zenostat.models.building.source_model import SourceModel, read_source
 from zenostat.models.err_file import severe_messages
-from zenostat.topics.errors import InvalidConfig, ModelError, did_you_mean
+from zenostat.topics.errors import InvalidConfig, ModelError
 
 _MAX_ERRORS = 10
-_UNKNOWN_TYPE = re.compile(r'"(.*)" is not a valid Object Type')
 
 
 def convert(path: Path, target: Path) -> None:
     """Write the epJSON of the IDF `path` to `target`.
 
     Raises:
-        InvalidConfig: the file contains no object that EnergyPlus knows.
-        ModelError: an object is unknown, invalid or missing from the result; the text lists all of them.
+        InvalidConfig: the file contains no object that EnergyPlus knows, or an object is unknown or invalid; the text
+            lists all of them, with their lines.
+        ModelError: EnergyPlus cannot convert the file.
     """
-    energyplus.call("convert", path, target)
-    read = Counter(kind.casefold() for kind, _ in idf_objects(path.read_text(encoding="latin-1")))
-    converted: dict[str, Any] = json.loads(target.read_bytes()) or {}
-    if not read.keys() & {kind.casefold() for kind in schema.types()}:
+    source = read_source(path)
+    if not source.objects:
         raise InvalidConfig(f"{path} is not an IDF: it contains no object that EnergyPlus {energyplus.version()} knows")
+    if diagnose_format(source.objects, source):
+        raise InvalidConfig(describe(diagnose(source.objects, source), str(path), verdict()))
+    energyplus.call("convert", path, target)
     messages = [line for message in severe_messages(target.parent) for line in message]
-    errors = [_with_suggestions(line) for line in messages if "Fatal" not in line]
-    errors += _lost_objects(read, converted)
+    errors = [line for line in messages if "Fatal" not in line]
+    errors += _lost_objects(source, json.loads(target.read_bytes()) or {})
     if errors:
         more = [f"and {len(errors) - _MAX_ERRORS} more"] if len(errors) > _MAX_ERRORS else []
-        raise ModelError("\n  ".join([f"{path} is not a valid model:", *errors[:_MAX_ERRORS], *more]))
+        raise ModelError("\n  ".join([f"{path} {verdict()}:", *errors[:_MAX_ERRORS], *more]))
 
 
-def _with_suggestions(line: str) -> str:
-    """Append similar object types to a converter message about an unknown one."""
-    unknown = _UNKNOWN_TYPE.search(line)
-    return f"{line} ({did_you_mean(unknown[1][:60], schema.types())})" if unknown else line
-
-
-def _lost_objects(read: Counter[str], converted: dict[str, Any]) -> Iterator[str]:
+def _lost_objects(source: SourceModel, converted: dict[str, Any]) -> Iterator[str]:
+    read = Counter(entry.kind for entry in source.entries)
     counts = {kind.casefold(): len(objects) for kind, objects in converted.items()}
     for kind in schema.types():
-        count, kept = read[kind.casefold()], counts.get(kind.casefold(), 0)
-        if kept < count:
-            yield f"{kind}: {kept} of {count} objects could be read"
+        kept = counts.get(kind.casefold(), 0)
+        if kept < read[kind]:
+            yield f"{kind}: {kept} of {read[kind]} objects could be read"

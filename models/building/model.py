@@ -11,7 +11,8 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.models import energyplus
-from zenostat.models.building import idf, output_objects, schema, transition
+from zenostat.models.building import idf, output_objects, transition
+from zenostat.models.building.diagnostics import Severity, cached_diagnostics, describe, verdict
 from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
@@ -21,9 +22,6 @@ from zenostat.topics.errors import InvalidConfig
 
 Objects = dict[str, dict[str, Any]]
 """epJSON: object type, object name, fields."""
-
-_MAX_ERRORS = 10
-"""Number of errors that an error message lists."""
 
 _OTHER_PROGRAMS = (
     "externalinterface",
@@ -113,21 +111,19 @@ def read_building(entry: Entry) -> Building:
 
 
 def check_runnable(building: Building) -> None:
-    """Check that a model matches EnergyPlus's schema and runs no other program within the simulation.
+    """Check that EnergyPlus can read a model, and that it runs no other program within the simulation.
 
     The wheel's EnergyPlus is built without Python plugins, and an FMU or a co-simulation server would control the
-    simulation's clock alongside the node. A model converted from an IDF is not checked against the schema, because
-    the converter did that.
+    simulation's clock alongside the node.
 
     Raises:
-        InvalidConfig: lists all such objects by type and name.
+        InvalidConfig: lists all errors, with object, field and line.
     """
     file = building.file or building.name
-    errors = [] if file.lower().endswith(".idf") else schema.schema_errors(building.objects, complete=True)
+    found = cached_diagnostics(building.objects, building.content, building.file)
+    errors = [each for each in found if each.severity is Severity.ERROR]
     if errors:
-        more = [f"and {len(errors) - _MAX_ERRORS} more"] if len(errors) > _MAX_ERRORS else []
-        head = f"{file} does not match the input schema of EnergyPlus {energyplus.version()}:"
-        raise InvalidConfig("\n  ".join([head, *errors[:_MAX_ERRORS], *more]))
+        raise InvalidConfig(describe(errors, file, verdict()))
     unsupported = [
         f"{kind} {name!r}"
         for kind, objects in building.objects.items()

@@ -16,10 +16,11 @@ import json
 import mmap
 import operator
 from collections.abc import Callable, Iterator, Mapping
+from difflib import get_close_matches
 from functools import cache
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from cbor2 import CBORDecodeError, CBORDecoder
 
@@ -34,6 +35,23 @@ FORMAT = "1"
 Fields = Mapping[str, Any]
 Model = Mapping[str, Mapping[str, Fields]]
 """Object type, object name, fields: an epJSON or a part of one."""
+
+
+class SchemaError(NamedTuple):
+    """An error of an object against the schema.
+
+    Attributes:
+        kind: object type.
+        name: of the object; empty if the error is about the type.
+        field: path of the field, such as `vertices[2].vertex_x_coordinate`; empty if the error is about the object.
+        text: the whole error, with type, name and field.
+    """
+
+    kind: str
+    name: str
+    field: str
+    text: str
+
 
 _METADATA = frozenset(("idf_order", "idf_max_fields", "idf_max_extensible_fields"))
 """Keys that IDF converters leave among the fields."""
@@ -63,6 +81,16 @@ def required(kind: str) -> tuple[str, ...]:
     return tuple(_schema()["types"][kind]["required"])
 
 
+def is_required(kind: str, path: str) -> bool:
+    """Whether a field must have a value; `path`: `schedule_name`, or `zones[3].zone_name` in the entry of a list."""
+    shape = _schema()["types"][kind]
+    first, _, member = path.partition("[")
+    if not member:
+        return first in shape["required"]
+    items = next((choice["items"] for choice in choices(kind, first) if "items" in choice), {"required": []})
+    return member.rpartition(".")[2] in items["required"]
+
+
 def single(kind: str) -> bool:
     """Whether a model may have at most one object of type `kind`."""
     return bool(_schema()["types"][kind].get("single"))
@@ -78,6 +106,20 @@ def unknown_field(kind: str, name: str) -> str:
     return f"has no field {name!r}; {did_you_mean(name, _schema()['types'][kind]['fields'])}"
 
 
+def choices(kind: str, field: str, extension: str = "") -> list[dict[str, Any]]:
+    """Return the alternatives of a field, each with its `type`, `words` and `limits`; empty if there is no such field.
+
+    Args:
+        kind: object type, as EnergyPlus spells it.
+        field: name of the field.
+        extension: the list that the field is in; empty if it is in none.
+    """
+    fields, rules = _schema()["types"][kind]["fields"], _schema()["rules"]
+    if extension:
+        fields = next((choice["items"]["fields"] for choice in rules[fields[extension]] if "items" in choice), {})
+    return list(rules[fields[field]]) if field in fields else []
+
+
 def canonical_fields(kind: str, fields: Fields) -> dict[str, Any]:
     """Return `fields` with words in EnergyPlus's own case, and whole floats as integers where it requires those.
 
@@ -88,19 +130,24 @@ def canonical_fields(kind: str, fields: Fields) -> dict[str, Any]:
 
 
 def schema_errors(objects: Model, *, complete: bool) -> list[str]:
-    """Return the errors of `objects` against the schema, one line each.
+    """Return the errors of `objects` against the schema, one line each; see `find_errors`."""
+    return [error.text for error in find_errors(objects, complete=complete)]
+
+
+def find_errors(objects: Model, *, complete: bool) -> list[SchemaError]:
+    """Return the errors of `objects` against the schema.
 
     Args:
         objects: object type to object name to fields; any part of a model.
         complete: whether missing required fields are errors.
     """
-    errors: list[str] = []
+    errors: list[SchemaError] = []
     for kind, items in objects.items():
         shape = _schema()["types"].get(kind)
         if shape is None:
-            errors.append(unknown_type(kind))
+            errors.append(SchemaError(kind, "", "", unknown_type(kind)))
         elif not isinstance(items, Mapping):
-            errors.append(f"{kind}: expected objects by name, got {_short(items)}")
+            errors.append(SchemaError(kind, "", "", f"{kind}: expected objects by name, got {_short(items)}"))
         else:
             errors.extend(_type_errors(kind, shape, items, complete=complete))
     return errors
@@ -113,51 +160,62 @@ def unknown_type(kind: str) -> str:
     return f"EnergyPlus has no object type {kind!r}; {hint}"
 
 
-def _type_errors(kind: str, shape: dict[str, Any], items: Model | Any, *, complete: bool) -> Iterator[str]:
+def _type_errors(kind: str, shape: dict[str, Any], items: Model | Any, *, complete: bool) -> Iterator[SchemaError]:
     if shape.get("single") and len(items) > 1:
-        yield f"{kind}: a model has only one, got {len(items)}: {', '.join(map(repr, items))}"
+        names = ", ".join(map(repr, items))
+        yield SchemaError(kind, list(items)[1], "", f"{kind}: a model has only one, got {len(items)}: {names}")
     for name, fields in items.items():
         label = f"{kind} {name!r}"
         if shape.get("named") and not name.strip():
-            yield f"{kind}: an object without a name"
+            yield SchemaError(kind, name, "", f"{kind}: an object without a name")
         if not isinstance(fields, Mapping):
-            yield f"{label}: expected fields by name, got {_short(fields)}"
+            yield SchemaError(kind, name, "", f"{label}: expected fields by name, got {_short(fields)}")
             continue
-        yield from _fields_errors(label, "", shape, fields, complete=complete)
+        for path, text in _fields_errors("", shape, fields, complete=complete):
+            yield SchemaError(kind, name, path, f"{label}{text}")
 
 
-def _fields_errors(label: str, path: str, shape: dict[str, Any], fields: Fields, *, complete: bool) -> Iterator[str]:
+def _fields_errors(path: str, shape: dict[str, Any], fields: Fields, *, complete: bool) -> Iterator[tuple[str, str]]:
+    """Yield the path of a field and what is wrong with it, to follow the object's type and name."""
     rules = shape["fields"]
     for name, value in fields.items():
         rule = rules.get(name)
         if rule is not None:
-            yield from _value_errors(label, path + name, _schema()["rules"][rule], value, complete=complete)
+            yield from _value_errors(path + name, _schema()["rules"][rule], value, complete=complete)
         elif name not in _METADATA:
-            yield f"{label} has no field {path + name!r}; {did_you_mean(name, rules)}"
+            yield path + name, f" has no field {path + name!r}; {did_you_mean(name, rules)}"
     missing = [name for name in shape["required"] if name not in fields] if complete else []
     if missing:
         inside = f" in {path.removesuffix('.')}" if path else ""
-        yield f"{label} lacks {', '.join(map(repr, missing))}{inside}"
+        yield path.removesuffix("."), f" lacks {', '.join(map(repr, missing))}{inside}"
 
 
-def _value_errors(label: str, path: str, rule: list[dict[str, Any]], value: object, *, complete: bool) -> Iterator[str]:
+def _value_errors(path: str, rule: list[dict[str, Any]], value: object, *, complete: bool) -> Iterator[tuple[str, str]]:
     if any(_fits(choice, value) for choice in rule):
         items = next((choice["items"] for choice in rule if "items" in choice), None)
         if items is not None and isinstance(value, list):
             for index, entry in enumerate(value):
                 if isinstance(entry, Mapping):
-                    yield from _fields_errors(label, f"{path}[{index}].", items, entry, complete=complete)
+                    yield from _fields_errors(f"{path}[{index}].", items, entry, complete=complete)
                 else:
-                    yield f"{label}: {path}[{index}] is {_short(entry)}; expected fields by name"
+                    yield f"{path}[{index}]", f": {path}[{index}] is {_short(entry)}; expected fields by name"
         return
     if value is None:
-        yield f"{label}: {path} is null; expected {_expected(rule)}, or no such field"
+        yield path, f": {path} is null; expected {_expected(rule)}, or no such field"
         return
     canonical = _respell(rule, value)
     if canonical is not value:
-        yield f"{label}: {path} is {_short(value)}; EnergyPlus requires {canonical!r}"
+        yield path, f": {path} is {_short(value)}; EnergyPlus requires {canonical!r}"
     else:
-        yield f"{label}: {path} is {_short(value)}; expected {_expected(rule)}"
+        yield path, f": {path} is {_short(value)}; expected {_expected(rule)}{_similar(rule, value)}"
+
+
+def _similar(rule: list[dict[str, Any]], value: object) -> str:
+    """Suggest a word for the end of an error text, where a similar one is allowed."""
+    words = [word for choice in rule for word in choice.get("words", ()) if isinstance(word, str) and word]
+    folded = {word.casefold(): word for word in words}
+    close = get_close_matches(value.casefold(), folded, 1) if isinstance(value, str) else []
+    return f"; did you mean {folded[close[0]]!r}?" if close else ""
 
 
 def _fits(choice: dict[str, Any], value: object) -> bool:
@@ -232,11 +290,8 @@ def _folded() -> dict[str, str]:
 
 
 def _make(target: Path) -> None:
-    library = wheel().parent / f"libenergyplusapi.so.{energyplus.version()}"
-    if not library.exists():
-        library = next(iter(sorted(wheel().parent.glob("libenergyplusapi.*"))), library)
     rules: dict[str, int] = {}
-    kinds = {kind: _compact(entry, rules) for kind, entry in sorted(_embedded(library)["properties"].items())}
+    kinds = {kind: _compact(entry, rules) for kind, entry in sorted(embedded()["properties"].items())}
     target.write_text(json.dumps({"types": kinds, "rules": [json.loads(rule) for rule in rules]}))
 
 
@@ -273,8 +328,17 @@ def _choice(spec: dict[str, Any], rules: dict[str, int]) -> dict[str, Any]:
     return choice
 
 
-def _embedded(library: Path) -> dict[str, Any]:
-    """Return the schema inside EnergyPlus's library: a CBOR map whose first key is `$schema`."""
+def embedded() -> dict[str, Any]:
+    """Return the schema inside EnergyPlus's library: a CBOR map whose first key is `$schema`.
+
+    It has 28 MB as Python objects; what is needed again is kept in the cache.
+
+    Raises:
+        InvalidConfig: the library has no schema.
+    """
+    library = wheel().parent / f"libenergyplusapi.so.{energyplus.version()}"
+    if not library.exists():
+        library = next(iter(sorted(wheel().parent.glob("libenergyplusapi.*"))), library)
     first_key = b"\x67$schema"
     schema = None
     with library.open("rb") as file:

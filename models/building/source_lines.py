@@ -2,35 +2,30 @@
 
 from __future__ import annotations
 
-import json
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from functools import cache
 from pathlib import Path
 
+from zenostat.models.building.source_model import SourceObject, read_source
 from zenostat.topics.errors import did_you_mean
 
 _WHOLE_WORD = r"(?<![\w:.-]){}(?![\w:.-])"
 _NOT_FOUND = re.compile(r"(\w+) ?= ?([^=]+?), item not found")
-_JSON_TEXT = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\]:\n]')
 
 
-@dataclass(frozen=True, slots=True)
-class SourceObject:
-    """An object of a model file.
+def locator(path: str | Path) -> Callable[[str], str | None]:
+    """Return a function that finds the place in a model file that a message names; it reads the file when called."""
 
-    Attributes:
-        kind: its type.
-        values: its fields with their lines; the first one is its name.
-    """
+    @cache
+    def entries() -> Sequence[SourceObject]:
+        return read_source(Path(path)).entries
 
-    kind: str
-    values: tuple[tuple[int, str], ...]
+    def find(message: str) -> str | None:
+        place = locate(message, entries())
+        return f"{path}, {place}" if place else None
 
-    @property
-    def name(self) -> str:
-        """Its name; in an IDF, the first field of an object without a name."""
-        return self.values[0][1]
+    return find
 
 
 def locate(message: str, objects: Sequence[SourceObject]) -> str | None:
@@ -39,16 +34,25 @@ def locate(message: str, objects: Sequence[SourceObject]) -> str | None:
     The line is that of a field whose value the message contains, else that of the object's name.
     """
     text = message.casefold()
-    named = [each for each in objects if _contains(text, each.name) and _contains(text, each.kind)]
+    named = [each for each in objects if _contains(text, _name(each)) and _contains(text, each.kind)]
     if not named:
         return None
-    subject = max(named, key=lambda each: (len(each.name), len(each.kind)))
-    rest = text.replace(subject.name.casefold(), "")
+    subject = max(named, key=lambda each: (len(_name(each)), len(each.kind)))
+    rest = text.replace(_name(subject).casefold(), "")
     fields = [
-        (len(value), line) for line, value in subject.values[1:] if not _is_number(value) and _contains(rest, value)
+        (len(value), line, path)
+        for path, (line, value) in subject.fields.items()
+        if path != "name" and not _is_number(value) and _contains(rest, value)
     ]
-    line = max(fields)[1] if fields else subject.values[0][0]
-    return f"line {line}: {subject.kind} {subject.name!r}{_suggestion(message, objects)}"
+    _, line, path = max(fields) if fields else (0, subject.line, "")
+    where = f": {path}" if path else ""
+    return f"line {line}: {subject.kind} {_name(subject)!r}{where}{_suggestion(message, objects)}"
+
+
+def _name(entry: SourceObject) -> str:
+    """Return the name of an object; in an IDF, the first field of an object without a name."""
+    first = next(iter(entry.fields.values()), None)
+    return first.text if first and re.fullmatch(rf"{re.escape(entry.kind)} \d+", entry.name) else entry.name
 
 
 def _suggestion(message: str, objects: Sequence[SourceObject]) -> str:
@@ -72,56 +76,3 @@ def _is_number(value: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def read_objects(path: Path) -> list[SourceObject]:
-    """Return the objects of an IDF or epJSON file with their lines; an unreadable file has none."""
-    try:
-        text = path.read_text(encoding="latin-1" if path.suffix.lower() == ".idf" else "utf-8")
-    except (OSError, UnicodeDecodeError):
-        return []
-    return list(_idf_objects(text) if path.suffix.lower() == ".idf" else _epjson_objects(text))
-
-
-def _idf_objects(text: str) -> Iterator[SourceObject]:
-    fields: list[tuple[int, str]] = []
-    value = ""
-    for number, line in enumerate(text.splitlines(), 1):
-        for part in re.split(r"([,;])", line.partition("!")[0]):
-            if part not in (",", ";"):
-                value += part
-                continue
-            fields.append((number, value.strip()))
-            value = ""
-            if part == ";":
-                if len(fields) > 1:
-                    yield SourceObject(fields[0][1], tuple(fields[1:]))
-                fields = []
-
-
-def _epjson_objects(text: str) -> Iterator[SourceObject]:
-    """Yield the objects of an epJSON text, whose types are at depth 1 and names at depth 2.
-
-    The names of an object's fields count as values of it.
-    """
-    line, depth, kind, last = 1, 0, "", ""
-    values: list[tuple[int, str]] = []
-    for part in _JSON_TEXT.findall(text):
-        if part == "\n":
-            line += 1
-        elif part in "{[":
-            depth += 1
-        elif part in "}]":
-            if depth == 3 and values:
-                yield SourceObject(kind, tuple(values))
-                values = []
-            depth -= 1
-        elif part == ":":
-            if depth == 1:
-                kind = last
-            elif depth == 2:
-                values = [(line, last)]
-        else:
-            last = str(json.loads(part))
-            if depth >= 3:
-                values.append((line, last))

@@ -13,10 +13,13 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from zenostat.models import energyplus
+from zenostat.models.building.diagnostics import cached_diagnostics, describe
 from zenostat.models.building.model import Building, Objects, check_runnable, for_episode, write
+from zenostat.models.building.source_lines import locator
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.scenario.run_period import Period
 from zenostat.topics.energyplus_names import HVAC_METERS
+from zenostat.topics.errors import ModelError
 from zenostat.topics.units import unit_name
 
 Kinds = Mapping[str, Objects]
@@ -104,13 +107,23 @@ def discover(building: Building, weather: Path) -> PointCatalog:
     check_runnable(building)
 
     def make(target: Path) -> None:
-        folder = target.parent
+        folder, file = target.parent, building.file or building.name
         day = date(2017, 1, 1)
         model = write(for_episode(building, Period(day, day, building.steps_per_hour), outputs=False) | _LISTS, folder)
-        energyplus.call("survey", model, weather, target, file=building.file or building.name)
+        try:
+            energyplus.call("survey", model, weather, target, file=file, locate=locator(file))
+        except ModelError as error:
+            raise ModelError("\n".join([str(error), *_suspects(building)])) from None
 
     name = f"points/{digest(building.content, energyplus.version(), _FORMAT)}.json"
     return _read(cached_bytes(name, make))
+
+
+def _suspects(building: Building) -> Iterator[str]:
+    """Yield a line with the warnings on a model that EnergyPlus cannot start, which may be the reason."""
+    warnings = cached_diagnostics(building.objects, building.content, building.file)
+    if warnings:
+        yield describe(warnings, building.file or building.name, "also has")
 
 
 _LISTS = {

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from zenostat.models import energyplus
 from zenostat.models.building.conflicts import ProgramOverrides, thermostat_setpoints, thermostats
 from zenostat.models.building.model import Building, Objects, for_episode, write
+from zenostat.models.building.source_lines import locator
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.points.selection import Points
 from zenostat.models.scenario.run_period import Period
@@ -77,7 +78,8 @@ def schedule_values(building: Building, period: Period, weather: Path, names: li
 
     def make(target: Path) -> None:
         model = write(objects, target.parent)
-        energyplus.call("schedules", model, json.dumps(names), weather, target, file=building.file or building.name)
+        file = building.file or building.name
+        energyplus.call("schedules", model, json.dumps(names), weather, target, file=file, locate=locator(file))
 
     content = json.dumps([objects, names], sort_keys=True)
     key = digest(content, _holidays(weather), energyplus.version(), _FORMAT)

@@ -22,7 +22,7 @@ from zenostat.eplus_node.plan import plan
 from zenostat.models.catalog import find_weather
 from zenostat.models.weather.epw import read
 from zenostat.topics import codec
-from zenostat.topics.errors import InvalidConfig, ModelError, UnknownName, UsageError
+from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError
 
 DAY = {"begin": "07-03", "end": "07-03", "affinity": "off"}
 SMALL = "zenostat/ref-small-office-USA_CO_Denver"
@@ -316,7 +316,7 @@ def test_scenarios__reward_of_no_kind_is_refused_by_the_environment(scratch: Pat
 @pytest.mark.parametrize(
     ("broken", "field", "kind", "words"),
     [
-        (broken_idf, "building", ModelError, r"broken\.idf is not a valid model"),
+        (broken_idf, "building", InvalidConfig, r"broken\.idf is not a valid model"),
         (other_version, "building", InvalidConfig, r"9\.4.*25\.2"),
         (cut_epw, "weather", InvalidConfig, r"cut\.epw"),
     ],

@@ -1,0 +1,139 @@
+"""Diagnose a model before EnergyPlus reads it: errors and warnings, each with its object, field and line.
+
+Checked are the syntax of the file, each object against EnergyPlus's input schema, references to objects that do not
+exist, and nodes that nothing else is connected to. EnergyPlus itself ends with a segmentation fault on some of these.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from zenostat.models import energyplus
+from zenostat.models.building import schema
+from zenostat.models.building.nodes import unconnected_nodes
+from zenostat.models.building.references import dangling_references
+from zenostat.models.building.source_model import SourceModel, read_source
+from zenostat.models.cache import cached_bytes, digest
+
+FORMAT = "1"
+"""Version of the stored files."""
+
+_MAX_SHOWN = 10
+"""Number of diagnostics that an error message lists."""
+
+Objects = Mapping[str, Mapping[str, Any]]
+
+
+class Severity(StrEnum):
+    """Whether EnergyPlus simulates a model nevertheless."""
+
+    ERROR = "error"
+    WARNING = "warning"
+
+
+@dataclass(frozen=True, slots=True)
+class Diagnostic:
+    """What is wrong with an object of a model.
+
+    Attributes:
+        severity: whether EnergyPlus simulates the model nevertheless.
+        kind, name: type and name of the object; the name is empty if the diagnostic is about the type.
+        field: path of the field, such as `zones[3].zone_name`; empty if it is about the object.
+        text: the whole sentence, with type, name and field.
+        line: in the user's file, from 1; None if the object is not in it.
+    """
+
+    severity: Severity
+    kind: str
+    name: str
+    field: str
+    text: str
+    line: int | None = None
+
+    def __str__(self) -> str:
+        return self.text if self.line is None else f"line {self.line}: {self.text}"
+
+
+def diagnose(objects: Objects, source: SourceModel | None = None) -> list[Diagnostic]:
+    """Return the diagnostics of a model, errors first, each in the order of the file.
+
+    Args:
+        objects: the model as epJSON, in the format of the installed engine.
+        source: the file that it was read from, for the lines and the errors of its syntax.
+    """
+    found = diagnose_format(objects, source)
+    # Objects of an unknown type, or behind a missing semicolon, would be missed by all that refer to them.
+    if (source is None or not source.issues) and all(_is_known(kind, items) for kind, items in objects.items()):
+        found += [_located(each, source) for each in _reference_diagnostics(objects)]
+    return sorted(found, key=lambda each: (each.severity is Severity.WARNING, each.line or 0))
+
+
+def diagnose_format(objects: Objects, source: SourceModel | None = None) -> list[Diagnostic]:
+    """Return the errors of a file's syntax, and of the objects against the schema; arguments as in `diagnose`."""
+    issues = source.issues if source is not None else ()
+    found = [Diagnostic(Severity.ERROR, kind, name, "", text, line) for line, kind, name, text in issues]
+    damaged = {(each.kind, each.name) for each in found}
+    # What follows from a missing comma or semicolon is no error of its own.
+    errors = [e for e in schema.find_errors(objects, complete=True) if (e.kind, e.name) not in damaged]
+    found += [_located(Diagnostic(Severity.ERROR, e.kind, e.name, e.field, e.text), source) for e in errors]
+    return sorted(found, key=lambda each: each.line or 0)
+
+
+def _is_known(kind: str, items: object) -> bool:
+    return isinstance(items, Mapping) and schema.canonical_type(kind) == kind
+
+
+def _reference_diagnostics(objects: Objects) -> Iterable[Diagnostic]:
+    valid = {
+        kind: {name: fields for name, fields in items.items() if isinstance(fields, Mapping)}
+        for kind, items in objects.items()
+    }
+    for each in dangling_references(valid):
+        severity = Severity.ERROR if each.is_fatal else Severity.WARNING
+        yield Diagnostic(severity, each.kind, each.name, each.field, each.describe())
+    for node in unconnected_nodes(valid):
+        yield Diagnostic(Severity.WARNING, node.kind, node.name, node.field, node.describe())
+
+
+def _located(diagnostic: Diagnostic, source: SourceModel | None) -> Diagnostic:
+    if source is None:
+        return diagnostic
+    return replace(diagnostic, line=source.line(diagnostic.kind, diagnostic.name, diagnostic.field))
+
+
+def verdict() -> str:
+    """Return what is said of a file with errors, for `describe`."""
+    return f"is not a valid model for EnergyPlus {energyplus.version()}"
+
+
+def describe(diagnostics: Iterable[Diagnostic], file: str, verdict: str) -> str:
+    """Return an error text with a diagnostic in each line: `FILE verdict:` and the first of them."""
+    lines = [str(each) for each in diagnostics]
+    more = [f"and {len(lines) - _MAX_SHOWN} more"] if len(lines) > _MAX_SHOWN else []
+    return "\n  ".join([f"{file} {verdict}:", *lines[:_MAX_SHOWN], *more])
+
+
+def cached_diagnostics(objects: Objects, content: str, file: str) -> list[Diagnostic]:
+    """Return the diagnostics of a model; cached, since a model is checked each time that it is used.
+
+    Args:
+        objects: the model as epJSON.
+        content: digest of its content, edits included.
+        file: the user's file, whose lines are given; empty or missing files have none.
+    """
+
+    def make(target: Path) -> None:
+        found = diagnose(objects)
+        if found or not file.lower().endswith(".idf"):
+            found = diagnose(objects, read_source(Path(file)))
+        target.write_text(json.dumps([asdict(each) for each in found]))
+
+    name = f"diagnostics/{digest(content, energyplus.version(), FORMAT)}.json"
+    return [
+        Diagnostic(**{**each, "severity": Severity(each["severity"])}) for each in json.loads(cached_bytes(name, make))
+    ]

@@ -1,0 +1,156 @@
+"""Find references of a model to objects that it does not have, by the object lists of EnergyPlus's input schema."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from zenostat.models.building import schema
+from zenostat.models.building.dictionary import named_in, object_lists, type_lists
+from zenostat.topics.errors import did_you_mean
+
+_ESSENTIAL = frozenset(
+    (
+        "Branches",
+        "BranchLists",
+        "ConnectorLists",
+        "ConstructionNames",
+        "ControlTypeNames",
+        "DayScheduleNames",
+        "MaterialName",
+        "OutFaceEnvNames",
+        "PlantConnectors",
+        "WeekScheduleNames",
+        "ZoneEquipmentNames",
+    )
+)
+"""Object lists without which EnergyPlus ends, also where the field may be left out."""
+
+_DEMANDING = (
+    "ElectricEquipment:ITE:AirCooled",
+    "Refrigeration:CompressorRack",
+    "ThermostatSetpoint:",
+    "ZoneCrossMixing",
+    "ZoneInfiltration:",
+    "ZoneMixing",
+    "ZoneVentilation:",
+)
+"""Types with fields that may be left out, and whose wrong schedules or curves end EnergyPlus; most by a crash."""
+
+_TOLERATED = frozenset((("Sizing:Plant", "plant_or_condenser_loop_name"),))
+"""Required fields whose object may be missing."""
+
+_IGNORED = ("Output", "UtilityCost:", "LifeCycleCost:", "ComponentCost:")
+"""Types that do not act on the simulation, whose references do not matter."""
+
+_NOUNS = {
+    "ScheduleNames": "schedule",
+    "MaterialName": "material",
+    "UnivariateFunctions": "curve of one variable",
+    "BivariateFunctions": "curve of two variables",
+    "MultivariateFunctions": "curve",
+    "OutFaceEnvNames": "surface, zone or boundary condition",
+    "ControlSchemeList": "plant equipment operation scheme",
+    "ControlTypeNames": "thermostat setpoint",
+}
+
+
+class DanglingReference(NamedTuple):
+    """A field whose value names no object.
+
+    Attributes:
+        kind, name: the object that has the field.
+        field: its path, such as `zones[3].zone_name`.
+        value: the name that was not found.
+        lists: the object lists of the field, such as `ScheduleNames`.
+        known: the names that it could have.
+        actual: type of an object of that name that the field cannot refer to; empty if there is none.
+    """
+
+    kind: str
+    name: str
+    field: str
+    value: str
+    lists: tuple[str, ...]
+    known: tuple[str, ...]
+    actual: str = ""
+
+    @property
+    def is_fatal(self) -> bool:
+        """Whether EnergyPlus ends because of it.
+
+        Tried for 348 fields of the bundled models: EnergyPlus 25.2 ends at each wrong name in a required field, and at
+        most of those in others, where it decides.
+        """
+        if self.kind.startswith(_IGNORED) or (self.kind, self.field) in _TOLERATED:
+            return False
+        is_demanded = self.kind.startswith(_DEMANDING) and re.search(r"schedule|curve", self.field) is not None
+        return is_demanded or not _ESSENTIAL.isdisjoint(self.lists) or schema.is_required(self.kind, self.field)
+
+    def describe(self) -> str:
+        """Return the text of an error: object, field, value, and similar names."""
+        text = f"{self.kind} {self.name!r}: {self.field} is {self.value!r}"
+        noun = " or ".join(dict.fromkeys(_NOUNS.get(each) or _noun(each) for each in self.lists[:3]))
+        if self.actual:
+            return f"{text}, which is a {self.actual}, no {noun}; {did_you_mean(self.value, self.known)}"
+        return f"{text}, but the model has no {noun} of that name; {did_you_mean(self.value, self.known)}"
+
+
+def _noun(object_list: str) -> str:
+    """Return what an object list holds in words: `BranchLists` to `branch list`."""
+    words = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", re.sub(r"^valid|Names?$", "", object_list))
+    text = " ".join(word if word.isupper() else word.lower() for word in words)
+    return re.sub(r"es$", "", text) if re.search(r"(ch|ss)es$", text) else text.removesuffix("s")
+
+
+def dangling_references(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[DanglingReference]:
+    """Yield the references of a model's objects to names that no object of it has.
+
+    Args:
+        objects: a whole model as epJSON, which matches the schema.
+    """
+    names = _names(objects)
+    kinds: dict[str, str] = {}
+    types = type_lists()
+    for kind, items in objects.items():
+        for path, lists in object_lists(kind).items():
+            known = dict[str, str]()
+            for each in lists:
+                known |= names.get(each, {})
+                known |= {word.casefold(): word for word in types.get(each, ())}
+            for name, fields in items.items():
+                for field, value in _values(name, fields, path):
+                    if isinstance(value, str) and value and value.casefold() not in known:
+                        kinds = kinds or {own.casefold(): each for each, named in objects.items() for own in named}
+                        actual = kinds.get(value.casefold(), "")
+                        yield DanglingReference(kind, name, field, value, tuple(lists), tuple(known.values()), actual)
+
+
+def _names(objects: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, str]]:
+    """Return the names in each object list, by their case-folded form."""
+    names: dict[str, dict[str, str]] = defaultdict(dict)
+    for kind, by_path in named_in().items():
+        for path, lists in by_path.items():
+            for name, fields in objects.get(kind, {}).items():
+                for _, value in _values(name, fields, path):
+                    if isinstance(value, str):
+                        for each in lists:
+                            names[each][value.casefold()] = value
+    return names
+
+
+def _values(name: str, fields: Mapping[str, Any], path: str) -> Iterator[tuple[str, Any]]:
+    """Yield the path and the value of a field of an object; of one in a list, those of each entry."""
+    if path == "name":
+        yield "name", name
+        return
+    first, _, member = path.partition(".")
+    value = fields.get(first)
+    if not member:
+        yield first, value
+    elif isinstance(value, list):
+        for index, entry in enumerate(value):
+            if isinstance(entry, Mapping):
+                yield f"{first}[{index}].{member}", entry.get(member)
