@@ -7,7 +7,7 @@ exist, and nodes that nothing else is connected to. EnergyPlus itself ends with 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from pathlib import Path
@@ -38,7 +38,7 @@ class Severity(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Diagnostic:
-    """What is wrong with an object of a model.
+    """Finding on an object of a model.
 
     Attributes:
         severity: whether EnergyPlus simulates the model nevertheless.
@@ -66,29 +66,29 @@ def diagnose(objects: Objects, source: SourceModel | None = None) -> list[Diagno
         objects: the model as epJSON, in the format of the installed engine.
         source: the file that it was read from, for the lines and the errors of its syntax.
     """
-    found = diagnose_format(objects, source)
+    diagnostics = diagnose_format(objects, source)
     # Objects of an unknown type, or behind a missing semicolon, would be missed by all that refer to them.
     if (source is None or not source.issues) and all(_is_known(kind, items) for kind, items in objects.items()):
-        found += [_located(each, source) for each in _reference_diagnostics(objects)]
-    return sorted(found, key=lambda each: (each.severity is Severity.WARNING, each.line or 0))
+        diagnostics += [_located(each, source) for each in _reference_diagnostics(objects)]
+    return sorted(diagnostics, key=lambda each: (each.severity is Severity.WARNING, each.line or 0))
 
 
 def diagnose_format(objects: Objects, source: SourceModel | None = None) -> list[Diagnostic]:
     """Return the errors of a file's syntax, and of the objects against the schema; arguments as in `diagnose`."""
     issues = source.issues if source is not None else ()
-    found = [Diagnostic(Severity.ERROR, kind, name, "", text, line) for line, kind, name, text in issues]
-    damaged = {(each.kind, each.name) for each in found}
+    diagnostics = [Diagnostic(Severity.ERROR, kind, name, "", text, line) for line, kind, name, text in issues]
+    damaged = {(each.kind, each.name) for each in diagnostics}
     # What follows from a missing comma or semicolon is no error of its own.
     errors = [e for e in schema.find_errors(objects, complete=True) if (e.kind, e.name) not in damaged]
-    found += [_located(Diagnostic(Severity.ERROR, e.kind, e.name, e.field, e.text), source) for e in errors]
-    return sorted(found, key=lambda each: each.line or 0)
+    diagnostics += [_located(Diagnostic(Severity.ERROR, e.kind, e.name, e.field, e.text), source) for e in errors]
+    return sorted(diagnostics, key=lambda each: each.line or 0)
 
 
 def _is_known(kind: str, items: object) -> bool:
     return isinstance(items, Mapping) and schema.canonical_type(kind) == kind
 
 
-def _reference_diagnostics(objects: Objects) -> Iterable[Diagnostic]:
+def _reference_diagnostics(objects: Objects) -> Iterator[Diagnostic]:
     valid = {
         kind: {name: fields for name, fields in items.items() if isinstance(fields, Mapping)}
         for kind, items in objects.items()
@@ -128,10 +128,10 @@ def cached_diagnostics(objects: Objects, content: str, file: str) -> list[Diagno
     """
 
     def make(target: Path) -> None:
-        found = diagnose(objects)
-        if found or not file.lower().endswith(".idf"):
-            found = diagnose(objects, read_source(Path(file)))
-        target.write_text(json.dumps([asdict(each) for each in found]))
+        diagnostics = diagnose(objects)
+        if diagnostics or not file.lower().endswith(".idf"):
+            diagnostics = diagnose(objects, read_source(Path(file)))
+        target.write_text(json.dumps([asdict(each) for each in diagnostics]))
 
     name = f"diagnostics/{digest(content, energyplus.version(), FORMAT)}.json"
     return [

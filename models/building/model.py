@@ -120,8 +120,8 @@ def check_runnable(building: Building) -> None:
         InvalidConfig: lists all errors, with object, field and line.
     """
     file = building.file or building.name
-    found = cached_diagnostics(building.objects, building.content, building.file)
-    errors = [each for each in found if each.severity is Severity.ERROR]
+    diagnostics = cached_diagnostics(building.objects, building.content, building.file)
+    errors = [each for each in diagnostics if each.severity is Severity.ERROR]
     if errors:
         raise InvalidConfig(describe(errors, file, verdict()))
     unsupported = [

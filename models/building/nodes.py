@@ -48,9 +48,9 @@ def unconnected_nodes(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[Unco
                     uses[node.casefold()].append((kind, name, field, node if not _MAY_BE_ALONE.search(member) else ""))
     named = {name.casefold() for kind in ("NodeList", "OutdoorAir:Node") for name in objects.get(kind, {})}
     known = tuple(dict.fromkeys(use[3] for each in uses.values() if len(each) > 1 for use in each if use[3]))
-    for node, found in uses.items():
-        kind, name, field, spelling = found[0]
-        if len(found) == 1 and spelling and node not in named and kind not in _LISTS:
+    for node, users in uses.items():
+        kind, name, field, spelling = users[0]
+        if len(users) == 1 and spelling and node not in named and kind not in _LISTS:
             yield UnconnectedNode(kind, name, field, spelling, known)
 
 

@@ -145,13 +145,13 @@ def test_diagnose__typing_error_is_named_with_object_field_and_line(case: str, n
     model = model_text(name)
     entry = first_object(name, kinds, field)
     changed, number = mistyped(model, entry, field, value)
-    found = [each for each in diagnostics_of(changed) if each.field == field or each.severity is Severity.ERROR]
-    assert [(e.severity, e.kind, e.name, e.field, e.line) for e in found] == [
+    reported = [each for each in diagnostics_of(changed) if each.field == field or each.severity is Severity.ERROR]
+    assert [(e.severity, e.kind, e.name, e.field, e.line) for e in reported] == [
         (severity, entry.kind, entry.name, field, number)
     ]
-    assert re.search(words, found[0].text), found[0].text
-    assert f"{entry.kind} {entry.name!r}" in str(found[0])
-    assert str(found[0]).startswith(f"line {number}: ")
+    assert re.search(words, reported[0].text), reported[0].text
+    assert f"{entry.kind} {entry.name!r}" in str(reported[0])
+    assert str(reported[0]).startswith(f"line {number}: ")
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -165,10 +165,10 @@ def test_diagnose__unknown_type(name: str) -> None:
     word = "Zone," if model.is_idf else '"Zone": {'
     number = next(i for i, line in enumerate(model.text.splitlines(), 1) if line.strip().casefold() == word.casefold())
     changed = model.with_line(number, lambda line: re.sub("Zone", "Zonne", line, flags=re.IGNORECASE))
-    found = next(each for each in diagnostics_of(changed) if "Zonne" in each.text)
+    reported = next(each for each in diagnostics_of(changed) if "Zonne" in each.text)
     first = number if model.is_idf else number + 1  # of the first object of that type
-    assert (found.severity, found.kind, found.line) == (Severity.ERROR, "Zonne", first)
-    assert "EnergyPlus has no object type 'Zonne'; did you mean 'Zone'" in found.text
+    assert (reported.severity, reported.kind, reported.line) == (Severity.ERROR, "Zonne", first)
+    assert "EnergyPlus has no object type 'Zonne'; did you mean 'Zone'" in reported.text
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -176,10 +176,10 @@ def test_diagnose__missing_required_field(name: str) -> None:
     model, entry = model_text(name), first_object(name, "Material", "conductivity")
     line, text = entry.fields["conductivity"]
     cut = re.escape(text) if model.is_idf else rf'"conductivity": *{re.escape(text)},'
-    (found,) = diagnostics_of(model.with_line(line, lambda old: re.sub(cut, "", old, count=1)))
-    assert (found.kind, found.name) == ("Material", entry.name)
-    assert "lacks 'conductivity'" in found.text
-    assert found.line == entry.line
+    (reported,) = diagnostics_of(model.with_line(line, lambda old: re.sub(cut, "", old, count=1)))
+    assert (reported.kind, reported.name) == ("Material", entry.name)
+    assert "lacks 'conductivity'" in reported.text
+    assert reported.line == entry.line
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -197,9 +197,9 @@ def test_diagnose__object_that_is_in_the_file_twice(name: str) -> None:
         number = entry.line
         changed = changed._replace(text=changed.text.replace(f"}}, {key}", f"}},\n{key}", 1))
         number += 1
-    (found,) = diagnostics_of(changed)
-    assert (found.kind, found.name, found.line) == ("Material", entry.name, number)
-    assert f"is in the file twice; first in line {entry.line}" in found.text
+    (reported,) = diagnostics_of(changed)
+    assert (reported.kind, reported.name, reported.line) == ("Material", entry.name, number)
+    assert f"is in the file twice; first in line {entry.line}" in reported.text
 
 
 @pytest.mark.parametrize("name", ["office-small", "warehouse"])
@@ -209,27 +209,27 @@ def test_diagnose__missing_comma_or_semicolon_of_an_idf(name: str, sign: str) ->
     fields = [value.line for value in entry.fields.values() if value.text]
     number = fields[1] if sign == "," else fields[-1]
     changed = model.with_line(number, lambda line: line.replace(sign, " ", 1))
-    found = diagnostics_of(changed)[0]
-    assert (found.kind, found.name, found.line) == ("Material", entry.name, number)
-    assert "',' or ';' is missing" in found.text
+    reported = diagnostics_of(changed)[0]
+    assert (reported.kind, reported.name, reported.line) == ("Material", entry.name, number)
+    assert "',' or ';' is missing" in reported.text
 
 
 @pytest.mark.parametrize("name", ["office-small", "warehouse"])
 def test_diagnose__too_many_fields_of_an_idf(name: str) -> None:
     model, entry = model_text(name), first_object(name, "ScheduleTypeLimits")
     number = max(value.line for value in entry.fields.values())
-    (found,) = diagnostics_of(model.with_line(number, lambda line: line.replace(";", ", , , 1, 2, 3;", 1)))
-    assert (found.kind, found.name, found.line) == ("ScheduleTypeLimits", entry.name, number)
-    assert re.search(r"has \d fields, but the type has 5", found.text)
+    (reported,) = diagnostics_of(model.with_line(number, lambda line: line.replace(";", ", , , 1, 2, 3;", 1)))
+    assert (reported.kind, reported.name, reported.line) == ("ScheduleTypeLimits", entry.name, number)
+    assert re.search(r"has \d fields, but the type has 5", reported.text)
 
 
 def test_diagnose__unknown_field_of_an_epjson() -> None:
     model, entry = model_text(MODELS[1]), first_object(MODELS[1], "Lights", "schedule_name")
     line = entry.fields["schedule_name"].line
-    missing, found = diagnostics_of(model.with_line(line, lambda old: old.replace("schedule_name", "schedul_name")))
+    missing, reported = diagnostics_of(model.with_line(line, lambda old: old.replace("schedule_name", "schedul_name")))
     assert "lacks 'schedule_name'" in missing.text
-    assert (found.kind, found.name, found.field, found.line) == ("Lights", entry.name, "schedul_name", line)
-    assert "has no field 'schedul_name'; did you mean 'schedule_name'" in found.text
+    assert (reported.kind, reported.name, reported.field, reported.line) == ("Lights", entry.name, "schedul_name", line)
+    assert "has no field 'schedul_name'; did you mean 'schedule_name'" in reported.text
 
 
 def test_diagnose__value_that_is_the_name_of_another_type_is_said() -> None:
@@ -237,8 +237,8 @@ def test_diagnose__value_that_is_the_name_of_another_type_is_said() -> None:
         '{"Zone": {"Z": {}}, "Lights": {\n"L": {"zone_or_zonelist_or_space_or_spacelist_name": "Z",\n'
         '"schedule_name": "z"}}}'
     )
-    (found,) = diagnose(source.objects, source)
-    assert str(found) == "line 3: Lights 'L': schedule_name is 'z', which is a Zone, no schedule; there are none"
+    (reported,) = diagnose(source.objects, source)
+    assert str(reported) == "line 3: Lights 'L': schedule_name is 'z', which is a Zone, no schedule; there are none"
 
 
 @pytest.mark.slow
@@ -252,7 +252,7 @@ def test_diagnose__no_error_in_any_bundled_model() -> None:
         for entry in buildings()
     }
     assert len(errors) >= 41
-    assert {name: found for name, found in errors.items() if found} == {}
+    assert {name: reported for name, reported in errors.items() if reported} == {}
 
 
 def test_read_idf__bundled_model_equals_energyplus_own_conversion() -> None:
