@@ -16,6 +16,7 @@ from zenostat.models.building import conflicts, output_objects
 from zenostat.models.building import model as building
 from zenostat.models.building.geometry import BuildingGeometry, building_geometry
 from zenostat.models.building.model import Building
+from zenostat.models.building.run_needs import assumptions, lacks_design_days
 from zenostat.models.building.summary import floor_area_m2
 from zenostat.models.building.whole_weather import reads_whole_weather
 from zenostat.models.points import discovery, selection
@@ -29,6 +30,7 @@ from zenostat.models.scenario.schema import ActuatorSpec, Scenario, dump
 from zenostat.models.scenario.task import relative_actuators, task_of
 from zenostat.models.weather import design_days, epw, noise
 from zenostat.models.weather.header import check_complete, check_covers, read_header
+from zenostat.models.weather.records import check_records, missing_values
 from zenostat.topics import VERSION
 from zenostat.topics.calendar import parse_day
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
@@ -89,6 +91,8 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
     _check_weather(valid_sources, period, errors)
     if period is not None:
         errors.collect(lambda: _check_noise_start(scenario, model, period))
+    if model is not None:
+        errors.collect(lambda: _check_sizing(model, valid_sources))
     if model is not None and valid_sources:
         chosen = errors.collect(
             lambda: run_points(model, scenario, valid_sources[0].path, monitoring=config.monitoring)
@@ -111,7 +115,8 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
     warnings = (
         *conflicts.conflicts(model.objects, chosen.actuators),
         *([geometry.note] if geometry.note else []),
-        *_run_period_warnings(model, scenario),
+        *assumptions(model.objects, has_dates=scenario.begin is not None or scenario.end is not None),
+        *(note for source in valid_sources for note in missing_values(source.path, source.name)),
         *_lockstep_loss_warnings(config, injected),
     )
     if not isinstance(config.environment_reward, str):
@@ -128,9 +133,16 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
 
 def _check_weather(sources: Sequence[WeatherSource], period: Period | None, errors: ErrorCollector) -> None:
     for source in sources:
-        errors.collect(lambda source=source: check_complete(source.header, source.path))  # type: ignore[misc]
+        is_complete = errors.collect(lambda source=source: _is_complete(source))  # type: ignore[misc]
+        if is_complete:
+            errors.collect(lambda source=source: check_records(source.header, source.path))  # type: ignore[misc]
         if period is not None:
             errors.collect(lambda source=source: check_covers(source.header, period, source.name))  # type: ignore[misc]
+
+
+def _is_complete(source: WeatherSource) -> bool:
+    check_complete(source.header, source.path)
+    return True
 
 
 def _manifest(
@@ -271,10 +283,18 @@ def _check_output_dir(folder: Path) -> None:
         raise InvalidConfig(f"output_dir={folder} is a file; name a folder")
 
 
-def _run_period_warnings(model: Building, scenario: Scenario) -> tuple[str, ...]:
-    if model.run_period or scenario.begin is not None or scenario.end is not None:
-        return ()
-    return ("the model has no RunPeriod, so an episode is a whole year; choose begin and end",)
+def _check_sizing(model: Building, sources: Sequence[WeatherSource]) -> None:
+    """Check that a model that is sized has design days, of its own or of the weather."""
+    if not lacks_design_days(model.objects):
+        return
+    for source in sources:
+        if source.site is None or not source.site.design_days:
+            reason = "the scenario has sizing: model" if source.site is None else f"{source.name} has none either"
+            raise InvalidConfig(
+                f"{model.file or model.name} requests sizing (SimulationControl), but has no design days "
+                f"(SizingPeriod:DesignDay), and {reason}; add some, or use a weather file with design conditions or a "
+                "DDY file beside it, and sizing: weather"
+            )
 
 
 def _lockstep_loss_warnings(config: NodeConfig, faults: FaultPlan | None) -> tuple[str, ...]:

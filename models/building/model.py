@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from calendar import monthrange
 from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass
@@ -14,10 +15,11 @@ from zenostat.models import energyplus
 from zenostat.models.building import idf, output_objects, transition
 from zenostat.models.building.diagnostics import Severity, cached_diagnostics, describe, verdict
 from zenostat.models.building.edits import Edits, apply_edits
+from zenostat.models.building.run_needs import simulation_control
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
 from zenostat.models.scenario.run_period import Period, year_of
-from zenostat.topics.calendar import parse_day
+from zenostat.topics.calendar import LEAP_YEAR, parse_day
 from zenostat.topics.errors import InvalidConfig
 
 Objects = dict[str, dict[str, Any]]
@@ -76,12 +78,26 @@ class Building:
         month, day = int(own.get("begin_month", 1)), int(own.get("begin_day_of_month", 1))
         last_month, last_day = int(own.get("end_month", 12)), int(own.get("end_day_of_month", 31))
         year = int(own.get("begin_year") or year_of(month, day, own.get("day_of_week_for_start_day")))
+        if begin is None or end is None:
+            self._check_own_days()
         first = parse_day(begin or f"{month}-{day}", "begin", year)
         if end is None and begin is None:
             over_new_year = (last_month, last_day) < (month, day)
             end = f"{int(own.get('end_year') or year + over_new_year):04}-{last_month}-{last_day}"
         last = parse_day(end or f"{last_month}-{last_day}", "end", first.year)
         return Period(first, last, self.steps_per_hour if steps_per_hour is None else steps_per_hour)
+
+    def _check_own_days(self) -> None:
+        """Check the days of the model's own run period."""
+        own = self.run_period
+        for end, default in (("begin", (1, 1)), ("end", (12, 31))):
+            month, day = int(own.get(f"{end}_month", default[0])), int(own.get(f"{end}_day_of_month", default[1]))
+            if not 1 <= month <= 12 or not 1 <= day <= monthrange(LEAP_YEAR, month)[1]:
+                name = next(iter(self.objects.get("RunPeriod", {})))
+                raise InvalidConfig(
+                    f"RunPeriod {name!r} of {self.file or self.name} {end}s on {month:02}-{day:02}, which is no day; "
+                    "correct it, or choose begin and end"
+                )
 
 
 def read_building(entry: Entry) -> Building:
@@ -113,8 +129,8 @@ def read_building(entry: Entry) -> Building:
 def check_runnable(building: Building) -> None:
     """Check that EnergyPlus can read a model, and that it runs no other program within the simulation.
 
-    The wheel's EnergyPlus is built without Python plugins, and an FMU or a co-simulation server would control the
-    simulation's clock alongside the node.
+    No wheel's EnergyPlus can run Python plug-ins, and an FMU or a co-simulation server would control the simulation's
+    clock alongside the node.
 
     Raises:
         InvalidConfig: lists all errors, with object, field and line.
@@ -132,8 +148,9 @@ def check_runnable(building: Building) -> None:
     ]
     if unsupported:
         raise InvalidConfig(
-            f"{file} has {', '.join(unsupported)}: FMUs, co-simulation and Python plugins are not "
-            "supported; remove these objects (in a scenario: `edits`, with null as the object)"
+            f"{file} has {', '.join(unsupported)}: FMUs and co-simulation are not supported, and this "
+            "EnergyPlus is built without Python plug-ins; remove these objects (in a scenario: `edits`, with null as "
+            "the object), and control the building over the bus instead"
         )
 
 
@@ -184,10 +201,7 @@ def for_episode(
         }
     }
     objects["Timestep"] = {"zenostat": {"number_of_timesteps_per_hour": period.steps_per_hour}}
-    control = dict(next(iter(objects.get("SimulationControl", {}).values()), {}))
-    control["run_simulation_for_sizing_periods"] = "No"
-    control["run_simulation_for_weather_file_run_periods"] = "Yes"
-    objects["SimulationControl"] = {"zenostat": control}
+    objects["SimulationControl"] = {"zenostat": simulation_control(objects)}
     return objects
 
 

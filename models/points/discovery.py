@@ -15,9 +15,12 @@ from typing import Any, NamedTuple
 from zenostat.models import energyplus
 from zenostat.models.building.diagnostics import cached_diagnostics, describe
 from zenostat.models.building.model import Building, Objects, check_runnable, for_episode, write
+from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.building.source_lines import locator
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.scenario.run_period import Period
+from zenostat.models.weather import design_days
+from zenostat.models.weather.header import read_header
 from zenostat.topics.energyplus_names import HVAC_METERS
 from zenostat.topics.errors import ModelError
 from zenostat.topics.units import unit_name
@@ -109,7 +112,10 @@ def discover(building: Building, weather: Path) -> PointCatalog:
     def make(target: Path) -> None:
         folder, file = target.parent, building.file or building.name
         day = date(2017, 1, 1)
-        model = write(for_episode(building, Period(day, day, building.steps_per_hour), outputs=False) | _LISTS, folder)
+        objects = for_episode(building, Period(day, day, building.steps_per_hour), outputs=False)
+        if lacks_design_days(objects):
+            objects = design_days.apply(objects, design_days.site(weather, read_header(weather)))
+        model = write(objects | _LISTS, folder)
         try:
             energyplus.call("survey", model, weather, target, file=file, locate=locator(file))
         except ModelError as error:

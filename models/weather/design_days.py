@@ -15,6 +15,7 @@ from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.building.model import Objects
+from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.weather.header import DesignConditions, Header
 from zenostat.topics.errors import InvalidConfig, ModelError
@@ -66,11 +67,11 @@ def site(epw: Path, header: Header) -> Site:
 def apply(objects: Mapping[str, Objects], site: Site) -> dict[str, Objects]:
     """Return `objects` with the site's location and design days; everything else is unchanged.
 
-    The model keeps its design days if the site has none. A model without design days gets none: it has nothing to size,
-    or uses days of the weather file for sizing.
+    The model keeps its design days if the site has none. A model without design days gets none if it has nothing to
+    size, or uses days of the weather file for sizing.
     """
     new = {**objects, _LOCATION: site.location}
-    if site.design_days and objects.get(_DAY):
+    if site.design_days and (objects.get(_DAY) or lacks_design_days(objects)):
         new[_DAY] = site.design_days
     return new
 

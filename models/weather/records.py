@@ -1,0 +1,90 @@
+"""Check the records of a weather file before EnergyPlus reads them: hours that are missing, values that are missing."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.weather.epw import COLUMNS
+from zenostat.models.weather.header import HEADER_LINES, Header, read_header
+from zenostat.topics.errors import InvalidConfig
+
+_FORMAT = "1"
+_KEPT = (
+    "dry_bulb_temperature",
+    "dew_point_temperature",
+    "relative_humidity",
+    "atmospheric_station_pressure",
+    "wind_direction",
+    "wind_speed",
+)
+"""Columns in which EnergyPlus replaces a missing value by the last one before it."""
+
+
+def check_records(header: Header, path: Path) -> None:
+    """Check that the hours of a weather file follow each other.
+
+    EnergyPlus starts with a file in which an hour is missing, and ends when it reads that hour.
+
+    Raises:
+        InvalidConfig: an hour is missing, repeated, or out of order; the text has the line.
+    """
+    error = _inspect(header, path)["error"]
+    if error:
+        raise InvalidConfig(f"{path}, {error}; get the whole file again")
+
+
+def missing_values(path: Path, name: str) -> Iterator[str]:
+    """Yield a sentence on the values that a weather file lacks; `name`: of the file, as users know it."""
+    missing = _inspect(read_header(path), path)["missing"]
+    if missing:
+        columns = ", ".join(f"{column} ({count:,})" for column, count in missing.items())
+        yield f"{name} has missing values: {columns}; EnergyPlus uses the last one before each"
+
+
+def _inspect(header: Header, path: Path) -> dict[str, Any]:
+    raw = path.read_bytes()
+
+    def make(target: Path) -> None:
+        rows = [line.split(",") for line in raw.decode("latin-1").splitlines()[HEADER_LINES:] if line.strip()]
+        missing = Counter[str]()
+        for name in _KEPT:
+            column = COLUMNS[name]
+            missing[name] = sum(_number(row, column.index) >= column.missing for row in rows)
+        error = next(_order_errors(rows, 24 * header.records_per_hour), "")
+        target.write_text(json.dumps({"error": error, "missing": {n: c for n, c in missing.items() if c}}))
+
+    return dict(json.loads(cached_bytes(f"weather-records/{digest(raw, _FORMAT)}.json", make)))
+
+
+def _number(row: Sequence[str], index: int) -> float:
+    try:
+        return float(row[index])
+    except (IndexError, ValueError):
+        return 0.0  # a cell that is no number is told by `zenostat.models.weather.epw`
+
+
+def _order_errors(rows: Sequence[Sequence[str]], rows_per_day: int) -> Iterator[str]:
+    """Yield an error for each record that does not follow the one before."""
+    times = []
+    for number, row in enumerate(rows, HEADER_LINES + 1):
+        try:
+            times.append((int(row[1]), int(row[2]), int(row[3])))
+        except (IndexError, ValueError):
+            yield f"line {number}: expected year, month, day and hour, got {','.join(row[:4])[:40]!r}"
+            return
+    first = times[0][2] if times else 1
+    for index, (month, day, hour) in enumerate(times):
+        expected = first + index % rows_per_day * 24 // rows_per_day
+        if hour != expected:
+            shown = f"{month:02}-{day:02}, hour {hour}"
+            yield f"line {index + HEADER_LINES + 1}: the record is for {shown}, expected hour {expected} of a day"
+            return
+    for index, (before, after) in enumerate(pairwise(times), HEADER_LINES + 2):
+        if before[:2] != after[:2] and (index - HEADER_LINES - 1) % rows_per_day:
+            yield f"line {index}: the record is for {after[0]:02}-{after[1]:02}, expected {before[0]:02}-{before[1]:02}"
