@@ -36,7 +36,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "record.record", "verify.verify", "replay.replay", "report.report", "export.export", "log.log",
     ),
     "Choose what to simulate": (
-        "scenarios.scenarios", "buildings.buildings", "weathers.weathers", "points.points", "data_packs.app",
+        "scenarios.scenarios", "buildings.buildings", "weathers.weathers", "model.model", "points.points",
+        "data_packs.app",
     ),
     "Connect other programs": ("keys.app", "router.router", "gateway.app", "asyncapi.asyncapi"),
 }  # fmt: skip

@@ -76,10 +76,15 @@ def probe(
             scenario, hours=hours, days=days, at=at or (7, 15), points=points or (), low=lows, high=highs, seed=seed,
             progress=watch, **arguments,
         )  # fmt: skip
+    show_report(report, scenario, as_json=as_json)
+
+
+def show_report(report: ProbeReport, title: str, *, as_json: bool) -> None:
+    """Print what responds to each actuator, as JSON or as a table with `title`."""
     if as_json:
         show_json(_as_json(report))
     else:
-        _show(report, scenario)
+        _show(report, title)
 
 
 def _read_values(option: str, texts: Sequence[str] | None) -> dict[str, float]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from zenostat.models.building import systems
@@ -13,6 +14,7 @@ from zenostat.models.building.diagnostics import Diagnostic, cached_diagnostics
 from zenostat.models.building.geometry import BuildingGeometry, building_geometry
 from zenostat.models.building.model import Building
 from zenostat.models.building.run_needs import assumptions
+from zenostat.models.building.source_model import read_source
 from zenostat.models.building.summary import BuildingSummary, building_summary, zone_areas, zone_multipliers
 from zenostat.models.points.discovery import texts
 from zenostat.models.weather.header import Header
@@ -74,7 +76,7 @@ class Actuatable:
 
 @dataclass(frozen=True, slots=True)
 class ModelDescription:
-    """What a model has.
+    """Contents of a model.
 
     Attributes:
         name, file: of the catalog entry; the file is empty if there is none.
@@ -105,6 +107,12 @@ class ModelDescription:
     geometry: BuildingGeometry
 
 
+def file_version(path: Path) -> str:
+    """Return the EnergyPlus version that a model file names; empty if it names none."""
+    entry = next((each for each in read_source(path).entries if each.kind.casefold() == "version"), None)
+    return next((value.text for name, value in entry.fields.items() if name != "name"), "") if entry else ""
+
+
 def describe_model(building: Building, version: str) -> ModelDescription:
     """Describe a model; takes a fraction of a second.
 
@@ -126,7 +134,7 @@ def describe_model(building: Building, version: str) -> ModelDescription:
         air_loops=tuple(systems.air_loops(objects)),
         plant_loops=tuple(systems.plant_loops(objects)),
         setpoint_managers=tuple(_named(objects, "SetpointManager:")),
-        programs=tuple([*_named(objects, "EnergyManagementSystem:Program"), *_named(objects, "PythonPlugin:Instance")]),
+        programs=(*_named(objects, "EnergyManagementSystem:Program"), *_named(objects, "PythonPlugin:Instance")),
         schedules=schedules,
         actuators=tuple(_actuators(objects, schedules)),
         assumptions=tuple(assumptions(objects, has_dates=False)),
@@ -199,8 +207,9 @@ def _actuators(objects: Objects, schedules: tuple[ScheduleDescription, ...]) -> 
     """Yield the setpoints of thermostats, then the schedules that something uses."""
     overrides = ProgramOverrides(objects)
     zones = {name.casefold(): name for name in objects.get("Zone", {})}
-    for zone, control, schedule in thermostat_setpoints(objects):
-        key, control_type = zones.get(zone, zone), control.title()
+    spelled = {each.name.casefold(): each.name for each in schedules}
+    for zone, control, name in thermostat_setpoints(objects):
+        key, control_type, schedule = zones.get(zone, zone), control.title(), spelled.get(name, name)
         conflicts = tuple(overrides.reasons(THERMOSTAT, control_type, key))
         yield Actuatable(THERMOSTAT, control_type, key, f"{control} of zone {key} (schedule {schedule})", conflicts)
     for each in schedules:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import sys
 from collections.abc import Sequence
 from html import escape
@@ -14,19 +12,18 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.views.report.document import document
 from zenostat.views.report.figures.base import Figure
 from zenostat.views.report.readings import readings
 from zenostat.views.report.runs import Comparison, Run
 from zenostat.views.report.sections import Section, sections
 from zenostat.views.report.summary import summary
 from zenostat.views.report.svg import inline_svg
-from zenostat.views.report.theme import DARK, LIGHT
 from zenostat.views.report.totals import names, number
 from zenostat.views.report.totals_section import NONE, totals_section
 
 _PACKAGES = ("numpy", "gymnasium", "eclipse-zenoh", "pyenergyplus-lbnl", "matplotlib")
 _MAX_TABLE_ROWS = 100
-_STYLE = Path(__file__).with_name("page.css")
 _SCRIPT = Path(__file__).with_name("page.js").read_text(encoding="utf-8")
 """Shows values at the pointer, zooms, and opens what is folded while the page is printed."""
 _HINT = (
@@ -38,11 +35,6 @@ _HINT = (
 def page(comparison: Comparison) -> str:
     """Return the report as an HTML document; the same input gives the same text."""
     parts = sections(comparison)
-    policy = (
-        "default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
-        f"script-src 'sha256-{base64.b64encode(hashlib.sha256(_SCRIPT.encode()).digest()).decode()}'; "
-        "base-uri 'none'; form-action 'none'"
-    )
     heading = _heading(comparison)
     links = [("totals", "Totals"), *((part.anchor, part.title) for part in parts), ("scenario", "Scenario")]
     toc = "".join(f'<li><a href="#{anchor}">{escape(title)}</a></li>' for anchor, title in links)
@@ -57,22 +49,7 @@ def page(comparison: Comparison) -> str:
             "</main>",
         ]
     )
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        f'<meta http-equiv="Content-Security-Policy" content="{escape(policy)}">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<meta name="color-scheme" content="light dark">'
-        f"<title>{escape(_title(comparison))}</title><style>{_css()}</style></head>\n"
-        f"<body>{body}<script>{_SCRIPT}</script></body></html>\n"
-    )
-
-
-def _css() -> str:
-    light, dark = ("".join(f"--{name}:{color};" for name, color in colors.items()) for colors in (LIGHT, DARK))
-    return (
-        f":root{{{light}}}@media screen and (prefers-color-scheme:dark){{:root{{{dark}}}}}"
-        f"{_STYLE.read_text(encoding='utf-8')}"
-    )
+    return document(_title(comparison), body, _SCRIPT)
 
 
 def _title(comparison: Comparison) -> str:

@@ -1,0 +1,195 @@
+"""`zenostat model`: what a building model has, from its file alone."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, is_dataclass
+from dataclasses import fields as dataclass_fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from zenostat.cli.console import out, print_error
+from zenostat.cli.tables import show, show_json
+from zenostat.topics.errors import InvalidConfig
+
+if TYPE_CHECKING:
+    from zenostat.models.building.description import ModelDescription
+    from zenostat.models.building.systems import System
+
+_ALIKE = 4
+"""More components of one type on one level are shown as their number."""
+
+
+def model(
+    building: Annotated[str, typer.Argument(help="Short name, IDF or epJSON file, or part of a name.")],
+    html: Annotated[
+        Path | None, typer.Option(help="Write a page with a 3D view to this .html file; it loads nothing.")
+    ] = None,
+    probe: Annotated[
+        str | None,
+        typer.Option(
+            metavar="WEATHER", help="Simulate days with this weather, and show what each default actuator changes."
+        ),
+    ] = None,
+    begin: Annotated[str, typer.Option(help="First day that --probe simulates, MM-DD.")] = "07-03",
+    end: Annotated[str, typer.Option(help="Last day that --probe simulates, MM-DD.")] = "07-07",
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Describe a building model: zones, systems, controls, schedules, actuators, errors. Simulates nothing.
+
+    Example: `zenostat model office-medium --html office.html`
+    """
+    from zenostat.models import catalog
+    from zenostat.models.building.description import describe_model, file_version
+    from zenostat.models.building.diagnostics import Severity
+    from zenostat.models.building.model import read_building
+
+    if html is not None and html.suffix.casefold() not in (".html", ".htm"):
+        raise InvalidConfig(f"--html {html}: expected an .html file")
+    entry = catalog.find_building(building)
+    description = describe_model(read_building(entry), file_version(entry.path))
+    if html is not None:
+        _write_page(description, html)
+    if as_json:
+        show_json(_as_json(description))
+    else:
+        _show(description)
+    errors = [each for each in description.diagnostics if each.severity is Severity.ERROR]
+    if errors:
+        print_error(f"{description.file} has {len(errors)} error{'s' if len(errors) > 1 else ''}")
+        raise typer.Exit(1)
+    if probe is not None:
+        _probe({"building": building, "weather": probe, "begin": begin, "end": end}, as_json=as_json)
+
+
+def _probe(scenario: dict[str, str], *, as_json: bool) -> None:
+    from zenostat.cli.probe import show_report
+    from zenostat.lab.probe import probe
+
+    show_report(probe(scenario), scenario["building"], as_json=as_json)
+
+
+def _as_json(description: ModelDescription) -> dict[str, Any]:
+    fields = {field.name: getattr(description, field.name) for field in dataclass_fields(description)}
+    geometry = fields.pop("geometry")
+    data = {name: _plain(value) for name, value in fields.items()}
+    surfaces = len(geometry.geometry.kinds) if geometry.geometry is not None else 0
+    return data | {"surfaces": surfaces, "without_geometry": geometry.note}
+
+
+def _plain(value: Any) -> Any:
+    """Convert dataclasses, also those in tuples, to JSON built-ins."""
+    if isinstance(value, tuple):
+        return [_plain(each) for each in value]
+    return asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
+
+
+def _facts(description: ModelDescription) -> list[tuple[str, str]]:
+    summary = description.summary
+    return [
+        ("File", description.file),
+        ("EnergyPlus version of the file", description.version or "none given"),
+        ("Converted", "; ".join(description.notes)),
+        ("Floor area", f"{summary.floor_area_m2:,.0f} m², {summary.conditioned_area_m2:,.0f} m² conditioned"),
+        ("Zones", f"{summary.zones}, {summary.conditioned_zones} conditioned"),
+        ("Storeys", f"{len(description.storeys)}: {', '.join(f'{h:g}' for h in description.storeys)} m"),
+        ("HVAC", summary.hvac),
+        ("Fuels", ", ".join(summary.fuels)),
+        ("Timesteps", f"{summary.steps_per_hour} per hour"),
+        ("EMS programs", str(len(description.programs))),
+    ]
+
+
+def _notes(description: ModelDescription) -> list[str]:
+    notes = [f"{each.severity}: {each}" for each in description.diagnostics]
+    notes += [f"assumed: {text}" for text in description.assumptions]
+    return notes + ([f"geometry: {description.geometry.note}"] if description.geometry.note else [])
+
+
+def _tables(description: ModelDescription) -> Iterator[tuple[str, tuple[str, ...], list[tuple[str, ...]]]]:
+    yield (
+        "Zones",
+        ("zone", "storey", "area (m²)", "multiplier", "setpoint schedules", "air loops", "equipment"),
+        [
+            (
+                zone.name if zone.is_conditioned else f"{zone.name} (unconditioned)",
+                str(zone.storey + 1),
+                f"{zone.area_m2:,.1f}",
+                f"{zone.multiplier:g}",
+                ", ".join(dict.fromkeys(zone.setpoints.values())),
+                ", ".join(zone.air_loops),
+                ", ".join(part.kind for part in zone.equipment),
+            )
+            for zone in description.zones
+        ],
+    )
+    yield (
+        "Thermostats and schedules that a controller can set",
+        ("component type", "control type", "key", "acts on", "also set by"),
+        [
+            (each.component_type, each.control_type, each.key, each.acts_on, "; ".join(each.conflicts))
+            for each in description.actuators
+        ],
+    )
+    yield ("Setpoint managers", ("object",), [(text,) for text in description.setpoint_managers])
+    yield ("Programs", ("object",), [(text,) for text in description.programs])
+    unused = [each for each in description.schedules if not each.uses]
+    yield ("Schedules that nothing uses", ("schedule", "type"), [(each.name, each.kind) for each in unused])
+
+
+def _show(description: ModelDescription) -> None:
+    out.print(description.name, style="bold", markup=False)
+    for term, text in _facts(description):
+        if text:
+            out.print(f"{term}: {text}", soft_wrap=True, markup=False, highlight=False)
+    for note in _notes(description):
+        out.print(note, soft_wrap=True, markup=False, highlight=False)
+    for title, systems in (("Air loops", description.air_loops), ("Plant loops", description.plant_loops)):
+        if systems:
+            out.print(f"\n{title}", style="bold", markup=False)
+        for system in systems:
+            _show_system(system, 1)
+    for title, columns, rows in _tables(description):
+        if rows:
+            out.print(f"\n{title}", style="bold", markup=False)
+            show("", columns, rows, right=("area (m²)", "multiplier"), wrap=columns)
+
+
+def _show_system(system: System, depth: int) -> None:
+    _line(f"{system.name} ({system.kind})" if system.kind else system.name, depth)
+    by_kind: dict[str, list[System]] = {}
+    for part in system.parts:
+        by_kind.setdefault(part.kind, []).append(part)
+    for kind, members in by_kind.items():
+        if kind and kind != "Zone" and len(members) > _ALIKE:
+            _line(f"{len(members)} {kind}: {members[0].name}, …, {members[-1].name}", depth + 1)
+        else:
+            for member in members:
+                _show_system(member, depth + 1)
+
+
+def _line(text: str, depth: int) -> None:
+    out.print(f"{'  ' * depth}{text}", soft_wrap=True, markup=False, highlight=False)
+
+
+def _write_page(description: ModelDescription, path: Path) -> None:
+    from zenostat.topics.atomic_file import atomic_file
+    from zenostat.views.report.model_page import model_page
+
+    trees: Sequence[tuple[str, Sequence[System]]] = (
+        ("Air loops", description.air_loops),
+        ("Plant loops", description.plant_loops),
+    )
+    text = model_page(
+        description.name,
+        _facts(description),
+        description.geometry.geometry,
+        _notes(description),
+        trees,
+        list(_tables(description)),
+    )
+    with atomic_file(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+    out.print(f"page: {path}", soft_wrap=True, markup=False)
