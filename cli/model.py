@@ -94,7 +94,7 @@ def _facts(description: ModelDescription) -> list[tuple[str, str]]:
         ("Converted", "; ".join(description.notes)),
         ("Floor area", f"{summary.floor_area_m2:,.0f} m², {summary.conditioned_area_m2:,.0f} m² conditioned"),
         ("Zones", f"{summary.zones}, {summary.conditioned_zones} conditioned"),
-        ("Storeys", f"{len(description.storeys)}: {', '.join(f'{h:g}' for h in description.storeys)} m"),
+        ("Storeys", f"{len(description.storeys)}: {', '.join(f'{h:.4g}' for h in description.storeys)} m"),
         ("HVAC", summary.hvac),
         ("Fuels", ", ".join(summary.fuels)),
         ("Timesteps", f"{summary.steps_per_hour} per hour"),

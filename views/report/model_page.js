@@ -17,11 +17,14 @@
   const size = Math.hypot(...low.map((v, i) => high[i] - v)) || 1;
 
   const color = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
-  const isShown = (s) => {
-    const top = Number(select.value);
-    if (top >= storeys.length) return true;
-    const storey = s.zone < 0 ? -1 : zones[s.zone].storey;
-    return storey >= 0 && storey <= top && !(storey === top && (s.kind === 1 || s.kind === 3));
+  // Surfaces are drawn layer by layer, within a layer from far to near; -1: not at all. Of the whole building only
+  // what is outside and faces the viewer is drawn, and of the highest storey of a cut building what is within it, too.
+  const layer = (s, isFacing) => {
+    const top = Number(select.value), storey = s.zone < 0 ? -1 : zones[s.zone].storey;
+    if (s.zone < 0) return top < storeys.length ? -1 : 0;
+    if (top >= storeys.length || storey < top) return s.exposed && isFacing ? 0 : -1;
+    if (storey > top || s.kind === 1 || s.kind === 3) return -1;
+    return s.kind === 2 ? 1 : s.exposed ? (isFacing ? 4 : 2) : 3;
   };
   const project = ([x, y, z]) => {
     const [dx, dy, dz] = [x - center[0], y - center[1], z - center[2]];
@@ -39,20 +42,24 @@
     canvas.width = canvas.clientWidth * ratio;
     canvas.height = canvas.clientHeight * ratio;
     context.lineWidth = ratio * 0.7;
-    drawn = surfaces.filter(isShown).map((surface) => {
+    drawn = surfaces.map((surface) => {
       const corners = surface.corners.map(project);
+      const signed = corners.reduce((sum, p, i) => {
+        const q = corners[(i + 1) % corners.length];
+        return sum + p[0] * q[1] - q[0] * p[1];
+      }, 0);
       const depth = corners.reduce((sum, p) => sum + p[2], 0) / corners.length;
       const path = new Path2D();
       corners.forEach((p, i) => (i ? path.lineTo(p[0], p[1]) : path.moveTo(p[0], p[1])));
       path.closePath();
       // Windows and doors lie in the plane of their wall and are drawn after it.
-      return { surface, path, depth: depth - (surface.kind === 4 || surface.kind === 5 ? size * 0.004 : 0) };
-    });
-    drawn.sort((a, b) => b.depth - a.depth);
+      return { surface, path, layer: layer(surface, signed < 0), depth: depth - (surface.kind === 4 || surface.kind === 5 ? size * 0.004 : 0) };
+    }).filter((d) => d.layer >= 0);
+    drawn.sort((a, b) => a.layer - b.layer || b.depth - a.depth);
     const edge = color("muted"), zone = color("series-4"), fills = colors.map(color);
-    for (const { surface, path } of drawn) {
+    for (const { surface, path, layer } of drawn) {
       const isMarked = marked >= 0 && surface.zone === marked;
-      context.globalAlpha = surface.kind === 6 ? 0.5 : 0.93;
+      context.globalAlpha = surface.kind === 6 ? 0.5 : layer === 4 ? 0.35 : 1;
       context.fillStyle = isMarked && surface.kind !== 4 ? zone : fills[surface.kind];
       context.fill(path);
       context.globalAlpha = 1;

@@ -76,6 +76,7 @@ def _view(geometry: Geometry) -> str:
             {
                 "kind": int(surface.kind),
                 "zone": -1 if surface.zone is None else surface.zone,
+                "exposed": surface.is_exposed,
                 "corners": [[round(value, 2) for value in corner] for corner in surface.corners.tolist()],
             }
             for surface in surfaces(geometry)
@@ -86,7 +87,7 @@ def _view(geometry: Geometry) -> str:
         "storeys": list(geometry.storeys),
     }
     options = "".join(
-        f'<option value="{index}">storeys up to {index + 1} ({height:g} m)</option>'
+        f'<option value="{index}">storeys up to {index + 1} ({height:.4g} m)</option>'
         for index, height in enumerate(geometry.storeys[:-1])
     )
     return (
