@@ -16,7 +16,7 @@ from pathlib import Path
 from zenostat.models import data_packs
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 
-MODEL_SUFFIXES = (".epjson", ".idf")
+MODEL_SUFFIXES = (".epjson", ".idf", ".osm", ".gbxml", ".xml")
 WEATHER_SUFFIXES = (".epw",)
 
 

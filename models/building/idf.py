@@ -44,6 +44,16 @@ def convert(path: Path, target: Path) -> None:
         raise ModelError("\n  ".join([f"{path} {verdict()}:", *errors[:_MAX_ERRORS], *more]))
 
 
+def convert_text(text: str, target: Path, file: Path) -> None:
+    """Write the epJSON of an IDF that was translated from `file` to `target`; errors as of `convert`."""
+    source = target.with_name("translated.idf")
+    source.write_text(text, encoding="latin-1", errors="replace")
+    try:
+        convert(source, target)
+    except (InvalidConfig, ModelError) as error:
+        raise type(error)(str(error).replace(str(source), f"{file}, translated to IDF,")) from None
+
+
 def _lost_objects(source: SourceModel, converted: dict[str, Any]) -> Iterator[str]:
     read = Counter(entry.kind for entry in source.entries)
     counts = {kind.casefold(): len(objects) for kind, objects in converted.items()}

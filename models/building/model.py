@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.models import energyplus
-from zenostat.models.building import idf, output_objects, transition
+from zenostat.models.building import idf, openstudio, output_objects, transition
 from zenostat.models.building.diagnostics import Severity, cached_diagnostics, describe, verdict
 from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.building.run_needs import simulation_control
@@ -104,16 +104,23 @@ def read_building(entry: Entry) -> Building:
     """Read the model of a catalog entry for the installed engine.
 
     An IDF is converted once per content and engine version. An epJSON of an earlier version is converted if the
-    transition is known.
+    transition is known. OpenStudio translates its own models and gbXML to IDF.
 
     Raises:
-        InvalidConfig: an epJSON is not a JSON object of objects, or the model's version cannot be converted.
+        InvalidConfig: the file has errors (the text lists them with their lines), the model's version cannot be
+            converted, or OpenStudio is needed and not installed.
         ModelError: EnergyPlus cannot read the IDF.
     """
     raw = entry.path.read_bytes()
     content = digest(raw, energyplus.version())
-    name = entry.path.name
-    if entry.path.suffix.lower() == ".idf":
+    name, notes = entry.path.name, tuple[str, ...]()
+    if entry.path.suffix.lower() in openstudio.SUFFIXES:
+        translated = openstudio.translate(entry.path)
+        notes, content = translated.notes, digest(translated.idf, energyplus.version())
+        raw = cached_bytes(
+            f"models/{content}.epJSON", lambda target: idf.convert_text(translated.idf, target, entry.path)
+        )
+    elif entry.path.suffix.lower() == ".idf":
         transition.check_idf(raw.decode("latin-1"), name=name)
         raw = cached_bytes(f"models/{content}.epJSON", lambda target: idf.convert(entry.path, target))
     try:
@@ -123,7 +130,7 @@ def read_building(entry: Entry) -> Building:
     if not isinstance(objects, dict) or "Building" not in objects:
         raise InvalidConfig(f"{entry.path} is not a building model: it has no 'Building' object")
     converted = transition.check_epjson(objects, name=name)
-    return Building(entry.name, converted.objects, content, converted.notes, str(entry.path))
+    return Building(entry.name, converted.objects, content, (*notes, *converted.notes), str(entry.path))
 
 
 def check_runnable(building: Building) -> None:

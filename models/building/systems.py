@@ -56,10 +56,10 @@ class _Systems:
 
     def component(self, kind: str, name: str, above: frozenset[tuple[str, str]] = frozenset()) -> System:
         """Return a component with its parts; one that contains itself ends there."""
-        found_object = self.find(kind, name)
-        if found_object is None:
+        known = self.find(kind, name)
+        if known is None:
             return System(kind, name)
-        kind, name, fields = found_object
+        kind, name, fields = known
         if (kind, name) in above:
             return System(kind, name)
         inside = above | {(kind, name)}
@@ -97,12 +97,13 @@ class _Systems:
             for fields in self.objects.get(kind, {}).values():
                 nodes = [str(entry.get("outlet_node_name", "")).casefold() for entry in fields.get("nodes", ())]
                 outlets[str(fields.get("inlet_node_name", "")).casefold()] += nodes
-        listed = self.find("NodeList", loop.get("demand_side_inlet_node_names"))
-        names = [e.get("node_name") for e in listed[2].get("nodes", ())] if listed else []
-        pending = [str(name).casefold() for name in names or [loop.get("demand_side_inlet_node_names")]]
+        pending = [str(loop.get("demand_side_inlet_node_names")).casefold()]
         reached = set(pending)
         while pending:
-            new = [node for node in outlets.get(pending.pop(), ()) if node not in reached]
+            node = pending.pop()
+            listed = self.find("NodeList", node)  # wherever a node may stand, a list of nodes may
+            members = [str(e.get("node_name")).casefold() for e in listed[2].get("nodes", ())] if listed else []
+            new = [each for each in (*outlets.get(node, ()), *members) if each not in reached]
             reached.update(new)
             pending += new
         return reached

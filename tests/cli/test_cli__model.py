@@ -1,0 +1,86 @@
+"""`zenostat model`: as text, as JSON and as a page, from the file alone."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+from support.run_cli import plain, run_in_process
+
+from zenostat.models import energyplus
+from zenostat.models.building.model import read_building
+from zenostat.models.catalog import find_building
+from zenostat.views.report.model_page import model_page
+
+
+@pytest.fixture
+def no_engine(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Whatever starts EnergyPlus fails the test."""
+    read_building(find_building("warehouse"))  # converted once
+    monkeypatch.setattr(energyplus, "call", None)
+
+
+@pytest.mark.usefixtures("no_engine")
+def test_model__tells_systems_zones_and_controls_without_energyplus() -> None:
+    result = run_in_process("model", "warehouse", columns=300)
+    assert result.returncode == 0
+    text = plain(result.stdout)
+    for words in (
+        "EnergyPlus version of the file: 25.2",
+        "PSZ-Office (AirLoopHVAC)",
+        "Zone1 Office Direct Air (AirTerminal:SingleDuct:ConstantVolume:NoReheat)",
+        "heating setpoint of zone Zone1 Office (schedule Office Heating Schedule)",
+    ):
+        assert words in text, words
+
+
+@pytest.mark.usefixtures("no_engine")
+def test_model__json_has_the_same(tmp_path: Path) -> None:
+    data = json.loads(run_in_process("model", "warehouse", "--json").stdout)
+    assert [zone["name"] for zone in data["zones"]] == ["Zone1 Office", "Zone2 Fine Storage", "Zone3 Bulk Storage"]
+    assert data["air_loops"][0]["parts"]
+    assert data["surfaces"] > 50
+    assert data["diagnostics"] == []
+
+
+@pytest.mark.usefixtures("no_engine")
+def test_model__page_is_one_file_that_loads_nothing(tmp_path: Path) -> None:
+    page = tmp_path / "warehouse.html"
+    result = run_in_process("model", "warehouse", "--html", str(page))
+    assert f"page: {page}" in result.stdout
+    text = page.read_text()
+    assert "default-src 'none'" in text.replace("&#x27;", "'")
+    assert not re.search(r"(src|href)=[\"']?(?!#|data:)", text)
+    data = json.loads(re.search(r'id="surfaces">(.*?)</script>', text)[1])  # type: ignore[index]
+    assert {zone["name"] for zone in data["zones"]} == {"Zone1 Office", "Zone2 Fine Storage", "Zone3 Bulk Storage"}
+    run_in_process("model", "warehouse", "--html", str(page))
+    assert page.read_text() == text
+
+
+def test_model_page__names_of_users_are_shown_as_text() -> None:
+    hostile = "<script>alert(1)</script>"
+    text = model_page(hostile, [("File", hostile)], None, [hostile], [], [("T", ("c",), [(hostile,)])])
+    assert "<script>alert" not in text
+    assert text.count("&lt;script&gt;alert(1)&lt;/script&gt;") == 5  # title, heading, fact, note, cell
+
+
+def test_model__page_of_another_suffix_is_refused() -> None:
+    result = run_in_process("model", "warehouse", "--html", "page.pdf")
+    assert result.returncode != 0
+    assert "expected an .html file" in plain(result.stderr)
+
+
+@pytest.mark.process
+def test_model__errors_of_a_file_have_their_lines(tmp_path: Path) -> None:
+    own = find_building("warehouse").path.read_text("latin-1").splitlines()
+    at = next(i for i, line in enumerate(own) if "!- Schedule Name" in line and "LIGHT" in line.upper())
+    own[at] = own[at].replace(",", "_TYPO,", 1)
+    path = tmp_path / "mine.idf"
+    path.write_text("\n".join(own), encoding="latin-1")
+    result = run_in_process("model", str(path), columns=300)
+    assert result.returncode == 1
+    assert f"error: line {at + 1}: Lights " in result.stdout
+    assert "Zone1 Office (Zone)" in result.stdout  # the rest is told all the same
+    assert f"{path} has 1 error" in plain(result.stderr)
