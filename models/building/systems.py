@@ -88,7 +88,8 @@ class _Systems:
             listed = self.find("ZoneHVAC:EquipmentList", fields.get("zone_conditioning_equipment_list_name"))
             for entry in listed[2].get("equipment", ()) if listed else ():
                 kind, name = entry.get("zone_equipment_object_type", ""), entry.get("zone_equipment_name", "")
-                yield str(fields.get("zone_name", "")), self.component(kind, name)
+                zone = self.find("Zone", fields.get("zone_name"))
+                yield zone[1] if zone else str(fields.get("zone_name", "")), self.component(kind, name)
 
     def supply_nodes(self, loop: Mapping[str, Any]) -> set[str]:
         """Return the nodes from an air loop's demand inlets to its terminal units, case-folded."""
