@@ -243,7 +243,7 @@ MUTANTS: dict[str, tuple[Any, dict[str, str]]] = {
         mutant(step=needs_the_heater),
         {
             "commands may be missing": "^without commands for heater, step raised KeyError: 'heater'\n"
-            "without commands for some actuators in some steps, step raised KeyError: 'heater'$",
+            "without commands for some actuators in some steps, step raised KeyError: 'heater'$"
         },
     ),
     "draws unseeded": (

@@ -229,11 +229,7 @@ def test_load_controller__file_beside_modules_with_the_names_of_our_packages(
             InvalidConfig,
             r"Controller of mine\.py is not a controller: its act\(sample\) is abstract",
         ),
-        (
-            "broken.py:Mine",
-            InvalidConfig,
-            r"loading broken\.py failed: ZeroDivisionError: .*line 3 of broken",
-        ),
+        ("broken.py:Mine", InvalidConfig, r"loading broken\.py failed: ZeroDivisionError: .*line 3 of broken"),
         ("wrong.py:Mine", InvalidConfig, r"loading wrong\.py failed: SyntaxError"),
         ("quits.py:Mine", InvalidConfig, r"loading quits\.py failed: SystemExit: 3"),
         ("no.such.module:Mine", UnknownName, r"there is no module 'no\.such\.module'"),

@@ -10,10 +10,7 @@ from hypothesis import strategies as st
 from support.builders import manifest, sensor, view
 from support.controller_nodes import COOL, HEAT, PEOPLE, ROOM, node, single
 
-from zenostat.agent_sdk.controllers import (
-    PIDController,
-    make_controller,
-)
+from zenostat.agent_sdk.controllers import PIDController, make_controller
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 

@@ -122,8 +122,7 @@ def test_env__scenarios_id_stays(user_folder: Path, scenario: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "named",
-    [("scenario", "file"), ("scenario", "config"), ("file", "config"), ("scenario", "file", "config")],
+    "named", [("scenario", "file"), ("scenario", "config"), ("file", "config"), ("scenario", "file", "config")]
 )
 def test_env__one_thing_states_what_to_simulate(named: tuple[str, ...]) -> None:
     with pytest.raises(InvalidConfig, match=" and ".join(named)):

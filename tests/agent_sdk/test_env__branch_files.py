@@ -10,14 +10,7 @@ from typing import Any
 
 import pytest
 from support import data_packs as packs
-from support.engine_forks import (
-    KINDS,
-    episode,
-    go,
-    make,
-    plan,
-    same,
-)
+from support.engine_forks import KINDS, episode, go, make, plan, same
 
 _TIMES = re.compile(r"\d{4}[.\-/]\d\d[.\-/]\d\d[\sT]+\d\d:\d\d(:\d\d)?|\d+hr +\d+min +[\d.]+sec|YMD=[\d. :]+")
 

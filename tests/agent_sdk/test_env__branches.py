@@ -34,13 +34,7 @@ from support.engine_forks import (
 from support.nodes import until, within
 
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.topics.errors import (
-    EngineDied,
-    EpisodeChanged,
-    ForkFailed,
-    RequestRejected,
-    SimulatorError,
-)
+from zenostat.topics.errors import EngineDied, EpisodeChanged, ForkFailed, RequestRejected, SimulatorError
 from zenostat.topics.messages import State
 
 GROWTH_BYTES = 15e6

@@ -287,10 +287,7 @@ def _is_back(env: FleetVectorEnv, action: Any, mode: AutoresetMode) -> bool:
 
 @pytest.mark.slow
 def test_fleet_env__failed_simulation_is_one_slots_error(nodes: list[NodeProgram], scratch: Path) -> None:
-    with (
-        NodeProgram(scratch / "own", **DAYS) as own,
-        closing(fleet([nodes[0], own], AutoresetMode.SAME_STEP)) as env,
-    ):
+    with NodeProgram(scratch / "own", **DAYS) as own, closing(fleet([nodes[0], own], AutoresetMode.SAME_STEP)) as env:
         env.reset(seed=0)
         engines_of(own.pid)[-1].kill()
         with pytest.warns(UserWarning, match=r"slot 1 \(node 'office'"):

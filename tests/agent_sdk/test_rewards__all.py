@@ -17,18 +17,7 @@ from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
 from support.builders import meter, sensor
 from support.examples import examples
-from support.rewards import (
-    KWH,
-    MINIMAL_FIELDS,
-    NODE,
-    SENSORS,
-    SUMMER,
-    WINTER,
-    Array,
-    node_of,
-    reward_config,
-    values,
-)
+from support.rewards import KWH, MINIMAL_FIELDS, NODE, SENSORS, SUMMER, WINTER, Array, node_of, reward_config, values
 
 from zenostat.agent_sdk.rewards import (
     REWARDS,

@@ -12,18 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 from support.builders import meter
-from support.rewards import (
-    KWH,
-    MINIMAL_FIELDS,
-    NODE,
-    PERIODS,
-    SENSORS,
-    SUMMER,
-    WINTER,
-    node_of,
-    reward_config,
-    values,
-)
+from support.rewards import KWH, MINIMAL_FIELDS, NODE, PERIODS, SENSORS, SUMMER, WINTER, node_of, reward_config, values
 
 from zenostat.agent_sdk.rewards import (
     CarbonReward,

@@ -12,15 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.builders import meter, sensor
-from support.rewards import (
-    NODE,
-    SENSORS,
-    SUMMER,
-    WINTER,
-    node_of,
-    reward_config,
-    values,
-)
+from support.rewards import NODE, SENSORS, SUMMER, WINTER, node_of, reward_config, values
 
 from zenostat import rewards
 from zenostat.agent_sdk.rewards import (

@@ -14,24 +14,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from zenostat.agent_sdk.controllers import (
-    Controller,
-)
+from zenostat.agent_sdk.controllers import Controller
 from zenostat.agent_sdk.rewards import BoundReward, Outcome
-from zenostat.agent_sdk.testing import (
-    ConformanceError,
-    FakeEnv,
-    check_controller,
-    check_environment,
-    check_reward,
-)
+from zenostat.agent_sdk.testing import ConformanceError, FakeEnv, check_controller, check_environment, check_reward
 from zenostat.agent_sdk.testing.check_controller import CONTROLLER_CHECKS
 from zenostat.agent_sdk.testing.check_environment import ENVIRONMENT_CHECKS
 from zenostat.agent_sdk.testing.check_reward import REWARD_CHECKS
-from zenostat.topics.errors import (
-    EpisodeChanged,
-    InvalidConfig,
-)
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig
 
 HEAT, COOL = "zone_1_heating_setpoint", "zone_1_cooling_setpoint"
 

@@ -10,28 +10,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode
-from support.vector_envs import (
-    DAY,
-    apart,
-    differ,
-    each_mode,
-    fakes,
-    reset_both,
-    run_both,
-    step_both,
-)
+from support.vector_envs import DAY, apart, differ, each_mode, fakes, reset_both, run_both, step_both
 
 from zenostat import wrappers as w
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 from zenostat.agent_sdk.testing import FakeEnv
 from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from zenostat.topics.errors import (
-    EpisodeChanged,
-    InvalidAction,
-    InvalidConfig,
-    SimulatorError,
-    ZenostatError,
-)
+from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, SimulatorError, ZenostatError
 
 HOT = {"points": ["zone_1_air_temperature"], "low": 17.0, "high": 26.0, "duration_h": 2.0}
 NIGHT = {"points": ["outdoor_temperature"], "low": 18.0, "duration_h": 3.0}  # outside at sample 0, which does not count

@@ -15,23 +15,12 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from support import data_packs as packs
 from support.engine_forks import kill
 from support.nodes import SMALL, NodeProgram, engines_of, runs, until
-from support.vector_envs import (
-    differ,
-    each_mode,
-    fakes,
-    run_both,
-)
+from support.vector_envs import differ, each_mode, fakes, run_both
 
 import zenostat
 from zenostat import wrappers as w
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
-from zenostat.topics.errors import (
-    EngineDied,
-    EpisodeChanged,
-    InvalidConfig,
-    RequestRejected,
-    SimulatorError,
-)
+from zenostat.topics.errors import EngineDied, EpisodeChanged, InvalidConfig, RequestRejected, SimulatorError
 from zenostat.topics.messages import State
 
 ONE_DAY: dict[str, Any] = {"begin": "07-03", "end": "07-03", "affinity": "off"}

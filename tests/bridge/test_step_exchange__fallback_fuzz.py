@@ -7,11 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.builders import advance, answer, claim, command, exchange, wire
 from support.examples import examples
-from support.fallback_exchanges import (
-    KEEP,
-    SET,
-    node,
-)
+from support.fallback_exchanges import KEEP, SET, node
 
 from zenostat.bridge.exchange.step_exchange import StepExchange
 from zenostat.topics.messages import EventKind, Policy

@@ -53,11 +53,7 @@ def test_cli__list_of_commands_imports_no_command_and_nothing_large() -> None:
 
 
 @pytest.mark.parametrize(
-    ("command", "others"),
-    [
-        ("status", {"zenostat.cli.record", "zenostat.cli.write"}),
-        ("asyncapi", set()),
-    ],
+    ("command", "others"), [("status", {"zenostat.cli.record", "zenostat.cli.write"}), ("asyncapi", set())]
 )
 def test_cli__help_of_a_command_imports_its_own_module(command: str, others: set[str]) -> None:
     modules = imported(command, "--help")

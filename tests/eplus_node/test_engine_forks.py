@@ -17,7 +17,7 @@ from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.topics.errors import EngineDied
 
 ALL = KINDS | {
-    "many zones, whose points fill more than a socket takes at once": "outpatient-USA_FL_Orlando-continuous-v1",
+    "many zones, whose points fill more than a socket takes at once": "outpatient-USA_FL_Orlando-continuous-v1"
 }
 
 

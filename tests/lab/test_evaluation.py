@@ -59,11 +59,7 @@ def rewarded(kind: str = "linear", **parameters: Any) -> Task:
 
 
 OFFICE = manifest(
-    sensors=[
-        sensor("core"),
-        sensor("south"),
-        sensor("core_people", "Zone People Occupant Count", "core", "count"),
-    ],
+    sensors=[sensor("core"), sensor("south"), sensor("core_people", "Zone People Occupant Count", "core", "count")],
     meters=[
         meter("electricity"),
         meter("hvac", "HVAC:Electricity"),

@@ -15,12 +15,7 @@ import pytest
 from zenostat.models import catalog
 from zenostat.models.building import summary
 from zenostat.models.building.model import Building, for_episode, read_building, write
-from zenostat.models.building.summary import (
-    BuildingSummary,
-    building_summary,
-    listed_summaries,
-    zone_areas,
-)
+from zenostat.models.building.summary import BuildingSummary, building_summary, listed_summaries, zone_areas
 from zenostat.models.points.discovery import discover, locations
 from zenostat.models.scenario.run_period import Period
 

@@ -24,14 +24,7 @@ from zenostat.models.points.discovery import (
     hvac_meters,
 )
 from zenostat.models.points.listing import PointListing, listing
-from zenostat.models.points.selection import (
-    MeterSpec,
-    Points,
-    Spec,
-    default_aggregation,
-    select_points,
-    sensor_bounds,
-)
+from zenostat.models.points.selection import MeterSpec, Points, Spec, default_aggregation, select_points, sensor_bounds
 from zenostat.models.scenario.run_period import Period
 from zenostat.topics.energyplus_names import HVAC_METERS
 from zenostat.topics.errors import InvalidConfig, UnknownName
@@ -247,8 +240,7 @@ def test_actuator_bounds__are_those_requested_or_of_schedule_or_unit(
 
 
 @pytest.mark.parametrize(
-    ("low", "high"),
-    [(22, 15), (20, 20), (float("nan"), 20), ("cold", 20), (float("-inf"), 20), (15, float("inf"))],
+    ("low", "high"), [(22, 15), (20, 20), (float("nan"), 20), ("cold", 20), (float("-inf"), 20), (15, float("inf"))]
 )
 def test_point_selection__bounds_that_cannot_be_are_an_invalid_configuration(low: object, high: object) -> None:
     with pytest.raises(InvalidConfig, match="'a'"):

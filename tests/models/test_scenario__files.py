@@ -220,10 +220,7 @@ def test_scenario__file_is_utf_8_wherever_it_is_read(tmp_path: Path) -> None:
     )
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
     done = subprocess.run(
-        [sys.executable, "-P", "-c", program, str(file)],
-        env={**os.environ, **plain},
-        capture_output=True,
-        text=True,
+        [sys.executable, "-P", "-c", program, str(file)], env={**os.environ, **plain}, capture_output=True, text=True
     )
     assert done.stdout.strip() == ascii("Bürogebäude"), done.stderr
 

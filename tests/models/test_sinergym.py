@@ -14,11 +14,7 @@ from support.data_packs import sinergym
 
 from zenostat.agent_sdk.rewards import read_reward
 from zenostat.models.sinergym import scenarios as reader
-from zenostat.models.sinergym.literals import (
-    Offsets,
-    Rows,
-    read_table,
-)
+from zenostat.models.sinergym.literals import Offsets, Rows, read_table
 from zenostat.models.sinergym.scenarios import discrete_tables, scenario_of, scenarios_of
 from zenostat.models.weather.noise import ColumnNoise
 from zenostat.topics.errors import InvalidConfig, UnknownName

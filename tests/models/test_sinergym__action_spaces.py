@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from zenostat.models.sinergym.literals import (
-    BoxSpec,
-    DiscreteSpec,
-    MultiDiscrete,
-    read_space,
-)
+from zenostat.models.sinergym.literals import BoxSpec, DiscreteSpec, MultiDiscrete, read_space
 from zenostat.topics.errors import InvalidConfig
 
 

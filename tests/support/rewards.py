@@ -9,10 +9,7 @@ from typing import Any
 import numpy as np
 
 from support.builders import manifest, meter, sensor
-from zenostat.agent_sdk.rewards import (
-    RewardConfig,
-    read_reward,
-)
+from zenostat.agent_sdk.rewards import RewardConfig, read_reward
 from zenostat.topics.messages import Manifest, Meter, Sensor
 
 Array = np.ndarray[Any, np.dtype[np.float64]]

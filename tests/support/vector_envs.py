@@ -77,11 +77,7 @@ def _copied(value: Any) -> Any:
 
 
 def run_both(
-    envs: Sequence[VectorEnv[Any, Any, Any]],
-    mode: AutoresetMode,
-    steps: int,
-    seed: Any = 3,
-    but: Sequence[str] = (),
+    envs: Sequence[VectorEnv[Any, Any, Any]], mode: AutoresetMode, steps: int, seed: Any = 3, but: Sequence[str] = ()
 ) -> list[NDArray[np.bool_]]:
     """Resets, steps, and in mode `Disabled` resets the slots that have ended; compares all; who ended when."""
     assert envs[0].observation_space == envs[1].observation_space

@@ -125,10 +125,7 @@ def next_event(events: zenoh.Subscriber, kind: EventKind) -> Event:
 
 def test_bus__stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: zenostat.Bus) -> None:
     """stranger joins late: manifest → subscribes → writes → node@1 → releases → node@2"""
-    with (
-        bus.controller("office") as link,
-        Program(STRANGER, endpoint, options=("-I",)) as stranger,
-    ):
+    with bus.controller("office") as link, Program(STRANGER, endpoint, options=("-I",)) as stranger:
         sample = link.reset()
         hello = stranger.json()
         assert hello["ours"] == []

@@ -192,10 +192,7 @@ def test_gateways__signal_ends_a_gateway_that_is_not_ready_yet(room: NodeProgram
     with socket.create_server(("127.0.0.1", 0)) as silent_broker:
         address = f"127.0.0.1:{silent_broker.getsockname()[1]}"
         command = [*ZENOSTAT, "gateway", "mqtt", "room", "--connect", room.endpoint, "--broker", address]
-        with (
-            subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True) as program,
-            silent_broker.accept()[0],
-        ):
+        with subprocess.Popen(command, stdout=PIPE, stderr=PIPE, text=True) as program, silent_broker.accept()[0]:
             program.send_signal(end)
             out, err = program.communicate(timeout=60)
     assert (program.returncode, out, err) == (128 + end, "", "")

@@ -179,10 +179,7 @@ def test_lost_link__router_that_was_killed_and_started_again(scratch: Path) -> N
 
 
 def test_lost_link__controller_without_gymnasium(link: CuttableLink) -> None:
-    with (
-        zenostat.connect(link.endpoint, affinity="off") as bus,
-        bus.controller("office") as controller,
-    ):
+    with zenostat.connect(link.endpoint, affinity="off") as bus, bus.controller("office") as controller:
         controller.reset().send()
         link.cut()
         with pytest.raises(NodeLost):

@@ -242,10 +242,7 @@ def test_mqtt_gateway__response_topic_for_which_the_broker_ends_the_connection_i
     properties = Properties(PacketTypes.PUBLISH)
     properties.ResponseTopic = "/" * 300  # mosquitto has at most 200 levels
     options = ["--topic", "levels", "--source", "levels"]
-    with (
-        broker.subscribed("levels/actuator/+/result") as messages,
-        gateway(shared_node.endpoint, broker, *options),
-    ):
+    with broker.subscribed("levels/actuator/+/result") as messages, gateway(shared_node.endpoint, broker, *options):
         until(lambda: broker.retained("levels/status") == "online", "it is online")
         broker.publish(f"{topic}/set", "26", properties=properties)
 

@@ -74,8 +74,7 @@ def hostile(counter: Path, tmp_path: Path) -> tuple[Path, Path]:
     """A recording whose provenance names a command, and the file that the command would create."""
     created = tmp_path / "created"
     provenance = provenance_of(
-        counter,
-        settings={"plant": "subprocess:Popen", "plant_arguments": {"args": ["touch", str(created)]}},
+        counter, settings={"plant": "subprocess:Popen", "plant_arguments": {"args": ["touch", str(created)]}}
     )
     return rewrite(counter, tmp_path / "hostile.mcap", provenance=provenance), created
 

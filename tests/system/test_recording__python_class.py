@@ -139,10 +139,7 @@ CHANGES = {
         lambda: Change("Sample", lambda _: {"time": ["2001-01-01T00:04:01"]}),
         "step 4 (2001-01-01T00:04:01): time is '2001-01-01T00:04:00', recorded '2001-01-01T00:04:01'",
     ),
-    "a step left out": (
-        lambda: Change("Sample", None),
-        "step 5 (2001-01-01T00:05:00): step is 4, recorded 5",
-    ),
+    "a step left out": (lambda: Change("Sample", None), "step 5 (2001-01-01T00:05:00): step is 4, recorded 5"),
     "the end": (
         lambda: Change("Sample", lambda _: {"flags": [int(Flag.TRUNCATED)]}),
         "end of the episode is False, recorded True",

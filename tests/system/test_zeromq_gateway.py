@@ -24,16 +24,7 @@ from zenostat.topics.messages import Event, EventKind, Manifest, Sample, State
 
 zmq = pytest.importorskip("zmq", reason="pyzmq is not installed")
 
-from support.zeromq import (  # noqa: E402
-    ANY,
-    KILLED,
-    GatewayProgram,
-    Peer,
-    answering,
-    gateway,
-    keeping,
-    module_gateway,
-)
+from support.zeromq import ANY, KILLED, GatewayProgram, Peer, answering, gateway, keeping, module_gateway  # noqa: E402
 
 from zenostat.gateways.zeromq.frames import split  # noqa: E402
 

@@ -13,18 +13,7 @@ from support.builders import NAN, actuator, manifest, meter, sensor
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import messages
 from zenostat.topics.errors import BadMessage, UnknownName
-from zenostat.topics.messages import (
-    Claim,
-    Command,
-    Event,
-    EventKind,
-    Flag,
-    Manifest,
-    Message,
-    Sample,
-    Sensor,
-    Write,
-)
+from zenostat.topics.messages import Claim, Command, Event, EventKind, Flag, Manifest, Message, Sample, Sensor, Write
 from zenostat.topics.points import value_index
 
 CLASSES = sorted(

@@ -144,16 +144,14 @@ def test_scenario_fields__page_is_what_the_code_gives() -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "values"),
-    [("branches", (0, 4096)), ("keep_last", (1,)), ("unresponsive_s", (0.001,))],
+    ("name", "values"), [("branches", (0, 4096)), ("keep_last", (1,)), ("unresponsive_s", (0.001,))]
 )
 def test_scenario_fields__values_of_a_range_are_accepted(name: str, values: tuple[float, ...]) -> None:
     assert [getattr(read_config({name: value}), name) for value in values] == [*values]
 
 
 @pytest.mark.parametrize(
-    ("name", "values"),
-    [("branches", (-1, 4097)), ("keep_last", (0,)), ("unresponsive_s", (0.0, -1.0))],
+    ("name", "values"), [("branches", (-1, 4097)), ("keep_last", (0,)), ("unresponsive_s", (0.0, -1.0))]
 )
 def test_scenario_fields__value_outside_its_range_is_rejected(name: str, values: tuple[float, ...]) -> None:
     for value in values:

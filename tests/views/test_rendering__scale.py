@@ -16,10 +16,7 @@ NUMBERS = st.floats(-1e6, 1e6, allow_subnormal=False)
 
 @given(NUMBERS, NUMBERS, st.integers(3, 9), st.booleans())
 def test_rendering__axis_contains_its_values_and_has_at_least_two_round_ticks(
-    first: float,
-    second: float,
-    most: int,
-    from_zero: bool,
+    first: float, second: float, most: int, from_zero: bool
 ) -> None:
     low, high = sorted((first, second))
     bottom, top, ticks = round_scale(low, high, 1e-3, most, from_zero=from_zero)
