@@ -1,7 +1,5 @@
 """Fixtures of all tests: short private folders, and a count of what is left behind."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """From an action to a value for each actuator."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -2,8 +2,6 @@
 
 # ruff: noqa: RUF012  # plants as users write them
 
-from __future__ import annotations
-
 import itertools
 import re
 import threading

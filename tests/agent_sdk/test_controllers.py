@@ -1,7 +1,5 @@
 """The controllers' rules, on manifests and samples made by hand."""
 
-from __future__ import annotations
-
 import math
 from datetime import datetime, timedelta
 from typing import Any

@@ -1,7 +1,5 @@
 """Controllers as agents of an environment, and controllers by name."""
 
-from __future__ import annotations
-
 import math
 import os
 import random

@@ -1,7 +1,5 @@
 """The PID controller; a timestep is a quarter of an hour."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The Gymnasium environment on real nodes: spaces, episodes, repeatability, rewards, points, files."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

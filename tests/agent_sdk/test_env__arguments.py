@@ -1,7 +1,5 @@
 """Arguments of an environment, as the settings of a node: no node is started here."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Baseline of an episode, reported beside it: the building's own control, in that control's own episode, to the bit."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

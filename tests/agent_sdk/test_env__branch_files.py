@@ -1,7 +1,5 @@
 """Output files of episodes that were forked: those of a run that never forked."""
 
-from __future__ import annotations
-
 import re
 import sqlite3
 from contextlib import closing

@@ -1,7 +1,5 @@
 """Branches of a running building: the same to the bit, alone in the world, and gone without a trace."""
 
-from __future__ import annotations
-
 import gc
 import os
 import re

@@ -1,7 +1,5 @@
 """Infos of an episode: how it ended, the sources of its values, its files, a picture."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The manifest of an environment has the reward that it pays, in every kind of environment, on the bus and in files."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import closing
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Plans: sequences of actions in branches, equal to the bit to steps one by one."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Going back to where a building stood: exactly there, any number of times, and a clear word where that cannot be."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Warnings of a new environment, and of a comparison about a controller that it skips."""
 
-from __future__ import annotations
-
 import json
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Nodes that run elsewhere as one vector environment: equal to Gymnasium's `SyncVectorEnv` over the same nodes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """constraints-lowest.txt has the lowest versions that pyproject.toml allows, and the packages import with them."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 import re

@@ -1,7 +1,5 @@
 """The oracle and its search, on a toy building whose rewards are a formula."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any

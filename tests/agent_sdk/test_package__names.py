@@ -1,7 +1,5 @@
 """The names that `zenostat` offers, and the modules that importing it loads."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

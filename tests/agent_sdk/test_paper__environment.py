@@ -1,7 +1,5 @@
 """The data center of the paper on EnergyPlus: the identity of its reward, and which zone obeys the setpoints."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Spaces on which a model was not trained are described in one line, also where the dimensions have no names."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from gymnasium.spaces import Box, Discrete, Space

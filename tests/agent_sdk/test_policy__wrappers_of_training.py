@@ -1,7 +1,5 @@
 """A model that was trained behind wrappers acts within them again if they are saved beside it."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from pathlib import Path
 from typing import Any

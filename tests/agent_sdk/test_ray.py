@@ -1,7 +1,5 @@
 """Environments in RLlib's new API stack, in Tune, and on a Ray cluster; run by `make test-ray`."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

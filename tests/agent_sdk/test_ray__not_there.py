@@ -1,7 +1,5 @@
 """Errors without Ray, or without a cluster that answers: one sentence."""
 
-from __future__ import annotations
-
 import importlib.util
 import sys
 from collections.abc import Callable

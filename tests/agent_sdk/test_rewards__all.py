@@ -1,7 +1,5 @@
 """All kinds of reward: in all shapes, the sum of their terms, what they remember, seasons, files."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import math

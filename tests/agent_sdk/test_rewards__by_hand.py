@@ -1,7 +1,5 @@
 """Rewards of each kind, against numbers worked out by hand."""
 
-from __future__ import annotations
-
 import math
 from datetime import datetime, timedelta
 from typing import Any

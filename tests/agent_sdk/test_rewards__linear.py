@@ -4,8 +4,6 @@ With its defaults (weight 0.5, lambda_energy 1e-4 a watt, lambda_temperature 1 a
 0.5 * 1e-4 * 1000 = 0.05 and a degree outside the band costs 0.5.
 """
 
-from __future__ import annotations
-
 from datetime import datetime
 from typing import Any
 

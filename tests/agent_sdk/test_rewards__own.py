@@ -1,7 +1,5 @@
 """Rewards of a user's own, and points that are missing or of another unit."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """A vector environment as stable-baselines3 takes it: equal to its own vector of single environments."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Seeds that cannot be: one clear error that names the range, by each way to reset."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """A Sinergym configuration in a real run: what it says is applied, and arguments replace what cannot be read."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import gymnasium as gym

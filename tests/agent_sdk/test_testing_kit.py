@@ -1,7 +1,5 @@
 """The fake building against theory and hand calculation; the conformance kit passes what is good."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from datetime import datetime, timedelta

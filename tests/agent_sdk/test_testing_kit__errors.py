@@ -1,7 +1,5 @@
 """The errors of the testing kit: each names what is wrong with a controller, a reward or an environment."""
 
-from __future__ import annotations
-
 import itertools
 import random
 import re

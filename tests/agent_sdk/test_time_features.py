@@ -1,7 +1,5 @@
 """The fields of the clock, against EnergyPlus itself."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

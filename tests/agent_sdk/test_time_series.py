@@ -1,7 +1,5 @@
 """Prices and intensities by the clock: tables, series, files, their units and mistakes."""
 
-from __future__ import annotations
-
 import csv
 from datetime import datetime, timedelta
 from pathlib import Path

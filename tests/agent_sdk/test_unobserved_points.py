@@ -1,7 +1,5 @@
 """Unobserved points: observations, default rewards and controllers are as if the points did not exist."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

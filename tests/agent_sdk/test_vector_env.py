@@ -1,7 +1,5 @@
 """Several engines of one node as a vector environment: slot i is what a single environment is, to the bit."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Several engines of one node as a vector environment: on real nodes, slot i is what a single environment is."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Wrappers on a building without EnergyPlus, by hand-computed values."""
 
-from __future__ import annotations
-
 import copy
 import json
 from collections.abc import Callable, Mapping

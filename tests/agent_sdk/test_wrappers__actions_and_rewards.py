@@ -1,7 +1,5 @@
 """Wrappers of actions, rewards and contexts."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from datetime import datetime, timedelta
 from typing import Any

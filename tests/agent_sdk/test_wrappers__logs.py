@@ -1,7 +1,5 @@
 """Wrappers that write logs."""
 
-from __future__ import annotations
-
 import csv
 import sys
 from pathlib import Path

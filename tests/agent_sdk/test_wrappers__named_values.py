@@ -1,7 +1,5 @@
 """Values of an observation by name, at any layer of wrappers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

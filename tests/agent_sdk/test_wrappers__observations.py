@@ -1,7 +1,5 @@
 """Wrappers of observations."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from datetime import datetime

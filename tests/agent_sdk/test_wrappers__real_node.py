@@ -1,7 +1,5 @@
 """Wrappers on a real node: what they tell of it, what they hand to it, what they keep of it."""
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Agents for zones: on the fake building by hand and property, on a real one by PettingZoo's own checks."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence

@@ -1,7 +1,5 @@
 """All alarms of a node: rules applied to points, samples in, events out."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The state machine of an alarm: schedules of values with the states that BACnet and ISA-18.2 prescribe."""
 
-from __future__ import annotations
-
 import re
 from math import inf, nan
 

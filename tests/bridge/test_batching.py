@@ -1,7 +1,5 @@
 """Batches of published messages, on a simulated clock."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from types import SimpleNamespace
 from typing import Any

@@ -1,7 +1,5 @@
 """Folders of keys: what is made, what is refused, and what OpenSSL thinks of it."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The contract's ways to subscribe: a program that reads nothing for a while is still answered."""
 
-from __future__ import annotations
-
 import queue
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The states of a controller with a claim: the table, and what calls of the exchange can reach. No bus, no clock."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 

@@ -1,7 +1,5 @@
 """Fault plans: what does not fit the node or is no plan is refused, with all its errors."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from pathlib import Path
 

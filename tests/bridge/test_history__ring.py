@@ -1,7 +1,5 @@
 """The history of a node: a ring of samples gives what a list of all samples gives, as far back as it reaches."""
 
-from __future__ import annotations
-
 from datetime import datetime
 
 import numpy as np

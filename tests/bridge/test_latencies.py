@@ -1,7 +1,5 @@
 """Latencies: a ring that holds a limited number of them."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

@@ -1,7 +1,5 @@
 """Faults of the link: what becomes of each message, by the rules and by the laws of chance."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from datetime import datetime

@@ -1,7 +1,5 @@
 """More sources than a byte can count: each is told by its own name, and too many are refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.builders import actuator, advance, claim, command, exchange, ruling

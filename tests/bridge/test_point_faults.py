@@ -1,7 +1,5 @@
 """Faults of points: each kind by hand calculation, chance by its laws, and nothing else touched to the bit."""
 
-from __future__ import annotations
-
 import math
 import pickle
 from datetime import datetime, timedelta

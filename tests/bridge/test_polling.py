@@ -1,7 +1,5 @@
 """Polling before sleeping, on clocks that advance only as a test determines."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterable
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The priority array against the plainest model that can be thought of: a dict of levels for each actuator."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings

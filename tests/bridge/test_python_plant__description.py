@@ -1,7 +1,5 @@
 """Requirements of a class that is to be a plant: everything that is missing or wrong, in one error."""
 
-from __future__ import annotations
-
 import os
 import pickle
 import sys

@@ -1,7 +1,5 @@
 """Files that end early, are damaged, foreign or newer: what is complete is read, and the reason is one sentence."""
 
-from __future__ import annotations
-
 import io
 from contextlib import suppress
 from pathlib import Path

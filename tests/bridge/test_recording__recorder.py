@@ -1,7 +1,5 @@
 """The recorder: all messages in order, a full buffer, a full disk, and two recorders of one file."""
 
-from __future__ import annotations
-
 import os
 import resource
 import shutil

@@ -1,7 +1,5 @@
 """The step exchange as schedules: who spoke when, and what ruled. No bus, no EnergyPlus, no clock."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

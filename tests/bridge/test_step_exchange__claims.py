@@ -1,7 +1,5 @@
 """Claims of a step exchange: who commands an actuator, and who is replaced."""
 
-from __future__ import annotations
-
 import pytest
 from support.builders import NAN, advance, answer, claim, exchange
 from support.exchange_checks import KEEP, RELEASE, SET, check_event, running, same

@@ -1,7 +1,5 @@
 """Without a controller, as schedules: who was there when, what ruled, and what was told. No bus, no clock."""
 
-from __future__ import annotations
-
 import pytest
 from support.builders import NAN, advance, answer, claim, command, wire
 from support.fallback_exchanges import (

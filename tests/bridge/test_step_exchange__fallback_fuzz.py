@@ -1,7 +1,5 @@
 """Fallback policies under any schedule."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The fast path of the step exchange: it accepts the same commands as the full one, or none."""
 
-from __future__ import annotations
-
 import copy
 import math
 

@@ -1,7 +1,5 @@
 """Late commands, and controllers that others replace."""
 
-from __future__ import annotations
-
 import pytest
 from support.builders import advance, answer, claim, command, wire
 from support.fallback_exchanges import check_ruled, expected_under, kinds_and_sources, node, state, status, with_agent

@@ -1,7 +1,5 @@
 """The rules of several slots: who stands still, who begins anew, what holds and goes along. No bus, no EnergyPlus."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Writes to a step exchange: priorities, durations, and what is rejected."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

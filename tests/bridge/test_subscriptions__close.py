@@ -1,7 +1,5 @@
 """Requests that a node has received and not handled when it leaves the bus."""
 
-from __future__ import annotations
-
 import threading
 from pathlib import Path
 

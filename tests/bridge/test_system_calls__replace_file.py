@@ -1,7 +1,5 @@
 """A process that continues to read another file, as a fork does with the weather of its episode."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Delayed calls: their order, cancellation, and the thread that makes them."""
 
-from __future__ import annotations
-
 import math
 import threading
 from collections.abc import Iterator

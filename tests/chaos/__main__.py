@@ -1,7 +1,5 @@
 """`python -m chaos`: a run, its summary, and exit code 1 if anything that must hold does not."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import random

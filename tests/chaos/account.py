@@ -4,8 +4,6 @@ Where a sample says that a required controller gave no command, it cannot be kno
 time; then all possibilities are followed, and those that the sample contradicts are given up. None left is a fault.
 """
 
-from __future__ import annotations
-
 import re
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping

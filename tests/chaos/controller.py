@@ -4,8 +4,6 @@
 when the node is gone, or takes it for gone. SIGUSR1 has it repeat one command 300 times.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import sys

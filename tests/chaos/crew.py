@@ -1,7 +1,5 @@
 """The programs around a node: who they are, and what can be done to them."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """The disturbances of a running building and their schedule, drawn from a seed."""
 
-from __future__ import annotations
-
 import random
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -4,8 +4,6 @@
 disturbance, count, seed, names (of controllers). It notes what it is about to send, and ends with its input.
 """
 
-from __future__ import annotations
-
 import json
 import random
 import sys

@@ -1,7 +1,5 @@
 """Invariants of a run, whatever was done to it: each returns its faults in words."""
 
-from __future__ import annotations
-
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass

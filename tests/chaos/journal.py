@@ -1,7 +1,5 @@
 """Journals of a run, one line of JSON or one msgpack map each, by whoever does it and as it does it."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator

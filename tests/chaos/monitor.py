@@ -4,8 +4,6 @@
 ends with 0 when the node has said that it was stopped.
 """
 
-from __future__ import annotations
-
 import json
 import signal
 import sys

@@ -1,7 +1,5 @@
 """Recordings under chaos: that of the run, and `python -m chaos.recordings`, which kills recorded nodes at random."""
 
-from __future__ import annotations
-
 import argparse
 import os
 import random

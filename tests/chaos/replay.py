@@ -1,7 +1,5 @@
 """The quiet run: a fresh node, one controller that commands what ruled each timestep, and every value compared."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

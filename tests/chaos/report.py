@@ -1,7 +1,5 @@
 """Report of a run: tables for the terminal and for the documentation."""
 
-from __future__ import annotations
-
 import platform
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The chaos run holds; and what judges it sees what is wrong, on records made by hand."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import re

@@ -1,7 +1,5 @@
 """Test cases of the BOPTEST gateway by name, and the command's refusals before anything starts."""
 
-from __future__ import annotations
-
 import socket
 from pathlib import Path
 

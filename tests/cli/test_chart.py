@@ -1,7 +1,5 @@
 """Charts of the terminal: what a reader sees at a place is the value at that time."""
 
-from __future__ import annotations
-
 from datetime import datetime, timedelta
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The `zenostat` command as programs beside each other: nodes, controllers, monitors, signals, the demo."""
 
-from __future__ import annotations
-
 import re
 import signal
 import subprocess

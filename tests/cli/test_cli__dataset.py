@@ -1,7 +1,5 @@
 """`zenostat dataset` on EnergyPlus: a file of the user's, and the environment that Minari recovers without it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`zenostat evaluate` as a program, from a folder that is not the project's."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Imports of `--help`: counted, since a time depends on the machine."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

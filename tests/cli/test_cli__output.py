@@ -3,8 +3,6 @@
 The commands run within the test's process; of each kind one runs as a program, too.
 """
 
-from __future__ import annotations
-
 import io
 import json
 import re

@@ -1,7 +1,5 @@
 """Single points by hand: write, release, read and watch, on a real node."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

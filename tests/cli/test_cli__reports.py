@@ -1,7 +1,5 @@
 """`--report` and `--figures` of the commands that run episodes."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """`zenostat scenarios check` finds what would fail at the start, all of it in one go."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

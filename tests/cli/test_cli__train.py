@@ -1,7 +1,5 @@
 """`zenostat train` and `zenostat tune` as a user calls them: errors, logs, and older folders."""
 
-from __future__ import annotations
-
 import csv
 import json
 import shutil

@@ -1,7 +1,5 @@
 """Tables at any width: every cell whole, no line too long."""
 
-from __future__ import annotations
-
 import io
 import re
 

@@ -1,7 +1,5 @@
 """A file that cannot be written ends a command with one sentence; a defect keeps its traceback."""
 
-from __future__ import annotations
-
 import errno
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Texts in the terminal on a recording that stopped, never began, or is damaged."""
 
-from __future__ import annotations
-
 import io
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Episodes whose engine is forked or prefetched: equal to fresh starts to the bit, and no resources are leaked."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path

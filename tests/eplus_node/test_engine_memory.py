@@ -3,8 +3,6 @@
 `test_fidelity.py` shows that it changes no result: years equal EnergyPlus alone to the bit.
 """
 
-from __future__ import annotations
-
 import ctypes
 import mmap
 import sys

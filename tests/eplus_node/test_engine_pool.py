@@ -1,7 +1,5 @@
 """The engine pool under failures: where the engine of an episode comes from, and which weather it has."""
 
-from __future__ import annotations
-
 import os
 import time
 from collections.abc import Iterator

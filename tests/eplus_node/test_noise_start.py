@@ -3,8 +3,6 @@
 It must be equal to the bit to an episode that starts with that file.
 """
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 from typing import Any

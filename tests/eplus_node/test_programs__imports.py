@@ -1,7 +1,5 @@
 """Slow imports of a node's programs: a start pays for each of them."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

@@ -1,7 +1,5 @@
 """All errors of a scenario file are reported together, whichever part detects them."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Objects of a BACnet device: instance numbers, names, units and bounds, without a network."""
 
-from __future__ import annotations
-
 import struct
 
 from bacpypes3 import basetypes

@@ -1,7 +1,5 @@
 """BOPTEST's forecasts: the error model, weather and the sun, prices, and test periods."""
 
-from __future__ import annotations
-
 from datetime import datetime
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Bodies and values of BOPTEST requests."""
 
-from __future__ import annotations
-
 import json
 import math
 

@@ -1,7 +1,5 @@
 """BOPTEST's points: names, SI units, bounds; stored samples."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

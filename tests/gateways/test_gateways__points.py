@@ -1,7 +1,5 @@
 """Units of readings, as gateways for devices offer them."""
 
-from __future__ import annotations
-
 import pytest
 
 from zenostat.gateways.points import readings

@@ -1,7 +1,5 @@
 """The benchmark: scores by hand, results that are read back, episodes that are run again."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import multiprocessing

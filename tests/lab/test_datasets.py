@@ -1,7 +1,5 @@
 """Data sets of controllers: what Minari, h5py and a loader of transitions read is what the environment did."""
 
-from __future__ import annotations
-
 import hashlib
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Metrics of an episode, against numbers worked out by hand; and controllers compared on a made-up building."""
 
-from __future__ import annotations
-
 import math
 import sys
 from datetime import datetime, timedelta

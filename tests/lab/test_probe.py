@@ -1,7 +1,5 @@
 """`zenostat probe`: what holding each actuator changes, on real buildings."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess

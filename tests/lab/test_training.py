@@ -1,7 +1,5 @@
 """stable-baselines3 on buildings: its algorithms, the evaluation that leaves a training alone, its models."""
 
-from __future__ import annotations
-
 import random
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """A training from a file equals stable-baselines3 driven by hand and resumes to the bit; its folder is a controller."""
 
-from __future__ import annotations
-
 import csv
 import json
 import threading

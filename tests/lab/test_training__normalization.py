@@ -1,7 +1,5 @@
 """A model that was trained behind VecNormalize sees normalized observations wherever it acts, or is refused."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Studies: search spaces, studies that exist, lost databases, and the processes of trials."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """BOPTEST's KPIs: by hand, by properties, and on the meters of a real building."""
 
-from __future__ import annotations
-
 import math
 from datetime import datetime, timedelta
 from pathlib import Path

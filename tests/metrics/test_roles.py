@@ -1,7 +1,5 @@
 """Roles of points: on manifests by hand, of fakes, of a Python plant, and of all scenarios of the data pack."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Trajectories: one run in arrays, with names, units and times."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from pathlib import Path
 

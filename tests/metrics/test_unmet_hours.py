@@ -1,7 +1,5 @@
 """Unmet hours and site energy by hand; `tests/system/test_hvac_energy.py` compares them with EnergyPlus's summary."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 
 import pytest

@@ -1,7 +1,5 @@
 """EnergyPlus's schema: no false alarms on real models, and the same verdict as EnergyPlus itself."""
 
-from __future__ import annotations
-
 import copy
 import json
 import subprocess

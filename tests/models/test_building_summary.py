@@ -1,7 +1,5 @@
 """Summaries of buildings and weather files: against EnergyPlus's own words, hand calculation, and small models."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """Files made once under a key of content."""
 
-from __future__ import annotations
-
 import errno
 import multiprocessing
 import os

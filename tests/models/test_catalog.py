@@ -1,7 +1,5 @@
 """Buildings and weather by name: those of the EnergyPlus wheel, a part of a name, a path."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Conflicts over a scenario's actuators: found in small models, and true in EnergyPlus."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Data packs: fetched by pip, checked, unzipped whole or not at all; and found by name, there or not."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import json

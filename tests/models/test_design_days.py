@@ -1,7 +1,5 @@
 """Location and design days of a weather file: which source is taken, and that EnergyPlus has them so."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import date
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Episodes: what is drawn, and the files that EnergyPlus reads."""
 
-from __future__ import annotations
-
 import json
 from collections import Counter
 from collections.abc import Sequence

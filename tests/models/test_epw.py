@@ -1,7 +1,5 @@
 """Weather files: what the header says, what is refused, and that the rest of a file stays byte for byte."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from datetime import date
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Weather files with padded fields: the same values, and a layout that does not depend on them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

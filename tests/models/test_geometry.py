@@ -1,7 +1,5 @@
 """The geometry of models: zones by storey, kinds, boundaries, and what cannot be drawn; by hand calculation."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

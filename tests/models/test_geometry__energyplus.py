@@ -1,7 +1,5 @@
 """Surfaces against EnergyPlus's own EIO file: every form of surface in every coordinate system, and whole buildings."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from datetime import datetime, timedelta
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Compatibility with code of Sinergym's users: their loggers, statistics of observations, noise, rewards."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

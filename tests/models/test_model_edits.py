@@ -1,7 +1,5 @@
 """Edits to a model: what they do, what they leave alone, and how wrong ones are refused."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The reason why EnergyPlus cannot start a model: its first errors, and the line of the user's file."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

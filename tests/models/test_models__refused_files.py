@@ -1,7 +1,5 @@
 """Models that cannot be: each error names the user's file and what in it is wrong."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path

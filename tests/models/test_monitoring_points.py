@@ -1,7 +1,5 @@
 """Unobserved points of a run: a scenario's own, and those that `monitoring` adds."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import pytest

@@ -1,7 +1,5 @@
 """Which output objects of a model an episode keeps."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from zenostat.models.building.output_objects import with_requests, without_files

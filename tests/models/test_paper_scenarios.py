@@ -1,7 +1,5 @@
 """The paper's scenarios are what its version of Sinergym defines, with the weight of power that the paper states."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

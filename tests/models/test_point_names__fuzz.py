@@ -1,7 +1,5 @@
 """Odd names of a model, and very many points: names are safe and unique, and the rules stay right."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The points of a run, chosen in a small model that is written out here; and the list of a whole one by EnergyPlus."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Files of strangers: limits hold before anything is built, and each is one error."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable
 from pathlib import Path

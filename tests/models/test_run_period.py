@@ -1,7 +1,5 @@
 """Days, timesteps and calendars, counted by hand."""
 
-from __future__ import annotations
-
 import calendar
 from datetime import date, datetime, timedelta
 from typing import Any

@@ -1,7 +1,5 @@
 """Scenario files: read, written, refused, and described by a schema."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """A folder given as a scenario names the scenario file in it, as of a training."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Sinergym's configurations of a user as scenarios; they are never run."""
 
-from __future__ import annotations
-
 import ast
 import textwrap
 from datetime import datetime

@@ -1,7 +1,5 @@
 """Sinergym's action spaces are read as data."""
 
-from __future__ import annotations
-
 import pytest
 
 from zenostat.models.sinergym.literals import BoxSpec, DiscreteSpec, MultiDiscrete, read_space

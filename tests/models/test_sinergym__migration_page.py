@@ -1,7 +1,5 @@
 """The migration page is complete: it names everything that a program which uses Sinergym can name."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Scenarios of Sinergym's data pack: compared with a reading of their own, and never run."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

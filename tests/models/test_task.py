@@ -1,7 +1,5 @@
 """Actions of an agent, from a scenario and the points of a model that this file defines."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Default bounds of setpoints contain what the building's own schedules do, and never let heating above cooling."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

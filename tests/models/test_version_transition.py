@@ -1,7 +1,5 @@
 """Models of other EnergyPlus versions: each known change converted, everything else refused by name."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import re

@@ -4,8 +4,6 @@ Statistics are compared as z-scores over independent paths with a fixed seed. |z
 of 0.99994 for each comparison; a factor of 1.2 in a standard deviation gives |z| of 12 and more here.
 """
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

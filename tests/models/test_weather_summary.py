@@ -1,7 +1,5 @@
 """Weather summaries: climate zone, years and means, against hand-made files and the bundled ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

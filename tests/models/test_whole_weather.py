@@ -1,7 +1,5 @@
 """Models for which EnergyPlus reads the whole weather file before the run period."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """The table of arguments in docs/environments.md; `python tests/support/arguments_page.py` writes it again."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any, get_type_hints

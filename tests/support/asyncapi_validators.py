@@ -3,8 +3,6 @@
 The parser is a program for Node.js, which not every machine has. It is installed once, in a folder of the user's cache.
 """
 
-from __future__ import annotations
-
 import functools
 import gzip
 import hashlib

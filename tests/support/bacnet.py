@@ -1,7 +1,5 @@
 """A BACnet client on bacpypes3's own application, and the gateway in the test's loop."""
 
-from __future__ import annotations
-
 import socket
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

@@ -1,7 +1,5 @@
 """Numbers of the benchmark in docs, from its results; `python tests/support/benchmark_page.py` writes them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean

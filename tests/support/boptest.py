@@ -1,7 +1,5 @@
 """A BOPTEST service in this process, and requests to it as BOPTEST's clients send them."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager

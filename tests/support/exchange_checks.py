@@ -1,7 +1,5 @@
 """Checks of events and of an exchange's state."""
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Callable
 

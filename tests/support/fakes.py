@@ -1,7 +1,5 @@
 """A building without EnergyPlus: the attributes of `BuildingEnv` that wrappers use, and a day of made-up physics."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from typing import Any

@@ -1,7 +1,5 @@
 """Exchanges with controllers that a fallback policy applies to."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from support.builders import NAN, advance, answer, claim, exchange

@@ -1,7 +1,5 @@
 """Models by hand for tests of geometry: a house of two zones, and one with every simple form of surface."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from zenostat.models.building.model import Building, Objects

@@ -1,7 +1,5 @@
 """A two-storey office for the monitor's tests: its manifest, geometry, samples, and a reader of recordings."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any

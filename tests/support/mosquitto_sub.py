@@ -1,7 +1,5 @@
 """Part of mosquitto_sub, as a program for machines without it: `-p PORT -v -t TOPIC …`."""
 
-from __future__ import annotations
-
 import argparse
 
 import paho.mqtt.client as paho

@@ -1,7 +1,5 @@
 """Point faults of a node with two rooms, and their plans."""
 
-from __future__ import annotations
-
 import math
 from datetime import datetime
 from typing import Any

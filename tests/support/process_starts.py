@@ -1,7 +1,5 @@
 """Which tests start other processes: found from the code of the tests, their fixtures and the functions they call."""
 
-from __future__ import annotations
-
 import subprocess
 from collections.abc import Iterator
 from functools import cache

@@ -1,7 +1,5 @@
 """Recordings for tests: a copy of one with a payload changed, and the places where its chunks end."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Callable, Mapping

@@ -1,7 +1,5 @@
 """Manifests, samples and configurations for tests of rewards."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from datetime import datetime
 from typing import Any

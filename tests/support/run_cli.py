@@ -1,7 +1,5 @@
 """`zenostat` commands: as programs, and within the test's process where only what they print is tested."""
 
-from __future__ import annotations
-
 import io
 import os
 import re

@@ -1,7 +1,5 @@
 """Traces of episodes made by formulas, for reports."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from typing import Any

@@ -1,7 +1,5 @@
 """Two vector environments side by side: step and reset both, and find where they differ."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """EnergyPlus with no building: only the outdoor air of a run period or of design days, which takes 0.2 s."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

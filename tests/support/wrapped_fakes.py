@@ -1,7 +1,5 @@
 """Fake environments for tests of wrappers."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

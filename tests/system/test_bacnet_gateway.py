@@ -1,7 +1,5 @@
 """A node as a BACnet device: what a client reads, writes and is told, on a real node."""
 
-from __future__ import annotations
-
 import asyncio
 import math
 import socket

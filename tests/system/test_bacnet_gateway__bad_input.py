@@ -1,7 +1,5 @@
 """Erroneous and malicious requests of BACnet clients: answered, counted, and without effect."""
 
-from __future__ import annotations
-
 import asyncio
 import random
 import socket

@@ -1,7 +1,5 @@
 """The command `zenostat gateway bacnet`, and BACnet clients that others have written."""
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import importlib.util

@@ -1,7 +1,5 @@
 """A BACnet device whose node is frozen, or the replay of a recording."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -1,7 +1,5 @@
 """The ends of a BOPTEST service and of a test period, over HTTP."""
 
-from __future__ import annotations
-
 import threading
 
 import pytest

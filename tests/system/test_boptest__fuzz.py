@@ -1,7 +1,5 @@
 """Bad input to the BOPTEST gateway: each request is answered, counted, and moves no actuator that it should not."""
 
-from __future__ import annotations
-
 import json
 import random
 import socket

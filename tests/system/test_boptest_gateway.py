@@ -1,7 +1,5 @@
 """The BOPTEST gateway, by requests as BOPTEST's clients send them; BOPTEST's definitions say what is right."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

@@ -1,7 +1,5 @@
 """Snapshots and branches for whoever is on the bus: plain requests, a controller on a branch, owners that leave."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

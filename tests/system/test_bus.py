@@ -1,7 +1,5 @@
 """The bus with strangers and several controllers on it: real nodes, real Zenoh, processes of their own."""
 
-from __future__ import annotations
-
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -14,6 +12,7 @@ from support.nodes import SMALL, NodeProgram, Program, until
 from zenoh.handlers import FifoChannel
 
 import zenostat
+from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.transport.session import MAX_MESSAGE_BYTES
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import NodeNotFound, RequestRejected
@@ -149,7 +148,7 @@ def test_bus__stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: z
         assert stranger.end()[0] == 0
 
 
-def _check_points(values: dict[str, dict[str, object]], sample: zenostat.bus.sample.SampleView) -> None:
+def _check_points(values: dict[str, dict[str, object]], sample: SampleView) -> None:
     """Each point came under its own key, equal to the sample to the bit."""
     manifest = sample.manifest
     points = {f"zenostat/v2/office/sensor/{s.name}": s for s in manifest.sensors}

@@ -1,7 +1,5 @@
 """Commands and writes as requests, from a bare session: each has one reply, which says what a put's event would say."""
 
-from __future__ import annotations
-
 import queue
 import signal
 from collections.abc import Iterator

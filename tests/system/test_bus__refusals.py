@@ -1,7 +1,5 @@
 """Refusals reach the one who asked: by the source of a write, by the reply of a query."""
 
-from __future__ import annotations
-
 import math
 
 import msgpack

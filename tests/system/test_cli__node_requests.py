@@ -1,7 +1,5 @@
 """Commands that reset, stop, step and write report what the node did; a second node on the same port."""
 
-from __future__ import annotations
-
 import re
 import signal
 import socket

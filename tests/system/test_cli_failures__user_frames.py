@@ -1,7 +1,5 @@
 """A controller of the user's that fails: its own frames and one line; signals before and after a command's work."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

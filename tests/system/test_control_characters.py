@@ -1,7 +1,5 @@
 """Texts of a hostile program on the bus reach no terminal, log, report or monitor with their control characters."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

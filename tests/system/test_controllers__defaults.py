@@ -1,7 +1,5 @@
 """The defaults of the controllers that come along: no less comfortable than the building's own control."""
 
-from __future__ import annotations
-
 import math
 from contextlib import closing
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """The controllers on real scenarios: what they set, what comes of it, and `zenostat run`."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The documentation: its programs run, its scenarios are valid, its commands parse, its links lead somewhere."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import os

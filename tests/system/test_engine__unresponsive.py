@@ -1,7 +1,5 @@
 """An engine that neither answers nor computes is given up; one that computes is left alone."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

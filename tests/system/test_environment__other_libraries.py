@@ -1,7 +1,5 @@
 """Requirements of other libraries: errors of their kind, infos of one form, and their own collectors."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping
 from pathlib import Path

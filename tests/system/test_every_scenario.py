@@ -1,7 +1,5 @@
 """Each of the pack's ids and one id of each bundled building, for two days under random actions."""
 
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """The examples run by themselves."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import signal

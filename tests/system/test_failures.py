@@ -3,8 +3,6 @@
 `scratch` is in each of these tests: it counts the processes, sockets and folders that are left.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

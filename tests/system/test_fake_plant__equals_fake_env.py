@@ -1,7 +1,5 @@
 """The fake building as the plant of a node, in a process of its own: trajectories equal `FakeEnv`'s to the bit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Controllers that come, go, freeze and share a building: real nodes, real Zenoh, processes of their own."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

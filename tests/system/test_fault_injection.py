@@ -1,7 +1,5 @@
 """Faults on purpose at a real node: what the bus is told, what the building is told, and what stays as it is."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator, Sequence
 from datetime import datetime

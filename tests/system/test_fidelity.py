@@ -4,8 +4,6 @@ The same prepared model is run twice: through the bus, with a controller that an
 nothing, and by EnergyPlus alone, whose own reports are the reference (`tests/support/energyplus_reference.py`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path

@@ -4,8 +4,6 @@ A program that runs after a report changes its variables for the next report; En
 only one.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

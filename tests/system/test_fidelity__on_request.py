@@ -1,7 +1,5 @@
 """Output variables that EnergyPlus computes only on request are not 0, and requesting them writes no files."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

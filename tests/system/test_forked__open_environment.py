@@ -1,7 +1,5 @@
 """A process forked with an open environment: clear errors there, a prompt end, and the parent goes on."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

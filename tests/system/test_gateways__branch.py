@@ -1,7 +1,5 @@
 """Gateways of a branch: its clients command the branch, and its parent is left alone."""
 
-from __future__ import annotations
-
 import asyncio
 import struct
 from pathlib import Path

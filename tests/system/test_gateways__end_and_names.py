@@ -1,7 +1,5 @@
 """Common behavior of gateways of all protocols: their end, and names that only one of them may have."""
 
-from __future__ import annotations
-
 import asyncio
 import os
 import signal

@@ -1,7 +1,5 @@
 """One node in a gateway's asyncio program: real nodes, which end, return and are asked too much."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager

@@ -1,7 +1,5 @@
 """A node's geometry on the bus: the model's own, while it runs and on branches; and nodes that have none."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

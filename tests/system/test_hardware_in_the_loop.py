@@ -1,7 +1,5 @@
 """The page on hardware in the loop: its own lines are run, and show what its table says."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

@@ -1,7 +1,5 @@
 """History and alarms of a running node, on the bus, in its recording, and on the command line."""
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator

@@ -3,8 +3,6 @@
 One run of each building is read twice: from the bus, and from the report that EnergyPlus writes at its end.
 """
 
-from __future__ import annotations
-
 import sqlite3
 from collections import defaultdict
 from contextlib import closing

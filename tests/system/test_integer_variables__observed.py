@@ -1,7 +1,5 @@
 """Output variables of integers (a status, a type, a count), which EnergyPlus's API serves and does not list."""
 
-from __future__ import annotations
-
 import json
 from datetime import date
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Ctrl-C twice while an environment is made: one KeyboardInterrupt, and nothing is left."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """A user's script works although its folder has modules with the names of our folders."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

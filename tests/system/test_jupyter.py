@@ -1,7 +1,5 @@
 """A real Jupyter kernel: an environment in its cells, also in an event loop; interrupted amid a step, and restarted."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

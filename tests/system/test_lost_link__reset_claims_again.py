@@ -1,7 +1,5 @@
 """After a lost link a reset claims the node again, and steps work."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Samples and events that are lost on the way, and large messages of strangers, which once displaced them."""
 
-from __future__ import annotations
-
 import asyncio
 from collections.abc import Callable
 from typing import Any

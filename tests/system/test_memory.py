@@ -1,7 +1,5 @@
 """Memory of a node: within its limit, and no more after many episodes than after a few."""
 
-from __future__ import annotations
-
 import psutil
 import pytest
 from support.nodes import WEATHER, NodeProgram, engines_of

@@ -1,7 +1,5 @@
 """The Modbus gateway of a real node, with clients that are not ours: pymodbus, and mbpoll where it is installed."""
 
-from __future__ import annotations
-
 import asyncio
 import csv
 import math

@@ -1,7 +1,5 @@
 """The monitor against real nodes and real Rerun recordings."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The monitor beside several nodes, plants without geometry, and nodes of other versions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`monitoring` on a real building: more points on the bus, and not a bit of difference for the agent."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym

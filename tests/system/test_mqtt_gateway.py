@@ -1,7 +1,5 @@
 """The MQTT gateway of a real node on a real broker."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 import os

@@ -1,7 +1,5 @@
 """A node ends soon after it was told to, whatever it is doing, and leaves nothing."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """A node among strangers that send anything, as fast as they can: it lives, and serves the others."""
 
-from __future__ import annotations
-
 import os
 import random
 import time

@@ -1,7 +1,5 @@
 """An environment whose own node died starts another one at its next reset, and says why."""
 
-from __future__ import annotations
-
 import re
 from contextlib import suppress
 from functools import partial

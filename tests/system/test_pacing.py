@@ -1,7 +1,5 @@
 """Simulated time against the wall clock: the rules of the schedule, and real nodes that keep it."""
 
-from __future__ import annotations
-
 import math
 import re
 import signal

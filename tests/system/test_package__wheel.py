@@ -1,7 +1,5 @@
 """The distributions: complete, and usable beside a user's own modules with the names of our folders."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """The scripts of the paper's experiments run, and write what their figures need."""
 
-from __future__ import annotations
-
 import csv
 import subprocess
 import sys

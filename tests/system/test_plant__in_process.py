@@ -1,7 +1,5 @@
 """A plant without engines, in the node's own process: everything that a node answers, it answers for this one too."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`zenostat points BUILDING --default` lists what a node of the building has: names, units and bounds."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Priority arrays as clients of a real node see them, against what was sent."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

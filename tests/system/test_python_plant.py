@@ -1,7 +1,5 @@
 """A Python class as a plant, in real processes: exact, repeatable, copied to the bit, and named when it fails."""
 
-from __future__ import annotations
-
 import json
 import random
 import signal

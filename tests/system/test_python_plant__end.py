@@ -1,7 +1,5 @@
 """The end of plants of a user's: in a timestep that never ends, with processes of their own, and by `close()`."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal

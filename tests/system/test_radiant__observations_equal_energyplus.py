@@ -3,8 +3,6 @@
 Five of its 83 observations are an integer variable that the API serves and does not list.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """The commands of a recording drive another node; a twin with the same seeds repeats the trajectory to the bit."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

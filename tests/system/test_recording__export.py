@@ -1,7 +1,5 @@
 """A recording in the formats of other programs: the monitor's, and MCAP with protobuf messages."""
 
-from __future__ import annotations
-
 from collections import defaultdict
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """A recording is data: whatever it names, reading or verifying it imports nothing and runs nothing."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Contents of a recording, equal to what a client on the bus received: arrays, tables, the log, and the replay."""
 
-from __future__ import annotations
-
 import csv
 import json
 import sys

@@ -1,7 +1,5 @@
 """Verification of a plant that is a Python class: what was changed in its recording is found and named."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

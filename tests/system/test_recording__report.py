@@ -1,7 +1,5 @@
 """A report from recordings has the numbers of the evaluation that they record."""
 
-from __future__ import annotations
-
 import shlex
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """A recording of a real node verifies to the bit, whatever happened to the node; what was changed in it is named."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

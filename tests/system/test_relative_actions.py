@@ -1,7 +1,5 @@
 """Actions relative to the building's own control: zero is the baseline, to the bit; offsets add to its schedules."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """The months, end uses and the peak of a report are those of EnergyPlus's own tables of the same run."""
 
-from __future__ import annotations
-
 import sqlite3
 from contextlib import closing
 from datetime import datetime, timedelta

@@ -1,7 +1,5 @@
 """A reset after engines died, at whatever moment before it, begins an episode as if nothing had happened."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path

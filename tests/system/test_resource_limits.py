@@ -1,7 +1,5 @@
 """A system without memory or threads for a node: one sentence, and nothing is left behind."""
 
-from __future__ import annotations
-
 import resource
 import threading
 from pathlib import Path

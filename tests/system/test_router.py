@@ -4,8 +4,6 @@ The machines are network namespaces of Linux: a node's, a controller's and the r
 no packets. Where they may not be made, those tests are skipped, with the reason.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -1,7 +1,5 @@
 """Scenarios in real runs: files, variants, control by zone, seeds and weather, and faults that are said beforehand."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

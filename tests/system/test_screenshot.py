@@ -1,7 +1,5 @@
 """Screenshots of recordings: what their pixels show, and how each failure is reported."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

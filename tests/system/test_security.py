@@ -4,8 +4,6 @@ What did not happen is known by a fence: something allowed, sent over the same l
 is there, whatever went before it has been dropped.
 """
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -24,6 +22,8 @@ from support.nodes import SMALL, NodeProgram, free_port, until
 from zenoh.handlers import FifoChannel
 
 import zenostat
+from zenostat import ControllerLink
+from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.transport.access_control import ALL_MESSAGES, ROLES, Permission, acl_config, may, rules
 from zenostat.bridge.transport.certificates import Identity, add, make
 from zenostat.bridge.transport.session import check_endpoint, exposure, open_session
@@ -201,7 +201,7 @@ def test_security__zenoh_denies_what_no_rule_allows() -> None:
 # What may be done
 
 
-def day(link: zenostat.bus.controller_link.ControllerLink, meanwhile: Any = lambda _: None) -> list[bytes]:
+def day(link: ControllerLink, meanwhile: Any = lambda _: None) -> list[bytes]:
     """A day at 25 degC, in lockstep; all values of all samples."""
     sample, values = link.reset(), []
     while True:
@@ -222,7 +222,7 @@ def test_security__monitor_s_attacks_leave_the_day_as_it_is(
         assert len(quiet) == 97
         replies: list[bytes] = []
 
-        def attack(sample: zenostat.bus.sample.SampleView) -> None:
+        def attack(sample: SampleView) -> None:
             extreme = np.full(len(link.manifest.actuators), 22.5).astype("<f8").tobytes()
             command = Command(episode=sample.message.episode, step=sample.message.step, values=extreme)
             attacker.put(keys.COMMAND.at("office", name=link.name), codec.encode(command))

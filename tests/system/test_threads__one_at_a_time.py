@@ -1,7 +1,5 @@
 """Several threads on one environment: one steps, the others get a clear error; close() from another thread."""
 
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor

@@ -1,7 +1,5 @@
 """A training in real processes that is killed or stopped leaves nothing, and continues to the bit in a new process."""
 
-from __future__ import annotations
-
 import signal
 import subprocess
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Studies on a PostgreSQL server of the test's own, which also goes away in the midst of a study."""
 
-from __future__ import annotations
-
 import os
 import pwd
 import shutil

@@ -1,7 +1,5 @@
 """Programs that wait for the same node in one session: a wake-up of one of them is no message to another."""
 
-from __future__ import annotations
-
 import asyncio
 import itertools
 from collections.abc import Callable, Iterator

@@ -1,7 +1,5 @@
 """ZeroMQ connections that do harm: an identity that is in use, a message without an end, too many frames."""
 
-from __future__ import annotations
-
 import re
 import signal
 import socket

@@ -1,7 +1,5 @@
 """Late and taken, late and refused: a ZeroMQ controller hears which of the two it was."""
 
-from __future__ import annotations
-
 import pytest
 
 pytest.importorskip("zmq", reason="pyzmq is not installed")

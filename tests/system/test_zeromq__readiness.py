@@ -1,7 +1,5 @@
 """Before the gateway, or the node behind it, is ready: what comes is kept, or refused by name."""
 
-from __future__ import annotations
-
 import queue
 
 import pytest

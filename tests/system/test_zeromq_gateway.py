@@ -1,7 +1,5 @@
 """The ZeroMQ gateway: a real node, the gateway and controllers each as a process, pyzmq at the other end."""
 
-from __future__ import annotations
-
 import shutil
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Atomic files: the new content replaces the old one as a whole, or not at all."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Days, times of day, days of the week and moments: what is accepted, what it means, and what is rejected."""
 
-from __future__ import annotations
-
 import calendar as standard
 from datetime import date, datetime, timedelta
 from typing import Any

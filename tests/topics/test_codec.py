@@ -1,7 +1,5 @@
 """Bytes to messages and back: what was sent arrives, and everything else is `BadMessage` and nothing else."""
 
-from __future__ import annotations
-
 import contextlib
 import math
 import struct

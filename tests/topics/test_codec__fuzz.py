@@ -1,7 +1,5 @@
 """Strangers' bytes for every message there is: a valid message, or `BadMessage`, in little memory."""
 
-from __future__ import annotations
-
 import struct
 import tracemalloc
 from collections.abc import Iterator

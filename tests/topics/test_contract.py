@@ -1,7 +1,5 @@
 """The contract as an AsyncAPI 3.0 document and as a page: they are what the code gives, and real messages fit them."""
 
-from __future__ import annotations
-
 import copy
 import enum
 import re

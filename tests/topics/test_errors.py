@@ -1,7 +1,5 @@
 """The tree of errors: drawn as it is, across process borders, with words that help."""
 
-from __future__ import annotations
-
 import re
 import socket
 from collections.abc import Iterator

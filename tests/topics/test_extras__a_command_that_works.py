@@ -1,7 +1,5 @@
 """The command that installs an extra, as errors say it and as pages say it."""
 
-from __future__ import annotations
-
 import inspect
 import json
 import re

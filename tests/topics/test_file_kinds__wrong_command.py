@@ -1,7 +1,5 @@
 """A file that was given to the wrong command is one sentence that names the right one."""
 
-from __future__ import annotations
-
 import pytest
 
 from zenostat.topics.errors import InvalidConfig

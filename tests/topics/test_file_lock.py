@@ -1,7 +1,5 @@
 """Locks between processes: one holder, no file that stays behind, and an end with the process."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

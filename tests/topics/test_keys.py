@@ -1,7 +1,5 @@
 """The table of topics, walked row by row."""
 
-from __future__ import annotations
-
 import ast
 import string
 from pathlib import Path

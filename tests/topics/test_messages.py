@@ -1,7 +1,5 @@
 """Message classes: what exists is valid and stays as it is; and a sample as a controller sees it."""
 
-from __future__ import annotations
-
 import math
 from datetime import timedelta
 

@@ -1,7 +1,5 @@
 """Bounds of points and the index by name: what they admit, how they are described, which errors they raise."""
 
-from __future__ import annotations
-
 import sys
 from math import inf, isfinite, nan
 

@@ -1,7 +1,5 @@
 """Control characters of texts that others wrote are replaced in every message, and nothing else is changed."""
 
-from __future__ import annotations
-
 import sys
 import unicodedata
 from collections.abc import Iterator

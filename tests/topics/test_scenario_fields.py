@@ -1,7 +1,5 @@
 """One definition of a scenario's arguments serves environments, scenario files, the command line and the docs."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The static tables of ids say what the wheel and the data pack really hold."""
 
-from __future__ import annotations
-
 from collections import Counter
 
 from support.data_packs import sinergym

@@ -1,7 +1,5 @@
 """Names that a person reads, and colors that are told apart on light and dark ground."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np

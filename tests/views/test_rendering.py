@@ -1,7 +1,5 @@
 """Pictures of episodes: what they show is what happened, and equal histories give equal pictures."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Mapping

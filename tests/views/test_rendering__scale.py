@@ -1,7 +1,5 @@
 """Ticks of axes and numbers in pictures."""
 
-from __future__ import annotations
-
 import math
 from datetime import datetime
 

@@ -1,7 +1,5 @@
 """A report in a real browser: Chromium of the system, driven by playwright. Skipped where one of them is missing."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Iterator
 from pathlib import Path

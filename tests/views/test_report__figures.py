@@ -1,7 +1,5 @@
 """The data behind a report's figures, against numbers worked out by hand."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import datetime
 

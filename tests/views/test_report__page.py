@@ -1,7 +1,5 @@
 """The HTML page of a report, as text."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from html.parser import HTMLParser

@@ -1,7 +1,5 @@
 """Values behind figures as a page's script reads them: close to the originals, and nothing but text."""
 
-from __future__ import annotations
-
 import json
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """Totals, differences and the result in words."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 

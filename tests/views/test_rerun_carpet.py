@@ -1,7 +1,5 @@
 """The carpet: the value farthest from the band in each column, and its colors."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

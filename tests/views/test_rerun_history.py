@@ -1,7 +1,5 @@
 """The samples that precede the monitor: many points and long replies are read in parts."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support import builders

@@ -1,7 +1,5 @@
 """The building as it is drawn: cut, apart, without plena."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

@@ -1,7 +1,5 @@
 """Recording of one node's messages."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path

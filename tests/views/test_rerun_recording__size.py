@@ -1,7 +1,5 @@
 """The size of recordings."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

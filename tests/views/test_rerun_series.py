@@ -1,7 +1,5 @@
 """Line plots of the monitor: what is in them, and that sparse lines are the same lines."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

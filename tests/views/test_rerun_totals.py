@@ -1,7 +1,5 @@
 """Energy and degree-hours so far, by hand."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support import builders

@@ -1,7 +1,5 @@
 """Sources of each actuator's value, by column."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from zenostat.views.live.row_picture import Columns

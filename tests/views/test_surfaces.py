@@ -1,7 +1,5 @@
 """Polygons of a geometry: triangles, areas, directions, and the sun; against hand calculation and properties."""
 
-from __future__ import annotations
-
 from datetime import datetime
 from math import cos, pi, sin
 
