@@ -246,7 +246,6 @@ def test_step_exchange__after_an_abort_a_reset_begins_anew() -> None:
         at.fallback.on_deadline(1.0)
     at.transition(Trigger.FAIL)
     late = answer(at, "heater", [21.0, 0.0], [SET, KEEP])
-    assert late is not None
     assert late.kind is EventKind.REJECTED
     at.reset()
     at.ready(1.0)
@@ -282,7 +281,6 @@ def test_step_exchange__one_that_was_silent_and_answers_again(policy: Policy) ->
     payload = wire(command([21.0, 26.0], step=2))
     assert not at.intake.accept_fast("agent", payload, 4.0)  # its return is told
     event = at.intake.receive_command("agent", payload, 4.0)
-    assert event is not None
     assert (event.kind, event.source, event.late_s) == (EventKind.CONNECTED, "agent", None)
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), now_s=4.0)
     assert not at.fallback_active
@@ -308,7 +306,6 @@ def test_step_exchange__waiting_takes_a_late_command_and_states_how_late() -> No
     payload = wire(command([21.0, 26.0], step=1))
     assert not at.intake.accept_fast("agent", payload, 4.5)
     event = at.intake.receive_command("agent", payload, 4.5)
-    assert event is not None
     assert (event.kind, event.late_s) == (EventKind.ACCEPTED_LATE, 1.5)
     assert "accepted after the deadline" in event.text
     check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), now_s=4.5)
@@ -429,7 +426,6 @@ def test_step_exchange__where_time_runs_by_itself_a_late_command_states_how_late
     at = with_agent(Policy.WAIT, mode=mode)
     advance(at, now_s=4.0)
     event = at.intake.receive_command("agent", wire(command([22.0, 29.0], step=1)), 4.25)
-    assert event is not None
     assert (event.kind, event.late_s) == (EventKind.LATE, 0.25)
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]), now_s=4.25)
 

@@ -15,7 +15,6 @@ def test_step_exchange__late_command_states_how_late_and_has_no_effect() -> None
     at.fallback.on_deadline(3.0)
     advance(at, now_s=3.0)
     event = at.intake.receive_command("agent", wire(command([22.0, 29.0], step=1)), 7.5)
-    assert event is not None
     assert (event.kind, event.source, event.step, event.late_s) == (EventKind.LATE, "agent", 2, 4.5)
     assert "step [1]" in event.text
     assert at.awaiting() == ["agent"]  # it has not answered sample 2 by that
@@ -52,7 +51,6 @@ def test_step_exchange__of_several_slots_the_one_that_was_answered_states_how_la
     slot_1 = at.intake.command("agent", sent.model_copy(update={"step": [None, 1]}), 10.0)
     slot_0 = at.intake.command("agent", sent.model_copy(update={"step": [1, None]}), 10.0)
     assert slot_1 is not None
-    assert slot_0 is not None
     assert (slot_1.late_s, slot_0.late_s) == (6.0, 4.0)  # slot 0 stood at sample 1 until 6 s
 
 
@@ -64,7 +62,6 @@ def test_step_exchange__how_late_is_not_invented_once_it_is_forgotten() -> None:
         advance(at)
     claim(at, "agent")
     event = at.intake.receive_command("agent", wire(command([22.0, 29.0], step=1)), 1.0)
-    assert event is not None
     assert (event.kind, event.late_s) == (EventKind.LATE, None)
 
 

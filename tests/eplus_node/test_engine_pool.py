@@ -215,7 +215,6 @@ def test_prefetched_engine__that_dies_within_a_reset_is_replaced(folder: Path, n
     assert pool.next_episode(None, 1, untouched=()) is EngineStart.PREFETCHED
     noise = pool.files.noise_parameters
     ahead = pool._prefetched
-    assert ahead is not None
     ended(ahead.engine)
     second = pool.engine(1)
     assert second.frame.number == 0

@@ -230,7 +230,6 @@ def test_roles__pictures_have_a_band_where_the_reward_has_none_or_there_is_no_re
     of = FakeBuilding(2, reward=None).manifest
     assert comfort(of) is None
     shown = display_comfort(of)
-    assert shown is not None
     low, high = shown.limits(np.zeros(len(of.points)), JULY)
     assert [(low.tolist(), high.tolist())] == [([b] * 2, [c] * 2) for b, c in [DEFAULT_BAND_DEGC]]
     assert shown.source == "2 zones, 20 to 26 °C"
@@ -242,7 +241,6 @@ def test_roles__setpoints_of_zones_are_their_bands_and_others_have_the_band_of_p
     values = {"b": 24.0, "a": 27.0, "b_heat": 21.0, "b_cool": 23.0}
     row = np.array([values.get(name, 0.0) for name in of.names])
     shown = display_comfort(of)
-    assert shown is not None
     low, high = shown.limits(row, JULY)
     assert list(zip(low.tolist(), high.tolist(), strict=True)) == [(20.0, 26.0), (20.5, 23.5)]  # a threshold of 0.5 K
     np.testing.assert_allclose(shown.deviations(row, JULY), [1.0, 0.5])

@@ -55,7 +55,6 @@ def test_paper_scenarios__observations_and_actions_have_the_order_and_bounds_of_
 def test_paper_scenarios__reward_differs_only_in_the_papers_weight_of_power(config: dict[str, Any]) -> None:
     reward = find_scenario(STOCHASTIC).reward
     settings = config["reward_kwargs"]
-    assert reward is not None
     assert reward["temperatures"] == settings["temperature_variables"]
     assert [reward["power"]] == settings["energy_variables"]
     assert (reward["winter"], reward["summer"]) == (settings["range_comfort_winter"], settings["range_comfort_summer"])

@@ -72,7 +72,6 @@ def test_thermostat_bounds__every_bundled_building_has_bounds_that_meet() -> Non
             setpoint_bounds(read_building(entry), kind) for kind in (HEATING_SETPOINT, COOLING_SETPOINT)
         )
         assert heating is not None
-        assert cooling is not None
         assert 5.0 < heating[0] <= 15.0 < heating[1] == cooling[0] == 22.5 < 30.0 <= cooling[1] < 40.0, entry.name
 
 

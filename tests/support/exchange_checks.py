@@ -14,7 +14,6 @@ KEEP, SET, RELEASE = CommandOp.KEEP, CommandOp.SET, CommandOp.RELINQUISH
 
 def check_event(event: Event | None, kind: EventKind, *words: str) -> None:
     """The event is of that kind and its text has those words."""
-    assert event is not None
     assert event.kind is kind
     for word in words:
         assert word in event.text, event.text

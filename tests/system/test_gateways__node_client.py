@@ -37,7 +37,6 @@ def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(
         async with _client(shared_node.endpoint, source="device 7") as node:
             node.listeners.events.append(events.append)
             begin = node.sample
-            assert begin is not None
             assert begin.step == 0
             after = await node.step(2)
             assert (after.episode, after.step) == (begin.episode, 2)

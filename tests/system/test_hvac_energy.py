@@ -130,7 +130,6 @@ def _check_all_that_show_it(
     assert result.hvac_kwh == pytest.approx({fuel: by_fuel[fuel] for fuel in result.hvac_kwh})
     assert result.kpis["ener_tot"] == pytest.approx(sum(metered.values()) / (manifest.floor_area_m2 or 1.0))
     power = roles(manifest).hvac_power
-    assert power is not None
     assert power.label == "HVAC"
     assert block[:, power.index].sum() * power.to_kw * manifest.step_s / 3600.0 == pytest.approx(by_fuel["electricity"])
     reward = LinearReward().bind(manifest)

@@ -54,7 +54,6 @@ def test_recording__numbers_are_those_of_the_evaluation_to_the_bit(evaluated: An
         assert {k: v.tobytes() for k, v in a.terms.items()} == {k: v.tobytes() for k, v in b.terms.items()}
         for one, other in zip(ours.weathers, theirs.weathers, strict=True):
             assert one is not None
-            assert other is not None
             assert one.step_s == other.step_s
             assert one.temperature.tobytes() == other.temperature.tobytes()
             assert one.solar.tobytes() == other.solar.tobytes()
@@ -105,7 +104,6 @@ def test_recording__only_complete_episodes_are_compared_with_the_parallel_baseli
     episode = next(e for e in recording.load(interrupted).episodes if len(e) == 97)
     # The limit holds for 1,800 s, which are two timesteps, of the controlled building and of the baseline alike.
     for ours, table in ((controlled, episode.values), (baseline, episode.baseline)):
-        assert table is not None
         outside = table[:, episode.manifest.names.index(LIMIT["points"][0])] > LIMIT["high"]
         after = np.flatnonzero(outside[1:-1] & outside[2:])
         end = int(after[0]) + 2 if len(after) else 96

@@ -70,7 +70,6 @@ def test_energy_of_each_month_and_end_use__equals_energyplus(episode: tuple[Traj
     trajectory, folder = episode
     quantities = Quantities(trajectory)
     figure = months.end_uses_by_period([Curve("own", 0, quantities)])
-    assert figure is not None
     assert list(figure.data["month"]) == ["2017-03", "2017-04", "2017-05"]
     meters = {(use.label, use.fuel): use.index - len(trajectory.manifest.sensors) for use in quantities.roles.end_uses}
     shown = {

@@ -77,7 +77,6 @@ def test_report__what_the_meter_counts_beyond_the_end_uses_is_shown_as_other() -
     part = run("rbc", of, [10.0] * 4, [[24.0] * 4], [[0.0] * 4])
     part.trajectory.values[:, -3:] *= 0.5  # half of all end uses is not metered
     figure = energy.end_uses([Curve("rbc", 0, part.quantities)])
-    assert figure is not None
     assert figure.data["end use"][-1] == "other electricity"
     assert figure.data["rbc (kWh)"][-1] == pytest.approx(5.0)
 
@@ -85,7 +84,6 @@ def test_report__what_the_meter_counts_beyond_the_end_uses_is_shown_as_other() -
 def test_report__energy_by_day_is_that_of_the_metrics() -> None:
     comparison = office_comparison()
     figure = energy.periods(comparison.curves)
-    assert figure is not None
     assert figure.name == "energy-by-day"
     for each in comparison.runs:
         (sums,) = figure.data[f"{each.name}: electricity (kWh)"]
@@ -97,7 +95,6 @@ def test_end_uses_by_period__add_up_to_those_of_the_run() -> None:
     kw = np.random.default_rng(0).uniform(1.0, 9.0, of.steps)
     one = run("rbc", of, kw, [np.full(of.steps, 24.0)], [np.ones(of.steps)])
     figure = months.end_uses_by_period([Curve("rbc", 0, one.quantities)])
-    assert figure is not None
     assert figure.data["month"] == ["2017-07", "2017-08"]
     july = begins(of.steps, 15) < np.datetime64("2017-08-01")
     for use, share in zip(("cooling", "fans", "interior lights"), SHARES, strict=True):
@@ -114,7 +111,6 @@ def test_peak_time__is_the_end_of_the_timestep_with_the_highest_power() -> None:
 def test_report__degree_hours_by_zone_add_up_to_the_metric_and_the_worst_zone_is_first() -> None:
     comparison = office_comparison()
     figure = comfort.degree_hours(comparison.curves)
-    assert figure is not None
     assert list(figure.data["zone"]) == ["South", "Core"]
     assert figure.data["rbc: above (K h)"] == [pytest.approx(2.0 * 10.0), 0.0]  # 28 degC for ten hours, limit 26
     assert figure.data["rbc: below (K h)"] == [0.0, 0.0]
@@ -134,14 +130,12 @@ def test_report__zone_that_is_always_comfortable_is_not_drawn() -> None:
     of = office(("core",), steps=8)
     part = run("rbc", of, [1.0] * 8, [[24.0] * 8], [[1.0] * 8])
     figure = comfort.degree_hours([Curve("rbc", 0, part.quantities)])
-    assert figure is not None
     assert figure.drawing is None
     assert "within the comfort band" in figure.caption
 
 
 def test_report__carpet_of_a_zone_has_its_deviation() -> None:
     figure = carpets.zone(office_comparison().curves, "South", 1)
-    assert figure is not None
     hours = dict(zip(figure.data["hour"], figure.data["rbc (K)"], strict=True))
     assert hours["2017-07-03 07:00"] == 0.0
     assert hours["2017-07-03 08:00"] == pytest.approx(2.0)
@@ -154,7 +148,6 @@ def test_report__hours_of_a_year_without_occupants_are_fainter() -> None:
     of = office(("core",), steps=steps, begin="2017-01-02T00:00:00").model_copy(update={"step_s": 3600.0})
     warm = run("rbc", of, [10.0] * steps, [[29.0] * steps], [is_open.astype(float)])
     figure = carpets.zone([Curve("rbc", 0, warm.quantities)], "Core", 1)
-    assert figure is not None
     (image,) = figure.drawing.axes[0].get_images()
     opacity = np.asarray(image.get_array())[..., 3].T.ravel()
     assert opacity[is_open] == pytest.approx(1.0)
@@ -175,7 +168,6 @@ def test_report__hours_within_the_band_are_blank_and_others_the_stronger_the_far
 def test_timeline__has_setpoints_and_their_sources() -> None:
     curves = office_comparison().curves
     figure = actuators.timeline(curves)
-    assert figure is not None
     assert set(figure.data["rbc: Cooling set-points, mean (°C)"]) == {24.0}
     assert {name: share.mean() for name, share in actuators.source_shares(curves[1]).items()} == {"rbc": 1.0}
     assert {name: share.mean() for name, share in actuators.source_shares(curves[0]).items()} == {"": 1.0}
@@ -184,7 +176,6 @@ def test_timeline__has_setpoints_and_their_sources() -> None:
 def test_report__rewards_add_up() -> None:
     comparison = office_comparison()
     figure = reward.reward(comparison.curves)
-    assert figure is not None
     assert figure.data["rbc: reward"][-1] == pytest.approx(comparison.runs[1].results[0].reward)
     assert figure.data["rbc: comfort"][-1] == pytest.approx(-96.0)
 
@@ -205,7 +196,6 @@ def test_weather__axes_keep_their_width_with_many_stochastic_episodes(names: tup
     traces = [EpisodeWeather(3600.0, np.linspace(k, 20.0 + k, 48), np.linspace(0.0, 900.0, 48)) for k in range(6)]
     labels = [f"episode {place + 1}, {names[place % len(names)]}" for place in range(6)]
     figure = weather.weather(list(zip(labels, traces, strict=True)), MIDNIGHT)
-    assert figure is not None
     figure.drawing.draw_without_rendering()
     width, height = figure.drawing.get_size_inches() * figure.drawing.dpi
     above, below = (axis.get_window_extent() for axis in figure.drawing.axes)
