@@ -13,7 +13,7 @@ import pytest
 from hypothesis import settings
 from support.examples import FAST
 from support.mqtt_broker import BROKER, missing_broker
-from support.nodes import SMALL, NodeProgram, begin_new_episode, nothing_left
+from support.nodes import SMALL, NodeProgram, begin_new_episode, node_on_bus, nothing_left
 from support.process_starts import starts_processes
 
 import zenostat
@@ -155,11 +155,7 @@ def episode_bus(shared_node: NodeProgram) -> Iterator[zenostat.Bus]:
 @pytest.fixture(scope="module")
 def shared_bus(module_folder: Path) -> Iterator[zenostat.Bus]:
     """The bus of a node `office` that the tests of a module share; see `support.nodes.new_episode`."""
-    with (
-        nothing_left(module_folder),
-        NodeProgram(module_folder / "node", **SMALL) as program,
-        zenostat.connect(program.endpoint, affinity="off") as connected,
-    ):
+    with nothing_left(module_folder), node_on_bus(module_folder / "node", **SMALL) as (_, connected):
         yield connected
 
 

@@ -6,10 +6,8 @@ import subprocess
 from pathlib import Path
 
 import pytest
-from support.nodes import SMALL, NodeProgram, command_of, free_port, interrupted, programs_of, until
+from support.nodes import SMALL, NodeProgram, command_of, free_port, interrupted, node_on_bus, programs_of, until
 from support.run_cli import DAY, ZENOSTAT, plain, run_in_process, run_program
-
-import zenostat
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -72,7 +70,7 @@ def test_node_controller_and_monitor__are_three_programs(scratch: Path) -> None:
 
 def test_run__ctrl_c_leaves_the_node_waiting(scratch: Path) -> None:
     year = SMALL | {"begin": "01-01", "end": "12-31"}
-    with NodeProgram(scratch / "node", **year) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
+    with node_on_bus(scratch / "node", **year) as (node, bus):
         run = subprocess.Popen(
             [*ZENOSTAT, "run", "--node", "office", "--controller", "baseline", "--connect", node.endpoint],
             stdout=subprocess.PIPE,

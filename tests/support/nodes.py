@@ -150,6 +150,13 @@ class NodeProgram:
             self.process.kill()
 
 
+@contextmanager
+def node_on_bus(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus]]:
+    """A node as a program, and a bus that is connected to it; see `NodeProgram`."""
+    with NodeProgram(folder, **settings) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
+        yield node, bus
+
+
 def begin_new_episode(bus: zenostat.Bus, node: str = "office") -> list[int]:
     """Give a shared node the state of a new one, but for its counts and its episode's number, which is returned."""
     until(lambda: not any(c.state.is_connected for c in bus.status(node).controllers), "all controllers have left")

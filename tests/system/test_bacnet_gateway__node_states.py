@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 from support.bacnet import served
-from support.nodes import NodeProgram, until
+from support.nodes import NodeProgram, node_on_bus, until
 from support.run_cli import ZENOSTAT
 
-import zenostat
 from zenostat.topics.messages import State
 
 
@@ -19,10 +18,7 @@ from zenostat.topics.messages import State
 def test_bacnet_gateway__replayed_recording_is_reliable_and_takes_no_writes(tmp_path: Path) -> None:
     plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
     record, bus = tmp_path / "room.mcap", f"unixsock-stream/{tmp_path}/bus"
-    with (
-        NodeProgram(tmp_path / "room", plant=plant, name="room", mode="free", record=str(record)) as node,
-        zenostat.connect(node.endpoint, affinity="off") as recorded,
-    ):
+    with node_on_bus(tmp_path / "room", plant=plant, name="room", mode="free", record=str(record)) as (node, recorded):
         until(lambda: recorded.status("room").state is State.ENDED, "the episode is over")
         node.interrupt()
 

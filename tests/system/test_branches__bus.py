@@ -7,7 +7,7 @@ from pathlib import Path
 
 import psutil
 import pytest
-from support.nodes import SMALL, NodeProgram, Program, until
+from support.nodes import SMALL, NodeProgram, Program, node_on_bus, until
 
 import zenostat
 from zenostat.bridge.client.bus import Bus
@@ -175,11 +175,7 @@ def test_branches__killed_node_takes_its_branches_along(scratch: Path) -> None:
 
 def test_branches__branch_whose_name_would_be_too_long_is_refused(scratch: Path) -> None:
     name = "x" * 127
-    with (
-        NodeProgram(scratch / "node", **SMALL | {"name": name}) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
-        bus.controller(name) as link,
-    ):
+    with node_on_bus(scratch / "node", **SMALL | {"name": name}) as (_, bus), bus.controller(name) as link:
         link.reset()
         with pytest.raises(InvalidConfig, match="up to 128"):
             bus.branch(name, CreateBranch(controller=link.name))

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import zenoh
-from support.nodes import SMALL, NodeProgram, Program, until
+from support.nodes import SMALL, NodeProgram, Program, node_on_bus, until
 from zenoh.handlers import FifoChannel
 
 import zenostat
@@ -331,8 +331,7 @@ def test_bus__listener_changes_nothing(folder: Path, fate: str) -> None:
     """A week with a listener to everything that reads one message and is then stopped, or killed in mid-episode."""
     week = {**DAY, "begin": "07-01", "end": "07-07"}
     with (
-        NodeProgram(folder, **week) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
+        node_on_bus(folder, **week) as (node, bus),
         bus.controller("office") as link,
         Program(LISTENS_TO_ALL, node.endpoint) as listener,
     ):

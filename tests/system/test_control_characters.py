@@ -8,11 +8,10 @@ from typing import Any
 import msgpack
 import pytest
 import zenoh
-from support.nodes import NodeProgram, until
+from support.nodes import node_on_bus, until
 from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
-import zenostat
 from zenostat.bridge.recording.reader import RecordedItem
 from zenostat.metrics.recording import load
 from zenostat.topics import codec, keys
@@ -45,8 +44,7 @@ def recorded(module_scratch: Path) -> tuple[Path, list[bytes]]:
     """A recording of a node to which a hostile client wrote, and the events that the node sent."""
     path, events = module_scratch / "run.mcap", list[bytes]()
     with (
-        NodeProgram(module_scratch / "room", plant=PLANT, name="room", record=str(path)) as program,
-        zenostat.connect(program.endpoint, affinity="off") as bus,
+        node_on_bus(module_scratch / "room", plant=PLANT, name="room", record=str(path)) as (program, bus),
         raw_session(program.endpoint) as session,
     ):
         subscriber = session.declare_subscriber(keys.EVENT.at("room"), lambda m: events.append(m.payload.to_bytes()))

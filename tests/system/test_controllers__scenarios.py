@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support import data_packs as packs
 from support.builders import manifest
-from support.nodes import SMALL, NodeProgram
+from support.nodes import SMALL, NodeProgram, node_on_bus
 from support.run_cli import run_in_process
 
 import zenostat
@@ -146,7 +146,7 @@ def run(node: NodeProgram, *arguments: str, cwd: Path | None = None) -> subproce
 
 @pytest.mark.slow
 def test_controllers__zenostat_run_with_parameters_seeds_and_classes_of_anybodys(scratch: Path) -> None:
-    with NodeProgram(scratch / "node", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
+    with node_on_bus(scratch / "node", **SMALL) as (node, bus):
 
         def rewards(*arguments: str, cwd: Path | None = None) -> list[float]:
             done = run(node, "--reset", *arguments, cwd=cwd)

@@ -7,7 +7,7 @@ import gymnasium as gym
 import numpy as np
 import psutil
 import pytest
-from support.nodes import SMALL, NodeProgram, Program, engines_of, until
+from support.nodes import SMALL, Program, engines_of, node_on_bus, until
 from zenoh.handlers import FifoChannel
 
 import zenostat
@@ -75,8 +75,7 @@ def test_engine__one_of_several_that_hangs_fails_the_step() -> None:
 @pytest.mark.slow
 def test_engine__event_is_reported(folder: Path) -> None:
     with (
-        NodeProgram(folder / "node", **SMALL, unresponsive_s=2.0) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
+        node_on_bus(folder / "node", **SMALL, unresponsive_s=2.0) as (node, bus),
         bus.controller("office", name="mine") as link,
     ):
         link.reset().send()

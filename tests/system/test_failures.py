@@ -29,6 +29,7 @@ from support.nodes import (
     Program,
     engine_of,
     free_port,
+    node_on_bus,
     nothing_left,
     programs_of,
     until,
@@ -84,7 +85,7 @@ def env(module_folder: Path) -> Iterator[gym.Env[Any, Any]]:
 
 @contextmanager
 def node_and_bus(folder: Path) -> Iterator[tuple[NodeProgram, zenostat.Bus]]:
-    with NodeProgram(folder / "node", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
+    with node_on_bus(folder / "node", **SMALL) as (node, bus):
         yield node, bus
 
 

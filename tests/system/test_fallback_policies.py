@@ -15,7 +15,7 @@ import numpy as np
 import psutil
 import pytest
 import zenoh
-from support.nodes import COOLING, SMALL, NodeProgram, Program, begin_new_episode, free_port, until
+from support.nodes import COOLING, SMALL, NodeProgram, Program, begin_new_episode, free_port, node_on_bus, until
 from support.run_cli import run_in_process
 from zenoh.handlers import FifoChannel
 
@@ -53,10 +53,7 @@ with zenostat.connect(endpoint, affinity="off") as bus, bus.controller("office",
 
 @contextmanager
 def office(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus]]:
-    with (
-        NodeProgram(folder / "node", **{**SMALL, **settings}) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
-    ):
+    with node_on_bus(folder / "node", **{**SMALL, **settings}) as (node, bus):
         yield node, bus
 
 
@@ -428,7 +425,7 @@ def test_fallback_policies__node_s_settings_are_checked_alike(folder: Path) -> N
 def test_node_on_its_fallback_policy__answers_requests(scratch: Path) -> None:
     """Without a deadline it runs as fast as it can, and whoever comes back is heard at once."""
     year = SMALL | {"begin": "01-01", "end": "12-31", "policy": "hold", "grace_s": 0.0}
-    with NodeProgram(scratch / "n", **year) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
+    with node_on_bus(scratch / "n", **year) as (_, bus):
         link = bus.controller("office", name="goes")
         sample = link.current()
         sample.send()

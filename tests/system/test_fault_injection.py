@@ -10,9 +10,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
-from support.nodes import SMALL, WEATHER, NodeProgram, until
+from support.nodes import SMALL, WEATHER, node_on_bus, until
 
-import zenostat
 from zenostat import Bus
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.faults import LinkFaults
@@ -83,11 +82,7 @@ class Stage:
 
 @pytest.fixture(scope="module")
 def stage(module_folder: Path) -> Iterator[Stage]:
-    with (
-        NodeProgram(module_folder / "n", **SMALL) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
-        bus.controller("office") as link,
-    ):
+    with node_on_bus(module_folder / "n", **SMALL) as (_, bus), bus.controller("office") as link:
         yield Stage(bus, link)
 
 
@@ -110,8 +105,7 @@ def true(samples: Sequence[Sample], clean: Sequence[Sample]) -> bool:
 def test_fault_injection__empty_plan_leaves_all_as_it_is(scratch: Path, stage: Stage) -> None:
     (scratch / "none.yaml").write_text("seed: 5\nfaults: []\n")
     with (
-        NodeProgram(scratch / "n", **SMALL, faults=str(scratch / "none.yaml")) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
+        node_on_bus(scratch / "n", **SMALL, faults=str(scratch / "none.yaml")) as (_, bus),
         bus.controller("office") as link,
     ):
         assert not link.manifest.faults_injected
@@ -436,11 +430,7 @@ def test_fault_injection__lockstep_with_lost_commands_goes_on_by_its_deadline(sc
     cut = {"kind": "loss", "commands": "*", "probability": 1.0, "when": {"from_step": 20, "to_step": 30}}
     (scratch / "faults.yaml").write_text(yaml.safe_dump({"faults": [cut]}))
     settings = SMALL | {"faults": str(scratch / "faults.yaml"), "policy": "hold", "deadline_s": 1.0}
-    with (
-        NodeProgram(scratch / "n", **settings) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
-        bus.controller("office") as link,
-    ):
+    with node_on_bus(scratch / "n", **settings) as (_, bus), bus.controller("office") as link:
         ran = day(link)
         missed = bus.status("office").statistics.missed
         index = [a.name for a in link.manifest.actuators].index(SETPOINT)

@@ -17,7 +17,7 @@ from support.bacnet import client as bacnet_client
 from support.bacnet import free_udp_port
 from support.gateways import RunningGateway
 from support.mqtt_broker import Broker, needs_broker
-from support.nodes import NodeProgram, until
+from support.nodes import NodeProgram, node_on_bus, until
 from support.run_cli import ZENOSTAT, run_in_process
 
 import zenostat
@@ -120,8 +120,7 @@ def test_bacnet__relinquishes_what_its_clients_commanded(room: NodeProgram, bus:
 
 def test_gateways__end_of_the_episode_is_no_error_of_a_gateway_that_ends(tmp_path: Path) -> None:
     with (
-        NodeProgram(tmp_path / "room", plant=PLANT, name="room") as room,
-        zenostat.connect(room.endpoint, affinity="off") as bus,
+        node_on_bus(tmp_path / "room", plant=PLANT, name="room") as (room, bus),
         RunningGateway("modbus", "room", "--connect", room.endpoint, "--address", "127.0.0.1:0") as gateway,
     ):
         with ModbusTcpClient("127.0.0.1", port=gateway.port, timeout=20) as client:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from support.nodes import SMALL, NodeProgram
+from support.nodes import SMALL, node_on_bus
 
 import zenostat
 from zenostat.models import catalog
@@ -57,8 +57,7 @@ def test_geometry__python_plant_has_no_geometry(scratch: Path) -> None:
     file = scratch / "tank.py"
     file.write_text(PLANT)
     with (
-        NodeProgram(scratch / "node", plant=f"{file}:Tank", name="tank") as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
+        node_on_bus(scratch / "node", plant=f"{file}:Tank", name="tank") as (_, bus),
         pytest.raises(RequestRejected, match=r"^the plant 'tank' is a Python class, which has no geometry$"),
     ):
         bus.geometry("tank")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.nodes import NodeProgram, until
+from support.nodes import NodeProgram, node_on_bus, until
 from support.run_cli import plain
 from support.run_cli import run_in_process as run
 
@@ -176,10 +176,7 @@ def test_history_and_alarms__branch_has_no_history(bus: zenostat.Bus) -> None:
 
 def test_history_and_alarms__node_without_history_is_reported(scratch: Path) -> None:
     (scratch / "oven.py").write_text(OVEN)
-    with (
-        NodeProgram(scratch / "node", name="oven", plant=f"{scratch}/oven.py:Oven", history_mb=0) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
-    ):
+    with node_on_bus(scratch / "node", name="oven", plant=f"{scratch}/oven.py:Oven", history_mb=0) as (node, bus):
         assert bus.manifest("oven").history_bytes == 0
         with pytest.raises(RequestRejected, match="the node keeps no history"):
             bus.history("oven")

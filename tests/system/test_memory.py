@@ -2,9 +2,7 @@
 
 import psutil
 import pytest
-from support.nodes import WEATHER, NodeProgram, engines_of
-
-import zenostat
+from support.nodes import WEATHER, NodeProgram, engines_of, node_on_bus
 
 LIMIT_BYTES = 450e6
 GROWTH_BYTES = 5e6
@@ -19,7 +17,7 @@ def _memory(node: NodeProgram) -> tuple[int, int]:
 @pytest.mark.slow
 def test_memory__medium_office_is_small_and_does_not_grow(scratch):
     day = {"building": "office-medium", "weather": WEATHER, "begin": "07-03", "end": "07-03", "steps_per_hour": 4}
-    with NodeProgram(scratch / "node", **day) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
+    with node_on_bus(scratch / "node", **day) as (node, bus):
         link = bus.controller("office")
         held, descriptors = [], []
         for _ in range(50):

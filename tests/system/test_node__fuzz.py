@@ -11,10 +11,9 @@ import msgpack
 import psutil
 import pytest
 import zenoh
-from support.nodes import SMALL, NodeProgram, Program, nothing_left, until, values_of_day
+from support.nodes import SMALL, NodeProgram, Program, node_on_bus, nothing_left, until, values_of_day
 from zenoh.handlers import RingChannel
 
-import zenostat
 from zenostat.bridge.client.bus import Bus
 from zenostat.topics import codec, keys
 from zenostat.topics.messages import Event, EventKind, State
@@ -174,7 +173,7 @@ def until_quiet(session: zenoh.Session) -> None:
 @contextmanager
 def node_and_bus(folder: Path) -> Iterator[tuple[NodeProgram, Bus]]:
     print("FUZZ_SEED", SEED)  # noqa: T201  # to run a failure again
-    with NodeProgram(folder / "node", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
+    with node_on_bus(folder / "node", **SMALL) as (node, bus):
         yield node, bus
 
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, until
+from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, node_on_bus, until
 from support.run_cli import run_in_process
 
 import zenostat
@@ -239,7 +239,7 @@ def test_paced_node__holds_the_last_command(bus: Bus, reference: list[Sample]) -
 
 @pytest.mark.slow
 def test_pacing__impossible_speed_is_counted_and_loses_nothing(scratch: Path, reference: list[Sample]) -> None:
-    with NodeProgram(scratch / "n", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
+    with node_on_bus(scratch / "n", **SMALL) as (_, bus):
         with bus.controller("office") as link:
             held(link)
             with bus.listen("office") as samples:
@@ -400,8 +400,7 @@ def test_repeated_pace_request__does_not_stop_the_clock(bus: Bus) -> None:
 @pytest.mark.slow
 def test_pacing__deadlines_hang_in_a_pause_and_go_on_after_it(scratch: Path) -> None:
     with (
-        NodeProgram(scratch / "node", **SMALL, policy="hold", deadline_s=0.02) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
+        node_on_bus(scratch / "node", **SMALL, policy="hold", deadline_s=0.02) as (_, bus),
         bus.controller("office") as link,
     ):
         bus.pause("office")

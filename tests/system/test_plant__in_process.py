@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.in_process_plant import COPIES, FATAL
-from support.nodes import NodeProgram, until
+from support.nodes import NodeProgram, node_on_bus, until
 
-import zenostat
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.bridge.client.bus import Bus
 from zenostat.topics.errors import ForkFailed, InvalidConfig, PlantFailed, RequestRejected
@@ -142,11 +141,7 @@ def test_plant__its_error_fails_the_episode_and_a_reset_begins_another(env: Buil
 
 def test_plant__slots_have_episodes_of_their_own(plain: Path) -> None:
     """A slot that is reset begins at its seed, and the other one keeps its sample and its command."""
-    with (
-        NodeProgram(plain, **SETTINGS, slots=2) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
-        bus.controller("plain") as link,
-    ):
+    with node_on_bus(plain, **SETTINGS, slots=2) as (_, bus), bus.controller("plain") as link:
         link.reset(seed=5)
         link.send(np.array([[1.0], [2.0]]))
         sample = link.receive()

@@ -6,10 +6,9 @@ from typing import Any
 
 import pytest
 from support.data_packs import sinergym
-from support.nodes import WEATHER, NodeProgram
+from support.nodes import WEATHER, node_on_bus
 from support.run_cli import run_in_process
 
-import zenostat
 from zenostat.topics.messages import Manifest
 
 BUILDINGS = [
@@ -23,10 +22,7 @@ BUILDINGS = [
 
 def _manifest(folder: Path, building: str, *, monitoring: bool) -> Manifest:
     run: dict[str, Any] = {"weather": WEATHER, "begin": "07-03", "end": "07-03"}
-    with (
-        NodeProgram(folder, building=building, **run, monitoring=monitoring) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
-    ):
+    with node_on_bus(folder, building=building, **run, monitoring=monitoring) as (_, bus):
         return bus.manifest("office")
 
 

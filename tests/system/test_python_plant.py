@@ -15,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from support.nodes import NodeProgram, hosts_of, nothing_left, runs, until
+from support.nodes import NodeProgram, hosts_of, node_on_bus, nothing_left, runs, until
 
 import zenostat
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
@@ -471,8 +471,7 @@ def test_python_plant__settings_of_a_building_and_unknown_arguments_are_refused(
 def test_python_plant__node_serves_a_plant_as_any_other(scratch: Path, tank: Path) -> None:
     """Two slots, timesteps of a day, a branch, a write with an expiry, faults."""
     with (
-        NodeProgram(scratch / "node", plant=f"{tank}:Daily", slots=2, name="tank") as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
+        node_on_bus(scratch / "node", plant=f"{tank}:Daily", slots=2, name="tank") as (_, bus),
         bus.controller("tank", name="first") as link,
     ):
         link.reset(seed=1)
@@ -494,10 +493,7 @@ def test_python_plant__node_serves_a_plant_as_any_other(scratch: Path, tank: Pat
 
 
 def test_python_plant__plant_without_actuators_is_watched(scratch: Path, tank: Path) -> None:
-    with (
-        NodeProgram(scratch / "node", plant=f"{tank}:NoActuators", mode="free", name="tank") as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
-    ):
+    with node_on_bus(scratch / "node", plant=f"{tank}:NoActuators", mode="free", name="tank") as (_, bus):
         until(lambda: bus.status("tank").state is State.ENDED, "it runs freely")
         latest = bus.latest("tank")
         assert (latest.step, latest.time, latest.elapsed_s) == ([10], ["2001-01-01T00:00:01"], [1.0])
@@ -567,8 +563,7 @@ class Slow:
 @pytest.mark.parametrize(("deed", "shutdown"), [("hang", "SIGTERM"), ("hang", "stop"), ("compute for ever", "SIGINT")])
 def test_python_plant__node_ends_while_its_plant_steps(scratch: Path, tank: Path, shutdown: str, deed: str) -> None:
     with (
-        NodeProgram(scratch / "node", plant=f"{tank}:Tank", slots=2, name="tank", **NEVER) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
+        node_on_bus(scratch / "node", plant=f"{tank}:Tank", slots=2, name="tank", **NEVER) as (node, bus),
         bus.controller("tank") as link,
     ):
         link.current().send({"deed": float(DEEDS.index(deed))})

@@ -11,7 +11,7 @@ from typing import Any
 
 import psutil
 import pytest
-from support.nodes import NodeProgram, hosts_of, runs, until
+from support.nodes import NodeProgram, hosts_of, node_on_bus, runs, until
 from zenoh.handlers import Callback
 
 import zenostat
@@ -82,8 +82,7 @@ class Stubborn(Plant):
 def controlled(folder: Path, name: str, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus, ControllerLink]]:
     (folder / "plant.py").write_text(PLANT)
     with (
-        NodeProgram(folder / "node", plant=f"{folder}/plant.py:{name}", **settings) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
+        node_on_bus(folder / "node", plant=f"{folder}/plant.py:{name}", **settings) as (node, bus),
         bus.controller("office") as link,
     ):
         try:

@@ -11,9 +11,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.data_packs import sinergym
-from support.nodes import NodeProgram
+from support.nodes import node_on_bus
 
-import zenostat
 from zenostat.models.building.model import for_episode, read_building, write
 from zenostat.models.catalog import find_building, find_weather
 from zenostat.models.weather import design_days
@@ -63,8 +62,7 @@ sys.exit(code)
 def test_radiant__trajectory_equals_a_bare_script_in_all_columns(folder: Path) -> None:
     sinergym()
     with (
-        NodeProgram(folder, scenario="radiant-stockholm-discrete-v1", begin=DAYS[0], end=DAYS[1]) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
+        node_on_bus(folder, scenario="radiant-stockholm-discrete-v1", begin=DAYS[0], end=DAYS[1]) as (_, bus),
         bus.controller("office") as link,
     ):
         manifest = link.manifest

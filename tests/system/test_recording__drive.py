@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.nodes import SMALL, WEATHER, NodeProgram
+from support.nodes import SMALL, WEATHER, NodeProgram, node_on_bus
 from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
@@ -28,8 +28,7 @@ def driven(module_scratch: Path) -> Path:
     """A recording of two slots: seeds, a write that expires, a pause of a slot, a snapshot, a partial reset."""
     path, rng = module_scratch / "driven.mcap", np.random.default_rng(3)
     with (
-        NodeProgram(module_scratch / "driven", **TWIN, record=str(path)) as program,
-        zenostat.connect(program.endpoint, affinity="off") as bus,
+        node_on_bus(module_scratch / "driven", **TWIN, record=str(path)) as (_, bus),
         bus.controller("office", name="random") as link,
     ):
         low, high = np.array([[a.low, a.high] for a in link.manifest.actuators]).T

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 import zenoh
-from support.nodes import SMALL, NodeProgram, until
+from support.nodes import SMALL, node_on_bus, until
 from support.recordings import chunk_ends, rewrite
 from support.run_cli import run_in_process as run
 
@@ -44,8 +44,7 @@ def seen(module_scratch: Path) -> Any:
     samples: list[Sample] = []
     sources: list[str] = []
     with (
-        NodeProgram(module_scratch / "seen", **SMALL, record=str(path)) as program,
-        zenostat.connect(program.endpoint, affinity="off") as bus,
+        node_on_bus(module_scratch / "seen", **SMALL, record=str(path)) as (_, bus),
         bus.controller("office", name="rbc") as link,
     ):
         name, geometry = link.name, bus.geometry("office")

@@ -6,11 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.nodes import SMALL, NodeProgram
+from support.nodes import SMALL, node_on_bus
 from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
-import zenostat
 from zenostat import recording
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
 from zenostat.lab.evaluate import evaluate
@@ -80,8 +79,7 @@ def interrupted(module_scratch: Path) -> Path:
     path = module_scratch / "interrupted.mcap"
     settings = {**SMALL, "terminate": [LIMIT], "baseline": True, "record": str(path)}
     with (
-        NodeProgram(module_scratch / "interrupted", **settings) as program,
-        zenostat.connect(program.endpoint, affinity="off") as bus,
+        node_on_bus(module_scratch / "interrupted", **settings) as (_, bus),
         bus.controller("office", name="rbc") as link,
     ):
         for steps in (20, 96, 10):

@@ -7,7 +7,7 @@ import msgpack
 import numpy as np
 import psutil
 import pytest
-from support.nodes import SMALL, NodeProgram, until
+from support.nodes import SMALL, NodeProgram, node_on_bus, until
 from support.recordings import rewrite
 from support.run_cli import run_in_process as run
 
@@ -48,11 +48,7 @@ def eventful(module_scratch: Path) -> Path:
     (folder / "faults.yaml").write_text(FAULTS)
     path = folder / "eventful.mcap"
     settings = {**SMALL, **TWO, **NOISE, "slots": 3, "faults": str(folder / "faults.yaml"), "record": str(path)}
-    with (
-        NodeProgram(folder / "eventful", **settings) as program,
-        zenostat.connect(program.endpoint, affinity="off") as bus,
-        bus.controller("office", name="random") as link,
-    ):
+    with node_on_bus(folder / "eventful", **settings) as (_, bus), bus.controller("office", name="random") as link:
         sample = link.reset(seed=7)
         for number in range(40):
             sample.send(setpoints(link.manifest, rng))
@@ -105,8 +101,7 @@ def test_recording__noise_from_the_third_day_two_controllers_and_a_fallback_poli
     policy = {"policy": "relinquish", "deadline_s": 0.5}
     zones = {"core": ["core_zn_heating_setpoint", SETPOINT], "north": ["perimeter_zn_3_cooling_setpoint"]}
     with (
-        NodeProgram(scratch / "policies", **settings, **policy) as program,
-        zenostat.connect(program.endpoint, affinity="off") as bus,
+        node_on_bus(scratch / "policies", **settings, **policy) as (_, bus),
         bus.controller("office", name="core", actuators=zones["core"]) as core,
     ):
 
@@ -171,11 +166,7 @@ def test_recording__changed_model_is_a_regression_test(scratch: Path) -> None:
     model, path = scratch / "office.idf", scratch / "day.mcap"
     model.write_bytes(find_building("ref-small-office").path.read_bytes())
     settings = {**SMALL, "building": str(model), "record": str(path)}
-    with (
-        NodeProgram(scratch / "day", **settings) as program,
-        zenostat.connect(program.endpoint, affinity="off") as bus,
-        bus.controller("office") as link,
-    ):
+    with node_on_bus(scratch / "day", **settings) as (_, bus), bus.controller("office") as link:
         for number, _ in enumerate(link):
             if number == 20:
                 break
@@ -293,11 +284,7 @@ def test_recording__recording_without_a_timestep_is_reported(shared_node: NodePr
 @pytest.mark.slow
 def test_recording__full_disk_stops_the_recording_by_name_and_not_the_node(scratch: Path) -> None:
     path = scratch / "full.mcap"
-    with (
-        NodeProgram(scratch / "full", **SMALL, record=str(path)) as program,
-        zenostat.connect(program.endpoint, affinity="off") as bus,
-        bus.controller("office") as link,
-    ):
+    with node_on_bus(scratch / "full", **SMALL, record=str(path)) as (program, bus), bus.controller("office") as link:
         until(lambda: bus.status("office").recording.messages, "the first chunk is written")
         limit = path.stat().st_size + 1000  # less than the next chunk
         node = psutil.Process(program.pid)

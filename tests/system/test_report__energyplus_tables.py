@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.nodes import WEATHER, NodeProgram
+from support.nodes import WEATHER, node_on_bus
 
-import zenostat
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.models import catalog
@@ -45,8 +44,7 @@ def episode(tmp_path_factory: pytest.TempPathFactory) -> tuple[Trajectory, Path]
     edits = {kind: dict.fromkeys(own.get(kind, {})) | objects for kind, objects in TABLE.items()}
     settings = {"building": BUILDING, "weather": WEATHER, "steps_per_hour": 4, "edits": edits, **PERIOD}
     with (
-        NodeProgram(folder, monitoring=True, output_dir=str(folder / "output"), **settings) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
+        node_on_bus(folder, monitoring=True, output_dir=str(folder / "output"), **settings) as (_, bus),
         bus.controller("office") as link,
     ):
         recorder = TrajectoryRecorder(link.manifest)

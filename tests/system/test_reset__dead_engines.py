@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-from support.nodes import SMALL, NodeProgram, engines_of, hosts_of, runs, until
+from support.nodes import SMALL, NodeProgram, engines_of, hosts_of, node_on_bus, runs, until
 
 import zenostat
 from zenostat import ControllerLink
@@ -57,11 +57,7 @@ def kill_all(node: NodeProgram) -> list[psutil.Process]:
 
 @contextmanager
 def controlled(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus, ControllerLink]]:
-    with (
-        NodeProgram(folder / "node", **settings) as node,
-        zenostat.connect(node.endpoint, affinity="off") as bus,
-        bus.controller("office") as link,
-    ):
+    with node_on_bus(folder / "node", **settings) as (node, bus), bus.controller("office") as link:
         yield node, bus, link
 
 

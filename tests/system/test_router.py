@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.nodes import SMALL, NodeProgram, free_port, until
+from support.nodes import SMALL, NodeProgram, free_port, node_on_bus, until
 
 import zenostat
 from zenostat.bridge.transport.certificates import add, make
@@ -218,7 +218,7 @@ def test_router__day_through_a_router(place: Place, scratch: Path) -> None:
 
 def straight(folder: Path) -> list[float]:
     """Day without a router."""
-    with NodeProgram(folder / "straight", **SMALL) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
+    with node_on_bus(folder / "straight", **SMALL) as (_, bus):
         link, values = bus.controller("office"), []
         sample = link.reset()
         while not sample.truncated:
