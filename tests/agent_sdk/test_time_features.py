@@ -1,14 +1,13 @@
 """The fields of the clock, against EnergyPlus itself."""
 
 import json
-import subprocess
-import sys
 from datetime import date, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.energyplus_alone import run_energyplus
 
 from zenostat.agent_sdk.envs.time_features import BOUNDS, time_features
 from zenostat.models.building.model import for_episode, read_building, write
@@ -20,22 +19,13 @@ DATE = (TimeField.YEAR, TimeField.MONTH, TimeField.DAY_OF_MONTH, TimeField.DAY_O
 
 # EnergyPlus's `year` is that of the weather file's row; that of the simulation is `calendar_year`.
 _LOOK = """
-import json, sys
-from pyenergyplus.api import EnergyPlusAPI
-model, weather, folder = sys.argv[1:]
-api = EnergyPlusAPI()
-state = api.state_manager.new_state()
-api.runtime.set_console_output_status(state, False)
-at, seen = api.exchange, []
+at, seen = exchange, []
 def look(state):
     if at.kind_of_sim(state) == 3 and not at.warmup_flag(state):
         names = ("calendar_year", "month", "day_of_month", "day_of_week", "day_of_year", "hour", "minutes")
         names += ("current_time", "system_time_step")
         seen.append([getattr(at, name)(state) for name in names])
-api.runtime.callback_end_zone_timestep_after_zone_reporting(state, look)
-code = api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
-print(json.dumps(seen))
-sys.exit(code)
+runtime.callback_end_zone_timestep_after_zone_reporting(state, look)
 """
 _FIELDS = (*DATE, TimeField.HOUR, TimeField.MINUTES, TimeField.CURRENT_TIME)
 
@@ -49,8 +39,8 @@ def test_time_features__clock_is_energyplus_own(tmp_path: Path) -> None:
     model = read_building(find_building("ref-small-office"))
     period = model.period("2017-09-29", "2017-10-02", 4)
     files = write(for_episode(model, period), tmp_path), find_weather("USA_CO_Denver").path, tmp_path
-    run = [sys.executable, "-P", "-c", _LOOK, *map(str, files)]
-    done = subprocess.run(run, stdin=subprocess.DEVNULL, capture_output=True, text=True, check=True)
+    done = run_energyplus(*files, before=_LOOK, after="print(json.dumps(seen))")
+    assert done.returncode == 0, done.stderr
     seen = json.loads(done.stdout.splitlines()[-1])
     assert len(seen) == period.steps
     ours = [time_features(_FIELDS, period.time(k), period.time(k + 1)).tolist() for k in range(period.steps)]

@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from support.energyplus_reference import _RUN
+from support.energyplus_alone import run_energyplus
 
 from zenostat.models.building import schema
 from zenostat.models.building.model import for_episode, read_building, write
@@ -75,8 +75,7 @@ def test_building_schema__fault_is_what_energyplus_refuses(case: str, office: di
     objects = copy.deepcopy(office)
     next(iter(objects[kind].values()))[field] = value
     assert bool(schema.schema_errors(objects, complete=True)) == refused
-    command = [sys.executable, "-P", "-c", _RUN, str(write(objects, folder)), str(find_weather("Denver").path)]
-    subprocess.run([*command, str(folder)], stdin=subprocess.DEVNULL, check=False)
+    run_energyplus(write(objects, folder), find_weather("Denver").path, folder)
     errors = (folder / "eplusout.err").read_text()
     assert ("Errors occurred on processing input file" in errors) == refused
 

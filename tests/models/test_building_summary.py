@@ -1,7 +1,5 @@
 """Summaries of buildings and weather files: against EnergyPlus's own words, hand calculation, and small models."""
 
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from datetime import date
@@ -9,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.energyplus_alone import run_energyplus
 
 from zenostat.models import catalog
 from zenostat.models.building import summary
@@ -19,17 +18,6 @@ from zenostat.models.scenario.run_period import Period
 
 # Multipliers of zones and of a list of zones, plenums, attics, no heating in some zones, condenser loops.
 MODELS = ("restaurant-fast-food", "hotel-small", "office-large", "ref-midrise-apartment", "ref-outpatient", "warehouse")
-
-_RUN = """
-import sys
-from pyenergyplus.api import EnergyPlusAPI
-model, weather, folder = sys.argv[1:]
-api = EnergyPlusAPI()
-state = api.state_manager.new_state()
-api.runtime.set_console_output_status(state, False)
-api.runtime.callback_begin_new_environment(state, api.runtime.stop_simulation)
-api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
-"""
 
 
 @dataclass(frozen=True)
@@ -50,7 +38,8 @@ def start(name: str, folder: Path) -> EngineReport:
     objects["OutputControl:Files"] = {"files": {"output_eio": "Yes", "output_bnd": "Yes", "output_tabular": "No"}}
     folder.mkdir()
     model, weather = write(objects, folder), catalog.find_weather("USA_CO_Denver").path
-    subprocess.run([sys.executable, "-P", "-c", _RUN, str(model), str(weather), str(folder)], stdin=subprocess.DEVNULL)
+    stop = "runtime.callback_begin_new_environment(state, runtime.stop_simulation)"
+    run_energyplus(model, weather, folder, before=stop)
     text = (folder / "eplusout.eio").read_text() + (folder / "eplusout.bnd").read_text()
     return EngineReport(building, [[cell.strip() for cell in line.split(",")] for line in text.splitlines()])
 

@@ -1,12 +1,11 @@
 """Conflicts over a scenario's actuators: found in small models, and true in EnergyPlus."""
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.energyplus_alone import run_energyplus
 
 from zenostat.models.building.conflicts import conflicts
 from zenostat.models.building.edits import Edits, apply_edits
@@ -107,15 +106,8 @@ def test_conflicts__name_the_actuator_and_its_rival(case: str) -> None:
 
 
 _DRIVE = """
-import json, sys
-from pyenergyplus.api import EnergyPlusAPI
-model, weather, folder, orders = sys.argv[1:]
-orders = json.loads(orders)
-api = EnergyPlusAPI()
-state = api.state_manager.new_state()
-api.runtime.set_console_output_status(state, False)
-exchange = api.exchange
-api.exchange.request_variable(state, "Zone Thermostat Cooling Setpoint Temperature", "CORE_ZN")
+orders = json.loads(arguments[0])
+exchange.request_variable(state, "Zone Thermostat Cooling Setpoint Temperature", "CORE_ZN")
 seen = []
 
 def order(at):
@@ -132,10 +124,8 @@ def end(at):
         seen.append(exchange.get_variable_value(at, handle))
         order(at)
 
-api.runtime.callback_after_new_environment_warmup_complete(state, begin)
-api.runtime.callback_end_zone_timestep_after_zone_reporting(state, end)
-code = api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
-print("SEEN", json.dumps([code, sorted(set(seen))]))
+runtime.callback_after_new_environment_warmup_complete(state, begin)
+runtime.callback_end_zone_timestep_after_zone_reporting(state, end)
 """
 
 
@@ -147,11 +137,10 @@ def test_conflicts__it_is_so_in_energyplus(case: str, folder: Path) -> None:
     office = read_building(find_building("ref-small-office"))
     objects = apply_edits(for_episode(office, office.period("07-03", "07-03", None)), edits)
     orders = json.dumps([(actuator.component_type, actuator.control_type, actuator.key, 26.5)])
-    command = [sys.executable, "-P", "-c", _DRIVE, str(write(objects, folder)), str(find_weather("Denver").path)]
-    done = subprocess.run([*command, str(folder), orders], capture_output=True, text=True, check=True)
-    (line,) = [line for line in done.stdout.splitlines() if line.startswith("SEEN ")]
-    code, setpoints = json.loads(line.removeprefix("SEEN "))
-    assert code == 0
+    inputs = write(objects, folder), find_weather("Denver").path, folder
+    done = run_energyplus(*inputs, orders, before=_DRIVE, after="print(json.dumps(sorted(set(seen))))")
+    assert done.returncode == 0, done.stderr
+    setpoints = json.loads(done.stdout.splitlines()[-1])
     own = [24.0, 26.7]  # its schedule's on that day
     assert setpoints == pytest.approx({"": [26.5], WINS: [28.0], BY_ZONE: [28.0], GIVES_BACK: own}[text])
     assert bool(conflicts(objects, [actuator])) == bool(text)

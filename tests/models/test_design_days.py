@@ -3,13 +3,11 @@
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
-from subprocess import run as run_program
-from sys import executable
 from typing import Any
 
 import numpy as np
 import pytest
-from support.energyplus_reference import _RUN
+from support.energyplus_alone import run_energyplus
 from support.weather_files import DRY_BULB, Outdoors, run
 
 from zenostat.models.building.model import for_episode, read_building, write
@@ -253,8 +251,7 @@ def test_design_days__real_building_is_sized_for_the_header(folder: Path) -> Non
     (silent,) = objects["OutputControl:Files"].values()
     objects["OutputControl:Files"] = {"eio": silent | {"output_eio": "Yes"}}
     path = write(apply(objects, site(phoenix, read_header(phoenix))), folder)
-    done = run_program([executable, "-P", "-c", _RUN, str(path), str(phoenix), str(folder)], check=False)
-    assert done.returncode == 0
+    assert run_energyplus(path, phoenix, folder).returncode == 0
     assert severe_messages(folder) == []
     assert "DesignDay" not in (folder / "eplusout.err").read_text()
     sized = [line for line in (folder / "eplusout.eio").read_text().splitlines() if "Zone Sizing Information," in line]

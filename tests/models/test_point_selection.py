@@ -1,13 +1,12 @@
 """The points of a run, chosen in a small model that is written out here; and the list of a whole one by EnergyPlus."""
 
 import json
-import subprocess
-import sys
 from collections import Counter
 from datetime import date
 from typing import Any
 
 import pytest
+from support.energyplus_alone import run_energyplus
 
 from zenostat.models import catalog
 from zenostat.models.building.model import Building, for_episode, read_building, write
@@ -418,18 +417,12 @@ def test_point_selection__meter_is_of_a_zone_or_of_the_facility(meter: str, wher
 # The list of a whole model, by EnergyPlus's own
 
 _ASK = """
-import json, sys
-from pyenergyplus.api import EnergyPlusAPI
-model, weather, folder = sys.argv[1:]
 wanted = json.load(open(folder + "/wanted.json"))
-api = EnergyPlusAPI()
-state = api.state_manager.new_state()
-api.runtime.set_console_output_status(state, False)
 for name, key in wanted["sensor"]:
-    api.exchange.request_variable(state, name, key)
+    exchange.request_variable(state, name, key)
 
 def ready(at):
-    x = api.exchange
+    x = exchange
     if not x.api_data_fully_ready(at):
         return
     said = {"list": [[p.what, p.name, p.key, p.type] for p in x.get_api_data(at)]}
@@ -438,10 +431,9 @@ def ready(at):
     handles = [x.get_internal_variable_handle(at, name, key) for name, key in wanted["internal"]]
     said["internal"] = [[h, x.get_internal_variable_value(at, h) if h >= 0 else None] for h in handles]
     json.dump(said, open(folder + "/said.json", "w"))
-    api.runtime.stop_simulation(at)
+    runtime.stop_simulation(at)
 
-api.runtime.callback_begin_new_environment(state, ready)
-api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
+runtime.callback_begin_new_environment(state, ready)
 """
 
 
@@ -462,7 +454,7 @@ def whole(
     (folder / "wanted.json").write_text(json.dumps(wanted))
     day = date(2017, 1, 1)
     model = write(for_episode(building, Period(day, day, building.steps_per_hour)), folder)
-    subprocess.run([sys.executable, "-P", "-c", _ASK, str(model), str(weather), str(folder)], stdin=subprocess.DEVNULL)
+    run_energyplus(model, weather, folder, before=_ASK)
     return building, rows, wanted, json.loads((folder / "said.json").read_text())
 
 

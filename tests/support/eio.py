@@ -4,8 +4,6 @@
 """
 
 import json
-import subprocess
-import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,20 +11,11 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from support.energyplus_alone import run_energyplus
 from zenostat.models.building.model import Objects
 from zenostat.models.catalog import find_weather
 
 WEATHER = find_weather("USA_CO_Denver").path
-
-_RUN = """
-import sys
-from pyenergyplus.api import EnergyPlusAPI
-model, weather, folder = sys.argv[1:]
-api = EnergyPlusAPI()
-state = api.state_manager.new_state()
-api.runtime.set_console_output_status(state, False)
-sys.exit(api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model]))
-"""
 
 _GEOMETRY = (
     *("BuildingSurface", "Wall:", "Roof", "Ceiling:", "Floor:", "Fenestration", "Window", "Door", "GlazedDoor"),
@@ -59,9 +48,7 @@ def simulate(objects: Mapping[str, Objects], folder: Path, extra: Mapping[str, O
     folder.mkdir(parents=True)
     model = folder / "in.epJSON"
     model.write_text(json.dumps(kept | dict(extra or {})))
-    command = [sys.executable, "-P", "-c", _RUN, str(model), str(WEATHER), str(folder)]
-    code = subprocess.run(command, stdin=subprocess.DEVNULL).returncode
-    assert code == 0, (folder / "eplusout.err").read_text()[-3000:]
+    assert run_energyplus(model, WEATHER, folder).returncode == 0, (folder / "eplusout.err").read_text()[-3000:]
     return folder
 
 

@@ -8,7 +8,6 @@ its end. Numbers are written with all digits: `float(text)` is the value to the 
 """
 
 import subprocess
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import reduce
@@ -19,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import zenostat
+from support.energyplus_alone import energyplus_command
 from support.nodes import NodeProgram
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.models.building.edits import Edits
@@ -28,16 +28,6 @@ from zenostat.models.weather import design_days
 from zenostat.models.weather.header import read_header
 from zenostat.topics.energyplus_names import HVAC_METERS
 from zenostat.topics.messages import Aggregation, Manifest, Meter, Sensor
-
-_RUN = """
-import sys
-from pyenergyplus.api import EnergyPlusAPI
-model, weather, folder = sys.argv[1:]
-api = EnergyPlusAPI()
-state = api.state_manager.new_state()
-api.runtime.set_console_output_status(state, False)
-sys.exit(api.runtime.run_energyplus(state, ["-w", weather, "-d", folder, model]))
-"""
 
 _CLOCK = "2"
 _STEP, _EACH = "TimeStep", "Each Call"
@@ -138,10 +128,8 @@ class Alone:
         objects["OutputControl:Files"] = {"eso": silent | {"output_eso": "Yes"}}
         folder.mkdir(parents=True, exist_ok=True)
         weather = find_weather(case.weather).path
-        self._process = subprocess.Popen(
-            [sys.executable, "-P", "-c", _RUN, str(write(objects, folder)), str(weather), str(folder)],
-            stdin=subprocess.DEVNULL,
-        )
+        command = energyplus_command(write(objects, folder), weather, folder)
+        self._process = subprocess.Popen(command, stdin=subprocess.DEVNULL)
 
     def close(self) -> None:
         """Ends the process if it still runs."""

@@ -1,8 +1,6 @@
 """EnergyPlus with no building: only the outdoor air of a run period or of design days, which takes 0.2 s."""
 
 import json
-import subprocess
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
@@ -12,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from support.energyplus_reference import _RUN
+from support.energyplus_alone import run_energyplus
 
 STEPS_PER_HOUR = 4
 DRY_BULB = "Site Outdoor Air Drybulb Temperature"
@@ -57,23 +55,15 @@ def run(folder: Path, weather: Path, begin: date | None, end: date | None, **mor
         **more,
     }
     if begin and end:
-        objects["RunPeriod"] = {
-            "r": {
-                "begin_year": begin.year,
-                "begin_month": begin.month,
-                "begin_day_of_month": begin.day,
-                "end_year": end.year,
-                "end_month": end.month,
-                "end_day_of_month": end.day,
-            }
-        }
+        days = (("begin", begin), ("end", end))
+        dates = [
+            {f"{side}_year": day.year, f"{side}_month": day.month, f"{side}_day_of_month": day.day}
+            for side, day in days
+        ]
+        objects["RunPeriod"] = {"r": dates[0] | dates[1]}
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "in.epJSON").write_text(json.dumps(objects))
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", _RUN, str(folder / "in.epJSON"), str(weather), str(folder)],
-        stdin=subprocess.DEVNULL,
-        check=False,
-    )
+    done = run_energyplus(folder / "in.epJSON", weather, folder)
     days, values = _read(folder / "eplusout.eso", variables)
     return Outdoors(done.returncode, (folder / "eplusout.err").read_text(), days, values)
 

@@ -4,13 +4,12 @@ Five of its 83 observations are an integer variable that the API serves and does
 """
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from support.data_packs import sinergym
+from support.energyplus_alone import run_energyplus
 from support.nodes import node_on_bus
 
 from zenostat.models.building.model import for_episode, read_building, write
@@ -22,13 +21,7 @@ from zenostat.topics.messages import Manifest
 DAYS = ("01-15", "01-16")
 
 BARE = """
-import json, sys
-from pyenergyplus.api import EnergyPlusAPI
-model, weather, folder, task = sys.argv[1:]
-task = json.load(open(task))
-api = EnergyPlusAPI()
-state, exchange, runtime = api.state_manager.new_state(), api.exchange, api.runtime
-runtime.set_console_output_status(state, False)
+task = json.load(open(arguments[0]))
 for variable, key in task["variables"]:
     exchange.request_variable(state, variable, key)
 rows, warm, handles = [], [], {}
@@ -52,9 +45,6 @@ def step(state):
             act(state)
 runtime.callback_after_new_environment_warmup_complete(state, begin)
 runtime.callback_end_zone_timestep_after_zone_reporting(state, step)
-code = runtime.run_energyplus(state, ["-w", weather, "-d", folder, model])
-json.dump(rows, open(folder + "/rows.json", "w"))
-sys.exit(code)
 """
 
 
@@ -91,16 +81,14 @@ def _bare(manifest: Manifest, commands: np.ndarray, folder: Path) -> np.ndarray:
     objects = design_days.apply(for_episode(model, period), design_days.site(weather, read_header(weather)))
     folder.mkdir()
     task = folder / "task.json"
-    task.write_text(
-        json.dumps(
-            {
-                "variables": [(s.variable, s.key) for s in manifest.sensors],
-                "meters": [m.meter for m in manifest.meters],
-                "actuators": [(a.component_type, a.control_type, a.key) for a in manifest.actuators],
-                "commands": commands.tolist(),
-            }
-        )
-    )
-    inputs = [str(write(objects, folder)), str(weather), str(folder), str(task)]
-    subprocess.run([sys.executable, "-P", "-c", BARE, *inputs], check=True, stdin=subprocess.DEVNULL)
+    orders = {
+        "variables": [(s.variable, s.key) for s in manifest.sensors],
+        "meters": [m.meter for m in manifest.meters],
+        "actuators": [(a.component_type, a.control_type, a.key) for a in manifest.actuators],
+        "commands": commands.tolist(),
+    }
+    task.write_text(json.dumps(orders))
+    save = 'json.dump(rows, open(folder + "/rows.json", "w"))'
+    done = run_energyplus(write(objects, folder), weather, folder, str(task), before=BARE, after=save)
+    assert done.returncode == 0, done.stderr
     return np.array(json.loads((folder / "rows.json").read_text()))
