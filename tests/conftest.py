@@ -1,5 +1,7 @@
 """Fixtures of all tests: short private folders, and a count of what is left behind."""
 
+import asyncio
+import inspect
 import os
 import shutil
 import signal
@@ -33,6 +35,8 @@ os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 SYSTEM = ("system", "chaos")
 """Folders whose tests all start other processes."""
 
+COROUTINE_LIMIT_S = 120.0
+
 
 def pytest_configure(config: pytest.Config) -> None:
     """Try fewer examples of each property where the tests that start processes are left out: `make test-fast`."""
@@ -58,6 +62,16 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.slow)
             first.add(test)
     items.sort(key=lambda item: item.get_closest_marker("long") is None)
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_pyfunc_call(pyfuncitem: pytest.Function) -> bool | None:
+    """Run a coroutine function in an event loop of its own, for at most `COROUTINE_LIMIT_S`."""
+    if not inspect.iscoroutinefunction(pyfuncitem.obj):
+        return None
+    arguments = {name: pyfuncitem.funcargs[name] for name in inspect.signature(pyfuncitem.obj).parameters}
+    asyncio.run(asyncio.wait_for(pyfuncitem.obj(**arguments), COROUTINE_LIMIT_S))
+    return True
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
@@ -150,6 +164,15 @@ def episode_bus(shared_node: NodeProgram) -> Iterator[zenostat.Bus]:
     with zenostat.connect(shared_node.endpoint, affinity="off") as connected:
         begin_new_episode(connected)
         yield connected
+
+
+@pytest.fixture
+def stepping_bus(episode_bus: zenostat.Bus) -> Iterator[zenostat.Bus]:
+    """The bus of `shared_node`, which is paused at the first sample of an episode and steps on command."""
+    episode_bus.pause("office")
+    episode_bus.pace("office", mode="free")
+    yield episode_bus
+    episode_bus.pace("office", mode="lockstep")
 
 
 @pytest.fixture(scope="module")

@@ -3,7 +3,6 @@
 import asyncio
 import math
 import socket
-from collections.abc import Coroutine
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from bacpypes3.primitivedata import CharacterString, Real, Unsigned
 from support.bacnet import ADVANCE, DEVICE, INSTANCE, PAUSED, STEP, TIME, Client, client, free_udp_port, served, single
 from support.nodes import SMALL, NodeProgram, until
 
-import zenostat
+from zenostat import Bus
 from zenostat.bridge.transport.session import open_session
 from zenostat.gateways.bacnet import BacnetGateway
 from zenostat.gateways.bacnet.cov import COV_INTERVAL_S
@@ -26,110 +25,88 @@ from zenostat.topics.messages import Event, EventKind, Reset
 
 COOLING, HEATING = "core_zn_cooling_setpoint", "core_zn_heating_setpoint"
 INPUT = "core_zn_air_temperature"
-TIMEOUT_S = 60.0
-
-
-def run(main: Coroutine[Any, Any, None]) -> None:
-    async def limited() -> None:
-        async with asyncio.timeout(TIMEOUT_S):
-            await main
-
-    asyncio.run(limited())
 
 
 @pytest.fixture
-def paused_bus(episode_bus: zenostat.Bus) -> zenostat.Bus:
+def paused_bus(stepping_bus: Bus) -> Bus:
     """A node that steps on command only, at the first sample."""
-    episode_bus.pace("office", mode="free")
-    episode_bus.pause("office")
-    episode_bus.reset("office", Reset())
-    return episode_bus
+    stepping_bus.reset("office", Reset())
+    return stepping_bus
 
 
-def test_bacnet_gateway__points_have_the_values_units_and_bounds_of_the_node(
-    paused_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__points_have_the_values_units_and_bounds_of_the_node(
+    paused_bus: Bus, shared_node: NodeProgram
 ) -> None:
     manifest = paused_bus.manifest("office")
-
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, _):
-            assert await reader.write(ADVANCE, 3.0) == "ok"
-            sample = gateway._node.sample
-            assert (await reader.read(STEP), sample.step) == (3.0, 3)
-            for point in manifest.points:
-                value = sample[point.name] / (manifest.step_s if point in manifest.meters else 1)
-                assert await reader.read(point.name) == single(value), point.name
-                assert await reader.read(point.name, "reliability") == "no-fault-detected"
-            meter = next(meter for meter in manifest.meters if meter.unit == "J" and sample[meter.name] > 0)
-            assert await reader.read(meter.name, "units") == "watts"
-            assert "mean of the timestep" in await reader.read(meter.name, "description")
-            assert await reader.read(INPUT, "units") == "degrees-celsius"
-            actuator = next(a for a in manifest.actuators if a.name == COOLING)
-            assert await reader.read(COOLING, "min-pres-value") == actuator.low
-            assert await reader.read(COOLING, "max-pres-value") == actuator.high
-            assert await reader.read(INPUT, "relinquish-default") == "property unknown-property"
-            time = await reader.read(TIME)
-            assert (*time.date[:3], *time.time[:2]) == (
-                *(sample.time.year - 1900, sample.time.month, sample.time.day),
-                *(sample.time.hour, sample.time.minute),
-            )
-            assert time.date[3] == sample.time.isoweekday()
-
-    run(main())
+    async with served(shared_node.endpoint) as (gateway, reader, _):
+        assert await reader.write(ADVANCE, 3.0) == "ok"
+        sample = gateway._node.sample
+        assert (await reader.read(STEP), sample.step) == (3.0, 3)
+        for point in manifest.points:
+            value = sample[point.name] / (manifest.step_s if point in manifest.meters else 1)
+            assert await reader.read(point.name) == single(value), point.name
+            assert await reader.read(point.name, "reliability") == "no-fault-detected"
+        meter = next(meter for meter in manifest.meters if meter.unit == "J" and sample[meter.name] > 0)
+        assert await reader.read(meter.name, "units") == "watts"
+        assert "mean of the timestep" in await reader.read(meter.name, "description")
+        assert await reader.read(INPUT, "units") == "degrees-celsius"
+        actuator = next(a for a in manifest.actuators if a.name == COOLING)
+        assert await reader.read(COOLING, "min-pres-value") == actuator.low
+        assert await reader.read(COOLING, "max-pres-value") == actuator.high
+        assert await reader.read(INPUT, "relinquish-default") == "property unknown-property"
+        time = await reader.read(TIME)
+        assert (*time.date[:3], *time.time[:2]) == (
+            *(sample.time.year - 1900, sample.time.month, sample.time.day),
+            *(sample.time.hour, sample.time.minute),
+        )
+        assert time.date[3] == sample.time.isoweekday()
 
 
-def test_bacnet_gateway__client_commands_an_output_at_its_priority_and_relinquishes_it(
-    paused_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__client_commands_an_output_at_its_priority_and_relinquishes_it(
+    paused_bus: Bus, shared_node: NodeProgram
 ) -> None:
     index = [a.name for a in paused_bus.manifest("office").actuators].index(COOLING)
-
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, _):
-            gateway._node.listeners.events.append(events.append)
-            baseline = await reader.read(COOLING, "relinquish-default")
-            assert baseline == single(gateway._node.sample.effective[index])
-            assert await reader.read(COOLING) == baseline
-            assert await reader.read(COOLING, "current-command-priority") is None
-            assert await reader.write(COOLING, 26.1, priority=8) == "ok"
-            assert await reader.write(COOLING, 25.0) == "ok"  # at priority 16
-            assert await reader.read(COOLING) == single(26.1)
-            assert await reader.read(COOLING, "current-command-priority") == 8
-            assert await reader.priorities(COOLING) == {8: single(26.1), 16: 25.0}
-            # In double precision the bus has what the client's user typed.
-            assert paused_bus.priorities("office")[COOLING][7].value == 26.1
-            assert await reader.read(COOLING, "interface-value") == baseline  # in effect from the next timestep
-            assert await reader.write(ADVANCE, 1.0) == "ok"
-            assert await reader.read(COOLING, "interface-value") == single(26.1)
-            assert await reader.read(COOLING, "relinquish-default") == baseline
-            assert await reader.write(COOLING, None, priority=8) == "ok"
-            assert await reader.read(COOLING) == 25.0
-            assert await reader.write(COOLING, None) == "ok"
-            assert (await reader.read(COOLING), await reader.priorities(COOLING)) == (baseline, {})
-            assert gateway.counts.writes == 5
-
     events: list[Event] = []
-    run(main())
+    async with served(shared_node.endpoint) as (gateway, reader, _):
+        gateway._node.listeners.events.append(events.append)
+        baseline = await reader.read(COOLING, "relinquish-default")
+        assert baseline == single(gateway._node.sample.effective[index])
+        assert await reader.read(COOLING) == baseline
+        assert await reader.read(COOLING, "current-command-priority") is None
+        assert await reader.write(COOLING, 26.1, priority=8) == "ok"
+        assert await reader.write(COOLING, 25.0) == "ok"  # at priority 16
+        assert await reader.read(COOLING) == single(26.1)
+        assert await reader.read(COOLING, "current-command-priority") == 8
+        assert await reader.priorities(COOLING) == {8: single(26.1), 16: 25.0}
+        # In double precision the bus has what the client's user typed.
+        assert paused_bus.priorities("office")[COOLING][7].value == 26.1
+        assert await reader.read(COOLING, "interface-value") == baseline  # in effect from the next timestep
+        assert await reader.write(ADVANCE, 1.0) == "ok"
+        assert await reader.read(COOLING, "interface-value") == single(26.1)
+        assert await reader.read(COOLING, "relinquish-default") == baseline
+        assert await reader.write(COOLING, None, priority=8) == "ok"
+        assert await reader.read(COOLING) == 25.0
+        assert await reader.write(COOLING, None) == "ok"
+        assert (await reader.read(COOLING), await reader.priorities(COOLING)) == (baseline, {})
+        assert gateway.counts.writes == 5
     written = [event for event in events if event.kind is EventKind.WRITTEN]
     assert len(written) == 4
     assert all(event.source.startswith("bacnet 127.0.0.1:") for event in written)
 
 
-def test_bacnet_gateway__commands_of_others_on_the_bus_are_in_the_priority_array_at_once(
-    paused_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__commands_of_others_on_the_bus_are_in_the_priority_array_at_once(
+    paused_bus: Bus, shared_node: NodeProgram
 ) -> None:
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (_, reader, _):
-            await asyncio.to_thread(paused_bus.write, "office", COOLING, 24.5, priority=3, source="operator")
-            assert await reader.priorities(COOLING) == {3: 24.5}
-            assert await reader.read(COOLING) == 24.5
-            await reader.write(COOLING, 27.0, priority=8)
-            assert await reader.read(COOLING) == 24.5
-            await asyncio.to_thread(paused_bus.write, "office", COOLING, None, priority=3, source="operator")
-            assert await reader.priorities(COOLING) == {8: 27.0}
-            assert await reader.read(COOLING, "priority-array", 0) == 16
-            assert await reader.read(COOLING, "priority-array", 17) == "property invalid-array-index"
-
-    run(main())
+    async with served(shared_node.endpoint) as (_, reader, _):
+        await asyncio.to_thread(paused_bus.write, "office", COOLING, 24.5, priority=3, source="operator")
+        assert await reader.priorities(COOLING) == {3: 24.5}
+        assert await reader.read(COOLING) == 24.5
+        await reader.write(COOLING, 27.0, priority=8)
+        assert await reader.read(COOLING) == 24.5
+        await asyncio.to_thread(paused_bus.write, "office", COOLING, None, priority=3, source="operator")
+        assert await reader.priorities(COOLING) == {8: 27.0}
+        assert await reader.read(COOLING, "priority-array", 0) == 16
+        assert await reader.read(COOLING, "priority-array", 17) == "property invalid-array-index"
 
 
 REJECTED: list[tuple[str, Any, dict[str, Any], str]] = [
@@ -158,32 +135,29 @@ REJECTED: list[tuple[str, Any, dict[str, Any], str]] = [
 ]
 
 
-def test_bacnet_gateway__writes_that_are_not_possible_get_the_errors_of_the_standard_and_move_nothing(
-    paused_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__writes_that_are_not_possible_get_the_errors_of_the_standard_and_move_nothing(
+    paused_bus: Bus, shared_node: NodeProgram
 ) -> None:
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, _):
-            for obj, value, options, expected in REJECTED:
-                assert await reader.write(obj, value, **options) == expected, (obj, value, options)
-            unknown = ("analog-output", 3)
-            assert await reader.write(unknown, 26.0) == "object unknown-object"
-            assert await reader.read(unknown) == "object unknown-object"
-            several = WritePropertyMultipleRequest(
-                listOfWriteAccessSpecs=[
-                    WriteAccessSpecification(
-                        objectIdentifier=reader.identifier(name),
-                        listOfProperties=[
-                            PropertyValue(propertyIdentifier="present-value", value=AnyValue(Real(value)), priority=9)
-                        ],
-                    )
-                    for name, value in ((HEATING, 18.0), (COOLING, 99.0), (COOLING, 26.0))
-                ],
-                destination=reader.device,
-            )
-            assert await reader.request(several) == "property value-out-of-range"
-            assert (gateway.counts.writes, gateway.counts.rejected) == (1, len(REJECTED) + 3)
-
-    run(main())
+    async with served(shared_node.endpoint) as (gateway, reader, _):
+        for obj, value, options, expected in REJECTED:
+            assert await reader.write(obj, value, **options) == expected, (obj, value, options)
+        unknown = ("analog-output", 3)
+        assert await reader.write(unknown, 26.0) == "object unknown-object"
+        assert await reader.read(unknown) == "object unknown-object"
+        several = WritePropertyMultipleRequest(
+            listOfWriteAccessSpecs=[
+                WriteAccessSpecification(
+                    objectIdentifier=reader.identifier(name),
+                    listOfProperties=[
+                        PropertyValue(propertyIdentifier="present-value", value=AnyValue(Real(value)), priority=9)
+                    ],
+                )
+                for name, value in ((HEATING, 18.0), (COOLING, 99.0), (COOLING, 26.0))
+            ],
+            destination=reader.device,
+        )
+        assert await reader.request(several) == "property value-out-of-range"
+        assert (gateway.counts.writes, gateway.counts.rejected) == (1, len(REJECTED) + 3)
     arrays = paused_bus.priorities("office")
     commanded = {
         (name, number): entry.value
@@ -194,201 +168,176 @@ def test_bacnet_gateway__writes_that_are_not_possible_get_the_errors_of_the_stan
     assert commanded == {(HEATING, 9): 18.0}
 
 
-def test_bacnet_gateway__device_describes_itself_and_answers_who_is(
-    paused_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__device_describes_itself_and_answers_who_is(
+    paused_bus: Bus, shared_node: NodeProgram
 ) -> None:
     manifest = paused_bus.manifest("office")
-
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (_, reader, port):
-            (answer,) = await reader.app.who_is(address=reader.device, timeout=1)
-            assert tuple(answer.iAmDeviceIdentifier) == (8, INSTANCE)
-            assert await reader.app.who_is(INSTANCE + 1, INSTANCE + 2, address=reader.device, timeout=0.2) == []
-            (reply,) = await reader.app.who_has(object_name=INPUT, address=reader.device, timeout=1)
-            assert tuple(reply.objectIdentifier) == tuple(reader.identifier(INPUT))
-            assert await reader.read(DEVICE, "object-name") == "office"
-            assert await reader.read(DEVICE, "location") == manifest.location
-            assert await reader.read(DEVICE, "system-status") == "operational"
-            listed = await reader.read(DEVICE, "object-list")
-            assert len(listed) == 7 + len(manifest.points) + len(manifest.actuators)
-            port_object = ("network-port", 1)
-            assert await reader.read(port_object, "ip-address") == bytes((127, 0, 0, 1))
-            assert await reader.read(port_object, "ip-subnet-mask") == bytes((255, 0, 0, 0))
-            assert await reader.read(port_object, "bacnet-ip-udp-port") == port
-            names = await reader.read(COOLING, "property-list")
-            for listed_property in names:
-                value = await reader.read(COOLING, str(listed_property))
-                assert not (isinstance(value, str) and value.startswith("property ")), (listed_property, value)
-
-    run(main())
+    async with served(shared_node.endpoint) as (_, reader, port):
+        (answer,) = await reader.app.who_is(address=reader.device, timeout=1)
+        assert tuple(answer.iAmDeviceIdentifier) == (8, INSTANCE)
+        assert await reader.app.who_is(INSTANCE + 1, INSTANCE + 2, address=reader.device, timeout=0.2) == []
+        (reply,) = await reader.app.who_has(object_name=INPUT, address=reader.device, timeout=1)
+        assert tuple(reply.objectIdentifier) == tuple(reader.identifier(INPUT))
+        assert await reader.read(DEVICE, "object-name") == "office"
+        assert await reader.read(DEVICE, "location") == manifest.location
+        assert await reader.read(DEVICE, "system-status") == "operational"
+        listed = await reader.read(DEVICE, "object-list")
+        assert len(listed) == 7 + len(manifest.points) + len(manifest.actuators)
+        port_object = ("network-port", 1)
+        assert await reader.read(port_object, "ip-address") == bytes((127, 0, 0, 1))
+        assert await reader.read(port_object, "ip-subnet-mask") == bytes((255, 0, 0, 0))
+        assert await reader.read(port_object, "bacnet-ip-udp-port") == port
+        names = await reader.read(COOLING, "property-list")
+        for listed_property in names:
+            value = await reader.read(COOLING, str(listed_property))
+            assert not (isinstance(value, str) and value.startswith("property ")), (listed_property, value)
 
 
-def test_bacnet_gateway__broadcast_who_is_on_the_network_of_the_interface_is_answered(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__broadcast_who_is_on_the_network_of_the_interface_is_answered(
+    episode_bus: Bus, shared_node: NodeProgram
 ) -> None:
     who_is = bytes.fromhex("810b000c0120ffff00ff1008")  # original broadcast, global network, all devices
-
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (_, _, port):
-            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-                asking.settimeout(20.0)
-                asking.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-                asking.sendto(who_is, ("127.255.255.255", port))
-                answer = await asyncio.to_thread(asking.recv, 2000)
-        _, i_am, device = answer.partition(b"\x10\x00\xc4")  # an unconfirmed request, I-Am, an object identifier
-        assert i_am
-        assert int.from_bytes(device[:4], "big") == 8 << 22 | INSTANCE
-
-    run(main())
+    async with served(shared_node.endpoint) as (_, _, port):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+            asking.settimeout(20.0)
+            asking.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+            asking.sendto(who_is, ("127.255.255.255", port))
+            answer = await asyncio.to_thread(asking.recv, 2000)
+    _, i_am, device = answer.partition(b"\x10\x00\xc4")  # an unconfirmed request, I-Am, an object identifier
+    assert i_am
+    assert int.from_bytes(device[:4], "big") == 8 << 22 | INSTANCE
 
 
-def test_bacnet_gateway__subscribers_hear_of_changes_beyond_the_increment_of_others_commands_and_of_the_end(
-    paused_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__subscribers_hear_of_changes_beyond_the_increment_of_others_commands_and_of_the_end(
+    paused_bus: Bus, shared_node: NodeProgram
 ) -> None:
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, _):
-            serving = asyncio.create_task(gateway.run())
-            assert await reader.write(INPUT, 1000.0, "cov-increment") == "ok"
-            subscribe = reader.app.change_of_value
-            async with (
-                subscribe(reader.device, reader.identifier(STEP), 1, True, 60) as steps,
-                subscribe(reader.device, reader.identifier(COOLING), 2, False, 60) as commands,
-                subscribe(reader.device, reader.identifier(INPUT), 3, True, 60) as silent,
-            ):
-                assert [await steps.get_value(), await steps.get_value()][0][1] == 0.0
-                await commands.get_value(), await commands.get_value()
-                await silent.get_value(), await silent.get_value()
-                assert len(await reader.read(DEVICE, "active-cov-subscriptions")) == 3
-                await reader.write(ADVANCE, 1.0)
-                assert (await steps.get_value())[1] == 1.0
-                await asyncio.to_thread(paused_bus.write, "office", COOLING, 24.5, priority=3, source="operator")
-                assert (await commands.get_value())[1] == 24.5
-                assert silent.queue.empty()
-            assert len(await reader.read(DEVICE, "active-cov-subscriptions")) == 0
-            serving.cancel()
-
-    run(main())
+    async with served(shared_node.endpoint) as (gateway, reader, _):
+        serving = asyncio.create_task(gateway.run())
+        assert await reader.write(INPUT, 1000.0, "cov-increment") == "ok"
+        subscribe = reader.app.change_of_value
+        async with (
+            subscribe(reader.device, reader.identifier(STEP), 1, True, 60) as steps,
+            subscribe(reader.device, reader.identifier(COOLING), 2, False, 60) as commands,
+            subscribe(reader.device, reader.identifier(INPUT), 3, True, 60) as silent,
+        ):
+            assert [await steps.get_value(), await steps.get_value()][0][1] == 0.0
+            await commands.get_value(), await commands.get_value()
+            await silent.get_value(), await silent.get_value()
+            assert len(await reader.read(DEVICE, "active-cov-subscriptions")) == 3
+            await reader.write(ADVANCE, 1.0)
+            assert (await steps.get_value())[1] == 1.0
+            await asyncio.to_thread(paused_bus.write, "office", COOLING, 24.5, priority=3, source="operator")
+            assert (await commands.get_value())[1] == 24.5
+            assert silent.queue.empty()
+        assert len(await reader.read(DEVICE, "active-cov-subscriptions")) == 0
+        serving.cancel()
 
 
-def test_bacnet_gateway__fast_simulation_sends_few_notifications_and_the_last_value_always(
-    paused_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__fast_simulation_sends_few_notifications_and_the_last_value_always(
+    paused_bus: Bus, shared_node: NodeProgram
 ) -> None:
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, _):
-            serving = asyncio.create_task(gateway.run())
-            begin = asyncio.get_running_loop().time()
-            async with reader.app.change_of_value(reader.device, reader.identifier(STEP), 1, True, 60) as steps:
-                assert await reader.write(ADVANCE, 90.0) == "ok"
-                while (await steps.get_value())[1] != 90.0:
-                    pass
-                duration_s = asyncio.get_running_loop().time() - begin
-                assert gateway.counts.notifications <= duration_s / COV_INTERVAL_S + 2
-            serving.cancel()
-
-    run(main())
-
-
-def test_bacnet_gateway__value_that_is_not_a_number_and_a_failed_simulation_are_faults(
-    paused_bus: zenostat.Bus, shared_node: NodeProgram
-) -> None:
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, _):
-            state = gateway._state
-            position = paused_bus.manifest("office").names.index(INPUT)
-            state._values = state._values.copy()
-            state._values[position] = math.nan
-            assert math.isnan(await reader.read(INPUT))
-            assert await reader.read(INPUT, "reliability") == "unreliable-other"
-            assert [int(flag) for flag in await reader.read(INPUT, "status-flags")] == [0, 1, 0, 0]
-            assert await reader.read(COOLING, "reliability") == "no-fault-detected"
-            for notify in state.node.listeners.events:
-                notify(Event(kind=EventKind.FAILED, text="it failed"))
-            assert await reader.read(COOLING, "reliability") == "process-error"
-            assert await reader.read(DEVICE, "system-status") == "non-operational"
-            assert await reader.write(ADVANCE, 1.0) == "ok"
-            while await reader.read(STEP) != 1.0:
+    async with served(shared_node.endpoint) as (gateway, reader, _):
+        serving = asyncio.create_task(gateway.run())
+        begin = asyncio.get_running_loop().time()
+        async with reader.app.change_of_value(reader.device, reader.identifier(STEP), 1, True, 60) as steps:
+            assert await reader.write(ADVANCE, 90.0) == "ok"
+            while (await steps.get_value())[1] != 90.0:
                 pass
-            assert await reader.read(INPUT, "reliability") == "no-fault-detected"
+            duration_s = asyncio.get_running_loop().time() - begin
+            assert gateway.counts.notifications <= duration_s / COV_INTERVAL_S + 2
+        serving.cancel()
 
-    run(main())
 
-
-def test_bacnet_gateway__paused_node_steps_on_command_and_a_running_one_does_not(
-    paused_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__value_that_is_not_a_number_and_a_failed_simulation_are_faults(
+    paused_bus: Bus, shared_node: NodeProgram
 ) -> None:
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (_, reader, _):
-            assert await reader.read(PAUSED) == "active"
-            assert await reader.write(ADVANCE, 96.0) == "ok"
-            while await reader.read(ADVANCE):
-                pass
-            assert await reader.read(STEP) == 96.0
-            assert await reader.write(ADVANCE, 1.0) == "property write-access-denied"  # the episode is over
-            await asyncio.to_thread(paused_bus.pace, "office", mode="lockstep")
-            await asyncio.to_thread(paused_bus.reset, "office", Reset())
-            assert await reader.write(PAUSED, BinaryPV("inactive")) == "ok"
-            assert await reader.read(PAUSED) == "inactive"
-            assert await reader.write(ADVANCE, 1.0) == "property write-access-denied"
+    async with served(shared_node.endpoint) as (gateway, reader, _):
+        state = gateway._state
+        position = paused_bus.manifest("office").names.index(INPUT)
+        state._values = state._values.copy()
+        state._values[position] = math.nan
+        assert math.isnan(await reader.read(INPUT))
+        assert await reader.read(INPUT, "reliability") == "unreliable-other"
+        assert [int(flag) for flag in await reader.read(INPUT, "status-flags")] == [0, 1, 0, 0]
+        assert await reader.read(COOLING, "reliability") == "no-fault-detected"
+        for notify in state.node.listeners.events:
+            notify(Event(kind=EventKind.FAILED, text="it failed"))
+        assert await reader.read(COOLING, "reliability") == "process-error"
+        assert await reader.read(DEVICE, "system-status") == "non-operational"
+        assert await reader.write(ADVANCE, 1.0) == "ok"
+        while await reader.read(STEP) != 1.0:
+            pass
+        assert await reader.read(INPUT, "reliability") == "no-fault-detected"
 
-    run(main())
+
+async def test_bacnet_gateway__paused_node_steps_on_command_and_a_running_one_does_not(
+    paused_bus: Bus, shared_node: NodeProgram
+) -> None:
+    async with served(shared_node.endpoint) as (_, reader, _):
+        assert await reader.read(PAUSED) == "active"
+        assert await reader.write(ADVANCE, 96.0) == "ok"
+        while await reader.read(ADVANCE):
+            pass
+        assert await reader.read(STEP) == 96.0
+        assert await reader.write(ADVANCE, 1.0) == "property write-access-denied"  # the episode is over
+        await asyncio.to_thread(paused_bus.pace, "office", mode="lockstep")
+        await asyncio.to_thread(paused_bus.reset, "office", Reset())
+        assert await reader.write(PAUSED, BinaryPV("inactive")) == "ok"
+        assert await reader.read(PAUSED) == "inactive"
+        assert await reader.write(ADVANCE, 1.0) == "property write-access-denied"
 
 
-def test_bacnet_gateway__node_that_is_gone_is_a_fault_and_one_that_returns_is_served_again(tmp_path: Path) -> None:
+async def test_bacnet_gateway__node_that_is_gone_is_a_fault_and_one_that_returns_is_served_again(
+    tmp_path: Path,
+) -> None:
     settings = {**SMALL, "listen": [], "name": "office"}
     endpoint = f"unixsock-stream/{tmp_path}/router"
     nodes: list[NodeProgram] = []
 
-    async def main() -> None:
-        async with served(endpoint) as (gateway, reader, _):
-            node = gateway._node
-            before, temperature = dict(reader.objects), await reader.read(INPUT)
-            nodes[0].kill()
-            async with asyncio.timeout(TIMEOUT_S):
-                while node.is_online:
-                    await asyncio.sleep(0.01)
-            assert await reader.read(INPUT, "reliability") == "communication-failure"
-            assert [int(flag) for flag in await reader.read(INPUT, "status-flags")] == [0, 1, 0, 0]
-            assert await reader.read(INPUT) == temperature
-            assert await reader.read(DEVICE, "system-status") == "non-operational"
-            assert await reader.write(COOLING, 26.0) == "device operational-problem"
-            assert await reader.read(COOLING, "reliability") == "communication-failure"
-            nodes.append(await asyncio.to_thread(NodeProgram, tmp_path / "second", connect=[endpoint], **settings))
-            async with asyncio.timeout(TIMEOUT_S):
-                while not node.is_online:
-                    await asyncio.sleep(0.01)
-            assert await reader.write(COOLING, 26.0) == "ok"
-            assert await reader.read(COOLING) == 26.0
-            assert await reader.read(INPUT, "reliability") == "no-fault-detected"
-            assert [int(flag) for flag in await reader.read(INPUT, "status-flags")] == [0, 0, 0, 0]
-            await reader.learn()
-            assert reader.objects == before
-
     with open_session(listen=[endpoint], mode="router"):  # type: ignore[arg-type]
         try:
             nodes.append(NodeProgram(tmp_path / "first", connect=[endpoint], **settings))
-            run(main())
+            async with served(endpoint) as (gateway, reader, _):
+                node = gateway._node
+                before, temperature = dict(reader.objects), await reader.read(INPUT)
+                nodes[0].kill()
+                async with asyncio.timeout(60):
+                    while node.is_online:
+                        await asyncio.sleep(0.01)
+                assert await reader.read(INPUT, "reliability") == "communication-failure"
+                assert [int(flag) for flag in await reader.read(INPUT, "status-flags")] == [0, 1, 0, 0]
+                assert await reader.read(INPUT) == temperature
+                assert await reader.read(DEVICE, "system-status") == "non-operational"
+                assert await reader.write(COOLING, 26.0) == "device operational-problem"
+                assert await reader.read(COOLING, "reliability") == "communication-failure"
+                nodes.append(await asyncio.to_thread(NodeProgram, tmp_path / "second", connect=[endpoint], **settings))
+                async with asyncio.timeout(60):
+                    while not node.is_online:
+                        await asyncio.sleep(0.01)
+                assert await reader.write(COOLING, 26.0) == "ok"
+                assert await reader.read(COOLING) == 26.0
+                assert await reader.read(INPUT, "reliability") == "no-fault-detected"
+                assert [int(flag) for flag in await reader.read(INPUT, "status-flags")] == [0, 0, 0, 0]
+                await reader.learn()
+                assert reader.objects == before
         finally:
             for program in nodes:
                 program.close()
 
 
-def test_bacnet_gateway__address_in_use_or_of_no_interface_is_refused_before_anything_starts(
-    shared_node: NodeProgram, episode_bus: zenostat.Bus
+async def test_bacnet_gateway__address_in_use_or_of_no_interface_is_refused_before_anything_starts(
+    shared_node: NodeProgram, episode_bus: Bus
 ) -> None:
     port = free_udp_port()
-
-    async def main() -> None:
-        with open_session(connect=[shared_node.endpoint]) as session:
-            async with NodeClient(session, "office") as node:
-                first = BacnetGateway(node, find_interface("127.0.0.1", port), instance=1)
-                second = BacnetGateway(node, find_interface("127.0.0.1", port), instance=2)
-                async with first:
-                    with pytest.raises(AddressInUse, match=f"UDP port {port}"):
-                        await second.__aenter__()
-                async with client(port) as reader:
-                    assert isinstance(reader, Client)
-
-    run(main())
+    with open_session(connect=[shared_node.endpoint]) as session:
+        async with NodeClient(session, "office") as node:
+            first = BacnetGateway(node, find_interface("127.0.0.1", port), instance=1)
+            second = BacnetGateway(node, find_interface("127.0.0.1", port), instance=2)
+            async with first:
+                with pytest.raises(AddressInUse, match=f"UDP port {port}"):
+                    await second.__aenter__()
+            async with client(port) as reader:
+                assert isinstance(reader, Client)
     with pytest.raises(InvalidConfig, match=r"127\.0\.0\.1 \(lo\)"):
         find_interface("0.0.0.0", port)
     with pytest.raises(InvalidConfig, match="IPv4"):

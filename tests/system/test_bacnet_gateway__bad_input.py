@@ -12,7 +12,7 @@ from bacpypes3.apdu import SubscribeCOVRequest
 from support.bacnet import PAUSED, STEP, Client, client, served
 from support.nodes import NodeProgram
 
-import zenostat
+from zenostat import Bus
 from zenostat.gateways.bacnet import requests, transactions
 
 COOLING = "core_zn_cooling_setpoint"
@@ -51,7 +51,7 @@ async def ask(raw: socket.socket, port: int, message: bytes) -> bytes:
     return (await asyncio.to_thread(raw.recv, 2000))[6:]
 
 
-def commanded(bus: zenostat.Bus) -> dict[tuple[str, int], float]:
+def commanded(bus: Bus) -> dict[tuple[str, int], float]:
     return {
         (name, number): entry.value
         for name, array in bus.priorities("office").items()
@@ -60,35 +60,32 @@ def commanded(bus: zenostat.Bus) -> dict[tuple[str, int], float]:
     }
 
 
-def test_bacnet_gateway__malformed_requests_are_rejected_and_half_datagrams_counted(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__malformed_requests_are_rejected_and_half_datagrams_counted(
+    episode_bus: Bus, shared_node: NodeProgram
 ) -> None:
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, port):
-            instance = reader.objects[COOLING][1]
-            whole = datagram(write_request(instance, real(26.0), b"\x49\x08"))
-            with raw_socket() as raw:
-                # A datagram that was cut has no reply: its length tells that it is not whole.
-                before = gateway.counts.malformed
-                for length in range(len(whole)):
-                    raw.sendto(whole[:length], ("127.0.0.1", port))
-                # The same requests, cut before they were put into a datagram.
-                apdu = write_request(instance, real(26.0), b"\x49\x08")
-                for length in range(4, len(apdu) - 2):  # without its priority it is a request like others
-                    reply = await ask(raw, port, datagram(apdu[:2] + bytes([length]) + apdu[3:length]))
-                    assert reply[0] >> 4 in (REJECT, ERROR), (length, reply)
-                    assert reply[1] == length
-                unknown_service = await ask(raw, port, datagram(b"\x00\x05\x63\xc8"))
-                assert unknown_service == bytes((REJECT << 4, 0x63, 9))  # unrecognized-service
-                assert gateway.counts.malformed - before == len(whole)
-            assert await reader.read(COOLING, "priority-array", 8) is None
-
-    asyncio.run(main())
+    async with served(shared_node.endpoint) as (gateway, reader, port):
+        instance = reader.objects[COOLING][1]
+        whole = datagram(write_request(instance, real(26.0), b"\x49\x08"))
+        with raw_socket() as raw:
+            # A datagram that was cut has no reply: its length tells that it is not whole.
+            before = gateway.counts.malformed
+            for length in range(len(whole)):
+                raw.sendto(whole[:length], ("127.0.0.1", port))
+            # The same requests, cut before they were put into a datagram.
+            apdu = write_request(instance, real(26.0), b"\x49\x08")
+            for length in range(4, len(apdu) - 2):  # without its priority it is a request like others
+                reply = await ask(raw, port, datagram(apdu[:2] + bytes([length]) + apdu[3:length]))
+                assert reply[0] >> 4 in (REJECT, ERROR), (length, reply)
+                assert reply[1] == length
+            unknown_service = await ask(raw, port, datagram(b"\x00\x05\x63\xc8"))
+            assert unknown_service == bytes((REJECT << 4, 0x63, 9))  # unrecognized-service
+            assert gateway.counts.malformed - before == len(whole)
+        assert await reader.read(COOLING, "priority-array", 8) is None
     assert commanded(episode_bus) == {}
 
 
-def test_bacnet_gateway__random_and_mutated_datagrams_crash_nothing_and_move_no_other_actuator(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__random_and_mutated_datagrams_crash_nothing_and_move_no_other_actuator(
+    episode_bus: Bus, shared_node: NodeProgram
 ) -> None:
     """Mutations of valid writes may be valid; those of one output only, within its bounds."""
     draw = random.Random(7)
@@ -110,21 +107,18 @@ def test_bacnet_gateway__random_and_mutated_datagrams_crash_nothing_and_move_no_
                     apdu[place] = draw.randrange(256)
                 return datagram(bytes(apdu))
 
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, port):
-            instance = reader.objects[COOLING][1]
-            end = time.monotonic() + FUZZED_S
-            with raw_socket() as raw:
-                while time.monotonic() < end:
-                    for _ in range(20):
-                        raw.sendto(mutated(instance), ("127.0.0.1", port))
-                    await asyncio.sleep(0)
-            assert gateway.counts.malformed > 100
-            assert gateway.counts.rejected > 100
-            assert await patient_read(reader) == 0.0
-            assert len(gateway._application.asap.serverTransactions) <= transactions.MAX_TRANSACTIONS
-
-    asyncio.run(main())
+    async with served(shared_node.endpoint) as (gateway, reader, port):
+        instance = reader.objects[COOLING][1]
+        end = time.monotonic() + FUZZED_S
+        with raw_socket() as raw:
+            while time.monotonic() < end:
+                for _ in range(20):
+                    raw.sendto(mutated(instance), ("127.0.0.1", port))
+                await asyncio.sleep(0)
+        assert gateway.counts.malformed > 100
+        assert gateway.counts.rejected > 100
+        assert await patient_read(reader) == 0.0
+        assert len(gateway._application.asap.serverTransactions) <= transactions.MAX_TRANSACTIONS
     assert {name for name, _ in commanded(episode_bus)} <= {COOLING}
     low, high = next((a.low, a.high) for a in episode_bus.manifest("office").actuators if a.name == COOLING)
     assert all(low <= value <= high for value in commanded(episode_bus).values())
@@ -139,92 +133,79 @@ async def patient_read(reader: Client) -> float:
     raise AssertionError(value)
 
 
-def test_bacnet_gateway__flood_of_writes_is_answered_each_or_aborted_and_the_device_serves_others(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__flood_of_writes_is_answered_each_or_aborted_and_the_device_serves_others(
+    episode_bus: Bus, shared_node: NodeProgram
 ) -> None:
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, port):
-            instance = reader.objects[COOLING][1]
-            with raw_socket() as raw:
-                for invoke_id in range(200):
-                    request = write_request(instance, real(25.0 + invoke_id / 200), b"\x49\x08", invoke_id=invoke_id)
-                    raw.sendto(datagram(request), ("127.0.0.1", port))
-                replies = {}
-                while len(replies) < 200:
-                    message = await asyncio.to_thread(raw.recv, 2000)
-                    replies[message[7]] = (message[6] >> 4, message[-1])
-            assert {kind for kind, _ in replies.values()} <= {2, ERROR, ABORT}
-            accepted = [invoke_id for invoke_id, (kind, _) in replies.items() if kind == 2]
-            assert {code for kind, code in replies.values() if kind == ABORT} <= {9}  # out-of-resources
-            assert gateway.counts.writes == len(accepted) >= 1
-            assert await patient_read(reader) == 0.0
-
-    asyncio.run(main())
+    async with served(shared_node.endpoint) as (gateway, reader, port):
+        instance = reader.objects[COOLING][1]
+        with raw_socket() as raw:
+            for invoke_id in range(200):
+                request = write_request(instance, real(25.0 + invoke_id / 200), b"\x49\x08", invoke_id=invoke_id)
+                raw.sendto(datagram(request), ("127.0.0.1", port))
+            replies = {}
+            while len(replies) < 200:
+                message = await asyncio.to_thread(raw.recv, 2000)
+                replies[message[7]] = (message[6] >> 4, message[-1])
+        assert {kind for kind, _ in replies.values()} <= {2, ERROR, ABORT}
+        accepted = [invoke_id for invoke_id, (kind, _) in replies.items() if kind == 2]
+        assert {code for kind, code in replies.values() if kind == ABORT} <= {9}  # out-of-resources
+        assert gateway.counts.writes == len(accepted) >= 1
+        assert await patient_read(reader) == 0.0
 
 
-def test_bacnet_gateway__duplicate_of_a_request_is_carried_out_once(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__duplicate_of_a_request_is_carried_out_once(
+    episode_bus: Bus, shared_node: NodeProgram
 ) -> None:
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, port):
-            request = datagram(write_request(reader.objects[COOLING][1], real(26.0), b"\x49\x08"))
-            with raw_socket() as raw:
-                raw.sendto(request, ("127.0.0.1", port))
-                raw.sendto(request, ("127.0.0.1", port))
-                assert (await asyncio.to_thread(raw.recv, 2000))[6] >> 4 == 2
-            assert await reader.read(COOLING) == 26.0
-            assert gateway.counts.writes == 1
-
-    asyncio.run(main())
+    async with served(shared_node.endpoint) as (gateway, reader, port):
+        request = datagram(write_request(reader.objects[COOLING][1], real(26.0), b"\x49\x08"))
+        with raw_socket() as raw:
+            raw.sendto(request, ("127.0.0.1", port))
+            raw.sendto(request, ("127.0.0.1", port))
+            assert (await asyncio.to_thread(raw.recv, 2000))[6] >> 4 == 2
+        assert await reader.read(COOLING) == 26.0
+        assert gateway.counts.writes == 1
 
 
-def test_bacnet_gateway__client_that_dies_amid_a_segmented_request_or_with_subscriptions_costs_nothing(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram
+async def test_bacnet_gateway__client_that_dies_amid_a_segmented_request_or_with_subscriptions_costs_nothing(
+    episode_bus: Bus, shared_node: NodeProgram
 ) -> None:
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (gateway, reader, port):
-            app = gateway._application
-            app.asap.segmentTimeout = 100
-            app.device_object.apduTimeout = app.asap.apduTimeout = 100
-            with raw_socket() as raw:
-                reply = await ask(raw, port, datagram(b"\x0c\x05\x01\x00\x04\x0f" + b"\x0c\x00"))
-                assert reply[0] >> 4 == 4  # segment ack: the device waits for the next segment
-            async with client(port) as dying:
-                request = SubscribeCOVRequest(
-                    subscriberProcessIdentifier=1,
-                    monitoredObjectIdentifier=reader.identifier(STEP),
-                    issueConfirmedNotifications=True,
-                    destination=dying.device,
-                )
-                assert await dying.request(request) == "ok"
-            async with asyncio.timeout(60):
-                while app.asap.serverTransactions or app.asap.clientTransactions or app.is_subscribed(object):
-                    app.notify_subscribers()
-                    await asyncio.sleep(0.01)
-            assert await reader.read(PAUSED) == "inactive"
-
-    asyncio.run(main())
+    async with served(shared_node.endpoint) as (gateway, reader, port):
+        app = gateway._application
+        app.asap.segmentTimeout = 100
+        app.device_object.apduTimeout = app.asap.apduTimeout = 100
+        with raw_socket() as raw:
+            reply = await ask(raw, port, datagram(b"\x0c\x05\x01\x00\x04\x0f" + b"\x0c\x00"))
+            assert reply[0] >> 4 == 4  # segment ack: the device waits for the next segment
+        async with client(port) as dying:
+            request = SubscribeCOVRequest(
+                subscriberProcessIdentifier=1,
+                monitoredObjectIdentifier=reader.identifier(STEP),
+                issueConfirmedNotifications=True,
+                destination=dying.device,
+            )
+            assert await dying.request(request) == "ok"
+        async with asyncio.timeout(60):
+            while app.asap.serverTransactions or app.asap.clientTransactions or app.is_subscribed(object):
+                app.notify_subscribers()
+                await asyncio.sleep(0.01)
+        assert await reader.read(PAUSED) == "inactive"
 
 
-def test_bacnet_gateway__subscriptions_are_limited(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram, monkeypatch
+async def test_bacnet_gateway__subscriptions_are_limited(
+    episode_bus: Bus, shared_node: NodeProgram, monkeypatch
 ) -> None:
     monkeypatch.setattr(requests, "MAX_SUBSCRIPTIONS", 5)
-
-    async def main() -> None:
-        async with served(shared_node.endpoint) as (_, reader, _):
-            replies = [
-                await reader.request(
-                    SubscribeCOVRequest(
-                        subscriberProcessIdentifier=number,
-                        monitoredObjectIdentifier=reader.identifier(STEP),
-                        issueConfirmedNotifications=False,
-                        lifetime=60,
-                        destination=reader.device,
-                    )
+    async with served(shared_node.endpoint) as (_, reader, _):
+        replies = [
+            await reader.request(
+                SubscribeCOVRequest(
+                    subscriberProcessIdentifier=number,
+                    monitoredObjectIdentifier=reader.identifier(STEP),
+                    issueConfirmedNotifications=False,
+                    lifetime=60,
+                    destination=reader.device,
                 )
-                for number in range(7)
-            ]
-            assert replies == ["ok"] * 5 + ["resources no-space-to-add-list-element"] * 2
-
-    asyncio.run(main())
+            )
+            for number in range(7)
+        ]
+        assert replies == ["ok"] * 5 + ["resources no-space-to-add-list-element"] * 2

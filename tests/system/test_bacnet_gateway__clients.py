@@ -16,7 +16,7 @@ from support.bacnet import INSTANCE, free_udp_port, served
 from support.nodes import NodeProgram, Program
 from support.run_cli import ZENOSTAT, run_in_process, run_program
 
-import zenostat
+from zenostat import Bus
 from zenostat.gateways.bacnet.points import instance_numbers
 from zenostat.topics.messages import Reset
 
@@ -80,7 +80,7 @@ def gateway(node: NodeProgram, port: int) -> Iterator[subprocess.Popen]:
 
 @pytest.mark.skipif(importlib.util.find_spec("BAC0") is None, reason="BAC0 is not installed: pip install BAC0")
 def test_bacnet_gateway__bac0_finds_the_device_reads_commands_and_relinquishes(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram
+    episode_bus: Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pause("office")
     episode_bus.reset("office", Reset())
@@ -108,7 +108,7 @@ def test_bacnet_gateway__bac0_finds_the_device_reads_commands_and_relinquishes(
     not (shutil.which("bacrp") and shutil.which("bacwp")),
     reason="bacrp and bacwp are not installed; build them from github.com/bacnet-stack/bacnet-stack",
 )
-def test_bacnet_gateway__bacnet_stack_reads_and_writes(episode_bus: zenostat.Bus, shared_node: NodeProgram) -> None:
+def test_bacnet_gateway__bacnet_stack_reads_and_writes(episode_bus: Bus, shared_node: NodeProgram) -> None:
     port = free_udp_port()
     output = str(instance_numbers(a.name for a in episode_bus.manifest("office").actuators)[COOLING])
 
@@ -151,7 +151,7 @@ def test_bacnet_gateway__node_that_does_not_exist_is_one_line(shared_node: NodeP
 
 
 def test_bacnet_gateway__example_steps_the_node_and_commands_it_in_the_afternoon(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram
+    episode_bus: Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pace("office", mode="free")
     episode_bus.pause("office")
@@ -170,7 +170,7 @@ def test_bacnet_gateway__example_steps_the_node_and_commands_it_in_the_afternoon
 
 
 def test_bacnet_gateway__objects_are_written_as_a_table(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram, tmp_path: Path
+    episode_bus: Bus, shared_node: NodeProgram, tmp_path: Path
 ) -> None:
     file = tmp_path / "objects.csv"
     words = ["gateway", "bacnet", "office", "--connect", shared_node.endpoint, "--instance", str(INSTANCE)]

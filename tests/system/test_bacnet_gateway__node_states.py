@@ -1,6 +1,5 @@
 """A BACnet device whose node is frozen, or the replay of a recording."""
 
-import asyncio
 import os
 import signal
 import subprocess
@@ -15,38 +14,32 @@ from zenostat.topics.messages import State
 
 
 @pytest.mark.slow
-def test_bacnet_gateway__replayed_recording_is_reliable_and_takes_no_writes(tmp_path: Path) -> None:
+async def test_bacnet_gateway__replayed_recording_is_reliable_and_takes_no_writes(tmp_path: Path) -> None:
     plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
     record, bus = tmp_path / "room.mcap", f"unixsock-stream/{tmp_path}/bus"
     with node_on_bus(tmp_path / "room", plant=plant, name="room", mode="free", record=str(record)) as (node, recorded):
         until(lambda: recorded.status("room").state is State.ENDED, "the episode is over")
         node.interrupt()
 
-    async def main() -> None:
-        async with served(bus, "room") as (_, reader, _):
-            assert await reader.write("compressor", 500.0) == "property write-access-denied"
-            assert await reader.read("compressor", "priority-array")
-            assert await reader.read("room_temperature", "reliability") == "no-fault-detected"
-
     with subprocess.Popen([*ZENOSTAT, "replay", str(record), "--speed", "1", "--listen", bus]) as replay:
         try:
             until(lambda: Path(f"{tmp_path}/bus").exists(), "the replay listens")
-            asyncio.run(main())
+            async with served(bus, "room") as (_, reader, _):
+                assert await reader.write("compressor", 500.0) == "property write-access-denied"
+                assert await reader.read("compressor", "priority-array")
+                assert await reader.read("room_temperature", "reliability") == "no-fault-detected"
         finally:
             replay.terminate()
 
 
 @pytest.mark.slow
-def test_bacnet_gateway__frozen_node_is_an_operational_problem_of_each_write(tmp_path: Path) -> None:
+async def test_bacnet_gateway__frozen_node_is_an_operational_problem_of_each_write(tmp_path: Path) -> None:
     plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
-
-    async def main() -> None:
-        async with served(node.endpoint, "room") as (_, reader, _):
-            os.kill(node.pid, signal.SIGSTOP)
-            assert await reader.write("compressor", 500.0) == "device operational-problem"
 
     with NodeProgram(tmp_path / "room", plant=plant, name="room") as node:
         try:
-            asyncio.run(main())
+            async with served(node.endpoint, "room") as (_, reader, _):
+                os.kill(node.pid, signal.SIGSTOP)
+                assert await reader.write("compressor", 500.0) == "device operational-problem"
         finally:
             os.kill(node.pid, signal.SIGCONT)

@@ -99,24 +99,19 @@ def test_gateways__mqtt_removes_the_retained_values_of_points_that_are_gone(rout
             assert broker.retained("zenostat/building/status") == "online"
 
 
-def test_gateways__client_has_no_sample_of_the_former_building_beside_the_new_manifest(
+async def test_gateways__client_has_no_sample_of_the_former_building_beside_the_new_manifest(
     router: str, tmp_path: Path
 ) -> None:
     seen: list[tuple[str, bool]] = []
+    with Building(router, tmp_path) as building, open_session(connect=[router]) as session:
+        async with NodeClient(session, "building") as node, asyncio.timeout(60):
 
-    async def main() -> None:
-        with open_session(connect=[router]) as session:
-            async with NodeClient(session, "building") as node, asyncio.timeout(60):
+            def on_manifest(manifest: Manifest) -> None:
+                seen.append((manifest.points[0].name, node.sample is None))
 
-                def on_manifest(manifest: Manifest) -> None:
-                    seen.append((manifest.points[0].name, node.sample is None))
-
-                node.listeners.manifests.append(on_manifest)
-                await asyncio.to_thread(building.replace)
-                while node.sample is None or node.sample.manifest.points[0].name != "temperature":
-                    await asyncio.sleep(0.01)
-                assert node.sample["temperature"] == 20.0
-
-    with Building(router, tmp_path) as building:
-        asyncio.run(main())
+            node.listeners.manifests.append(on_manifest)
+            await asyncio.to_thread(building.replace)
+            while node.sample is None or node.sample.manifest.points[0].name != "temperature":
+                await asyncio.sleep(0.01)
+            assert node.sample["temperature"] == 20.0
     assert seen[0] == ("temperature", True)

@@ -26,112 +26,98 @@ async def _client(endpoint: str, **options: Any) -> AsyncIterator[NodeClient]:
             yield client
 
 
-def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(
+async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pause("office")
     episode_bus.pace("office", mode="free")
     events: list[Event] = []
-
-    async def main() -> None:
-        async with _client(shared_node.endpoint, source="device 7") as node:
-            node.listeners.events.append(events.append)
-            begin = node.sample
-            assert begin.step == 0
-            after = await node.step(2)
-            assert (after.episode, after.step) == (begin.episode, 2)
-            assert after.time - begin.time == 2 * node.manifest.timestep
-            ack = await node.write(COOLING, 26.5)
-            assert "26.5" in ack.text
-            arrays = await node.priorities()
-            assert [(p, *entry) for p, entry in enumerate(arrays[COOLING], 1) if entry.value is not None] == [
-                (8, 26.5, "device 7")
-            ]
-            effective = (await node.step()).effective
-            assert effective[[a.name for a in node.manifest.actuators].index(COOLING)] == 26.5
-            for bad, error in (
-                ({"value": 99.0}, RequestRejected),
-                ({"value": float("nan")}, InvalidAction),
-                ({"value": 25.0, "priority": 17}, InvalidAction),
-                ({"value": 25.0, "duration_s": -1.0}, InvalidAction),
-            ):
-                with pytest.raises(error, match=COOLING):
-                    await node.write(COOLING, **bad)
-            with pytest.raises(UnknownName, match="did you mean"):
-                await node.write("core_zn_coling_setpoint", 26.0)
-            assert (node.counts.writes, node.counts.rejected) == (1, 5)
-            await node.write(COOLING, None)
-            await node.resume()
-            with pytest.raises(RequestRejected, match="not paused"):
-                await node.step()
-
-    asyncio.run(main())
+    async with _client(shared_node.endpoint, source="device 7") as node:
+        node.listeners.events.append(events.append)
+        begin = node.sample
+        assert begin.step == 0
+        after = await node.step(2)
+        assert (after.episode, after.step) == (begin.episode, 2)
+        assert after.time - begin.time == 2 * node.manifest.timestep
+        ack = await node.write(COOLING, 26.5)
+        assert "26.5" in ack.text
+        arrays = await node.priorities()
+        assert [(p, *entry) for p, entry in enumerate(arrays[COOLING], 1) if entry.value is not None] == [
+            (8, 26.5, "device 7")
+        ]
+        effective = (await node.step()).effective
+        assert effective[[a.name for a in node.manifest.actuators].index(COOLING)] == 26.5
+        for bad, error in (
+            ({"value": 99.0}, RequestRejected),
+            ({"value": float("nan")}, InvalidAction),
+            ({"value": 25.0, "priority": 17}, InvalidAction),
+            ({"value": 25.0, "duration_s": -1.0}, InvalidAction),
+        ):
+            with pytest.raises(error, match=COOLING):
+                await node.write(COOLING, **bad)
+        with pytest.raises(UnknownName, match="did you mean"):
+            await node.write("core_zn_coling_setpoint", 26.0)
+        assert (node.counts.writes, node.counts.rejected) == (1, 5)
+        await node.write(COOLING, None)
+        await node.resume()
+        with pytest.raises(RequestRejected, match="not paused"):
+            await node.step()
     assert [event.source for event in events if event.kind is EventKind.WRITTEN] == ["device 7"] * 2
 
 
-def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(
+async def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(
     episode_bus: zenostat.Bus, shared_node: NodeProgram
 ) -> None:
     episode_bus.pause("office")
-
-    async def main() -> None:
-        async with _client(shared_node.endpoint) as node:
-            with pytest.raises(RequestRejected, match="did not reach sample 1 within"):
-                await node.step(timeout_s=0.2)
-
-    asyncio.run(main())
+    async with _client(shared_node.endpoint) as node:
+        with pytest.raises(RequestRejected, match="did not reach sample 1 within"):
+            await node.step(timeout_s=0.2)
 
 
-def test_gateways__too_many_requests_at_once_are_rejected_and_the_others_answered(
+async def test_gateways__too_many_requests_at_once_are_rejected_and_the_others_answered(
     episode_bus: zenostat.Bus, shared_node: NodeProgram, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(node_client, "MAX_PENDING", 10)
 
-    async def main() -> list[Any]:
-        async with _client(shared_node.endpoint) as node:
-            writes = [node.write(COOLING, 25.0 + 0.01 * i) for i in range(30)]
-            return await asyncio.gather(*writes, return_exceptions=True)
-
-    replies = asyncio.run(main())
+    async with _client(shared_node.endpoint) as node:
+        writes = [node.write(COOLING, 25.0 + 0.01 * i) for i in range(30)]
+        replies = await asyncio.gather(*writes, return_exceptions=True)
     rejected = [reply for reply in replies if isinstance(reply, RequestRejected)]
     assert len(rejected) == 20
     assert all("10 requests" in str(reply) for reply in rejected)
     assert len([reply for reply in replies if not isinstance(reply, Exception)]) == 10
 
 
-def test_gateways__node_that_is_killed_ends_all_waits_and_one_that_returns_is_used_again(tmp_path: Path) -> None:
+async def test_gateways__node_that_is_killed_ends_all_waits_and_one_that_returns_is_used_again(tmp_path: Path) -> None:
     settings = {**SMALL, "listen": [], "name": "office"}
-
-    async def main(endpoint: str) -> None:
-        presence: list[bool] = []
-        async with _client(endpoint) as node:
-            node.listeners.presence.append(presence.append)
-            first = node.manifest.instance
-            waiting = asyncio.create_task(node.wait_for(lambda: False, timeout_s=60.0, what="never"))
-            await asyncio.sleep(0)
-            nodes[0].kill()
-            with pytest.raises(NodeLost):
-                await waiting
-            assert not node.is_online
-            with pytest.raises(NodeLost):
-                await node.write(COOLING, 26.0)
-            nodes.append(await asyncio.to_thread(NodeProgram, tmp_path / "second", connect=[endpoint], **settings))
-            async with asyncio.timeout(60):
-                while not node.is_online:
-                    await asyncio.sleep(0.01)
-            assert node.manifest.instance != first
-            assert presence == [False, True]
-            await node.write(COOLING, 26.0)
-        with pytest.raises(NodeNotFound, match="nobody"), open_session(connect=[endpoint]) as session:
-            async with NodeClient(session, "nobody"):
-                pass
 
     nodes: list[NodeProgram] = []
     with open_session(listen=[f"unixsock-stream/{tmp_path}/router"], mode="router"):  # type: ignore[arg-type]
         endpoint = f"unixsock-stream/{tmp_path}/router"
         try:
             nodes.append(NodeProgram(tmp_path / "first", connect=[endpoint], **settings))
-            asyncio.run(main(endpoint))
+            presence: list[bool] = []
+            async with _client(endpoint) as node:
+                node.listeners.presence.append(presence.append)
+                first = node.manifest.instance
+                waiting = asyncio.create_task(node.wait_for(lambda: False, timeout_s=60.0, what="never"))
+                await asyncio.sleep(0)
+                nodes[0].kill()
+                with pytest.raises(NodeLost):
+                    await waiting
+                assert not node.is_online
+                with pytest.raises(NodeLost):
+                    await node.write(COOLING, 26.0)
+                nodes.append(await asyncio.to_thread(NodeProgram, tmp_path / "second", connect=[endpoint], **settings))
+                async with asyncio.timeout(60):
+                    while not node.is_online:
+                        await asyncio.sleep(0.01)
+                assert node.manifest.instance != first
+                assert presence == [False, True]
+                await node.write(COOLING, 26.0)
+            with pytest.raises(NodeNotFound, match="nobody"), open_session(connect=[endpoint]) as session:
+                async with NodeClient(session, "nobody"):
+                    pass
         finally:
             for program in nodes:
                 program.close()

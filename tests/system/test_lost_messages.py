@@ -1,6 +1,5 @@
 """Samples and events that are lost on the way, and large messages of strangers, which once displaced them."""
 
-import asyncio
 from collections.abc import Callable
 from typing import Any
 
@@ -209,15 +208,14 @@ def test_lost_messages__refusals_of_strangers_leave_room_for_those_of_a_controll
             link.receive()
 
 
-def test_lost_messages__gateway_asks_for_a_lost_sample(bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch) -> None:
-    async def main() -> int:
-        with open_session(connect=[bus.endpoint]) as session:
-            async with NodeClient(session, "office") as client:
-                handle = client._handle
-                monkeypatch.setattr(client, "_handle", lambda m: m.key.endswith("/sample") or handle(m))
-                return (await client.step(3)).step
-
+async def test_lost_messages__gateway_asks_for_a_lost_sample(
+    bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch
+) -> None:
     bus.pause("office")
     bus.pace("office", mode="free")
     bus.reset("office", Reset())
-    assert asyncio.run(main()) == 3
+    with open_session(connect=[bus.endpoint]) as session:
+        async with NodeClient(session, "office") as client:
+            handle = client._handle
+            monkeypatch.setattr(client, "_handle", lambda m: m.key.endswith("/sample") or handle(m))
+            assert (await client.step(3)).step == 3

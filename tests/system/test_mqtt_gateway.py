@@ -15,11 +15,11 @@ import aiomqtt
 import pytest
 from paho.mqtt.packettypes import PacketTypes
 from paho.mqtt.properties import Properties
+from support.gateways import RunningGateway
 from support.mqtt_broker import BROKER, Broker, Security, needs_broker, needs_mosquitto, payloads
-from support.nodes import NodeProgram, begin_new_episode, until
-from support.run_cli import ZENOSTAT, run_in_process
+from support.nodes import NodeProgram, until
+from support.run_cli import run_in_process
 
-import zenostat
 from zenostat import Bus
 from zenostat.bridge.transport.session import open_session
 from zenostat.gateways.mqtt.broker import Broker as GatewayBroker
@@ -32,19 +32,13 @@ COOLING, TEMPERATURE = "core_zn_cooling_setpoint", "core_zn_air_temperature"
 
 
 @contextmanager
-def gateway(endpoint: str, broker: Broker, *options: str) -> Iterator[subprocess.Popen[str]]:
+def gateway(endpoint: str, broker: Broker, *options: str) -> Iterator[RunningGateway]:
     """A running gateway of the node `office`; it must end without an error."""
-    address = ["--connect", endpoint, "--broker", f"127.0.0.1:{broker.port}"]
-    command = [*ZENOSTAT, "gateway", "mqtt", "office", *address, *options]
-    program = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-    try:
-        line = program.stdout.readline()
-        assert line.startswith("ready: "), line + program.stderr.read()
-        yield program
-    finally:
-        program.terminate()
-        out, err = program.communicate(timeout=60)
-    assert program.returncode == 0, err
+    options = ("--connect", endpoint, "--broker", f"127.0.0.1:{broker.port}", *options)
+    with RunningGateway("mqtt", "office", *options) as running:
+        yield running
+        code, out, err = running.end()
+    assert code == 0, err
     assert "samples published" in out
     assert "Traceback" not in err
 
@@ -56,20 +50,14 @@ def broker(module_folder: Path) -> Iterator[Broker]:
 
 
 @pytest.fixture(scope="module")
-def served(shared_node: NodeProgram, broker: Broker) -> Iterator[subprocess.Popen[str]]:
-    with gateway(shared_node.endpoint, broker, "--home-assistant") as program:
-        yield program
+def served(shared_node: NodeProgram, broker: Broker) -> Iterator[RunningGateway]:
+    with gateway(shared_node.endpoint, broker, "--home-assistant") as running:
+        yield running
 
 
 @pytest.fixture
-def bus(shared_node: NodeProgram) -> Iterator[Bus]:
-    """The bus of the node, which is paused at the first sample of an episode and steps on command."""
-    with zenostat.connect(shared_node.endpoint, affinity="off") as connected:
-        begin_new_episode(connected)
-        connected.pause("office")
-        connected.pace("office", mode="free")
-        yield connected
-        connected.pace("office", mode="lockstep")
+def bus(stepping_bus: Bus) -> Bus:
+    return stepping_bus
 
 
 def result(messages: list[tuple[str, str]], count: int, actuator: str = COOLING) -> dict[str, Any]:
@@ -80,9 +68,9 @@ def result(messages: list[tuple[str, str]], count: int, actuator: str = COOLING)
 
 
 def test_mqtt_gateway__samples_and_points_are_those_of_the_bus(
-    bus: Bus, served: subprocess.Popen[str], broker: Broker
+    bus: Bus, served: RunningGateway, broker: Broker
 ) -> None:
-    assert broker.retained("zenostat/office/status") == "online"
+    until(lambda: broker.retained("zenostat/office/status") == "online", "it is online")
     with broker.subscribed("zenostat/office/sample") as messages:
         expected = []
         for _ in range(5):
@@ -106,9 +94,7 @@ def test_mqtt_gateway__samples_and_points_are_those_of_the_bus(
     assert [reading["name"] for reading in described["readings"]] == list(manifest.names)
 
 
-def test_mqtt_gateway__commands_are_answered_and_carried_out(
-    bus: Bus, served: subprocess.Popen[str], broker: Broker
-) -> None:
+def test_mqtt_gateway__commands_are_answered_and_carried_out(bus: Bus, served: RunningGateway, broker: Broker) -> None:
     topic = f"zenostat/office/actuator/{COOLING}/set"
     with broker.subscribed("zenostat/office/actuator/+/result") as messages:
         broker.publish(topic, "26.5")
@@ -148,7 +134,7 @@ def test_mqtt_gateway__commands_are_answered_and_carried_out(
     ],
 )
 def test_mqtt_gateway__invalid_commands_are_answered_and_move_nothing(
-    bus: Bus, served: subprocess.Popen[str], broker: Broker, payload: str, error: str, text: str
+    bus: Bus, served: RunningGateway, broker: Broker, payload: str, error: str, text: str
 ) -> None:
     with broker.subscribed("zenostat/office/actuator/+/result") as messages:
         broker.publish(f"zenostat/office/actuator/{COOLING}/set", payload)
@@ -159,7 +145,7 @@ def test_mqtt_gateway__invalid_commands_are_answered_and_move_nothing(
 
 
 def test_mqtt_gateway__unknown_actuator_is_answered_with_similar_names(
-    bus: Bus, served: subprocess.Popen[str], broker: Broker
+    bus: Bus, served: RunningGateway, broker: Broker
 ) -> None:
     with broker.subscribed("zenostat/office/actuator/+/result") as messages:
         broker.publish("zenostat/office/actuator/core_zn_coolin_setpoint/set", "26")
@@ -183,7 +169,7 @@ def test_mqtt_gateway__retained_command_is_not_carried_out(bus: Bus, shared_node
 
 
 def test_mqtt_gateway__mqtt_5_client_gets_the_result_where_it_wants_it(
-    bus: Bus, served: subprocess.Popen[str], broker: Broker
+    bus: Bus, served: RunningGateway, broker: Broker
 ) -> None:
     properties = Properties(PacketTypes.PUBLISH)
     properties.ResponseTopic = "answers/7"
@@ -194,7 +180,7 @@ def test_mqtt_gateway__mqtt_5_client_gets_the_result_where_it_wants_it(
 
 
 def test_mqtt_gateway__response_topic_that_is_none_costs_the_other_clients_nothing(
-    bus: Bus, served: subprocess.Popen[str], broker: Broker
+    bus: Bus, served: RunningGateway, broker: Broker
 ) -> None:
     topic = f"zenostat/office/actuator/{COOLING}"
     answers = ["a/#", "+", "", "x" * 65_000, f"{topic}/set", "right"]
@@ -207,11 +193,11 @@ def test_mqtt_gateway__response_topic_that_is_none_costs_the_other_clients_nothi
         accepted = [json.loads(line)["accepted"] for line in payloads(messages, f"{topic}/result")]
         assert accepted == [answer != f"{topic}/set" for answer in answers]
     assert bus.priorities("office")[COOLING][7].value == 25.5
-    assert served.poll() is None
+    assert served.program.poll() is None
 
 
 def test_mqtt_gateway__response_topic_of_the_gateway_is_rejected_and_nothing_is_published_there(
-    bus: Bus, served: subprocess.Popen[str], broker: Broker
+    bus: Bus, served: RunningGateway, broker: Broker
 ) -> None:
     root, own = "zenostat/office", f"zenostat/office/actuator/{COOLING}/result"
     refused = [root, f"{root}/status", f"{root}/sensor/{TEMPERATURE}", f"{own}/x", "homeassistant/sensor/x/config"]
@@ -253,7 +239,7 @@ def test_mqtt_gateway__response_topic_for_which_the_broker_ends_the_connection_i
 
 @needs_mosquitto
 def test_mqtt_gateway__retained_command_is_rejected_while_the_gateway_is_connected_too(
-    bus: Bus, served: subprocess.Popen[str], broker: Broker
+    bus: Bus, served: RunningGateway, broker: Broker
 ) -> None:
     topic = f"zenostat/office/actuator/{COOLING}"
     with broker.subscribed("zenostat/office/actuator/+/result") as messages:
@@ -295,7 +281,7 @@ def test_mqtt_gateway__commands_that_wait_when_the_gateway_ends_have_a_result(tm
     assert len(results) >= 3
 
 
-def test_mqtt_gateway__home_assistant_finds_each_point(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
+def test_mqtt_gateway__home_assistant_finds_each_point(bus: Bus, served: RunningGateway, broker: Broker) -> None:
     manifest = bus.manifest("office")
     sensor = json.loads(broker.retained(f"homeassistant/sensor/zenostat_office_{TEMPERATURE}/config") or "")
     assert (sensor["unit_of_measurement"], sensor["device_class"]) == ("°C", "temperature")
@@ -310,7 +296,7 @@ def test_mqtt_gateway__home_assistant_finds_each_point(bus: Bus, served: subproc
 
 
 def test_mqtt_gateway__home_assistant_sends_only_values_that_are_accepted_and_relinquishes(
-    bus: Bus, served: subprocess.Popen[str], broker: Broker
+    bus: Bus, served: RunningGateway, broker: Broker
 ) -> None:
     jinja2 = pytest.importorskip("jinja2")
     actuators = {actuator.name: actuator for actuator in bus.manifest("office").actuators}
@@ -337,7 +323,7 @@ def button_id(actuator: str) -> str:
 
 @pytest.mark.slow
 def test_mqtt_gateway__flood_of_commands_is_answered_one_by_one(
-    bus: Bus, served: subprocess.Popen[str], broker: Broker
+    bus: Bus, served: RunningGateway, broker: Broker
 ) -> None:
     """Values out of the bounds among valid ones: none of them arrives, and the last valid one is in effect."""
     topic = f"zenostat/office/actuator/{COOLING}"
@@ -371,7 +357,7 @@ def test_mqtt_gateway__broker_that_returns_has_everything_again_and_no_result_is
         until(lambda: broker.retained(f"zenostat/office/sensor/{TEMPERATURE}") == latest, "values are there again")
 
 
-def test_mqtt_gateway__example_sets_back_at_night(bus: Bus, served: subprocess.Popen[str], broker: Broker) -> None:
+def test_mqtt_gateway__example_sets_back_at_night(bus: Bus, served: RunningGateway, broker: Broker) -> None:
     example = Path(__file__).parents[2] / "examples" / "mqtt_client.py"
     command = [sys.executable, "-u", str(example), "--port", str(broker.port_v3)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
@@ -386,14 +372,9 @@ def test_mqtt_gateway__example_sets_back_at_night(bus: Bus, served: subprocess.P
 def test_mqtt_gateway__killed_gateway_is_offline_by_its_last_will(
     bus: Bus, shared_node: NodeProgram, broker: Broker
 ) -> None:
-    command = [
-        *ZENOSTAT, "gateway", "mqtt", "office", "--connect", shared_node.endpoint, "--topic", "third",
-        "--source", "third", "--broker", f"127.0.0.1:{broker.port}",
-    ]  # fmt: skip
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
-        assert program.stdout.readline().startswith("ready: ")
+    options = ["--topic", "third", "--source", "third", "--broker", f"127.0.0.1:{broker.port}"]
+    with RunningGateway("mqtt", "office", "--connect", shared_node.endpoint, *options):
         until(lambda: broker.retained("third/status") == "online", "it is online")
-        program.kill()
     until(lambda: broker.retained("third/status") == "offline", "the broker has published the last will")
 
 
