@@ -211,32 +211,20 @@ def starts_a_thread(self: Any) -> None:
 threads: list[tuple[threading.Thread, threading.Event]] = []
 
 MUTANTS: dict[str, tuple[Any, dict[str, str]]] = {
-    "undeclared": (
-        mutant(step_s=0.0, sensors=None),
-        {"can be created, reset and stepped": r"InvalidConfig: plant Mutant: step_s = 0.*\n.*no attribute sensors"},
-    ),
-    "raises": (
-        mutant(step=lambda self, commands: 1 / 0),
-        {"can be created, reset and stepped": "raised ZeroDivisionError: division by zero"},
-    ),
-    "returns a number": (
-        mutant(step=lambda self, commands: 20.0),
-        {"can be created, reset and stepped": r"step returned 20.0; expected a dictionary"},
-    ),
-    "forgets a sensor": (
-        changed(level=None),
-        {"returns a value of each sensor and meter": "no value of 'level' at sample 0"},
-    ),
-    "invents a sensor": (
-        changed(pressure=1.0),
-        {"returns a value of each sensor and meter": "'pressure' at sample 0 is neither a sensor nor a meter"},
-    ),
+    "undeclared": (mutant(step_s=0.0, sensors=None),
+        {"can be created, reset and stepped": r"InvalidConfig: plant Mutant: step_s = 0.*\n.*no attribute sensors"}),
+    "raises": (mutant(step=lambda self, commands: 1 / 0),
+        {"can be created, reset and stepped": "raised ZeroDivisionError: division by zero"}),
+    "returns a number": (mutant(step=lambda self, commands: 20.0),
+        {"can be created, reset and stepped": r"step returned 20.0; expected a dictionary"}),
+    "forgets a sensor": (changed(level=None),
+        {"returns a value of each sensor and meter": "no value of 'level' at sample 0"}),
+    "invents a sensor": (changed(pressure=1.0),
+        {"returns a value of each sensor and meter": "'pressure' at sample 0 is neither a sensor nor a meter"}),
     "not a number": (changed(level=float("nan")), {"values are finite": "level = nan at sample 0; expected a finite"}),
     "a text": (changed(level="full"), {"values are finite": "level = 'full' at sample 0; expected a finite"}),
-    "too hot": (
-        mutant(step=no_limit),
-        {"values are within bounds": r"temperature = 9\d.*; its bounds are 20 to 95 degC \(at sample \d+, "},
-    ),
+    "too hot": (mutant(step=no_limit),
+        {"values are within bounds": r"temperature = 9\d.*; its bounds are 20 to 95 degC \(at sample \d+, "}),
     "needs a command": (
         mutant(step=needs_the_heater),
         {
@@ -253,10 +241,8 @@ MUTANTS: dict[str, tuple[Any, dict[str, str]]] = {
             "continues from a saved state": "",
         },
     ),
-    "remembers": (
-        Remembers,
-        {"a reset during an episode leaves no trace": "affects the next one: level is 1.0 and [^1]"},
-    ),
+    "remembers": (Remembers,
+        {"a reset during an episode leaves no trace": "affects the next one: level is 1.0 and [^1]"}),
     "shares": (
         Shares,
         {
@@ -264,27 +250,17 @@ MUTANTS: dict[str, tuple[Any, dict[str, str]]] = {
             "continues from a saved state": "",
         },
     ),
-    "saves too little": (
-        mutant(save=lambda self: (self.temperature, 1.0)),
-        {"continues from a saved state": "a new instance with the saved state continued differently: level is"},
-    ),
-    "state is not data": (
-        mutant(save=lambda self: (self.temperature, lambda: self.level)),
-        {"continues from a saved state": "save, pickling its state, or restore in a new instance raised"},
-    ),
-    "save disturbs": (
-        SaveDisturbs,
-        {"continues from a saved state": r"after save\(\) it continued differently: temperature is"},
-    ),
-    "forkable with threads": (
-        mutant(Forkable, __init__=starts_a_thread),
-        {"starts no threads if it is forkable": "it started logger, which a fork loses"},
-    ),
-    "closes what an episode opens": (
-        mutant(close=lambda self: self.log.close()),
-        {"can be closed": r"close\(\) of a new instance raised AttributeError: .*'log'"},
-    ),
-}
+    "saves too little": (mutant(save=lambda self: (self.temperature, 1.0)),
+        {"continues from a saved state": "a new instance with the saved state continued differently: level is"}),
+    "state is not data": (mutant(save=lambda self: (self.temperature, lambda: self.level)),
+        {"continues from a saved state": "save, pickling its state, or restore in a new instance raised"}),
+    "save disturbs": (SaveDisturbs,
+        {"continues from a saved state": r"after save\(\) it continued differently: temperature is"}),
+    "forkable with threads": (mutant(Forkable, __init__=starts_a_thread),
+        {"starts no threads if it is forkable": "it started logger, which a fork loses"}),
+    "closes what an episode opens": (mutant(close=lambda self: self.log.close()),
+        {"can be closed": r"close\(\) of a new instance raised AttributeError: .*'log'"}),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", MUTANTS)

@@ -215,24 +215,18 @@ def test_load_controller__file_beside_modules_with_the_names_of_our_packages(
         ("rcb", UnknownName, r"no controller 'rcb'; .*'rbc'.*path/to/file\.py:MyController"),
         ("nowhere/mine.py:Mine", UnknownName, r"there is no file .*/nowhere/mine\.py"),
         ("mine.py:Mien", UnknownName, r"there is no 'Mien' in mine\.py; did you mean 'Mine'"),
-        (
-            "mine.py:VALUE",
-            InvalidConfig,
-            r"VALUE of mine\.py is not a controller: expected a class with a method act\(sample\)",
-        ),
+        ("mine.py:VALUE", InvalidConfig,
+            r"VALUE of mine\.py is not a controller: expected a class with a method act\(sample\)"),
         ("mine.py:Idle", InvalidConfig, r"Idle of mine\.py is not a controller: expected a class with a method act"),
         ("mine.py:Bare", InvalidConfig, r"Bare of mine\.py is not a controller: it has to accept the manifest"),
-        (
-            "mine.py:Controller",
-            InvalidConfig,
-            r"Controller of mine\.py is not a controller: its act\(sample\) is abstract",
-        ),
+        ("mine.py:Controller", InvalidConfig,
+            r"Controller of mine\.py is not a controller: its act\(sample\) is abstract"),
         ("broken.py:Mine", InvalidConfig, r"loading broken\.py failed: ZeroDivisionError: .*line 3 of broken"),
         ("wrong.py:Mine", InvalidConfig, r"loading wrong\.py failed: SyntaxError"),
         ("quits.py:Mine", InvalidConfig, r"loading quits\.py failed: SystemExit: 3"),
         ("no.such.module:Mine", UnknownName, r"there is no module 'no\.such\.module'"),
     ],
-)
+)  # fmt: skip
 def test_controllers__what_is_no_controller(
     text: str,
     error: type[Exception],

@@ -85,30 +85,21 @@ def test_pid__drives_a_named_actuator_and_holds_others() -> None:
     [
         (node(sensors=(PEOPLE,)), {}, r"pid needs a sensor in degC, but node 'office' has none: add one"),
         (node(), {}, r"pid takes one actuator: name it by actuator=...; there are: 'heating_setpoint', 'cooling"),
-        (
-            node(HEAT, sensors=(sensor("a"), sensor("b"))),
-            {},
-            r"pid takes one sensor: name it by sensor=...; there are: 'a'",
-        ),
+        (node(HEAT, sensors=(sensor("a"), sensor("b"))), {},
+            r"pid takes one sensor: name it by sensor=...; there are: 'a'"),
         (node(HEAT), {"sensor": "aire"}, "there is no sensor 'aire' in degC for pid; did you mean 'air'"),
-        (
-            node(HEAT),
-            {"actuator": "heat"},
-            "there is no action or actuator 'heat' for pid; did you mean 'heating_setpoint'",
-        ),
+        (node(HEAT), {"actuator": "heat"},
+            "there is no action or actuator 'heat' for pid; did you mean 'heating_setpoint'"),
         (single("valve", 0.0, None), {}, "'valve' has no bounds: set the limits of the output by low="),
         (node(HEAT), {"high": 30}, "high = 30; expected a number from 15 to 22.5"),
         (node(HEAT), {"low": 20, "high": 18}, "low = 20 is not below high = 18"),
         (node(HEAT), {"kp": -1}, "kp = -1; expected a number of at least 0"),
         (node(HEAT), {"reverse": "yes"}, "reverse = 'yes'; expected true or false"),
-        (
-            node(HEAT),
-            {"heating_setpoint": 20},
-            "heating_setpoint: the controller's own output cannot have a fixed value",
-        ),
+        (node(HEAT), {"heating_setpoint": 20},
+            "heating_setpoint: the controller's own output cannot have a fixed value"),
         (manifest(sensors=[ROOM]), {}, "pid needs an actuator, but node 'office' has none"),
     ],
-)
+)  # fmt: skip
 def test_controllers__pids_that_cannot_be(of: Manifest, arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(InvalidConfig, match=message):
         make_controller(PIDController, of, {"setpoint": 21.0, **arguments})

@@ -118,19 +118,9 @@ def run_example(name: str, *options: str, folder: Path) -> str:
 
 def test_ray__tune_finds_the_better_of_two_trials(folder: Path) -> None:
     options = [
-        "--env",
-        "Fake-v1",
-        "--begin",
-        "07-03",
-        "--end",
-        "07-03",
-        "--iterations",
+        "--env", "Fake-v1", "--begin", "07-03", "--end", "07-03", "--iterations", "1", "--batch", "256", "--cores",
         "1",
-        "--batch",
-        "256",
-        "--cores",
-        "1",
-    ]
+    ]  # fmt: skip
     text = run_example("ray_tune.py", *options, folder=folder)
     returns = dict(re.findall(r"lr ([\d.]+): return (-[\d.]+) after \d+ steps", text))
     assert sorted(returns) == ["0.0001", "0.001"]

@@ -90,22 +90,14 @@ REFUSED = "controls a fake building to the end of the episode"
 CONTROLLER_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "no act": (lambda manifest: object(), {"is created from a manifest": "has no method act"}),
     "cannot be made": (lambda: None, {"is created from a manifest": "raised TypeError"}),
-    "raises": (
-        answering(lambda s: {HEAT: [20.0, 20.0, 20.0][s.step]}),
-        {"answers each sample": r"act raised IndexError: .*at sample 3; at 196 of 199", REFUSED: None},
-    ),
-    "no dictionary": (
-        answering(lambda s: [20.0, 25.0]),
-        {"answers each sample": r"act returned \[20.0, 25.0\] at sample 0", REFUSED: None},
-    ),
-    "unknown": (
-        answering(lambda s: {"heating": 20.0}),
-        {"names only actuators of the node": "no actuator 'heating'", REFUSED: "InvalidAction"},
-    ),
-    "not finite": (
-        answering(lambda s: {HEAT: float("nan"), COOL: 25.0}),
-        {"values are finite": f"{HEAT} = nan at sample 0", REFUSED: "InvalidAction"},
-    ),
+    "raises": (answering(lambda s: {HEAT: [20.0, 20.0, 20.0][s.step]}),
+        {"answers each sample": r"act raised IndexError: .*at sample 3; at 196 of 199", REFUSED: None}),
+    "no dictionary": (answering(lambda s: [20.0, 25.0]),
+        {"answers each sample": r"act returned \[20.0, 25.0\] at sample 0", REFUSED: None}),
+    "unknown": (answering(lambda s: {"heating": 20.0}),
+        {"names only actuators of the node": "no actuator 'heating'", REFUSED: "InvalidAction"}),
+    "not finite": (answering(lambda s: {HEAT: float("nan"), COOL: 25.0}),
+        {"values are finite": f"{HEAT} = nan at sample 0", REFUSED: "InvalidAction"}),
     "out of bounds": (
         answering(lambda s: {COOL: 31.0 if s.step == 9 else 24.0}),
         {
@@ -134,11 +126,9 @@ CONTROLLER_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
         },
     ),
     "joins not": (OnlyFromTheStart, {"can join during an episode": "joining at sample 100 raised AssertionError"}),
-    "global generators": (
-        answering(lambda s: {HEAT: 20.0} if random.random() + np.random.rand() >= 0.0 else {}),
-        {"leaves the global random generators alone": "Python's global generator"},
-    ),
-}
+    "global generators": (answering(lambda s: {HEAT: 20.0} if random.random() + np.random.rand() >= 0.0 else {}),
+        {"leaves the global random generators alone": "Python's global generator"}),
+}  # fmt: skip
 
 
 def test_testing_kit__mutants_are_all_that_is_wrong_and_no_check_is_without_one() -> None:
@@ -267,18 +257,12 @@ ALL_THE_SAME = (
 )  # fmt: skip
 REWARD_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
     "no bind of this node": (mutant(__init__=lambda self, a: None), {"binds to a manifest": "raised TypeError"}),
-    "no Outcome": (
-        changed(lambda s, v, b, out: (out.reward, out.terms, {})),
-        {"returns an Outcome of floats": "a tuple"},
-    ),
-    "not the sum": (
-        changed(lambda s, v, b, out: out._replace(terms={"energy": out.reward, "comfort": out.reward})),
-        {"the terms add up to the reward": r"at timestep 0 the reward is -[\d.]+, and its terms add up to -"},
-    ),
-    "not finite": (
-        changed(lambda s, v, b, out: out._replace(metrics={"share": np.float64("nan")})),
-        {"all values are finite": "share = nan"},
-    ),
+    "no Outcome": (changed(lambda s, v, b, out: (out.reward, out.terms, {})),
+        {"returns an Outcome of floats": "a tuple"}),
+    "not the sum": (changed(lambda s, v, b, out: out._replace(terms={"energy": out.reward, "comfort": out.reward})),
+        {"the terms add up to the reward": r"at timestep 0 the reward is -[\d.]+, and its terms add up to -"}),
+    "not finite": (changed(lambda s, v, b, out: out._replace(metrics={"share": np.float64("nan")})),
+        {"all values are finite": "share = nan"}),
     "another each time": (
         changed(lambda s, v, b, out: Outcome(*(2 * (next(numbers),)), {})._replace(terms={})),
         {
@@ -293,20 +277,16 @@ REWARD_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
             "resets single buildings": "does not get the reward of a new episode",
         },
     ),
-    "forgets all": (
-        mutant(reset=lambda self, slots=None: Bound.reset(self)),
-        {"resets single buildings": "changed the reward of other buildings"},
-    ),
+    "forgets all": (mutant(reset=lambda self, slots=None: Bound.reset(self)),
+        {"resets single buildings": "changed the reward of other buildings"}),
     "writes": (changed(writes), {"changes neither values nor manifest": "modifies its argument values"}),
     "one for all": (changed(only_of_one), {SHAPES: "building 1 of 3 gets", "resets single buildings": None}),
     "no state": (mutant(state=lambda self: {}), {"continues from a restored state": "restored from its state"}),
-    "odd state": (
-        mutant(state=lambda self: {"sums": self.sums}),
-        {"continues from a restored state": "values other than strings, numbers, lists and dictionaries"},
-    ),
+    "odd state": (mutant(state=lambda self: {"sums": self.sums}),
+        {"continues from a restored state": "values other than strings, numbers, lists and dictionaries"}),
     "looks away": (LooksAway(), {"a missing point is an InvalidConfig": "without any point it was bound, but"}),
     "trips": (Trips(), {"a missing point is an InvalidConfig": "ValueError: .*; expected InvalidConfig"}),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", REWARD_MUTANTS)
@@ -380,14 +360,10 @@ ENVIRONMENT_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
             "gymnasium's own checks": None,
         },
     ),
-    "no float": (
-        with_(reward=lambda env, r: np.float32(r)),
-        {"rewards are finite and equal the sum of their terms": "the reward of step 1 is"},
-    ),
-    "not the sum": (
-        with_(reward=lambda env, r: r - 1.0),
-        {"rewards are finite and equal the sum of their terms": "its reward_terms add up to"},
-    ),
+    "no float": (with_(reward=lambda env, r: np.float32(r)),
+        {"rewards are finite and equal the sum of their terms": "the reward of step 1 is"}),
+    "not the sum": (with_(reward=lambda env, r: r - 1.0),
+        {"rewards are finite and equal the sum of their terms": "its reward_terms add up to"}),
     "mute": (
         with_(info=lambda env, i: {k: v for k, v in i.items() if k not in ("effective", "weather")}),
         {
@@ -395,22 +371,14 @@ ENVIRONMENT_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
             "the info of step lacks effective"
         },
     ),
-    "miscounts": (
-        with_(info=lambda env, i: {**i, "step": 2 * i["step"]}),
-        {"info has its keys and counts steps": r"counts \[0, 2, 4, 6\]", "an action of NaN is rejected": None},
-    ),
-    "keeps a trace": (
-        with_(observation=lambda env, o: o + np.float32(env.left_at == 15) * (o > 0)),
-        {"a reset during an episode leaves no trace": "affects the next one: the observation of sample 0 differs"},
-    ),
-    "names": (
-        lambda env, *step: (setattr(env, "observation_names", ("a",)), step)[1],
-        {"observations have names": "has 1 names for an observation of shape"},
-    ),
-    "lax": (
-        with_(),
-        {"an action of NaN is rejected": "was accepted", "a step after the end is rejected": "was accepted"},
-    ),
+    "miscounts": (with_(info=lambda env, i: {**i, "step": 2 * i["step"]}),
+        {"info has its keys and counts steps": r"counts \[0, 2, 4, 6\]", "an action of NaN is rejected": None}),
+    "keeps a trace": (with_(observation=lambda env, o: o + np.float32(env.left_at == 15) * (o > 0)),
+        {"a reset during an episode leaves no trace": "affects the next one: the observation of sample 0 differs"}),
+    "names": (lambda env, *step: (setattr(env, "observation_names", ("a",)), step)[1],
+        {"observations have names": "has 1 names for an observation of shape"}),
+    "lax": (with_(),
+        {"an action of NaN is rejected": "was accepted", "a step after the end is rejected": "was accepted"}),
     "unseeded": (
         with_(observation=lambda env, o: o + np.float32(1e-3 * env.episodes) * (o > 0)),
         {
@@ -419,7 +387,7 @@ ENVIRONMENT_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
             "gymnasium's own checks": None,
         },
     ),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ENVIRONMENT_MUTANTS)

@@ -217,28 +217,18 @@ def test_wrappers__what_was_wrapped_by_hand_is_data_too() -> None:
         ([{"wrapper": "CyclicTime", "field": ["hour"]}], "CyclicTime has no argument 'field'; did you mean 'fields'"),
         ([{"wrapper": "PreviousObservation"}], "missing a required argument: 'names'"),
         ([{"wrapper": "RescaleAction", "min_action": 0}], "RescaleAction: .*'max_action'"),
-        (
-            [{"wrapper": "RewardVector", "terms": ["energy"]}, {"wrapper": "NormalizeReward"}],
-            r"wrappers\[1\]: NormalizeReward needs a scalar reward; apply it before RewardVector",
-        ),
-        (
-            [{"wrapper": "NormalizeObservation"}, *CHAINS["SetpointDifference"]],
-            "SetpointDifference needs values in their units; apply it before NormalizeObservation",
-        ),
-        (
-            [{"wrapper": "FrameStackObservation", "stack_size": 2}, {"wrapper": "CyclicTime"}],
-            "after FrameStackObservation values have no names; apply it after the wrappers that need them",
-        ),
-        (
-            [{"wrapper": "RescaleAction", "min_action": -1, "max_action": 1}, *CHAINS["IncrementalAction"]],
-            "IncrementalAction changes values in their units; apply it before RescaleAction",
-        ),
-        (
-            [*CHAINS["DiscreteIncrementalAction"], *CHAINS["IncrementalAction"]],
-            "apply it before DiscreteIncrementalAction",
-        ),
+        ([{"wrapper": "RewardVector", "terms": ["energy"]}, {"wrapper": "NormalizeReward"}],
+            r"wrappers\[1\]: NormalizeReward needs a scalar reward; apply it before RewardVector"),
+        ([{"wrapper": "NormalizeObservation"}, *CHAINS["SetpointDifference"]],
+            "SetpointDifference needs values in their units; apply it before NormalizeObservation"),
+        ([{"wrapper": "FrameStackObservation", "stack_size": 2}, {"wrapper": "CyclicTime"}],
+            "after FrameStackObservation values have no names; apply it after the wrappers that need them"),
+        ([{"wrapper": "RescaleAction", "min_action": -1, "max_action": 1}, *CHAINS["IncrementalAction"]],
+            "IncrementalAction changes values in their units; apply it before RescaleAction"),
+        ([*CHAINS["DiscreteIncrementalAction"], *CHAINS["IncrementalAction"]],
+            "apply it before DiscreteIncrementalAction"),
     ],
-)
+)  # fmt: skip
 def test_wrappers__chains_that_cannot_be(chain: list[Any], text: str) -> None:
     with pytest.raises(InvalidConfig, match=text):
         w.apply_wrappers(fake(), chain)

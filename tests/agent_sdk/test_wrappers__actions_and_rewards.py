@@ -101,25 +101,17 @@ def test_wrappers__discrete_incremental_action_by_hand() -> None:
     [
         (lambda env: w.IncrementalAction(env, {"cool": 1}, {"heat": 20}), "have to name the same actions"),
         (lambda env: w.IncrementalAction(env, {"coo": 1}, {"coo": 20}), "no action 'coo'; did you mean 'cool'"),
-        (
-            lambda env: w.IncrementalAction(env, {"cool": 1}, {"cool": 20}),
-            "cool starts at 20, outside its bounds 22.5 to 30",
-        ),
+        (lambda env: w.IncrementalAction(env, {"cool": 1}, {"cool": 20}),
+            "cool starts at 20, outside its bounds 22.5 to 30"),
         (lambda env: w.IncrementalAction(env, {"cool": [1, 2]}, {"cool": 25}), "its step not above the increment"),
-        (
-            lambda env: w.DiscreteIncrementalAction(env, {"cool": 1}, {"cool": 25}),
-            "initial also needs a value for heat",
-        ),
-        (
-            lambda env: w.DiscreteIncrementalAction(env, {"cool": 0}, {"cool": 25, "heat": 20}),
-            "a step above 0, or several different ones",
-        ),
-        (
-            lambda env: w.DiscreteIncrementalAction(env, {"cool": [1, 1]}, {"cool": 25, "heat": 20}),
-            "a step above 0, or several different ones",
-        ),
+        (lambda env: w.DiscreteIncrementalAction(env, {"cool": 1}, {"cool": 25}),
+            "initial also needs a value for heat"),
+        (lambda env: w.DiscreteIncrementalAction(env, {"cool": 0}, {"cool": 25, "heat": 20}),
+            "a step above 0, or several different ones"),
+        (lambda env: w.DiscreteIncrementalAction(env, {"cool": [1, 1]}, {"cool": 25, "heat": 20}),
+            "a step above 0, or several different ones"),
     ],
-)
+)  # fmt: skip
 def test_wrappers__increments_that_cannot_be(wrong: Callable[[Any], Any], text: str) -> None:
     with pytest.raises(InvalidConfig, match=text):
         wrong(fake())

@@ -422,23 +422,17 @@ def test_rules_that_do_not_fit_the_plant__are_named(rule: dict[str, Any], text: 
         ("alarms: [{name: a, points: x, low: 5}, {name: a, points: y, low: 5}]", ["used more than once: 'a'"]),
         ("alarms: [{name: a, points: x, low: 5, delay_s: -1}]", ["alarms.0.delay_s"]),
         ("alarms: [{name: a, points: x, low: 5, weekdays: [monday]}]", ["alarms.0.weekdays.0"]),
-        (
-            "alarms: [{name: a, points: x, low: 5, suppress_when: {pont: y, above: 1}}]",
-            ["alarms.0.suppress_when: there is no field 'pont'; did you mean 'point'"],
-        ),
-        (
-            "alarms: [{name: a, points: x, low: 5, suppress_when: {point: y}}]",
-            ["a condition needs a limit: above, below"],
-        ),
-        (
-            "alarms: [{name: a, points: x, low: 5, suppress_when: {point: y, above: 2, below: 1}}]",
-            ["above 2 and below 1 at once: no value is both"],
-        ),
+        ("alarms: [{name: a, points: x, low: 5, suppress_when: {pont: y, above: 1}}]",
+            ["alarms.0.suppress_when: there is no field 'pont'; did you mean 'point'"]),
+        ("alarms: [{name: a, points: x, low: 5, suppress_when: {point: y}}]",
+            ["a condition needs a limit: above, below"]),
+        ("alarms: [{name: a, points: x, low: 5, suppress_when: {point: y, above: 2, below: 1}}]",
+            ["above 2 and below 1 at once: no value is both"]),
         ("alarms: [{name: a, points: x, low: 5, max_shelve_s: -1}]", ["alarms.0.max_shelve_s"]),
         ("alarms: []", ["expected 1 to 1000 rules, got 0"]),
         ("alarm: []", ["alarms: it is missing", "did you mean 'alarms'"]),
     ],
-)
+)  # fmt: skip
 def test_a_file_with_errors__is_named_with_each_of_them(folder: Path, text: str, words: list[str]) -> None:
     path = folder / "alarms.yaml"
     path.write_text(text)

@@ -36,16 +36,9 @@ class Disturbance(StrEnum):
 
 
 FLOODS = (
-    Disturbance.GARBAGE,
-    Disturbance.UNKNOWN,
-    Disturbance.STALE,
-    Disturbance.FUTURE,
-    Disturbance.OVERSIZED,
-    Disturbance.LARGE,
-    Disturbance.WRITES,
-    Disturbance.BAD_WRITES,
-    Disturbance.BAD_REQUESTS,
-)
+    Disturbance.GARBAGE, Disturbance.UNKNOWN, Disturbance.STALE, Disturbance.FUTURE, Disturbance.OVERSIZED,
+    Disturbance.LARGE, Disturbance.WRITES, Disturbance.BAD_WRITES, Disturbance.BAD_REQUESTS,
+)  # fmt: skip
 """Those that the flooder sends, which has a session of its own."""
 
 SIZES = {

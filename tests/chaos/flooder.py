@@ -44,21 +44,15 @@ class Flooder:
         rng, at = random.Random(seed), self._bus.latest(self._node)
         makers: dict[Disturbance, Callable[[], tuple[str, bytes, str]]] = {
             Disturbance.GARBAGE: lambda: (self._source(rng, names), *self._garbage(rng, at)),
-            Disturbance.UNKNOWN: lambda: (
-                self._command_key(f"stranger-{rng.randrange(1000)}"),
-                self._command(at, 0, 0),
-                "",
-            ),
-            Disturbance.STALE: lambda: (
-                self._source(rng, names),
-                self._command(at, 0, -rng.randint(1, at.step[0])),
-                "",
-            ),
+            Disturbance.UNKNOWN: lambda: (self._command_key(f"stranger-{rng.randrange(1000)}"),
+                self._command(at, 0, 0), ""),
+            Disturbance.STALE: lambda: (self._source(rng, names), self._command(at, 0, -rng.randint(1, at.step[0])),
+                ""),
             Disturbance.FUTURE: lambda: (self._source(rng, names), self._future(rng, at), ""),
             Disturbance.OVERSIZED: lambda: (self._source(rng, names), bytes(codec.MAX_BYTES + 1), ""),
             Disturbance.WRITES: lambda: (*self._write(rng), ""),
             Disturbance.BAD_WRITES: lambda: (*self._bad_write(rng), ""),
-        }
+        }  # fmt: skip
         if disturbance is Disturbance.STALE and at.step[0] == 0:
             disturbance = Disturbance.FUTURE
         if disturbance is Disturbance.BAD_REQUESTS:

@@ -23,12 +23,8 @@ MAY_GROW = 8
 """Descriptors and threads, likewise; a status that is being asked for has some."""
 
 CHANGED_NOTHING = (
-    Disturbance.GARBAGE,
-    Disturbance.UNKNOWN,
-    Disturbance.FUTURE,
-    Disturbance.OVERSIZED,
-    Disturbance.BAD_WRITES,
-)
+    Disturbance.GARBAGE, Disturbance.UNKNOWN, Disturbance.FUTURE, Disturbance.OVERSIZED, Disturbance.BAD_WRITES,
+)  # fmt: skip
 """Floods of which every message is rejected or counted as flooded; stale ones are late."""
 
 _REFUSALS = {EventKind.REJECTED: "rejected", EventKind.LATE: "late", EventKind.DUPLICATE: "duplicate"}

@@ -17,16 +17,9 @@ finally:
     print(*sys.modules, sep="\\n", file=sys.stderr)
 """
 SLOW = {
-    "asyncio",
-    "gymnasium",
-    "matplotlib",
-    "rerun",
-    "stable_baselines3",
-    "torch",
-    "zenostat.agent_sdk",
-    "zenostat.eplus_node",
-    "zenostat.models",
-}
+    "asyncio", "gymnasium", "matplotlib", "rerun", "stable_baselines3", "torch", "zenostat.agent_sdk",
+    "zenostat.eplus_node", "zenostat.models",
+}  # fmt: skip
 """What no help needs: frameworks, and packages of ours that import them."""
 
 NAMES = [command_name(place) for places in GROUPS.values() for place in places]

@@ -34,14 +34,10 @@ def test_help__has_an_example_that_the_command_takes(command: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (
-            ["node", "--building", "ofice-small", "--weather", "USA_CO_Denver"],
-            ["no building 'ofice-small'", "office-small"],
-        ),
-        (
-            ["node", "--building", "office-small", "--weather", "USA_CO"],
-            ["matches several", "USA_CO_Denver", "USA_CO_Golden"],
-        ),
+        (["node", "--building", "ofice-small", "--weather", "USA_CO_Denver"],
+            ["no building 'ofice-small'", "office-small"]),
+        (["node", "--building", "office-small", "--weather", "USA_CO"],
+            ["matches several", "USA_CO_Denver", "USA_CO_Golden"]),
         (["node", *DAY[:4], "--begin", "02-30"], ["begin '02-30' is not a calendar date"]),
         (["node", *DAY, "--steps-per-hour", "7"], ["7 does not divide the hour"]),
         (["node", *DAY, "--name", "my office"], ["'my office' is not valid in a topic", "'my_office'"]),
@@ -51,7 +47,7 @@ def test_help__has_an_example_that_the_command_takes(command: str) -> None:
         (["monitor", "--save", "nowhere/run.rrd"], ["there is no folder", "nowhere"]),
         (["monitor", "--screenshot", "run.jpg"], ["--screenshot run.jpg", "expected a .png file"]),
     ],
-)
+)  # fmt: skip
 def test_mistakes__are_named_before_anything_starts(scratch: Path, arguments: list[str], words: list[str]) -> None:
     done = run_in_process(*arguments, cwd=scratch)
     assert done.returncode == 2

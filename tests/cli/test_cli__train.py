@@ -79,22 +79,16 @@ def test_cli__help_has_an_example_and_fits_80_columns(command: str) -> None:
         (["train", "t.yaml", "--algorithm", "pro"], "did you mean 'ppo'"),
         (["train", "t.yaml", "--set", "log=[tensorbord]"], "log.0"),
         (["train", "t.yaml", "--set", "log=tensorboard"], "error: t.yaml: log: a list expected, got 'tensorboard'"),
-        (
-            ["train", "t.yaml", "--set", "evaluation={every_step: 3}"],
-            "error: t.yaml: evaluation.every_step: there is no such field; did you mean 'every_steps'",
-        ),
+        (["train", "t.yaml", "--set", "evaluation={every_step: 3}"],
+            "error: t.yaml: evaluation.every_step: there is no such field; did you mean 'every_steps'"),
         (["train", "t.yaml", "--set", "normalization=3"], "error: t.yaml: normalization: a mapping expected, got 3"),
-        (
-            ["train", "t.yaml", "--set", "parameters.policy_kwargs={net_arc: [8]}"],
-            "error: parameters.policy_kwargs: a2c has no 'net_arc'; did you mean 'net_arch'",
-        ),
+        (["train", "t.yaml", "--set", "parameters.policy_kwargs={net_arc: [8]}"],
+            "error: parameters.policy_kwargs: a2c has no 'net_arc'; did you mean 'net_arch'"),
         (["train", "s.yaml"], "error: s.yaml is a tuning file, not a training file: use zenostat tune"),
         (["tune", "t.yaml"], "error: t.yaml is a training file, not a tuning file: use zenostat train"),
         (["tune", "s.yaml", "--set", "training=s.yaml"], "s.yaml is a tuning file, not a training file"),
-        (
-            ["tune", "s.yaml", "--set", "parameters.slots=2"],
-            "error: s.yaml: parameters.slots: a range as {low: 1, high: 9}, or a list of choices expected, got 2",
-        ),
+        (["tune", "s.yaml", "--set", "parameters.slots=2"],
+            "error: s.yaml: parameters.slots: a range as {low: 1, high: 9}, or a list of choices expected, got 2"),
         (["evaluate", "t.yaml", "--controller", "rbc"], "is a training file, not a scenario file: use zenostat train"),
         (["tune", "none.yaml"], "there is no file"),
         (["tune", "s.yaml", "--set", "tirals=3"], "did you mean 'trials'"),
@@ -105,7 +99,7 @@ def test_cli__help_has_an_example_and_fits_80_columns(command: str) -> None:
         (["evaluate", "Fake-v1", "--controller", "r.yaml"], "r.yaml: study: there is no such field"),
         (["evaluate", "Fake-v1", "--controller", "s.yaml"], "s.yaml is a tuning file, not a controller file"),
     ],
-)
+)  # fmt: skip
 def test_cli__bad_input_is_one_sentence_before_anything_starts(command: list[str], text: str, tmp_path: Path) -> None:
     if command[0] == "tune":
         pytest.importorskip("optuna")

@@ -63,23 +63,8 @@ def refused(load: Load, text: str) -> str:
 
 # Words that YAML takes for something else than text, if they are not quoted.
 TRICKY = (
-    "on",
-    "No",
-    "null",
-    "~",
-    "1",
-    "1e-4",
-    "1.5",
-    "0x10",
-    "0o17",
-    "010",
-    "12:30",
-    "2018-07-01",
-    "=",
-    "<<",
-    "",
-    " a",
-)
+    "on", "No", "null", "~", "1", "1e-4", "1.5", "0x10", "0o17", "010", "12:30", "2018-07-01", "=", "<<", "", " a",
+)  # fmt: skip
 BREAKS = "\x85\u2028\u2029"  # line breaks to YAML 1.1
 # NEL has a test of its own, and a NUL is refused in a file.
 characters = st.characters(exclude_categories=["Cs"], exclude_characters="\x85\0")

@@ -450,14 +450,10 @@ CODE = "__import__('os').mkdir({!r})"
 @pytest.mark.parametrize(
     "text",
     [
-        "{}",
-        "Discrete({})",
-        "Box(low=np.array([{}]), high=np.array([1]))",
-        "Box(low=np.array([0], dtype={}), high=np.array([1]))",
-        "(lambda: {})()",
-        "Discrete(n=[{} for _ in [1]][0])",
+        "{}", "Discrete({})", "Box(low=np.array([{}]), high=np.array([1]))",
+        "Box(low=np.array([0], dtype={}), high=np.array([1]))", "(lambda: {})()", "Discrete(n=[{} for _ in [1]][0])",
     ],
-)
+)  # fmt: skip
 def test_sinergym__no_code_of_a_configuration_is_run(text, own, tmp_path):
     code = CODE.format(str(tmp_path / "ran"))
     with pytest.raises(InvalidConfig, match=r"action_space: expected .*, got"):

@@ -11,14 +11,9 @@ PAGES = ("from-sinergym.md", "wrappers.md")
 """The second is that of the wrappers, to which the first one refers."""
 
 MODULES = (
-    "envs/eplus_env.py",
-    "utils/callbacks.py",
-    "utils/common.py",
-    "utils/controllers.py",
-    "utils/env_checker.py",
-    "utils/rewards.py",
-    "utils/wrappers.py",
-)
+    "envs/eplus_env.py", "utils/callbacks.py", "utils/common.py", "utils/controllers.py", "utils/env_checker.py",
+    "utils/rewards.py", "utils/wrappers.py",
+)  # fmt: skip
 HELPERS = {
     "observation_space",  # Gymnasium's
     "epsilon",

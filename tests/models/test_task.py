@@ -298,13 +298,8 @@ def test_task_of__reports_all_errors_of_choices_at_once() -> None:
         ],
     )
     expected = (
-        "heat = 14",
-        "heat = 23",
-        "row 2 has 2",
-        "'cooll'",
-        "discrete.1: action 'heat'",
-        "no choices for cool, f",
-    )
+        "heat = 14", "heat = 23", "row 2 has 2", "'cooll'", "discrete.1: action 'heat'", "no choices for cool, f",
+    )  # fmt: skip
     assert [words for words in expected if words not in "\n".join(lines)] == []
     assert len(lines) == len(expected)
 

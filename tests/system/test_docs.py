@@ -30,24 +30,10 @@ PAGES = {page.relative_to(ROOT).as_posix(): page for page in (ROOT / "README.md"
 SLOW = tuple(
     f"docs/{page}.md"
     for page in (
-        "branching",
-        "controllers",
-        "datasets",
-        "environments",
-        "geometry",
-        "metrics",
-        "own-plants",
-        "recordings",
-        "report",
-        "from-sinergym",
-        "mpc",
-        "scenarios",
-        "training",
-        "tuning",
-        "vector",
-        "wrappers",
+        "branching", "controllers", "datasets", "environments", "geometry", "metrics", "own-plants", "recordings",
+        "report", "from-sinergym", "mpc", "scenarios", "training", "tuning", "vector", "wrappers",
     )
-)
+)  # fmt: skip
 """Pages whose programs are run only in `make test-all`."""
 
 

@@ -180,17 +180,9 @@ def test_monitor__reports_that_it_waits_for_its_bus_and_can_be_ended(scratch, nu
 def test_monitor__monitor_may_come_before_its_node(scratch):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     command = [
-        sys.executable,
-        "-P",
-        "-m",
-        "zenostat.cli.main",
-        "monitor",
-        "--save",
-        "run.rrd",
-        "--once",
-        "--connect",
+        sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--save", "run.rrd", "--once", "--connect",
         endpoint,
-    ]
+    ]  # fmt: skip
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, cwd=scratch)
     try:
         assert "waiting for it" in monitor.stdout.readline()

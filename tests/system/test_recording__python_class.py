@@ -117,14 +117,10 @@ def next_up(value: float) -> float:
 
 
 CHANGES = {
-    "a value by one bit": (
-        lambda: Change("Sample", lambda s: {"values": shifted(s["values"], PLACE, next_up)}),
-        "step 4 (2001-01-01T00:04:00): place is",
-    ),
-    "an effective value": (
-        lambda: Change("Sample", lambda s: {"effective": shifted(s["effective"], PUSH, next_up)}),
-        "step 4 (2001-01-01T00:04:00): effective push is",
-    ),
+    "a value by one bit": (lambda: Change("Sample", lambda s: {"values": shifted(s["values"], PLACE, next_up)}),
+        "step 4 (2001-01-01T00:04:00): place is"),
+    "an effective value": (lambda: Change("Sample", lambda s: {"effective": shifted(s["effective"], PUSH, next_up)}),
+        "step 4 (2001-01-01T00:04:00): effective push is"),
     "an order by a nanometer": (
         lambda: Change("RecordedOrder", lambda o: {"values": shifted(o["values"], PUSH, lambda v: v + 1e-9)}, step=3),
         "step 4 (2001-01-01T00:04:00): place is",
@@ -133,20 +129,14 @@ CHANGES = {
         lambda: Change("RecordedOrder", lambda o: {"values": shifted(o["values"], PUSH, lambda _: np.nan)}, step=3),
         "step 4 (2001-01-01T00:04:00): place is",
     ),
-    "a time": (
-        lambda: Change("Sample", lambda _: {"time": ["2001-01-01T00:04:01"]}),
-        "step 4 (2001-01-01T00:04:01): time is '2001-01-01T00:04:00', recorded '2001-01-01T00:04:01'",
-    ),
+    "a time": (lambda: Change("Sample", lambda _: {"time": ["2001-01-01T00:04:01"]}),
+        "step 4 (2001-01-01T00:04:01): time is '2001-01-01T00:04:00', recorded '2001-01-01T00:04:01'"),
     "a step left out": (lambda: Change("Sample", None), "step 5 (2001-01-01T00:05:00): step is 4, recorded 5"),
-    "the end": (
-        lambda: Change("Sample", lambda _: {"flags": [int(Flag.TRUNCATED)]}),
-        "end of the episode is False, recorded True",
-    ),
-    "a seed": (
-        lambda: Change("RecordedEpisode", lambda _: {"inputs": [{"seed": 99}]}, step=3, episode=2),
-        "episode 3, step 1 (2001-01-01T00:01:00): place is",
-    ),
-}
+    "the end": (lambda: Change("Sample", lambda _: {"flags": [int(Flag.TRUNCATED)]}),
+        "end of the episode is False, recorded True"),
+    "a seed": (lambda: Change("RecordedEpisode", lambda _: {"inputs": [{"seed": 99}]}, step=3, episode=2),
+        "episode 3, step 1 (2001-01-01T00:01:00): place is"),
+}  # fmt: skip
 
 
 @pytest.mark.variants

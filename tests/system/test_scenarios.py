@@ -273,30 +273,21 @@ FAULTS: dict[str, tuple[dict[str, Any], type[UsageError], str]] = {
     "a day that is none": ({"begin": "02-30"}, InvalidConfig, "02-30.*is not a calendar date"),
     "the leap day of a common year": ({"begin": "02-29", "end": "03-01"}, InvalidConfig, "02-29.*does not exist in"),
     "the leap day without data": ({"begin": "2020-02-29", "end": "2020-03-01"}, InvalidConfig, "29 February|02-29"),
-    "a variable that is not there": (
-        {"sensors": {"t": ["Zone Air Temprature", "Core_ZN"]}},
-        UnknownName,
-        "no variable 'Zone Air Temprature'; did you mean 'Zone Air Temperature'",
-    ),
+    "a variable that is not there": ({"sensors": {"t": ["Zone Air Temprature", "Core_ZN"]}}, UnknownName,
+        "no variable 'Zone Air Temprature'; did you mean 'Zone Air Temperature'"),
     "bounds upside down": (
         {"actuators": {"c": ["Zone Temperature Control", "Cooling Setpoint", "Core_ZN", 30.0, 20.0]}, "actions": None},
         InvalidConfig,
         "lower bound 30.0 is not below its upper bound 20.0",
     ),
-    "a choice outside its action": (
-        {"discrete": [{"actions": ["cooling"], "values": [[24.0], [31.0]]}]},
-        InvalidConfig,
-        "row 1: cooling = 31 is outside 23 to 30 degC",
-    ),
-    "a field that the schema lacks": (
-        {"edits": {"Lights": {"*": {"watts_per_area": 2.0}}}},
-        InvalidConfig,
-        "watts_per_area.*did you mean 'watts_per_floor_area'",
-    ),
+    "a choice outside its action": ({"discrete": [{"actions": ["cooling"], "values": [[24.0], [31.0]]}]},
+        InvalidConfig, "row 1: cooling = 31 is outside 23 to 30 degC"),
+    "a field that the schema lacks": ({"edits": {"Lights": {"*": {"watts_per_area": 2.0}}}}, InvalidConfig,
+        "watts_per_area.*did you mean 'watts_per_floor_area'"),
     "noise on what is no column": ({"weather_noise": {"dry_bulb_temp": {"sigma": 1}}}, UnknownName, "dry_bulb_temp"),
     "negative noise": ({"weather_noise": {"dry_bulb_temperature": {"sigma": -1}}}, InvalidConfig, "sigma"),
     "a field of no scenario": ({"wether": "x"}, InvalidConfig, "wether"),
-}
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("fault", FAULTS)
