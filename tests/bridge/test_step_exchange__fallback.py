@@ -8,6 +8,7 @@ from support.fallback_exchanges import (
     SET,
     both,
     check_ruled,
+    disconnect,
     expected_under,
     kinds_and_sources,
     node,
@@ -44,8 +45,7 @@ def test_step_exchange__policy_begins_when_the_time_of_grace_is_over(policy: Pol
     assert ("stay in effect" if policy is Policy.HOLD else "are relinquished") in events[0].text
     assert state(at, "agent") is ControllerState.BYPASSED
     for _ in range(3):
-        check_ruled(at, expected_under(policy), now_s=7.0)
-        assert at.fallback_active
+        check_ruled(at, expected_under(policy), now_s=7.0, fallback=True)
     assert at.fallback.bypass("agent", 7.0, 5.0) == []
 
 
@@ -65,8 +65,7 @@ def test_step_exchange__one_that_is_back_within_the_time_of_grace_goes_on_as_if_
     assert at.fallback.bypass("agent", 7.0, 5.0) == []
     assert at.awaiting() == ["agent"]
     assert answer(at, "agent", [21.0, 26.0], now_s=7.0) is None
-    check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), now_s=7.0)
-    assert not at.fallback_active
+    check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), now_s=7.0, fallback=False)
     assert at.counts.missed == status(at, "agent").missed == 0
 
 
@@ -90,8 +89,7 @@ def test_step_exchange__one_that_leaves_again_has_its_time_of_grace_again(policy
 def test_step_exchange__one_that_is_back_later_resumes_at_the_present_step(policy: Policy) -> None:
     """agent@0 → node@1 → gone → node@2 → node@3 → agent is back → agent@3 → node@4"""
     at = with_agent(policy)
-    at.fallback.on_disconnect("agent", 1.0)
-    at.fallback.bypass("agent", 1.0)
+    disconnect(at, "agent")
     flags = [at.fallback_active]
     for _ in range(2):
         check_ruled(at, expected_under(policy))
@@ -110,13 +108,11 @@ def test_step_exchange__one_that_is_back_later_resumes_at_the_present_step(polic
 def test_step_exchange__one_that_is_back_before_the_step_goes_on_has_missed_nothing(policy: Policy) -> None:
     """heater gone and waived at sample 1, while the cooler still thinks; the heater is back and answers sample 1"""
     at = with_two(policy)
-    at.fallback.on_disconnect("heater", 1.0)
-    at.fallback.bypass("heater", 1.0)
+    disconnect(at, "heater")
     assert at.awaiting() == ["cooler"]
     claim(at, "heater", actuators=["heat"])
     both(at, 21.0, 26.0)
-    check_ruled(at, ([21.0, 26.0], ["heater", "cooler"]))
-    assert not at.fallback_active
+    check_ruled(at, ([21.0, 26.0], ["heater", "cooler"]), fallback=False)
     assert at.counts.missed == status(at, "heater").missed == 0
 
 
@@ -125,15 +121,12 @@ def test_step_exchange__one_that_leaves_after_its_answer(policy: Policy) -> None
     """Held, its answer rules the timestep that it was for, which is no fallback; released, it does not."""
     at = with_two(policy)
     answer(at, "heater", [21.0, 0.0], [SET, KEEP])
-    at.fallback.on_disconnect("heater", 1.0)
-    at.fallback.bypass("heater", 1.0)
+    disconnect(at, "heater")
     answer(at, "cooler", [0.0, 26.0], [KEEP, SET])
     if policy is Policy.HOLD:
-        check_ruled(at, ([21.0, 26.0], ["heater", "cooler"]))
-        assert not at.fallback_active
+        check_ruled(at, ([21.0, 26.0], ["heater", "cooler"]), fallback=False)
     else:
-        check_ruled(at, ([NAN, 26.0], ["", "cooler"]))
-        assert at.fallback_active
+        check_ruled(at, ([NAN, 26.0], ["", "cooler"]), fallback=True)
     answer(at, "cooler", [0.0, 27.0], [KEEP, SET])
     advance(at)
     assert at.fallback_active
@@ -148,8 +141,7 @@ def test_step_exchange__released_falls_to_the_next_level() -> None:
     answer(at, "agent", [20.0, 25.0])
     answer(at, "guard", [16.0, 29.0])
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
-    at.fallback.on_disconnect("agent", 0.0)
-    at.fallback.bypass("agent", 0.0)
+    disconnect(at, "agent", 0.0)
     answer(at, "guard", [16.0, 29.0])
     check_ruled(at, ([16.0, 29.0], ["guard", "guard"]))
 
@@ -168,8 +160,7 @@ def test_step_exchange__others_are_not_held_up_by_one_that_is_waived(deadline_s:
 
 def test_step_exchange__with_nobody_there_and_no_deadline_the_episode_runs_through() -> None:
     at = with_agent(Policy.HOLD)
-    at.fallback.on_disconnect("agent", 1.0)
-    at.fallback.bypass("agent", 1.0)
+    disconnect(at, "agent")
     for _ in range(20):
         check_ruled(at, expected_under(Policy.HOLD))
     assert at.counts.missed == status(at, "agent").missed == 20
@@ -178,21 +169,18 @@ def test_step_exchange__with_nobody_there_and_no_deadline_the_episode_runs_throu
 @pytest.mark.parametrize("policy", GO_ON)
 def test_step_exchange__with_nobody_there_the_deadline_sets_the_pace(policy: Policy) -> None:
     at = with_agent(policy, 2.0)
-    at.fallback.on_disconnect("agent", 1.0)
-    at.fallback.bypass("agent", 1.0)
+    disconnect(at, "agent")
     for k in range(1, 4):
         assert not at.ready_to_step(), f"at sample {k}"
         assert at.fallback.on_deadline(1.0) == []  # it was told that the agent has gone
-        check_ruled(at, expected_under(policy))
-        assert at.fallback_active
+        check_ruled(at, expected_under(policy), fallback=True)
     assert at.counts.missed == status(at, "agent").missed == 3
 
 
 def test_step_exchange__with_two_gone_the_deadline_sets_the_pace() -> None:
     at = with_two(Policy.HOLD, 2.0)
     for name in ("heater", "cooler"):
-        at.fallback.on_disconnect(name, 1.0)
-        at.fallback.bypass(name, 1.0)
+        disconnect(at, name)
     assert not at.ready_to_step()
     at.fallback.on_deadline(1.0)
     check_ruled(at, ([20.0, 25.0], ["heater", "cooler"]))
@@ -226,8 +214,7 @@ def test_disconnection__after_the_end_aborts_nothing() -> None:
 
 def test_new_episode__forgets_bypassed_and_late_controllers() -> None:
     at = with_two(Policy.HOLD, 2.0)
-    at.fallback.on_disconnect("heater", 1.0)
-    at.fallback.bypass("heater", 1.0)
+    disconnect(at, "heater")
     at.fallback.on_deadline(1.0)
     advance(at)
     assert state(at, "cooler") is ControllerState.UNRESPONSIVE
@@ -235,8 +222,7 @@ def test_new_episode__forgets_bypassed_and_late_controllers() -> None:
     at.ready(1.0)
     assert [(c.controller, c.state) for c in at.controllers()] == [("cooler", ControllerState.CONNECTED)]
     assert answer(at, "cooler", [0.0, 26.0], [KEEP, SET]) is None
-    check_ruled(at, ([NAN, 26.0], ["", "cooler"]))
-    assert not at.fallback_active
+    check_ruled(at, ([NAN, 26.0], ["", "cooler"]), fallback=False)
 
 
 def test_step_exchange__after_an_abort_a_reset_begins_anew() -> None:
@@ -265,8 +251,7 @@ def test_step_exchange__one_that_is_silent_beyond_the_deadline(policy: Policy) -
     assert kinds_and_sources(events) == [(EventKind.FALLBACK, "agent")]
     assert "no command within 2 s" in events[0].text
     assert state(at, "agent") is ControllerState.UNRESPONSIVE
-    check_ruled(at, expected_under(policy), now_s=3.0)
-    assert at.fallback_active
+    check_ruled(at, expected_under(policy), now_s=3.0, fallback=True)
     assert not at.ready_to_step()
     assert at.fallback.on_deadline(5.0) == []
     check_ruled(at, expected_under(policy), now_s=5.0)
@@ -282,8 +267,7 @@ def test_step_exchange__one_that_was_silent_and_answers_again(policy: Policy) ->
     assert not at.intake.accept_fast("agent", payload, 4.0)  # its return is told
     event = at.intake.receive_command("agent", payload, 4.0)
     assert (event.kind, event.source, event.late_s) == (EventKind.CONNECTED, "agent", None)
-    check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), now_s=4.0)
-    assert not at.fallback_active
+    check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), now_s=4.0, fallback=False)
     assert state(at, "agent") is ControllerState.CONNECTED
     assert at.intake.accept_fast("agent", wire(command([21.5, 26.5], step=3)), 4.0)
 
@@ -293,8 +277,7 @@ def test_step_exchange__one_that_answers_in_time_meets_no_policy(policy: Policy)
     at = with_agent(policy, 2.0)
     assert at.intake.accept_fast("agent", wire(command([21.0, 26.0], step=1)), 1.0)
     assert at.fallback.on_deadline(1.0) == []
-    check_ruled(at, ([21.0, 26.0], ["agent", "agent"]))
-    assert not at.fallback_active
+    check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), fallback=False)
     assert at.counts.late == at.counts.missed == 0
 
 
@@ -308,8 +291,7 @@ def test_step_exchange__waiting_takes_a_late_command_and_states_how_late() -> No
     event = at.intake.receive_command("agent", payload, 4.5)
     assert (event.kind, event.late_s) == (EventKind.ACCEPTED_LATE, 1.5)
     assert "accepted after the deadline" in event.text
-    check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), now_s=4.5)
-    assert not at.fallback_active
+    check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), now_s=4.5, fallback=False)
     agent = status(at, "agent")
     assert (agent.accepted, agent.accepted_late, agent.late, agent.missed) == (2, 1, 0, 0)
     assert (at.counts.accepted_late, at.counts.late) == (1, 0)
@@ -335,8 +317,7 @@ def test_step_exchange__of_two_the_one_that_answered_is_not_blamed(policy: Polic
         return
     assert kinds_and_sources(at.fallback.on_deadline(3.0)) == [(EventKind.FALLBACK, "heater")]
     held = policy is Policy.HOLD
-    check_ruled(at, ([20.0 if held else NAN, 26.0], ["heater" if held else "", "cooler"]), now_s=3.0)
-    assert at.fallback_active
+    check_ruled(at, ([20.0 if held else NAN, 26.0], ["heater" if held else "", "cooler"]), now_s=3.0, fallback=True)
     assert at.awaiting() == ["cooler", "heater"]
     assert [(c.controller, c.state, c.missed) for c in at.controllers()] == [
         ("heater", ControllerState.UNRESPONSIVE, 1),
@@ -361,8 +342,9 @@ def test_step_exchange__one_that_is_not_required_stops_nothing_by_leaving(policy
     assert kinds_and_sources(events) == ([] if policy is Policy.WAIT else [(EventKind.FALLBACK, "helper")])
     answer(at, "agent", [20.0, 25.0])
     relinquished = policy is Policy.RELINQUISH
-    check_ruled(at, ([20.0, 25.0 if relinquished else 28.0], ["agent", "agent" if relinquished else "helper"]))
-    assert not at.fallback_active
+    check_ruled(
+        at, ([20.0, 25.0 if relinquished else 28.0], ["agent", "agent" if relinquished else "helper"]), fallback=False
+    )
     assert at.counts.missed == status(at, "helper").missed == 0
 
 
@@ -373,8 +355,7 @@ def test_step_exchange__one_that_is_not_required_has_no_deadline(policy: Policy)
     claim(at, "helper", 9, required=False)
     answer(at, "agent", [20.0, 25.0])
     assert at.fallback.on_deadline(0.0) == []
-    check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
-    assert not at.fallback_active
+    check_ruled(at, ([20.0, 25.0], ["agent", "agent"]), fallback=False)
 
 
 # Time that runs by itself
@@ -389,15 +370,12 @@ def test_step_exchange__where_time_runs_by_itself_the_policy_states_what_becomes
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))  # not answered in time, and there: no fallback
     assert not at.fallback_active
     at.fallback.on_disconnect("agent", 1.0)
-    check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
-    assert not at.fallback_active
+    check_ruled(at, ([20.0, 25.0], ["agent", "agent"]), fallback=False)
     assert kinds_and_sources(at.fallback.bypass("agent", 1.0)) == [(EventKind.FALLBACK, "agent")]
-    check_ruled(at, expected_under(policy))
-    assert at.fallback_active
+    check_ruled(at, expected_under(policy), fallback=True)
     claim(at, "agent")
     answer(at, "agent", [21.0, 26.0])
-    check_ruled(at, ([21.0, 26.0], ["agent", "agent"]))
-    assert not at.fallback_active
+    check_ruled(at, ([21.0, 26.0], ["agent", "agent"]), fallback=False)
     assert at.counts.missed == status(at, "agent").missed == 1
 
 
@@ -406,8 +384,7 @@ def test_step_exchange__where_time_runs_by_itself_one_that_is_there_misses_nothi
     """The heater has gone; the cooler is there and lets what it commanded hold."""
     at = with_two(Policy.HOLD)
     at.mode = mode
-    at.fallback.on_disconnect("heater", 1.0)
-    at.fallback.bypass("heater", 1.0)
+    disconnect(at, "heater")
     check_ruled(at, ([20.0, 25.0], ["heater", "cooler"]))
     assert (status(at, "heater").missed, status(at, "cooler").missed, at.counts.missed) == (1, 0, 1)
 

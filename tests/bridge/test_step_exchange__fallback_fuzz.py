@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.builders import advance, answer, claim, command, exchange, wire
 from support.examples import examples
-from support.fallback_exchanges import KEEP, SET, node
+from support.fallback_exchanges import KEEP, SET, disconnect, node
 
 from zenostat.bridge.exchange.step_exchange import StepExchange
 from zenostat.topics.messages import EventKind, Policy
@@ -93,8 +93,7 @@ def test_claim__does_not_wait_for_a_disconnected_controller(policy: Policy) -> N
     at = exchange()
     at.policy, at.deadline_s = policy, 5.0
     claim(at, "gone", 10)
-    at.fallback.on_disconnect("gone", 0.0)
-    at.fallback.bypass("gone", 0.0)
+    disconnect(at, "gone", 0.0)
     answer(at, "gone", [20.0, 25.0])
     advance(at)
     assert at.awaiting() == ["gone"], "nobody else is there: the deadline sets the pace"

@@ -2,7 +2,16 @@
 
 import pytest
 from support.builders import advance, answer, claim, command, wire
-from support.fallback_exchanges import check_ruled, expected_under, kinds_and_sources, node, state, status, with_agent
+from support.fallback_exchanges import (
+    check_ruled,
+    disconnect,
+    expected_under,
+    kinds_and_sources,
+    node,
+    state,
+    status,
+    with_agent,
+)
 
 from zenostat.topics.messages import ControllerState, EventKind, Policy
 
@@ -56,8 +65,7 @@ def test_step_exchange__of_several_slots_the_one_that_was_answered_states_how_la
 
 def test_step_exchange__how_late_is_not_invented_once_it_is_forgotten() -> None:
     at = with_agent(Policy.HOLD)
-    at.fallback.on_disconnect("agent", 1.0)
-    at.fallback.bypass("agent", 1.0)
+    disconnect(at, "agent")
     for _ in range(1000):
         advance(at)
     claim(at, "agent")
@@ -83,30 +91,26 @@ def test_step_exchange__another_program_takes_over_within_the_time_of_grace(
     assert at.fallback.bypass("agent", 2.0, 0.1) == []
     assert not at.ready_to_step()
     assert answer(at, "other", [21.0, 26.0], now_s=2.0) is None
-    check_ruled(at, ([21.0, 26.0], ["other", "other"]), now_s=2.0)
-    assert not at.fallback_active
+    check_ruled(at, ([21.0, 26.0], ["other", "other"]), now_s=2.0, fallback=False)
     assert at.counts.missed == 0
 
 
 def test_step_exchange__another_program_takes_over_from_one_that_is_waived() -> None:
     """The first one's command holds until the other's first answer, also if that misses a deadline."""
     at = with_agent(Policy.HOLD, 2.0)
-    at.fallback.on_disconnect("agent", 1.0)
-    at.fallback.bypass("agent", 1.0)
+    disconnect(at, "agent")
     at.fallback.on_deadline(1.0)
     check_ruled(at, expected_under(Policy.HOLD))
     claim(at, "other")
     assert kinds_and_sources(at.fallback.on_deadline(1.0)) == [(EventKind.FALLBACK, "other")]
     check_ruled(at, ([20.0, 25.0], ["agent", "agent"]))
     answer(at, "other", [21.0, 26.0])
-    check_ruled(at, ([21.0, 26.0], ["other", "other"]))
-    assert not at.fallback_active
+    check_ruled(at, ([21.0, 26.0], ["other", "other"]), fallback=False)
 
 
 def test_step_exchange__one_that_was_replaced_is_not_counted_any_more() -> None:
     at = with_agent(Policy.HOLD)
-    at.fallback.on_disconnect("agent", 1.0)
-    at.fallback.bypass("agent", 1.0)
+    disconnect(at, "agent")
     advance(at)
     claim(at, "other")
     answer(at, "other", [21.0, 26.0])

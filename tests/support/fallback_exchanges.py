@@ -51,6 +51,12 @@ def state(at: StepExchange, name: str) -> ControllerState:
     return status(at, name).state
 
 
+def disconnect(at: StepExchange, name: str, now_s: float = 1.0) -> None:
+    """Let a controller disconnect, without a time of grace."""
+    at.fallback.on_disconnect(name, now_s)
+    at.fallback.bypass(name, now_s)
+
+
 def kinds_and_sources(events: list[Event]) -> list[tuple[EventKind, str]]:
     return [(event.kind, event.source) for event in events]
 
@@ -60,7 +66,11 @@ def expected_under(policy: Policy) -> tuple[list[float], list[str]]:
     return ([20.0, 25.0], ["agent", "agent"]) if policy is Policy.HOLD else ([NAN, NAN], ["", ""])
 
 
-def check_ruled(at: StepExchange, expected: tuple[list[float], list[str]], *, now_s: float = 1.0) -> None:
+def check_ruled(
+    at: StepExchange, expected: tuple[list[float], list[str]], *, now_s: float = 1.0, fallback: bool | None = None
+) -> None:
+    """Advance by a timestep that these values and sources rule, with or without a fallback if that is given."""
     values, sources = advance(at, now_s=now_s)
     assert np.array_equal(values, expected[0], equal_nan=True), values
     assert sources == expected[1]
+    assert fallback in (None, at.fallback_active)
