@@ -34,11 +34,9 @@ def paused_bus(stepping_bus: Bus) -> Bus:
     return stepping_bus
 
 
-async def test_bacnet_gateway__points_have_the_values_units_and_bounds_of_the_node(
-    paused_bus: Bus, shared_node: NodeProgram
-) -> None:
+async def test_bacnet_gateway__points_have_the_values_units_and_bounds_of_the_node(paused_bus: Bus) -> None:
     manifest = paused_bus.manifest("office")
-    async with served(shared_node.endpoint) as (gateway, reader, _):
+    async with served(paused_bus.endpoint) as (gateway, reader, _):
         assert await reader.write(ADVANCE, 3.0) == "ok"
         sample = gateway._node.sample
         assert (await reader.read(STEP), sample.step) == (3.0, 3)
@@ -62,12 +60,10 @@ async def test_bacnet_gateway__points_have_the_values_units_and_bounds_of_the_no
         assert time.date[3] == sample.time.isoweekday()
 
 
-async def test_bacnet_gateway__client_commands_an_output_at_its_priority_and_relinquishes_it(
-    paused_bus: Bus, shared_node: NodeProgram
-) -> None:
+async def test_bacnet_gateway__client_commands_an_output_at_its_priority_and_relinquishes_it(paused_bus: Bus) -> None:
     index = [a.name for a in paused_bus.manifest("office").actuators].index(COOLING)
     events: list[Event] = []
-    async with served(shared_node.endpoint) as (gateway, reader, _):
+    async with served(paused_bus.endpoint) as (gateway, reader, _):
         gateway._node.listeners.events.append(events.append)
         baseline = await reader.read(COOLING, "relinquish-default")
         assert baseline == single(gateway._node.sample.effective[index])
@@ -94,10 +90,8 @@ async def test_bacnet_gateway__client_commands_an_output_at_its_priority_and_rel
     assert all(event.source.startswith("bacnet 127.0.0.1:") for event in written)
 
 
-async def test_bacnet_gateway__commands_of_others_on_the_bus_are_in_the_priority_array_at_once(
-    paused_bus: Bus, shared_node: NodeProgram
-) -> None:
-    async with served(shared_node.endpoint) as (_, reader, _):
+async def test_bacnet_gateway__commands_of_others_on_the_bus_are_in_the_priority_array_at_once(paused_bus: Bus) -> None:
+    async with served(paused_bus.endpoint) as (_, reader, _):
         await asyncio.to_thread(paused_bus.write, "office", COOLING, 24.5, priority=3, source="operator")
         assert await reader.priorities(COOLING) == {3: 24.5}
         assert await reader.read(COOLING) == 24.5
@@ -136,9 +130,9 @@ REJECTED: list[tuple[str, Any, dict[str, Any], str]] = [
 
 
 async def test_bacnet_gateway__writes_that_are_not_possible_get_the_errors_of_the_standard_and_move_nothing(
-    paused_bus: Bus, shared_node: NodeProgram
+    paused_bus: Bus,
 ) -> None:
-    async with served(shared_node.endpoint) as (gateway, reader, _):
+    async with served(paused_bus.endpoint) as (gateway, reader, _):
         for obj, value, options, expected in REJECTED:
             assert await reader.write(obj, value, **options) == expected, (obj, value, options)
         unknown = ("analog-output", 3)
@@ -168,11 +162,9 @@ async def test_bacnet_gateway__writes_that_are_not_possible_get_the_errors_of_th
     assert commanded == {(HEATING, 9): 18.0}
 
 
-async def test_bacnet_gateway__device_describes_itself_and_answers_who_is(
-    paused_bus: Bus, shared_node: NodeProgram
-) -> None:
+async def test_bacnet_gateway__device_describes_itself_and_answers_who_is(paused_bus: Bus) -> None:
     manifest = paused_bus.manifest("office")
-    async with served(shared_node.endpoint) as (_, reader, port):
+    async with served(paused_bus.endpoint) as (_, reader, port):
         (answer,) = await reader.app.who_is(address=reader.device, timeout=1)
         assert tuple(answer.iAmDeviceIdentifier) == (8, INSTANCE)
         assert await reader.app.who_is(INSTANCE + 1, INSTANCE + 2, address=reader.device, timeout=0.2) == []
@@ -193,11 +185,9 @@ async def test_bacnet_gateway__device_describes_itself_and_answers_who_is(
             assert not (isinstance(value, str) and value.startswith("property ")), (listed_property, value)
 
 
-async def test_bacnet_gateway__broadcast_who_is_on_the_network_of_the_interface_is_answered(
-    episode_bus: Bus, shared_node: NodeProgram
-) -> None:
+async def test_bacnet_gateway__broadcast_who_is_on_the_network_of_the_interface_is_answered(episode_bus: Bus) -> None:
     who_is = bytes.fromhex("810b000c0120ffff00ff1008")  # original broadcast, global network, all devices
-    async with served(shared_node.endpoint) as (_, _, port):
+    async with served(episode_bus.endpoint) as (_, _, port):
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
             asking.settimeout(20.0)
             asking.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
@@ -209,9 +199,9 @@ async def test_bacnet_gateway__broadcast_who_is_on_the_network_of_the_interface_
 
 
 async def test_bacnet_gateway__subscribers_hear_of_changes_beyond_the_increment_of_others_commands_and_of_the_end(
-    paused_bus: Bus, shared_node: NodeProgram
+    paused_bus: Bus,
 ) -> None:
-    async with served(shared_node.endpoint) as (gateway, reader, _):
+    async with served(paused_bus.endpoint) as (gateway, reader, _):
         serving = asyncio.create_task(gateway.run())
         assert await reader.write(INPUT, 1000.0, "cov-increment") == "ok"
         subscribe = reader.app.change_of_value
@@ -234,9 +224,9 @@ async def test_bacnet_gateway__subscribers_hear_of_changes_beyond_the_increment_
 
 
 async def test_bacnet_gateway__fast_simulation_sends_few_notifications_and_the_last_value_always(
-    paused_bus: Bus, shared_node: NodeProgram
+    paused_bus: Bus,
 ) -> None:
-    async with served(shared_node.endpoint) as (gateway, reader, _):
+    async with served(paused_bus.endpoint) as (gateway, reader, _):
         serving = asyncio.create_task(gateway.run())
         begin = asyncio.get_running_loop().time()
         async with reader.app.change_of_value(reader.device, reader.identifier(STEP), 1, True, 60) as steps:
@@ -248,10 +238,8 @@ async def test_bacnet_gateway__fast_simulation_sends_few_notifications_and_the_l
         serving.cancel()
 
 
-async def test_bacnet_gateway__value_that_is_not_a_number_and_a_failed_simulation_are_faults(
-    paused_bus: Bus, shared_node: NodeProgram
-) -> None:
-    async with served(shared_node.endpoint) as (gateway, reader, _):
+async def test_bacnet_gateway__value_that_is_not_a_number_and_a_failed_simulation_are_faults(paused_bus: Bus) -> None:
+    async with served(paused_bus.endpoint) as (gateway, reader, _):
         state = gateway._state
         position = paused_bus.manifest("office").names.index(INPUT)
         state._values = state._values.copy()
@@ -270,10 +258,8 @@ async def test_bacnet_gateway__value_that_is_not_a_number_and_a_failed_simulatio
         assert await reader.read(INPUT, "reliability") == "no-fault-detected"
 
 
-async def test_bacnet_gateway__paused_node_steps_on_command_and_a_running_one_does_not(
-    paused_bus: Bus, shared_node: NodeProgram
-) -> None:
-    async with served(shared_node.endpoint) as (_, reader, _):
+async def test_bacnet_gateway__paused_node_steps_on_command_and_a_running_one_does_not(paused_bus: Bus) -> None:
+    async with served(paused_bus.endpoint) as (_, reader, _):
         assert await reader.read(PAUSED) == "active"
         assert await reader.write(ADVANCE, 96.0) == "ok"
         while await reader.read(ADVANCE):
@@ -326,10 +312,10 @@ async def test_bacnet_gateway__node_that_is_gone_is_a_fault_and_one_that_returns
 
 
 async def test_bacnet_gateway__address_in_use_or_of_no_interface_is_refused_before_anything_starts(
-    shared_node: NodeProgram, episode_bus: Bus
+    episode_bus: Bus,
 ) -> None:
     port = free_udp_port()
-    with open_session(connect=[shared_node.endpoint]) as session:
+    with open_session(connect=[episode_bus.endpoint]) as session:
         async with NodeClient(session, "office") as node:
             first = BacnetGateway(node, find_interface("127.0.0.1", port), instance=1)
             second = BacnetGateway(node, find_interface("127.0.0.1", port), instance=2)

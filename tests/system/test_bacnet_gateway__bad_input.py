@@ -10,7 +10,6 @@ from contextlib import contextmanager
 
 from bacpypes3.apdu import SubscribeCOVRequest
 from support.bacnet import PAUSED, STEP, Client, client, served
-from support.nodes import NodeProgram
 
 from zenostat import Bus
 from zenostat.gateways.bacnet import requests, transactions
@@ -60,10 +59,8 @@ def commanded(bus: Bus) -> dict[tuple[str, int], float]:
     }
 
 
-async def test_bacnet_gateway__malformed_requests_are_rejected_and_half_datagrams_counted(
-    episode_bus: Bus, shared_node: NodeProgram
-) -> None:
-    async with served(shared_node.endpoint) as (gateway, reader, port):
+async def test_bacnet_gateway__malformed_requests_are_rejected_and_half_datagrams_counted(episode_bus: Bus) -> None:
+    async with served(episode_bus.endpoint) as (gateway, reader, port):
         instance = reader.objects[COOLING][1]
         whole = datagram(write_request(instance, real(26.0), b"\x49\x08"))
         with raw_socket() as raw:
@@ -85,7 +82,7 @@ async def test_bacnet_gateway__malformed_requests_are_rejected_and_half_datagram
 
 
 async def test_bacnet_gateway__random_and_mutated_datagrams_crash_nothing_and_move_no_other_actuator(
-    episode_bus: Bus, shared_node: NodeProgram
+    episode_bus: Bus,
 ) -> None:
     """Mutations of valid writes may be valid; those of one output only, within its bounds."""
     draw = random.Random(7)
@@ -107,7 +104,7 @@ async def test_bacnet_gateway__random_and_mutated_datagrams_crash_nothing_and_mo
                     apdu[place] = draw.randrange(256)
                 return datagram(bytes(apdu))
 
-    async with served(shared_node.endpoint) as (gateway, reader, port):
+    async with served(episode_bus.endpoint) as (gateway, reader, port):
         instance = reader.objects[COOLING][1]
         end = time.monotonic() + FUZZED_S
         with raw_socket() as raw:
@@ -134,9 +131,9 @@ async def patient_read(reader: Client) -> float:
 
 
 async def test_bacnet_gateway__flood_of_writes_is_answered_each_or_aborted_and_the_device_serves_others(
-    episode_bus: Bus, shared_node: NodeProgram
+    episode_bus: Bus,
 ) -> None:
-    async with served(shared_node.endpoint) as (gateway, reader, port):
+    async with served(episode_bus.endpoint) as (gateway, reader, port):
         instance = reader.objects[COOLING][1]
         with raw_socket() as raw:
             for invoke_id in range(200):
@@ -153,10 +150,8 @@ async def test_bacnet_gateway__flood_of_writes_is_answered_each_or_aborted_and_t
         assert await patient_read(reader) == 0.0
 
 
-async def test_bacnet_gateway__duplicate_of_a_request_is_carried_out_once(
-    episode_bus: Bus, shared_node: NodeProgram
-) -> None:
-    async with served(shared_node.endpoint) as (gateway, reader, port):
+async def test_bacnet_gateway__duplicate_of_a_request_is_carried_out_once(episode_bus: Bus) -> None:
+    async with served(episode_bus.endpoint) as (gateway, reader, port):
         request = datagram(write_request(reader.objects[COOLING][1], real(26.0), b"\x49\x08"))
         with raw_socket() as raw:
             raw.sendto(request, ("127.0.0.1", port))
@@ -167,9 +162,9 @@ async def test_bacnet_gateway__duplicate_of_a_request_is_carried_out_once(
 
 
 async def test_bacnet_gateway__client_that_dies_amid_a_segmented_request_or_with_subscriptions_costs_nothing(
-    episode_bus: Bus, shared_node: NodeProgram
+    episode_bus: Bus,
 ) -> None:
-    async with served(shared_node.endpoint) as (gateway, reader, port):
+    async with served(episode_bus.endpoint) as (gateway, reader, port):
         app = gateway._application
         app.asap.segmentTimeout = 100
         app.device_object.apduTimeout = app.asap.apduTimeout = 100
@@ -191,11 +186,9 @@ async def test_bacnet_gateway__client_that_dies_amid_a_segmented_request_or_with
         assert await reader.read(PAUSED) == "inactive"
 
 
-async def test_bacnet_gateway__subscriptions_are_limited(
-    episode_bus: Bus, shared_node: NodeProgram, monkeypatch
-) -> None:
+async def test_bacnet_gateway__subscriptions_are_limited(episode_bus: Bus, monkeypatch) -> None:
     monkeypatch.setattr(requests, "MAX_SUBSCRIPTIONS", 5)
-    async with served(shared_node.endpoint) as (_, reader, _):
+    async with served(episode_bus.endpoint) as (_, reader, _):
         replies = [
             await reader.request(
                 SubscribeCOVRequest(

@@ -169,11 +169,9 @@ def test_bacnet_gateway__example_steps_the_node_and_commands_it_in_the_afternoon
     assert len(setpoints) == 76
 
 
-def test_bacnet_gateway__objects_are_written_as_a_table(
-    episode_bus: Bus, shared_node: NodeProgram, tmp_path: Path
-) -> None:
+def test_bacnet_gateway__objects_are_written_as_a_table(episode_bus: Bus, tmp_path: Path) -> None:
     file = tmp_path / "objects.csv"
-    words = ["gateway", "bacnet", "office", "--connect", shared_node.endpoint, "--instance", str(INSTANCE)]
+    words = ["gateway", "bacnet", "office", "--connect", episode_bus.endpoint, "--instance", str(INSTANCE)]
     ended = run_in_process(*words, "--objects", str(file))
     assert ended.returncode == 0, ended.stderr
     with file.open(newline="") as opened:
@@ -187,12 +185,12 @@ def test_bacnet_gateway__objects_are_written_as_a_table(
     assert (row["unit"], row["bacnet_unit"]) == ("degC", "degreesCelsius")
 
     async def listed() -> set[tuple[str, int, str]]:
-        async with served(shared_node.endpoint) as (_, reader, _):
+        async with served(episode_bus.endpoint) as (_, reader, _):
             return {(*identifier, name) for name, identifier in reader.objects.items()}
 
     assert {(row["type"], int(row["instance"]), row["name"]) for row in rows.values()} == asyncio.run(listed())
     missing = str(tmp_path / "none" / "objects.csv")
-    refused = run_in_process("gateway", "bacnet", "office", "--connect", shared_node.endpoint, "--objects", missing)
+    refused = run_in_process("gateway", "bacnet", "office", "--connect", episode_bus.endpoint, "--objects", missing)
     assert (refused.returncode, "No such file" in refused.stderr) == (2, True)
 
 

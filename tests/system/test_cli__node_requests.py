@@ -43,8 +43,8 @@ def test_relinquish__reports_whether_a_value_was_held(shared_node: NodeProgram) 
 
 
 @pytest.mark.slow
-def test_step__reports_the_timestep_that_it_reached(shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
-    at = ("--connect", shared_node.endpoint)
+def test_step__reports_the_timestep_that_it_reached(episode_bus: zenostat.Bus) -> None:
+    at = ("--connect", episode_bus.endpoint)
     for arguments in (("pause", "office"), ("pace", "office", "free")):
         assert run_zenostat(*arguments, *at).returncode == 0
     assert "free; paused; step 4 of 96" in run_zenostat("step", "office", "4", *at).stdout

@@ -417,15 +417,15 @@ def test_failures__port_that_a_node_has_taken(folder: Path) -> None:
         assert node.process.poll() is None
 
 
-def test_failures__socket_that_is_taken(folder: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
+def test_failures__socket_that_is_taken(folder: Path, episode_bus: zenostat.Bus) -> None:
     with pytest.raises(AddressInUse, match="already exists; name another path"):
-        NodeProgram(folder / "two", **SMALL, name="other", listen=[shared_node.endpoint])
+        NodeProgram(folder / "two", **SMALL, name="other", listen=[episode_bus.endpoint])
     assert episode_bus.nodes() == ["office"]
 
 
-def test_failures__two_nodes_of_one_name(folder: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus) -> None:
+def test_failures__two_nodes_of_one_name(folder: Path, episode_bus: zenostat.Bus) -> None:
     with pytest.raises(NameInUse, match=r"a node named 'office' is on this bus already \(instance [0-9a-f]+\)"):
-        NodeProgram(folder / "two", **SMALL, connect=[shared_node.endpoint])
+        NodeProgram(folder / "two", **SMALL, connect=[episode_bus.endpoint])
     with episode_bus.controller("office") as link:
         link.reset().send()
         assert link.receive().step == 1, "the first goes on"
@@ -496,9 +496,7 @@ def test_failures__ctrl_c_in_a_script_with_an_environment(text: str) -> None:
         assert stderr.strip().splitlines()[-1] == "KeyboardInterrupt"
 
 
-def test_failures__ctrl_c_in_a_controller_leaves_the_node_running(
-    shared_node: NodeProgram, episode_bus: zenostat.Bus
-) -> None:
+def test_failures__ctrl_c_in_a_controller_leaves_the_node_running(episode_bus: zenostat.Bus) -> None:
     text = """
 import sys
 import zenostat
@@ -509,7 +507,7 @@ with zenostat.connect(sys.argv[1], affinity="off") as bus, bus.controller("offic
         for sample in link:
             sample.send({"core_zn_cooling_setpoint": 26.0})
 """
-    with Program(text, shared_node.endpoint) as program:
+    with Program(text, episode_bus.endpoint) as program:
         assert program.line() == "steps"
         program.process.send_signal(signal.SIGINT)
         code, _, stderr = program.end()

@@ -300,11 +300,11 @@ with zenostat.connect(endpoint, affinity="off") as bus, bus.controller("office",
 
 
 def test_fallback_policies__two_controllers_and_a_supervisor_are_as_one_to_the_bit(
-    scratch: Path, shared_node: NodeProgram, episode_bus: zenostat.Bus
+    scratch: Path, episode_bus: zenostat.Bus
 ) -> None:
     """north and south answer each sample; from sample 8 the supervisor overrides the core at 28 for an hour."""
     with (
-        Program(FOLLOWS_A_PLAN, shared_node.endpoint, "north", *NORTH) as north,
+        Program(FOLLOWS_A_PLAN, episode_bus.endpoint, "north", *NORTH) as north,
         episode_bus.controller("office", name="south", actuators=SOUTH) as south,
     ):
         name = north.line()

@@ -26,13 +26,11 @@ async def _client(endpoint: str, **options: Any) -> AsyncIterator[NodeClient]:
             yield client
 
 
-async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram
-) -> None:
+async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(episode_bus: zenostat.Bus) -> None:
     episode_bus.pause("office")
     episode_bus.pace("office", mode="free")
     events: list[Event] = []
-    async with _client(shared_node.endpoint, source="device 7") as node:
+    async with _client(episode_bus.endpoint, source="device 7") as node:
         node.listeners.events.append(events.append)
         begin = node.sample
         assert begin.step == 0
@@ -66,20 +64,20 @@ async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(
 
 
 async def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram
+    episode_bus: zenostat.Bus,
 ) -> None:
     episode_bus.pause("office")
-    async with _client(shared_node.endpoint) as node:
+    async with _client(episode_bus.endpoint) as node:
         with pytest.raises(RequestRejected, match="did not reach sample 1 within"):
             await node.step(timeout_s=0.2)
 
 
 async def test_gateways__too_many_requests_at_once_are_rejected_and_the_others_answered(
-    episode_bus: zenostat.Bus, shared_node: NodeProgram, monkeypatch: pytest.MonkeyPatch
+    episode_bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(node_client, "MAX_PENDING", 10)
 
-    async with _client(shared_node.endpoint) as node:
+    async with _client(episode_bus.endpoint) as node:
         writes = [node.write(COOLING, 25.0 + 0.01 * i) for i in range(30)]
         replies = await asyncio.gather(*writes, return_exceptions=True)
     rejected = [reply for reply in replies if isinstance(reply, RequestRejected)]

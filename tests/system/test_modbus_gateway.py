@@ -86,10 +86,10 @@ def _float32(value: float) -> float:
 
 
 def test_modbus_gateway__input_registers_are_the_sample_by_the_written_map(
-    bus: Bus, client: ModbusTcpClient, shared_node: NodeProgram, tmp_path: Path
+    bus: Bus, client: ModbusTcpClient, tmp_path: Path
 ) -> None:
     file = tmp_path / "map.csv"
-    done = run_in_process("gateway", "modbus", "office", "--map", str(file), "--connect", shared_node.endpoint)
+    done = run_in_process("gateway", "modbus", "office", "--map", str(file), "--connect", bus.endpoint)
     assert done.returncode == 0, done.stderr
     rows = [row for row in csv.DictReader(file.read_text().splitlines()) if row["table"] == "input register"]
     _step(bus, client)
@@ -282,11 +282,11 @@ async def test_modbus_gateway__connection_whose_request_is_carried_out_keeps_its
 
 
 async def test_modbus_gateway__clients_that_do_not_receive_or_have_lost_their_power_do_not_keep_connections(
-    bus: Bus, shared_node: NodeProgram, monkeypatch: pytest.MonkeyPatch
+    bus: Bus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(server, "FRAME_TIMEOUT_S", 0.2)
     read = struct.pack(">HHHBBHH", 1, 0, 6, UNIT, 4, 0, 90)
-    with open_session(connect=[shared_node.endpoint]) as session, socket.socket() as client:
+    with open_session(connect=[bus.endpoint]) as session, socket.socket() as client:
         async with NodeClient(session, "office") as node, ModbusGateway(node, "127.0.0.1", 0) as gateway:
             client.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             client.connect(("127.0.0.1", gateway.server.port))
@@ -304,11 +304,9 @@ async def test_modbus_gateway__clients_that_do_not_receive_or_have_lost_their_po
                     await asyncio.sleep(0.01)
 
 
-def test_modbus_gateway__example_raises_the_setpoint_while_nobody_is_there(
-    bus: Bus, port: int, shared_node: NodeProgram, tmp_path: Path
-) -> None:
+def test_modbus_gateway__example_raises_the_setpoint_while_nobody_is_there(bus: Bus, port: int, tmp_path: Path) -> None:
     file = tmp_path / "map.csv"
-    run_in_process("gateway", "modbus", "office", "--map", str(file), "--connect", shared_node.endpoint)
+    run_in_process("gateway", "modbus", "office", "--map", str(file), "--connect", bus.endpoint)
     example = Path(__file__).parents[2] / "examples" / "modbus_client.py"
     command = [sys.executable, str(example), str(file), "--port", str(port), "--cycles", "1", "--pause", "0"]
 
@@ -350,9 +348,9 @@ def test_modbus_gateway__mbpoll_reads_and_writes(bus: Bus, port: int) -> None:
     assert bus.priorities("office")[COOLING][7] == (None, None)
 
 
-def test_word_order__low_word_first_if_configured(bus: Bus, shared_node: NodeProgram) -> None:
+def test_word_order__low_word_first_if_configured(bus: Bus) -> None:
     with (
-        gateway(shared_node.endpoint, "--word-order", "little", "--source", "plc", "--priority", "5") as port,
+        gateway(bus.endpoint, "--word-order", "little", "--source", "plc", "--priority", "5") as port,
         ModbusTcpClient("127.0.0.1", port=port, timeout=20) as client,
     ):
         sample = bus.read("office")

@@ -44,15 +44,15 @@ def _run(endpoint: str, *, reset: bool = False) -> list[np.ndarray]:
         return [sample.values for sample in link]
 
 
-def test_monitor__recording_has_each_sample_of_each_episode_to_the_bit(scratch, shared_node, episode_bus):
+def test_monitor__recording_has_each_sample_of_each_episode_to_the_bit(scratch, episode_bus):
     rr.set_strict_mode(True)
     path = scratch / "run.rrd"
     manifest, (episode,) = episode_bus.manifest("office"), episode_bus.status("office").episode
-    with open_session(connect=[shared_node.endpoint]) as session:
+    with open_session(connect=[episode_bus.endpoint]) as session:
         with RerunStream(session, "*", [rr.FileSink(str(path))]) as stream:
-            first = _run(shared_node.endpoint)
+            first = _run(episode_bus.endpoint)
             stream.pump()
-            second = _run(shared_node.endpoint, reset=True)
+            second = _run(episode_bus.endpoint, reset=True)
             _pump_until(stream, 2 * 97)
         assert (stream.samples, stream.missed) == (2 * 97, 0)
     recorded = _recorded(path)
@@ -107,7 +107,7 @@ def test_monitor__batches_have_all_that_was_streamed_in_the_order_sent(scratch):
     assert len(arrived) < len(streamed) / 4
 
 
-def test_monitor__late_monitor_has_the_episode_from_its_beginning(scratch, shared_node, episode_bus):
+def test_monitor__late_monitor_has_the_episode_from_its_beginning(scratch, episode_bus):
     """From the node's history, to the bit."""
     path = scratch / "run.rrd"
     with episode_bus.controller("office") as link:
@@ -118,7 +118,7 @@ def test_monitor__late_monitor_has_the_episode_from_its_beginning(scratch, share
             sample = link.receive()
             outdoor[sample.step] = [sample["outdoor_temperature"]]
         with (
-            open_session(connect=[shared_node.endpoint]) as session,
+            open_session(connect=[episode_bus.endpoint]) as session,
             RerunStream(session, "office", [rr.FileSink(str(path))]) as stream,
         ):
             until(lambda: stream.pump() or stream.samples, "the monitor met the node")
@@ -130,9 +130,9 @@ def test_monitor__late_monitor_has_the_episode_from_its_beginning(scratch, share
 
 @pytest.mark.variants
 @pytest.mark.parametrize("fate", [signal.SIGSTOP, signal.SIGKILL])
-def test_monitor__that_is_frozen_or_killed_changes_nothing(scratch, shared_node, episode_bus, fate):
-    quiet = _run(shared_node.endpoint)
-    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--connect", shared_node.endpoint]
+def test_monitor__that_is_frozen_or_killed_changes_nothing(scratch, episode_bus, fate):
+    quiet = _run(episode_bus.endpoint)
+    command = [sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--connect", episode_bus.endpoint]
     command += ["--save", str(scratch / "run.rrd")]
     monitor = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     try:

@@ -42,7 +42,7 @@ def _pump_until(stream: RerunStream, holds: Callable[[], object], what: str) -> 
     until(is_reached, what)
 
 
-def test_monitor__zone_colors_and_overview_of_an_office_beside_a_tank(scratch, shared_node, episode_bus, capsys):
+def test_monitor__zone_colors_and_overview_of_an_office_beside_a_tank(scratch, episode_bus, capsys):
     """The office has geometry, comfort band and reward of its scenario; the tank has none of them."""
     rr.set_strict_mode(True)
     path, plant = scratch / "run.rrd", scratch / "tank.py"
@@ -56,9 +56,9 @@ def test_monitor__zone_colors_and_overview_of_an_office_beside_a_tank(scratch, s
             plant=f"{plant}:Tank",
             mode="free",
             listen=[own],
-            connect=[shared_node.endpoint],
+            connect=[episode_bus.endpoint],
         ),
-        open_session(connect=[shared_node.endpoint]) as session,
+        open_session(connect=[episode_bus.endpoint]) as session,
         open_stream(session, "*", [rr.FileSink(str(path))], is_live=True) as stream,
     ):
         values = []
@@ -136,10 +136,10 @@ def _sample(query: zenoh.Query) -> None:
     query.reply(query.key_expr, codec.encode(sample), encoding=codec.encoding(Sample))
 
 
-def test_monitor__file_has_all_samples_though_they_are_gathered(scratch: Path, shared_node, episode_bus):
+def test_monitor__file_has_all_samples_though_they_are_gathered(scratch: Path, episode_bus):
     path = scratch / "run.rrd"
     with (
-        open_session(connect=[shared_node.endpoint]) as session,
+        open_session(connect=[episode_bus.endpoint]) as session,
         RerunStream(session, "office", [rr.FileSink(str(path))], is_live=False) as stream,
     ):
         with episode_bus.controller("office") as link:

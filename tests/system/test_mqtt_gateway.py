@@ -152,8 +152,8 @@ def test_mqtt_gateway__unknown_actuator_is_answered_with_similar_names(
         assert "did you mean" in result(messages, 1, "core_zn_coolin_setpoint")["message"]
 
 
-def test_mqtt_gateway__retained_command_is_not_carried_out(bus: Bus, shared_node: NodeProgram, broker: Broker) -> None:
-    endpoint = shared_node.endpoint
+def test_mqtt_gateway__retained_command_is_not_carried_out(bus: Bus, broker: Broker) -> None:
+    endpoint = bus.endpoint
     topic = f"second/actuator/{COOLING}/set"
     broker.publish(topic, "26.5", retain=True)
     options = ["--topic", "second", "--source", "second", "--mqtt-version", "3.1.1"]
@@ -220,13 +220,13 @@ def test_mqtt_gateway__response_topic_of_the_gateway_is_rejected_and_nothing_is_
 
 @needs_mosquitto
 def test_mqtt_gateway__response_topic_for_which_the_broker_ends_the_connection_is_given_up(
-    bus: Bus, shared_node: NodeProgram, broker: Broker
+    bus: Bus, broker: Broker
 ) -> None:
     topic = f"levels/actuator/{COOLING}"
     properties = Properties(PacketTypes.PUBLISH)
     properties.ResponseTopic = "/" * 300  # mosquitto has at most 200 levels
     options = ["--topic", "levels", "--source", "levels"]
-    with broker.subscribed("levels/actuator/+/result") as messages, gateway(shared_node.endpoint, broker, *options):
+    with broker.subscribed("levels/actuator/+/result") as messages, gateway(bus.endpoint, broker, *options):
         until(lambda: broker.retained("levels/status") == "online", "it is online")
         broker.publish(f"{topic}/set", "26", properties=properties)
 
@@ -340,11 +340,9 @@ def test_mqtt_gateway__flood_of_commands_is_answered_one_by_one(
         assert bus.priorities("office")[COOLING][7].value == done[-1]
 
 
-def test_mqtt_gateway__broker_that_returns_has_everything_again_and_no_result_is_lost(
-    bus: Bus, shared_node: NodeProgram, tmp_path: Path
-) -> None:
+def test_mqtt_gateway__broker_that_returns_has_everything_again_and_no_result_is_lost(bus: Bus, tmp_path: Path) -> None:
     topic = f"zenostat/office/actuator/{COOLING}"
-    with Broker(tmp_path) as broker, gateway(shared_node.endpoint, broker, "--source", "returning"):
+    with Broker(tmp_path) as broker, gateway(bus.endpoint, broker, "--source", "returning"):
         until(lambda: broker.retained("zenostat/office/status") == "online", "it is online")
         broker.stop()
         bus.step("office")
@@ -369,16 +367,14 @@ def test_mqtt_gateway__example_sets_back_at_night(bus: Bus, served: RunningGatew
     assert [(time[11:16], what) for time, what in times[1:]] == [("06:00", "day"), ("20:00", "night")]
 
 
-def test_mqtt_gateway__killed_gateway_is_offline_by_its_last_will(
-    bus: Bus, shared_node: NodeProgram, broker: Broker
-) -> None:
+def test_mqtt_gateway__killed_gateway_is_offline_by_its_last_will(bus: Bus, broker: Broker) -> None:
     options = ["--topic", "third", "--source", "third", "--broker", f"127.0.0.1:{broker.port}"]
-    with RunningGateway("mqtt", "office", "--connect", shared_node.endpoint, *options):
+    with RunningGateway("mqtt", "office", "--connect", bus.endpoint, *options):
         until(lambda: broker.retained("third/status") == "online", "it is online")
     until(lambda: broker.retained("third/status") == "offline", "the broker has published the last will")
 
 
-def test_mqtt_gateway__tls_and_password(bus: Bus, shared_node: NodeProgram, tmp_path: Path) -> None:
+def test_mqtt_gateway__tls_and_password(bus: Bus, tmp_path: Path) -> None:
     def openssl(*words: str) -> None:
         subprocess.run(["openssl", *words], cwd=tmp_path, check=True, capture_output=True)
 
@@ -393,10 +389,10 @@ def test_mqtt_gateway__tls_and_password(bus: Bus, shared_node: NodeProgram, tmp_
     secured = ["--tls", "--ca", str(tmp_path / "cert.pem"), "--username", "gateway", "--source", "secured"]
     secured += ["--password-file", str(tmp_path / "password")]
     with Broker(tmp_path, security) as broker:
-        with gateway(shared_node.endpoint, broker, *secured):
+        with gateway(bus.endpoint, broker, *secured):
             until(lambda: broker.retained("zenostat/office/status") == "online", "it is online")
         (tmp_path / "password").write_text("wrong")
-        address = ["--connect", shared_node.endpoint, "--broker", f"127.0.0.1:{broker.port}"]
+        address = ["--connect", bus.endpoint, "--broker", f"127.0.0.1:{broker.port}"]
         done = run_in_process("gateway", "mqtt", "office", *address, *secured)
     assert done.returncode != 0
     assert ("Not authorized" if BROKER == "mosquitto" else "no connection") in done.stderr

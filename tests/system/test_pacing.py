@@ -477,8 +477,8 @@ def run_zenostat(*arguments: str) -> str:
     return " ".join(done.stdout.split())
 
 
-def test_commands__pause_pace_step_and_inject_faults(shared_node: NodeProgram, bus: Bus, tmp_path: Path) -> None:
-    at = ("--connect", shared_node.endpoint)
+def test_commands__pause_pace_step_and_inject_faults(bus: Bus, tmp_path: Path) -> None:
+    at = ("--connect", bus.endpoint)
     plan = tmp_path / "faults.yaml"
     plan.write_text("faults: [{name: off by one, kind: bias, points: core_zn_air_temperature, offset: 1.0}]")
     assert run_zenostat("pause", "office", *at) == "office: lockstep; paused; step 0 of 96, 2017-07-03T00:00:00"
@@ -534,14 +534,12 @@ def test_paced_node__reports_its_overruns_at_the_end(scratch: Path) -> None:
 # A gateway
 
 
-def test_pacing__gateways_command_in_a_pause_is_answered_though_no_sample_comes(
-    shared_node: NodeProgram, bus: Bus
-) -> None:
+def test_pacing__gateways_command_in_a_pause_is_answered_though_no_sample_comes(bus: Bus) -> None:
     pytest.importorskip("zmq", reason="pyzmq is not installed")
     from support.zeromq import GatewayProgram, Peer, keeping
 
     bus.pause("office")
-    with GatewayProgram(shared_node.endpoint) as gateway, Peer(gateway) as peer:
+    with GatewayProgram(bus.endpoint) as gateway, Peer(gateway) as peer:
         peer.listen("sample")
         sample = peer.hear(Sample)
         assert peer.ask("rpc/claim", controller="c")[0] == "Ack"

@@ -3,7 +3,6 @@
 import json
 
 import pytest
-from support.nodes import NodeProgram
 from support.run_cli import run_in_process
 
 from zenostat import Bus
@@ -41,10 +40,10 @@ def test_priorities__writes_and_commands_are_shown_at_their_priorities_at_once(e
         episode_bus.priorities("office", slot=1)
 
 
-def test_priorities__command_lists_the_effective_value_first(episode_bus: Bus, shared_node: NodeProgram) -> None:
+def test_priorities__command_lists_the_effective_value_first(episode_bus: Bus) -> None:
     episode_bus.write("office", COOLING, 27.5, priority=12, source="night")
     episode_bus.write("office", COOLING, 26.0, source="panel")
-    command = ["priorities", "office", COOLING, "--connect", shared_node.endpoint]
+    command = ["priorities", "office", COOLING, "--connect", episode_bus.endpoint]
     rows = json.loads(run_in_process(*command, "--json").stdout)
     assert [(row["priority"], row["value"], row["unit"], row["source"]) for row in rows] == [
         (8, 26.0, "degC", "panel"),
@@ -52,6 +51,6 @@ def test_priorities__command_lists_the_effective_value_first(episode_bus: Bus, s
     ]
     lines = [line.split() for line in run_in_process(*command).stdout.splitlines() if COOLING in line]
     assert [line[1:3] for line in lines] == [["8", "26"], ["12", "27.5"]]
-    wrong = run_in_process("priorities", "office", "core_zn_coolin", "--connect", shared_node.endpoint)
+    wrong = run_in_process("priorities", "office", "core_zn_coolin", "--connect", episode_bus.endpoint)
     assert wrong.returncode == 2
     assert COOLING in wrong.stderr

@@ -103,13 +103,13 @@ def test_screenshot__screenshot_has_no_panels_and_no_notices(scratch):
 
 @pytest.mark.slow
 @needs_vulkan
-def test_screenshot__each_view_of_a_real_run_shows_its_data(scratch, shared_node, episode_bus):
+def test_screenshot__each_view_of_a_real_run_shows_its_data(scratch, episode_bus):
     path = scratch / "run.rrd"
     with (
-        open_session(connect=[shared_node.endpoint]) as session,
+        open_session(connect=[episode_bus.endpoint]) as session,
         RerunStream(session, "*", [rr.FileSink(str(path))]) as stream,
     ):
-        with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:
+        with zenostat.connect(episode_bus.endpoint, affinity="off") as bus, bus.controller("office") as link:
             assert len(list(link)) == 97
         until(lambda: stream.pump() or stream.samples >= 97, "all samples have come")
     with serving("--headless", "--hide-welcome-screen", "--window-size", "1280x720") as server:

@@ -28,7 +28,7 @@ class Ports:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("end", ["killed", "interrupted"])
-def test_sockets_older_than_the_gateway__receive_samples_and_answers(shared_node, episode_bus, end):
+def test_sockets_older_than_the_gateway__receive_samples_and_answers(episode_bus, end):
     ports = Ports()
     at = ("--publish", ports.publish, "--command", ports.command)
     with Peer(ports) as early:  # type: ignore[arg-type]
@@ -36,7 +36,7 @@ def test_sockets_older_than_the_gateway__receive_samples_and_answers(shared_node
         early.listen("sample")
         for _ in range(2):
             early.say("rpc/status")
-            with GatewayProgram(shared_node.endpoint, *at) as gateway:
+            with GatewayProgram(episode_bus.endpoint, *at) as gateway:
                 assert gateway.first_line.startswith("ready: all nodes of ")
                 assert early.answer()[0] == "Status"
                 assert early.hear(Sample).step == [0]
@@ -48,7 +48,7 @@ def test_sockets_older_than_the_gateway__receive_samples_and_answers(shared_node
             while early.published.poll(0):
                 early.published.recv_multipart()
         early.say("command/c", episode=[0], step=[0], values=b"")
-        with GatewayProgram(shared_node.endpoint, *at):
+        with GatewayProgram(episode_bus.endpoint, *at):
             assert "'c' has claimed nothing; claim first" in early.answer()[1]["message"]
 
 

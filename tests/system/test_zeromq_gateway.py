@@ -213,8 +213,8 @@ def test_zeromq_gateway__killed_controller_is_noticed_by_the_node_and_may_come_b
         assert back.ask("command/doomed", **keeping(back.after(None)))[0] == "Ack"
 
 
-def test_zeromq_gateway__frozen_controller_is_gone_after_its_lease(shared_node, episode_bus):
-    with GatewayProgram(shared_node.endpoint, "--lease", "0.5") as gateway, Peer(gateway) as peer:
+def test_zeromq_gateway__frozen_controller_is_gone_after_its_lease(episode_bus):
+    with GatewayProgram(episode_bus.endpoint, "--lease", "0.5") as gateway, Peer(gateway) as peer:
         peer.listen("event")
         with Program(KILLED, gateway.command) as program:
             assert program.line().endswith(".Ack")
@@ -287,8 +287,8 @@ def test_peer_with_too_many_unanswered_requests__gets_an_error_and_delays_no_oth
         assert flood.ask("rpc/status")[0] == "Status"
 
 
-def test_zeromq_gateway__killed_gateway_breaks_nothing_of_the_node(shared_node, episode_bus):
-    with GatewayProgram(shared_node.endpoint) as gateway, Peer(gateway) as peer:
+def test_zeromq_gateway__killed_gateway_breaks_nothing_of_the_node(episode_bus):
+    with GatewayProgram(episode_bus.endpoint) as gateway, Peer(gateway) as peer:
         peer.listen("sample")
         assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
         assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Ack"
