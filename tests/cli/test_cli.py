@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from support.nodes import SMALL, NodeProgram, command_of, free_port, interrupted, node_on_bus, programs_of, until
-from support.run_cli import DAY, ZENOSTAT, plain, run_in_process, run_program
+from support.run_cli import DAY, ZENOSTAT, error_of, plain, run_program
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -98,16 +98,13 @@ def test_node__port_taken_and_name_taken(scratch: Path) -> None:
         twice = run_program("node", *DAY, "--name", "office", "--listen", other, "--connect", endpoint)
         assert twice.returncode == 1
         assert "a node named 'office' is on this bus already" in plain(twice.stderr)
-        missing = run_in_process("run", "--node", "offce", "--connect", endpoint)
-        assert missing.returncode == 1
-        assert "no node 'offce'" in plain(missing.stderr)
-        assert "'office'" in missing.stderr
+        error = error_of("run", "--node", "offce", "--connect", endpoint, code=1)
+        assert "no node 'offce'" in error
+        assert "'office'" in error
 
 
 def test_status__nobody_listens() -> None:
-    done = run_in_process("status", "--connect", f"tcp/127.0.0.1:{free_port()}")
-    assert done.returncode == 1
-    assert "nobody listens" in done.stderr
+    assert "nobody listens" in error_of("status", "--connect", f"tcp/127.0.0.1:{free_port()}", code=1)
 
 
 def test_demo__compares_two_controllers_and_records_both(scratch: Path) -> None:

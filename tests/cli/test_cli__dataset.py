@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.nodes import SMALL
-from support.run_cli import plain, run_in_process
+from support.run_cli import error_of, output_of, plain, run_in_process
 
 minari = pytest.importorskip("minari")
 pytest.importorskip("h5py")
@@ -30,10 +30,9 @@ def test_cli__data_set_of_a_scenario_file_has_its_environment_within_it(
     (scratch / "office.yaml").write_text(SCENARIO)
     call = ["office.yaml", "--controller", "rbc", "--epsilon", "0.2", "--set", "margin=0.5", "--end", "07-03"]
     call += ["--id", ID, "--out", "sets", "--seed", "3"]
-    done = run_in_process("dataset", *call, cwd=scratch)
-    assert done.returncode == 0, done.stderr
-    assert f"data set {ID}: {scratch / 'sets' / ID}" in done.stdout
-    assert f"MINARI_DATASETS_PATH={scratch / 'sets'} python" in done.stdout
+    output = output_of("dataset", *call, cwd=scratch)
+    assert f"data set {ID}: {scratch / 'sets' / ID}" in output
+    assert f"MINARI_DATASETS_PATH={scratch / 'sets'} python" in output
     (scratch / "office.yaml").unlink()
 
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(scratch / "sets"))
@@ -61,9 +60,8 @@ def test_cli__data_set_of_a_scenario_file_has_its_environment_within_it(
 
 def test_cli__errors_are_one_sentence(scratch: Path) -> None:
     call = ["ref-small-office-USA_CO_Denver-continuous-v1", "--out", str(scratch)]
-    done = run_in_process("dataset", *call, "--controller", "baseline", "--id", ID)
-    assert done.returncode == 2
-    assert "error: the controller 'baseline' sends no actions" in plain(done.stderr)
+    error = error_of("dataset", *call, "--controller", "baseline", "--id", ID)
+    assert "error: the controller 'baseline' sends no actions" in error
     done = run_in_process("dataset", *call, "--controller", "rbc", "--id", "office")
     assert "error: --id 'office': expected NAMESPACE/NAME-vNUMBER" in plain(done.stderr)
     assert list(scratch.iterdir()) == []

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from support.nodes import SMALL
-from support.run_cli import plain, run_in_process, run_program
+from support.run_cli import error_of, run_program
 
 from zenostat.views.report.totals import number
 
@@ -66,9 +66,7 @@ def test_cli__wrong_path_is_one_sentence_before_anything_starts(
     pytest.importorskip("matplotlib")
     (tmp_path / "folder.html").mkdir()
     (tmp_path / "file").touch()
-    done = run_in_process(*command, *options, cwd=tmp_path)
-    assert done.returncode == 2
-    assert message in plain(done.stderr)
+    assert message in error_of(*command, *options, cwd=tmp_path)
     assert sorted(path.name for path in tmp_path.iterdir()) == ["file", "folder.html"]
 
 
@@ -76,7 +74,6 @@ def test_cli__without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.M
     import sys
 
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
-    done = run_in_process("evaluate", "x", "--controller", "rbc", "--report", "out.html", cwd=tmp_path)
-    assert done.returncode == 2
-    assert "a report needs matplotlib.figure" in plain(done.stderr)
-    assert "[plots]" in plain(done.stderr)
+    error = error_of("evaluate", "x", "--controller", "rbc", "--report", "out.html", cwd=tmp_path)
+    assert "a report needs matplotlib.figure" in error
+    assert "[plots]" in error

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.run_cli import plain, run_in_process, run_program
+from support.run_cli import output_of, plain, run_in_process, run_program
 
 from zenostat.topics import yaml12
 
@@ -49,20 +49,16 @@ def error_of(*command: str, cwd: Path) -> str:
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with a short training in `out`."""
     folder = tmp_path_factory.mktemp("trained")
-    done = run_in_process("train", write(folder, "t.yaml", TRAINING), cwd=folder)
-    assert done.returncode == 0, done.stderr
-    assert "out: 20 steps" in done.stdout
+    output = output_of("train", write(folder, "t.yaml", TRAINING), cwd=folder)
+    assert "out: 20 steps" in output
     return folder
 
 
 @pytest.mark.parametrize("command", ["train", "tune"])
 def test_cli__help_has_an_example_and_fits_80_columns(command: str) -> None:
-    done = run_in_process(command, "--help")
-    assert done.returncode == 0
-    assert f"Example: zenostat {command} examples/{'train' if command == 'train' else 'tune'}.yaml" in plain(
-        done.stdout
-    )
-    assert max(map(len, done.stdout.splitlines())) <= 80
+    output = output_of(command, "--help")
+    assert f"Example: zenostat {command} examples/{'train' if command == 'train' else 'tune'}.yaml" in plain(output)
+    assert max(map(len, output.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(

@@ -47,6 +47,21 @@ def run_in_process(*arguments: str, cwd: Path | None = None, columns: int = 80) 
     return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
 
 
+def output_of(*arguments: str, cwd: Path | None = None, columns: int = 80) -> str:
+    """Run a command within this process, which must succeed; return its output."""
+    done = run_in_process(*arguments, cwd=cwd, columns=columns)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def error_of(*arguments: str, cwd: Path | None = None, columns: int = 80, code: int = 2) -> str:
+    """Run a command within this process, which must fail; return its error in one line and without colors."""
+    done = run_in_process(*arguments, cwd=cwd, columns=columns)
+    assert done.returncode == code, (done.stdout, done.stderr)
+    assert "Traceback" not in done.stderr
+    return plain(done.stderr)
+
+
 def plain(text: str) -> str:
     """Return the text in one line and without colors."""
     return " ".join(re.sub(r"\x1b\[[0-9;]*m", "", text).split())

@@ -18,7 +18,7 @@ from support.bacnet import free_udp_port
 from support.gateways import RunningGateway
 from support.mqtt_broker import Broker, needs_broker
 from support.nodes import NodeProgram, node_on_bus, until
-from support.run_cli import ZENOSTAT, run_in_process
+from support.run_cli import ZENOSTAT, error_of, run_in_process
 
 import zenostat
 from zenostat import Bus
@@ -160,10 +160,9 @@ def test_gateways__second_gateway_with_the_same_name_is_refused_until_the_first_
 ) -> None:
     bus = ["room", "--connect", room.endpoint]
     with RunningGateway(first[0], *bus, *first[1:]) as running:
-        refused = run_in_process("gateway", second[0], *bus, *second[1:])
-        assert refused.returncode == 1
-        assert f"uses {name!r} already (process {running.program.pid} on {socket.gethostname()})" in refused.stderr
-        assert advice in refused.stderr
+        error = error_of("gateway", second[0], *bus, *second[1:], code=1)
+        assert f"uses {name!r} already (process {running.program.pid} on {socket.gethostname()})" in error
+        assert advice in error
         running.program.kill()
         running.program.wait()
     with RunningGateway(second[0], *bus, *second[1:]) as running:
@@ -175,10 +174,9 @@ def test_gateways__one_topic_of_a_broker_has_one_gateway_of_a_node(room: NodePro
     with Broker(tmp_path) as broker:
         words = ["room", "--connect", room.endpoint, "--broker", f"127.0.0.1:{broker.port}"]
         with RunningGateway("mqtt", *words):
-            refused = run_in_process("gateway", "mqtt", *words, "--source", "other")
-            assert refused.returncode == 1
-            assert f"'zenostat/room on 127.0.0.1:{broker.port}' already" in refused.stderr
-            assert "--topic" in refused.stderr
+            error = error_of("gateway", "mqtt", *words, "--source", "other", code=1)
+            assert f"'zenostat/room on 127.0.0.1:{broker.port}' already" in error
+            assert "--topic" in error
             with RunningGateway("mqtt", *words, "--source", "other", "--topic", "another") as running:
                 assert running.end()[0] == 0
 

@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, node_on_bus, until
-from support.run_cli import run_in_process
+from support.run_cli import error_of, output_of
 
 import zenostat
 from zenostat import Bus
@@ -472,9 +472,7 @@ def test_pacing__episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path
 
 
 def run_zenostat(*arguments: str) -> str:
-    done = run_in_process(*arguments)
-    assert done.returncode == 0, done.stderr
-    return " ".join(done.stdout.split())
+    return " ".join(output_of(*arguments).split())
 
 
 def test_commands__pause_pace_step_and_inject_faults(bus: Bus, tmp_path: Path) -> None:
@@ -500,9 +498,7 @@ def test_commands__refuse_invalid_arguments() -> None:
         ("faults", "office", "nowhere.yaml", "--clear"): "expected either a file with a fault plan, or --clear",
         ("node", "--building", "x", "--weather", "y", "--speed", "5"): "--speed 5 needs --mode paced",
     }.items():
-        done = run_in_process(*arguments)
-        assert done.returncode == 2
-        assert words in " ".join(done.stderr.split())
+        assert words in error_of(*arguments)
 
 
 @pytest.mark.slow
