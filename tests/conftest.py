@@ -100,6 +100,16 @@ def _own_cores() -> Iterator[None]:
     os.sched_setaffinity(0, cores)
 
 
+@pytest.fixture
+def one_torch_thread() -> Iterator[None]:
+    """Let torch use one thread: small nets are slower on two, and the other core is the simulation's."""
+    torch = pytest.importorskip("torch")
+    before = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(before)
+
+
 @pytest.fixture(scope="session", params=[BROKER])
 def mqtt_broker() -> None:
     """Skip the test where its MQTT broker, the one of its id, is not installed."""

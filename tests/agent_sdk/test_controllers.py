@@ -226,24 +226,40 @@ def test_controllers__what_is_set_lies_within_the_bounds(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("controller", "arguments", "message"),
     [
-        ({"margin": -1}, "margin = -1; expected a number of at least 0"),
-        ({"preconditioning": 24}, "preconditioning = 24; expected a number from 0 to 23"),
-        ({"setback": "much"}, "setback = 'much'; expected a number of at least 0"),
-        ({"low": 24.0}, r"the comfort band 24 to 23.5 degC is reversed"),
-        ({"marign": 1}, "RuleBasedController has no parameter 'marign'; did you mean 'margin'"),
+        (RuleBasedController, {"margin": -1}, "margin = -1; expected a number of at least 0"),
+        (RuleBasedController, {"preconditioning": 24}, "preconditioning = 24; expected a number from 0 to 23"),
+        (RuleBasedController, {"setback": "much"}, "setback = 'much'; expected a number of at least 0"),
+        (RuleBasedController, {"low": 24.0}, r"the comfort band 24 to 23.5 degC is reversed"),
+        (RuleBasedController, {"marign": 1}, "RuleBasedController has no parameter 'marign'; did you mean 'margin'"),
+        (FixedSetpoints, {"heating_setpoint": 25}, "heating_setpoint = 25; its bounds are 15 to 22.5 degC"),
+        (FixedSetpoints, {"heatng_setpoint": 20},
+            "node 'office' has no action or actuator 'heatng_setpoint'; did you mean 'heating"),
+        (FixedSetpoints, {"heating_setpoint": "warm"}, "heating_setpoint = 'warm'; expected a number"),
+        (ScheduledSetback, {"days": "monday"}, "days = 'monday'; expected weekdays, such as 'mon-fri'"),
+        (ScheduledSetback, {"opens": 7, "closes": 7}, "opens = closes = 7"),
+        (ScheduledSetback, {"closes": 25}, "closes = 25; expected a number from 0 to 24"),
+        (ScheduledSetback, {"heating": 40}, "heating = 40; its bounds are 15 to 22.5"),
+        (ScheduledSetback, {"cooling_setback": 20}, "cooling_setback = 20; its bounds are 22.5 to 30"),
+    ],
+)  # fmt: skip
+def test_controllers__parameters_that_cannot_be(controller: Any, arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfig, match=message):
+        make_controller(controller, node(), arguments)
+
+
+@pytest.mark.parametrize(
+    ("controller", "others", "message"),
+    [
+        (RuleBasedController, manifest(), "the rule-based controller needs an action that sets a heating"),
+        (IncrementalRules, node(sensors=()), "needs an action that sets a heating or cooling setpoint, and a sensor"),
     ],
 )
-def test_controllers__parameters_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidConfig, match=message):
-        make_controller(RuleBasedController, node(), arguments)
-
-
-def test_controllers__rules_need_something_to_rule() -> None:
-    for of in (single("fan", 0.0, 1.0), manifest()):
-        with pytest.raises(InvalidConfig, match="the rule-based controller needs an action that sets a heating"):
-            RuleBasedController(of)
+def test_controllers__rules_need_something_to_rule(controller: Any, others: Any, message: str) -> None:
+    for of in (single("fan", 0.0, 1.0), others):
+        with pytest.raises(InvalidConfig, match=message):
+            controller(of)
 
 
 # Random
@@ -286,19 +302,6 @@ def test_controllers__fixed_values_by_name_and_the_bands_ends_for_the_rest() -> 
     of = node()
     assert FixedSetpoints(of, heating_setpoint=21.5).act(view(of)) == {HEAT.name: 21.5, COOL.name: 22.5}
     assert FixedSetpoints(of).act(view(of, SUMMER)) == {HEAT.name: 22.5, COOL.name: 25.0}  # 24 is out of bounds
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"heating_setpoint": 25}, "heating_setpoint = 25; its bounds are 15 to 22.5 degC"),
-        ({"heatng_setpoint": 20}, "node 'office' has no action or actuator 'heatng_setpoint'; did you mean 'heating"),
-        ({"heating_setpoint": "warm"}, "heating_setpoint = 'warm'; expected a number"),
-    ],
-)
-def test_controllers__fixed_values_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidConfig, match=message):
-        make_controller(FixedSetpoints, node(), arguments)
 
 
 @pytest.mark.parametrize(
@@ -372,21 +375,6 @@ def test_controllers__setback_by_default_is_inside_the_band_and_at_night_outside
     assert ScheduledSetback(uncounted).act(view(uncounted, night)) == {HEAT.name: 21.0, COOL.name: 22.5}
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"days": "monday"}, "days = 'monday'; expected weekdays, such as 'mon-fri'"),
-        ({"opens": 7, "closes": 7}, "opens = closes = 7"),
-        ({"closes": 25}, "closes = 25; expected a number from 0 to 24"),
-        ({"heating": 40}, "heating = 40; its bounds are 15 to 22.5"),
-        ({"cooling_setback": 20}, "cooling_setback = 20; its bounds are 22.5 to 30"),
-    ],
-)
-def test_controllers__setbacks_that_cannot_be(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(InvalidConfig, match=message):
-        make_controller(ScheduledSetback, node(), arguments)
-
-
 def test_controllers__setback_needs_setpoints_and_heating_below_cooling() -> None:
     with pytest.raises(InvalidConfig, match="setback needs an action that sets a heating or cooling setpoint"):
         ScheduledSetback(single("fan", 0.0, 1.0))
@@ -424,11 +412,3 @@ def test_controllers__incremental_reads_the_mean_of_its_zones() -> None:
     control = IncrementalRules(of, margin=0.0)
     assert control.act(view(of, a=25.0, b=22.0))[COOL.name] == 23.5  # a mean of 23.5 is comfortable
     assert control.act(view(of, a=25.1, b=22.0))[COOL.name] == 23.0
-
-
-def test_controllers__incremental_needs_a_setpoint_and_a_temperature() -> None:
-    for of in (single("fan", 0.0, 1.0), node(sensors=())):
-        with pytest.raises(
-            InvalidConfig, match="needs an action that sets a heating or cooling setpoint, and a sensor"
-        ):
-            IncrementalRules(of)

@@ -48,9 +48,21 @@ def test_env__file_of_a_plant_is_made_absolute_and_a_module_stays(user_folder: P
     assert for_node({"plant": "my.tanks:Tank"}, "b")["plant"] == "my.tanks:Tank"
 
 
-def test_arguments__of_a_plant_need_one() -> None:
-    with pytest.raises(InvalidConfig, match=r"plant_arguments needs a class: plant='FILE.py:CLASS'"):
-        for_node({**BASE, "plant_arguments": {}}, "b")
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({**BASE, "plant_arguments": {}}, r"plant_arguments needs a class: plant='FILE.py:CLASS'"),
+        ({}, "name a building and a weather, a scenario, a file"),
+        ({"building": "office-small"}, "name a building and a weather, a scenario, a file"),
+        ({"weather": "USA_CO_Denver"}, "name a building and a weather, a scenario, a file"),
+        ({"begin": "07-01"}, "name a building and a weather, a scenario, a file"),
+        ({"scenario": {"building": "office-small"}}, "the name of a scenario or the path of its file expected"),
+        ({"scenario": 3}, "the name of a scenario or the path of its file expected"),
+    ],
+)
+def test_for_node__states_which_argument_is_missing_or_of_another_form(arguments: dict[str, Any], message: str) -> None:
+    with pytest.raises(InvalidConfig, match=message):
+        for_node(arguments, "b")
 
 
 @pytest.mark.parametrize("value", [print, {1, 2}, [object()]])
@@ -125,20 +137,6 @@ def test_env__scenarios_id_stays(user_folder: Path, scenario: str) -> None:
 def test_env__one_thing_states_what_to_simulate(named: tuple[str, ...]) -> None:
     with pytest.raises(InvalidConfig, match=" and ".join(named)):
         for_node(dict.fromkeys(named, "x.yaml"), "b")
-
-
-@pytest.mark.parametrize(
-    "arguments", [{}, {"building": "office-small"}, {"weather": "USA_CO_Denver"}, {"begin": "07-01"}]
-)
-def test_env__something_states_what_to_simulate(arguments: dict[str, Any]) -> None:
-    with pytest.raises(InvalidConfig, match="name a building and a weather, a scenario, a file"):
-        for_node(arguments, "b")
-
-
-@pytest.mark.parametrize("scenario", [{"building": "office-small"}, 3])
-def test_for_node__rejects_a_scenario_that_is_no_name(scenario: Any) -> None:
-    with pytest.raises(InvalidConfig, match="the name of a scenario or the path of its file expected"):
-        for_node({"scenario": scenario}, "office")
 
 
 def test_env__building_may_stand_beside_a_scenario() -> None:
@@ -227,17 +225,15 @@ def test_env__reward_of_a_file_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["building: b", "reward: null", "- reward", "", "{", "a: [", "reward: {a: b", "day: 2018-13-45"], ids=repr
-)
-def test_env__file_without_a_reward_has_none(tmp_path: Path, text: str) -> None:
+    "content",
+    [
+        b"building: b", b"reward: null", b"- reward", b"", b"{", b"a: [", b"reward: {a: b", b"day: 2018-13-45",
+        b"reward: \xff\xfe\x00",
+    ],
+)  # fmt: skip
+def test_env__file_without_a_reward_has_none(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "mine.yaml"
-    file.write_text(text)
-    assert _fields_of_file(str(file)).get("reward") is None
-
-
-def test_env__file_that_is_no_text_has_none(tmp_path: Path) -> None:
-    file = tmp_path / "mine.yaml"
-    file.write_bytes(b"reward: \xff\xfe\x00")
+    file.write_bytes(content)
     assert _fields_of_file(str(file)).get("reward") is None
 
 

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,19 +29,12 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 
 from zenostat.agent_sdk.envs.sb3_vec_env import SlotsVecEnv, as_sb3  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
+
 SAME = AutoresetMode.SAME_STEP
 WARM = {"points": ["zone_1_air_temperature"], "low": 17.0, "high": 26.0, "duration_h": 2.0}
 LAST = {"points": ["outdoor_temperature"], "low": 90.0, "duration_h": 24.0}  # broken with an episode's last step
 DAY: dict[str, Any] = {"zones": 2, "steps_per_hour": 1, "climate": Climate(noise_k=3.0), "control": "building"}
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Small nets are slower on two, and the other core is the simulation's."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def fakes(count: int = 3, **arguments: Any) -> SlotsVecEnv:

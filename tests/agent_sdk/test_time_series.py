@@ -49,35 +49,27 @@ def a_year(header: str = "hour;value", hours: int = HOURS) -> list[str]:
 
 
 @pytest.mark.parametrize(
-    ("moment", "row"),
+    ("year", "moment", "row"),
     [
-        (datetime(2017, 1, 1, 0, 0), 0),
-        (datetime(2017, 1, 1, 0, 59), 0),
-        (datetime(2017, 1, 1, 1, 0), 1),
-        (datetime(2017, 2, 28, 23), 1415),
-        (datetime(2017, 3, 1, 0), 1416),
-        (datetime(2017, 12, 31, 23, 45), 8759),
-        (datetime(2016, 3, 1, 0), 1416),  # after a leap day the rows are those of other years
-        (datetime(2016, 2, 29, 5), 1397),  # a leap day is the day before it
+        (YEAR, datetime(2017, 1, 1, 0, 0), 0),
+        (YEAR, datetime(2017, 1, 1, 0, 59), 0),
+        (YEAR, datetime(2017, 1, 1, 1, 0), 1),
+        (YEAR, datetime(2017, 2, 28, 23), 1415),
+        (YEAR, datetime(2017, 3, 1, 0), 1416),
+        (YEAR, datetime(2017, 12, 31, 23, 45), 8759),
+        (YEAR, datetime(2016, 3, 1, 0), 1416),  # after a leap day the rows are those of other years
+        (YEAR, datetime(2016, 2, 29, 5), 1397),  # a leap day is the day before it
+        (LEAP_YEAR, datetime(2016, 2, 28, 23), 1415),
+        (LEAP_YEAR, datetime(2016, 2, 29, 5), 1421),
+        (LEAP_YEAR, datetime(2016, 3, 1, 0), 1440),
+        (LEAP_YEAR, datetime(2017, 2, 28, 23), 1415),
+        (LEAP_YEAR, datetime(2017, 3, 1, 0), 1440),  # passes over the leap day's rows
+        (LEAP_YEAR, datetime(2017, 12, 31, 23), 8783),
     ],
+    ids=lambda value: "" if isinstance(value, tuple | list) else str(value),
 )
-def test_time_series__year_without_a_leap_day(moment: datetime, row: int) -> None:
-    assert HourlySeries(hourly=YEAR, unit="EUR/kWh").at(moment) == float(row)
-
-
-@pytest.mark.parametrize(
-    ("moment", "row"),
-    [
-        (datetime(2016, 2, 28, 23), 1415),
-        (datetime(2016, 2, 29, 5), 1421),
-        (datetime(2016, 3, 1, 0), 1440),
-        (datetime(2017, 2, 28, 23), 1415),
-        (datetime(2017, 3, 1, 0), 1440),  # passes over the leap day's rows
-        (datetime(2017, 12, 31, 23), 8783),
-    ],
-)
-def test_time_series__year_with_a_leap_day(moment: datetime, row: int) -> None:
-    assert HourlySeries(hourly=LEAP_YEAR, unit="EUR/kWh").at(moment) == float(row)
+def test_time_series__years_with_and_without_a_leap_day(year: Any, moment: datetime, row: int) -> None:
+    assert HourlySeries(hourly=year, unit="EUR/kWh").at(moment) == float(row)
 
 
 @given(st.datetimes(datetime(1990, 1, 1), datetime(2030, 12, 31)))
@@ -110,15 +102,12 @@ def test_time_series__series_is_a_year(length: int) -> None:
 WORKDAYS = ["mon", "tue", "wed", "thu", "fri"]
 TABLE = TimeOfUse.model_validate(
     {
-        "table": [
-            {"value": 9.0, "hours": [12, 14], "months": [7, 8]},
-            {"value": 3.0, "hours": [8, 20], "weekdays": WORKDAYS},
-            {"value": 0.5, "hours": [22, 6]},
-        ],
+        "table": [{"value": 9.0, "hours": [12, 14], "months": [7, 8]},
+            {"value": 3.0, "hours": [8, 20], "weekdays": WORKDAYS}, {"value": 0.5, "hours": [22, 6]}],
         "otherwise": 1.0,
         "unit": "EUR/kWh",
     }
-)
+)  # fmt: skip
 
 
 @pytest.mark.parametrize(
@@ -323,27 +312,26 @@ def test_time_series__signal_that_was_used_is_still_the_same() -> None:
 
 
 @pytest.mark.parametrize(
-    ("unit", "factor"), [("EUR/kWh", 1.0), ("EUR/MWh", 1e-3), ("ct / kWh", 1.0), ("$/Wh", 1e3), ("EUR/GJ", 0.0036)]
-)
-def test_time_series__prices_by_energy(unit: str, factor: float) -> None:
-    assert per_kwh(unit) == pytest.approx(factor)
+    ("factor_of", "unit", "factor"),
+    [
+        (per_kwh, "EUR/kWh", 1.0), (per_kwh, "EUR/MWh", 1e-3), (per_kwh, "ct / kWh", 1.0), (per_kwh, "$/Wh", 1e3),
+        (per_kwh, "EUR/GJ", 0.0036),
+        (grams_per_kwh, "g/kWh", 1.0), (grams_per_kwh, "kg/MWh", 1.0), (grams_per_kwh, "kg/kWh", 1e3),
+        (grams_per_kwh, "t/MWh", 1e3), (grams_per_kwh, "gCO2eq/kWh", 1.0), (grams_per_kwh, "g CO2/kWh", 1.0),
+    ],
+)  # fmt: skip
+def test_time_series__prices_and_intensities_by_energy(factor_of: Any, unit: str, factor: float) -> None:
+    assert factor_of(unit) == pytest.approx(factor)
 
 
 @pytest.mark.parametrize(
-    ("unit", "factor"),
-    [("g/kWh", 1.0), ("kg/MWh", 1.0), ("kg/kWh", 1e3), ("t/MWh", 1e3), ("gCO2eq/kWh", 1.0), ("g CO2/kWh", 1.0)],
+    ("kind", "words", "units"),
+    [
+        (Price, "a unit per energy expected", ("EUR", "EUR/h", "/kWh", "EUR/", "kWh")),
+        (Intensity, "a mass per energy expected", ("EUR/kWh", "lb/MWh", "CO2/kWh")),
+    ],
 )
-def test_time_series__intensities_by_energy(unit: str, factor: float) -> None:
-    assert grams_per_kwh(unit) == pytest.approx(factor)
-
-
-@pytest.mark.parametrize("unit", ["EUR", "EUR/h", "/kWh", "EUR/", "kWh"])
-def test_time_series__price_is_by_energy(unit: str) -> None:
-    with pytest.raises(ValidationError, match="a unit per energy expected"):
-        TypeAdapter(Price).validate_python({"value": 1.0, "unit": unit})
-
-
-@pytest.mark.parametrize("unit", ["EUR/kWh", "lb/MWh", "CO2/kWh"])
-def test_time_series__intensity_is_a_mass_by_energy(unit: str) -> None:
-    with pytest.raises(ValidationError, match="a mass per energy expected"):
-        TypeAdapter(Intensity).validate_python({"value": 1.0, "unit": unit})
+def test_time_series__price_is_by_energy_and_intensity_a_mass(kind: Any, words: str, units: tuple[str, ...]) -> None:
+    for unit in units:
+        with pytest.raises(ValidationError, match=words):
+            TypeAdapter(kind).validate_python({"value": 1.0, "unit": unit})

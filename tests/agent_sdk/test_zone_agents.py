@@ -92,11 +92,6 @@ def test_zone_agents__zone_that_is_called_as_another_agent_gets_a_number() -> No
     assert env.possible_agents == ["building_2", "a-b", "plain", "building"]
 
 
-def test_zone_agents__no_zone_decides() -> None:
-    with pytest.raises(InvalidConfig, match=r"no action of node 'fake' belongs to a single zone; control='zone'"):
-        fake(2, control="building")
-
-
 def test_zone_agents__plant_of_ones_own_has_no_zones() -> None:
     with pytest.raises(InvalidConfig, match=r"a plant of your own has no zones"):
         ZonesEnv(plant="tank.py:Tank")
@@ -259,6 +254,7 @@ def test_zone_agents__function_of_ones_own() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
+        ({"control": "building"}, "no action of node 'fake' belongs to a single zone; control='zone'"),
         ({"reward": "mine"}, "reward = 'mine'; 'shared', 'own' or a function"),
         ({"reward": "own", "building_reward": None}, "there is no reward; use building_reward='linear'"),
         ({"reward": "own", "building_reward": "peak"}, "PeakReward is not one; use"),

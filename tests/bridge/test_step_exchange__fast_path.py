@@ -23,12 +23,9 @@ BOUNDS = {
     "minus zero": (actuator("heat", -0.0, 1.0), actuator("cool", -1.0, -0.0)),
     "none": (actuator("heat"), actuator("cool")),
     "one": (actuator("heat", 15.0, None), actuator("cool", None, 30.0)),
-    "many": (
-        actuator("heat", 0.0, 1.0),
-        actuator("cool", None, 0.0),
-        *(actuator(f"a{k}", 0.0, 1.0) for k in range(40)),
-    ),
-}
+    "many": (actuator("heat", 0.0, 1.0), actuator("cool", None, 0.0),
+        *(actuator(f"a{k}", 0.0, 1.0) for k in range(40))),
+}  # fmt: skip
 
 
 def state_text(at: StepExchange) -> str:

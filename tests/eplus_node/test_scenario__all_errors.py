@@ -27,13 +27,10 @@ wrappers:
 - {wrapper: CyclicTime, fiels: [hour]}
 """
 EXPECTED = (
-    "wheather: there is no such field; did you mean 'weather'",
-    "weather: it is missing",
-    "no building 'offfice-small'; did you mean 'office-small'",
-    "begin '13-01' is not a calendar date",
-    "end '07-32' is not a calendar date",
-    "steps_per_hour 7 does not divide the hour",
-)
+    "wheather: there is no such field; did you mean 'weather'", "weather: it is missing",
+    "no building 'offfice-small'; did you mean 'office-small'", "begin '13-01' is not a calendar date",
+    "end '07-32' is not a calendar date", "steps_per_hour 7 does not divide the hour",
+)  # fmt: skip
 AGENT_ERRORS = (
     "no kind 'liner'; did you mean 'linear'",
     "wrappers[0]: there is no wrapper 'CyclicTme'; did you mean 'CyclicTime'",

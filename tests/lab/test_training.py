@@ -4,7 +4,6 @@ import random
 import subprocess
 import sys
 import warnings
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -30,6 +29,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize  # noqa: 
 
 from zenostat.lab.training import EvaluationCallback, PolicyController, evaluate_model, load_policy  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
+
 NET = {"net_arch": [8, 8]}  # given as a copy: SAC and TD3 write into it
 OFF_POLICY = {"learning_starts": 32, "batch_size": 16, "buffer_size": 1000, "train_freq": 8}
 ALGORITHMS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -39,15 +40,6 @@ ALGORITHMS: dict[str, tuple[Any, dict[str, Any]]] = {
     "td3": (TD3, OFF_POLICY),
     "dqn": (DQN, OFF_POLICY),
 }
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Small nets are slower on two, and the other core is the simulation's."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 def weights(model: Any) -> dict[str, Any]:

@@ -3,7 +3,6 @@
 import csv
 import json
 import threading
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +28,8 @@ from zenostat.lab.training import ALGORITHMS, load_policy, read_training, resume
 from zenostat.lab.training.horizon import horizon_warning, scale_warning  # noqa: E402
 from zenostat.lab.training.parameters import make_model  # noqa: E402
 from zenostat.lab.training.run import check_training  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
 
 NET = {"net_arch": [8]}
 OFF_POLICY = {"learning_starts": 40, "batch_size": 16, "buffer_size": 150, "train_freq": 4, "policy_kwargs": NET}
@@ -71,14 +72,6 @@ def same(one: Any, other: Any) -> bool:
     if isinstance(one, list | tuple):
         return len(one) == len(other) and all(map(same, one, other))
     return bool(one == other)
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
 
 
 @pytest.mark.variants

@@ -110,11 +110,8 @@ def test_roles__setpoints_that_are_schedules_serve_the_zones_that_their_names_te
     assert [zone.heating_actuator for zone in one.zones] == [0, 0, None]  # a plenum has no thermostat
     assert [zone.cooling_actuator for zone in one.zones] == [None] * 3
     names = [
-        "office_cooling_setpoint",
-        "cooling_setpoint",
-        "supply_air_cooling_setpoint",
-        "fine_storage_cooling_setpoint",
-    ]
+        "office_cooling_setpoint", "cooling_setpoint", "supply_air_cooling_setpoint", "fine_storage_cooling_setpoint",
+    ]  # fmt: skip
     several = roles(manifest(sensors=air, actuators=[schedule(name) for name in names]))
     assert [zone.cooling_actuator for zone in several.zones] == [0, 3, None]
     watts = roles(manifest(sensors=air, actuators=[schedule("heating_setpoint", unit="W")]))

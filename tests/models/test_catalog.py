@@ -1,6 +1,7 @@
 """Buildings and weather by name: those of the EnergyPlus wheel, a part of a name, a path."""
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -51,45 +52,35 @@ def test_catalog__weather_is_found_and_covers_a_year(entry: Entry) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stem", "name"),
+    ("name_of", "stem", "name"),
     [
-        ("ASHRAE901_OfficeMedium_STD2019_Denver", "office-medium"),
-        ("ASHRAE901_RestaurantSitDown_STD2019_Denver", "restaurant-sit-down"),
-        ("ASHRAE901_OutPatientHealthCare_STD2019_Denver", "outpatient"),
-        ("RefBldgStand-aloneRetailNew2004_Chicago", "ref-stand-alone-retail"),
-        ("RefBldgOutPatientNew2004_Chicago", "ref-outpatient"),
-        ("MyHouse", "MyHouse"),
+        (building_name, "ASHRAE901_OfficeMedium_STD2019_Denver", "office-medium"),
+        (building_name, "ASHRAE901_RestaurantSitDown_STD2019_Denver", "restaurant-sit-down"),
+        (building_name, "ASHRAE901_OutPatientHealthCare_STD2019_Denver", "outpatient"),
+        (building_name, "RefBldgStand-aloneRetailNew2004_Chicago", "ref-stand-alone-retail"),
+        (building_name, "RefBldgOutPatientNew2004_Chicago", "ref-outpatient"),
+        (building_name, "MyHouse", "MyHouse"),
+        (weather_name, "USA_CO_Denver-Aurora-Buckley.AFB.724695_TMY3", "USA_CO_Denver"),
+        (weather_name, "USA_CO_Golden-NREL.724666_TMY3", "USA_CO_Golden"),
+        (weather_name, "USA_CA_San.Francisco.Intl.AP.724940_TMY3", "USA_CA_San.Francisco"),
+        (weather_name, "USA_CA_Fresno.Air.Terminal.723890_TMY3", "USA_CA_Fresno"),
+        (weather_name, "here", "here"),
     ],
 )
-def test_catalog__buildings_name_is_short(stem: str, name: str) -> None:
-    assert building_name(stem) == name
+def test_catalog__building_has_a_short_name_and_weather_that_of_its_place(name_of: Any, stem: str, name: str) -> None:
+    assert name_of(stem) == name
 
 
 @pytest.mark.parametrize(
-    ("stem", "name"),
+    ("find", "part", "name"),
     [
-        ("USA_CO_Denver-Aurora-Buckley.AFB.724695_TMY3", "USA_CO_Denver"),
-        ("USA_CO_Golden-NREL.724666_TMY3", "USA_CO_Golden"),
-        ("USA_CA_San.Francisco.Intl.AP.724940_TMY3", "USA_CA_San.Francisco"),
-        ("USA_CA_Fresno.Air.Terminal.723890_TMY3", "USA_CA_Fresno"),
-        ("here", "here"),
+        (find_building, "sit-down", "restaurant-sit-down"), (find_building, "SUPER", "ref-super-market"),
+        (find_building, "BldgMediumOffice", "ref-medium-office"), (find_weather, "denver", "USA_CO_Denver"),
+        (find_weather, "722020", "USA_FL_Miami"),
     ],
-)
-def test_catalog__weathers_name_is_its_place(stem: str, name: str) -> None:
-    assert weather_name(stem) == name
-
-
-@pytest.mark.parametrize(
-    ("part", "name"),
-    [("sit-down", "restaurant-sit-down"), ("SUPER", "ref-super-market"), ("BldgMediumOffice", "ref-medium-office")],
-)
-def test_catalog__part_that_fits_one_building_is_enough(part: str, name: str) -> None:
-    assert find_building(part).name == name
-
-
-@pytest.mark.parametrize(("part", "name"), [("denver", "USA_CO_Denver"), ("722020", "USA_FL_Miami")])
-def test_catalog__part_that_fits_one_weather_is_enough(part: str, name: str) -> None:
-    assert find_weather(part).name == name
+)  # fmt: skip
+def test_catalog__part_that_fits_one_building_or_weather_is_enough(find: Any, part: str, name: str) -> None:
+    assert find(part).name == name
 
 
 def test_catalog__whole_name_is_meant_even_where_it_is_a_part_of_another() -> None:

@@ -107,19 +107,15 @@ def test_run_period__any_day_can_be_written_out(day: date) -> None:
 
 
 @pytest.mark.parametrize(
-    ("weekday", "year"),
+    ("month", "weekday", "year"),
     [  # years that begin with that weekday, from a calendar; EnergyPlus's WeatherManager has the same table
-        ("Sunday", 2017),
-        ("Monday", 2007),
-        ("Tuesday", 2013),
-        ("Wednesday", 2014),
-        ("Thursday", 2015),
-        ("Friday", 2010),
-        ("Saturday", 2011),
+        (1, "Sunday", 2017), (1, "Monday", 2007), (1, "Tuesday", 2013), (1, "Wednesday", 2014), (1, "Thursday", 2015),
+        (1, "Friday", 2010), (1, "Saturday", 2011),
+        (7, None, 2017), (7, "", 2017), (7, "SummerDesignDay", 2017), (7, "CustomDay1", 2017),  # no weekday is named
     ],
-)
-def test_run_period__year_that_begins_on_a_weekday(weekday: str, year: int) -> None:
-    assert year_of(1, 1, weekday) == year
+)  # fmt: skip
+def test_run_period__year_has_its_first_day_on_the_weekday(month: int, weekday: str | None, year: int) -> None:
+    assert year_of(month, 1, weekday) == year
 
 
 @given(st.dates(date(2017, 1, 1), date(2017, 12, 31)), st.sampled_from(WEEKDAYS))
@@ -131,11 +127,6 @@ def test_run_period__year_is_the_latest_common_one_that_has_the_day_on_that_week
     assert fits(year)
     assert year <= 2017
     assert not [later for later in range(year + 1, 2018) if fits(later)]
-
-
-@pytest.mark.parametrize("weekday", [None, "", "SummerDesignDay", "CustomDay1"])
-def test_run_period__year_is_2017_where_no_weekday_is_named(weekday: str | None) -> None:
-    assert year_of(7, 1, weekday) == 2017
 
 
 @pytest.mark.parametrize("weekday", WEEKDAYS)

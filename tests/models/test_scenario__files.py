@@ -126,11 +126,8 @@ fields = st.fixed_dictionaries(
         "begin": days,
         "end": days,
         "steps_per_hour": st.sampled_from([1, 4, 60]),
-        "edits": st.dictionaries(
-            words,
-            st.dictionaries(words, st.none() | st.dictionaries(words, nested, max_size=3), max_size=3),
-            max_size=2,
-        ),
+        "edits": st.dictionaries(words,
+            st.dictionaries(words, st.none() | st.dictionaries(words, nested, max_size=3), max_size=3), max_size=2),
         "time": times,
         "sensors": st.none() | st.dictionaries(names, sensors, max_size=3),
         "meters": st.none() | st.dictionaries(names, words, max_size=3),
@@ -141,7 +138,7 @@ fields = st.fixed_dictionaries(
         "discrete": st.none() | st.integers(2, 50) | st.lists(choices, max_size=3),
         "reward": st.none() | rewards,
     },
-)
+)  # fmt: skip
 
 
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow])

@@ -161,12 +161,9 @@ def test_weather_noise__columns_that_cannot_be_together_are_refused(columns: lis
         resolve_columns({name: ColumnNoise(sigma=1) for name in columns})
 
 
-def test_weather_noise__unknown_column_is_refused() -> None:
+def test_weather_noise__unknown_column_and_limits_outside_the_physical_ones_are_refused() -> None:
     with pytest.raises(UnknownName, match="did you mean 'wind_speed'"):
         resolve_columns({"wind_sped": ColumnNoise(sigma=1)})
-
-
-def test_weather_noise__limits_outside_the_physical_ones_are_refused() -> None:
     with pytest.raises(InvalidConfig, match="exclude all of 0 to 100"):
         resolve_columns({"relative_humidity": ColumnNoise(sigma=1, low=100)})
 
@@ -240,10 +237,16 @@ def test_weather_noise__episodes_of_one_generator_differ(denver: Weather) -> Non
     assert not same(with_noise(denver, SEVERAL, rng), with_noise(denver, SEVERAL, rng))
 
 
-def test_weather_noise__noise_on_one_more_column_leaves_that_of_the_others(denver: Weather) -> None:
-    few = noised(denver, wind_speed=ColumnNoise(sigma=1.0))
-    more = noised(denver, wind_speed=ColumnNoise(sigma=1.0), dry_bulb=ColumnNoise(sigma=1.0))
-    assert few.columns["wind_speed"].tobytes() == more.columns["wind_speed"].tobytes()
+@pytest.mark.parametrize(
+    ("name", "sigma", "dry_bulb_sigma"),
+    [("wind_speed", 1.0, 1.0), ("horizontal_infrared_radiation_intensity", 5.0, 3.0)],
+)
+def test_weather_noise__noise_on_one_more_column_leaves_that_of_the_others(
+    denver: Weather, name: str, sigma: float, dry_bulb_sigma: float
+) -> None:
+    few = noised(denver, **{name: ColumnNoise(sigma=sigma)})
+    more = noised(denver, **{name: ColumnNoise(sigma=sigma), "dry_bulb": ColumnNoise(sigma=dry_bulb_sigma)})
+    assert few.columns[name].tobytes() == more.columns[name].tobytes()
 
 
 def test_weather_noise__no_noise_is_no_change(denver: Weather, folder: Path) -> None:
@@ -322,13 +325,6 @@ def test_weather_noise__humidity_and_dew_point_follow_each_other(denver: Weather
     np.testing.assert_allclose(
         relative_humidity(dry, dew)[inside], after(denver, done, "relative_humidity")[inside], atol=2e-3
     )
-
-
-def test_weather_noise__infrared_with_noise_of_its_own_follows_nothing(denver: Weather) -> None:
-    name = "horizontal_infrared_radiation_intensity"
-    alone = noised(denver, **{name: ColumnNoise(sigma=5.0)})
-    both = noised(denver, **{name: ColumnNoise(sigma=5.0), "dry_bulb": ColumnNoise(sigma=3.0)})
-    assert alone.columns[name].tobytes() == both.columns[name].tobytes()
 
 
 # Sun

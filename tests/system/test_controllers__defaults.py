@@ -41,13 +41,10 @@ def outside_kh(scenario: str, *controllers: str) -> dict[str, float]:
 @pytest.mark.parametrize(
     "scenario",
     [
-        "datacenter_dx-chicago-continuous-v1",
-        "datacenter_cw-chicago-continuous-v1",
-        "office-mixed-continuous-v1",
-        "shop-mixed-continuous-v1",
-        "warehouse-mixed-continuous-v1",
+        "datacenter_dx-chicago-continuous-v1", "datacenter_cw-chicago-continuous-v1", "office-mixed-continuous-v1",
+        "shop-mixed-continuous-v1", "warehouse-mixed-continuous-v1",
     ],
-)
+)  # fmt: skip
 def test_controllers__rules_are_no_less_comfortable_than_the_buildings_own_control(scenario: str) -> None:
     discomfort = outside_kh(scenario, "rbc", "incremental")
     assert discomfort["rbc"] <= discomfort["baseline"]

@@ -441,15 +441,12 @@ def test_node__publishes_its_changes_of_pace(bus: Bus) -> None:
         (lambda bus: bus.pace("office", 2e9), InvalidConfig, "speed.*less than or equal to 1000000000"),
         (lambda bus: bus.pace("office", mode="quick"), InvalidConfig, "mode.*'lockstep', 'paced' or 'free'"),
         (lambda bus: bus.pace("office"), RequestRejected, "only the mode 'paced' has a speed, and needs one"),
-        (
-            lambda bus: bus.pace("office", 60, mode="free"),
-            RequestRejected,
-            "only the mode 'paced' has a speed, and needs one",
-        ),
+        (lambda bus: bus.pace("office", 60, mode="free"), RequestRejected,
+            "only the mode 'paced' has a speed, and needs one"),
         (lambda bus: bus.step("office", 4), RequestRejected, "not paused; pause it first"),
         (lambda bus: bus.step("office", 0), InvalidConfig, "steps.*greater than or equal to 1"),
     ],
-)
+)  # fmt: skip
 def test_invalid_requests__refused_with_the_reason(bus: Bus, ask: Any, error: type[Exception], words: str) -> None:
     with pytest.raises(error, match=words):
         ask(bus)

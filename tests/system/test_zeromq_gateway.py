@@ -15,6 +15,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 from support.nodes import SMALL, NodeProgram, Program, free_port, until
+from support.run_cli import plain, run_program
 
 import zenostat
 from zenostat.topics import codec, messages
@@ -59,10 +60,7 @@ def test_zeromq_gateway__episode_gives_the_same_samples_as_over_zenoh_to_the_bit
     through = []
     with Peer(gateway, getattr(zmq, kind)) as peer:
         peer.listen("sample")
-        until(
-            lambda: not any(c.state.is_connected for c in agent_status(shared_node).controllers),
-            "the direct one has gone",
-        )
+        until(lambda: not any(c.state.is_connected for c in agent_status(shared_node).controllers), "it has gone")
         while (last := peer.hear(Sample)).step != [96]:
             pass  # the gateway hears by itself
         manifest = Manifest(**peer.ask("manifest")[1])
@@ -87,6 +85,13 @@ def peer_accepted(episode: int, step: Sequence[int] = ()) -> dict[str, Any]:
 
 def refused(status: messages.Status) -> tuple[int, int, int]:
     return status.rejected, status.late, status.duplicate
+
+
+def refusal(answer: tuple[str, dict[str, Any]], error: str = "RequestRejected") -> str:
+    """Return the message of a reply that refuses a request with that error."""
+    kind, denied = answer
+    assert (kind, denied["error"]) == ("ErrorReply", error)
+    return denied["message"]
 
 
 def test_zeromq_gateway__two_controllers_in_lockstep_each_answered_although_the_other_has_not_spoken(gateway):
@@ -151,16 +156,12 @@ def test_refusals__carry_the_reason_of_the_node(gateway):
         assert peer.ask("command/c", **keeping(sample))[1]["message"].startswith("'c' has claimed nothing")
         assert peer.ask("rpc/claim", controller="c", actuators=["chair"])[1]["error"] == "RequestRejected"
         assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
-        kind, denied = other.ask("rpc/claim", controller="d")
-        assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
-        assert "is claimed by 'c'" in denied["message"]
+        assert "is claimed by 'c'" in refusal(other.ask("rpc/claim", controller="d"))
         assert other.ask("command/c", **keeping(sample))[1]["message"].startswith(
             "'c' is connected through another connection; claim first"
         )
         for _ in range(30):  # more than the node publishes as events in a step
-            kind, denied = peer.ask("command/c", **answering(sample, np.full(count, 99.0)))
-            assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
-            assert "its bounds are" in denied["message"]
+            assert "its bounds are" in refusal(peer.ask("command/c", **answering(sample, np.full(count, 99.0))))
         assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
         assert peer.ask("rpc/weather", columns=["no such"])[1]["error"] == "UnknownName"
         assert peer.ask("rpc/scenario")[0] == "ScenarioText"
@@ -231,10 +232,9 @@ def test_zeromq_gateway__name_of_a_connected_controller_is_free_only_once_its_co
         with Peer(gateway) as old:
             assert old.ask("rpc/claim", controller="c")[0] == "Ack"
             for _ in range(2):
-                kind, denied = new.ask("rpc/claim", controller="c", priority=5)
-                assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
-                assert denied["message"].startswith("a controller 'c' is connected already; end its connection first")
-                kind, denied = new.ask("command/c", **keeping(sample))
+                denied = refusal(new.ask("rpc/claim", controller="c", priority=5))
+                assert denied.startswith("a controller 'c' is connected already; end its connection first")
+                _, denied = new.ask("command/c", **keeping(sample))
                 assert denied["message"].startswith("'c' is connected through another connection; claim first")
                 assert old.ask("command/c", **keeping(sample))[0] == "Ack"
                 sample = new.after(sample)
@@ -250,9 +250,8 @@ def test_zeromq_gateway__name_of_a_connected_controller_is_free_only_once_its_co
 def test_zeromq_gateway__name_of_a_controller_that_does_not_use_the_gateway_is_taken_too(shared_node, gateway):
     with Peer(gateway) as peer, zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         with bus.controller("office") as link:
-            kind, denied = peer.ask("rpc/claim", controller=link.name, actuators=[SETPOINT])
-            assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
-            assert denied["message"].startswith(f"a controller {link.name!r} is connected already")
+            denied = refusal(peer.ask("rpc/claim", controller=link.name, actuators=[SETPOINT]))
+            assert denied.startswith(f"a controller {link.name!r} is connected already")
             link.current()
             link.send(None)
             assert link.receive().step == 1
@@ -275,9 +274,7 @@ def test_peer_with_too_many_unanswered_requests__gets_an_error_and_delays_no_oth
             for _ in range(300):
                 flood.say("rpc/status")
             for _ in range(200):
-                kind, denied = flood.answer()
-                assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
-                assert denied["message"].startswith("100 requests of this connection are not answered yet")
+                assert refusal(flood.answer()).startswith("100 requests of this connection are not answered yet")
             peer.say("rpc/status")
             assert peer.silent()
         finally:
@@ -328,8 +325,7 @@ def test_end_of_the_node__published_and_answered(scratch, node, own_gateway, end
             assert peer.ask("rpc/stop")[0] == "Ack"
             assert peer.event(EventKind.STOPPED)
             until(lambda: peer.ask("rpc/status")[0] == "ErrorReply", "it is gone")
-        kind, denied = peer.ask("command/slow", **keeping(sample))
-        assert (kind, denied["error"]) == ("ErrorReply", "NodeNotFound")
+        assert refusal(peer.ask("command/slow", **keeping(sample)), "NodeNotFound")
 
 
 def test_zeromq_gateway__failure_of_the_engine_is_an_event_after_the_command_was_accepted(shared_node, gateway):
@@ -405,9 +401,7 @@ def test_zeromq_gateway__bad_topics_are_denied_by_name(open_gateway, topic):
     ],
 )
 def test_zeromq_gateway__bad_payloads_are_denied_with_the_reason(open_gateway, what, payload, words):
-    kind, denied = open_gateway.ask(what, payload)
-    assert (kind, denied["error"]) == ("ErrorReply", "BadMessage")
-    assert words in denied["message"]
+    assert words in refusal(open_gateway.ask(what, payload), "BadMessage")
 
 
 WORDS = st.sampled_from([b"", b"zenostat/v2/office/rpc/status", b"zenostat/v2/office/command/c", b"\x80", b"\xff"])
@@ -442,12 +436,10 @@ def test_zeromq_gateway__envelope_returns_as_it_was():
 
 
 def _fails(*options: str) -> str:
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "zenostat.cli.main", "gateway", "zeromq", *options], capture_output=True, text=True
-    )
+    done = run_program("gateway", "zeromq", *options)
     assert done.returncode in (1, 2)
     assert "Traceback" not in done.stderr
-    return done.stderr
+    return plain(done.stderr)
 
 
 @pytest.mark.slow
@@ -474,18 +466,21 @@ def test_zeromq_gateway__ctrl_c_ends_it_in_good_order(shared_node):
 # Examples
 
 
+def example_command(gateway: GatewayProgram) -> list[str]:
+    at = ["--publish", gateway.publish, "--command", gateway.command]
+    return [sys.executable, str(EXAMPLES / "zeromq_controller.py"), *at]
+
+
 def test_zeromq_gateway__python_example(gateway):
-    command = [sys.executable, str(EXAMPLES / "zeromq_controller.py")]
-    command += ["--publish", gateway.publish, "--command", gateway.command]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=90)
+    done = subprocess.run(example_command(gateway), capture_output=True, text=True, timeout=90)
     assert (done.stdout, done.stderr) == ("96 timesteps to 2017-07-04T00:00:00\n", "")
 
 
 def test_zeromq_gateway__python_example_ends_with_the_reason_when_the_engine_dies(shared_node, gateway):
     shared_node.engine.send_signal(signal.SIGSTOP)
-    command = [sys.executable, str(EXAMPLES / "zeromq_controller.py")]
-    command += ["--publish", gateway.publish, "--command", gateway.command]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as program:
+    with subprocess.Popen(
+        example_command(gateway), stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as program:
         until(lambda: agent_status(shared_node).state is State.RUNNING, "the node computes")
         shared_node.engine.kill()
         out, err = program.communicate(timeout=90)
