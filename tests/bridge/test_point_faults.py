@@ -59,17 +59,14 @@ SOME = {"from_step": 1, "to_step": 3}
         (room("clip", low=19.0, high=21.0), [18.0, 19.5, 30.0], [19.0, 19.5, 21.0]),
         (room("clip", high=21.0), [-90.0, 30.0], [-90.0, 21.0]),
         (room("spike", amplitude=5.0, probability=1.0, two_sided=False), [20.0, 21.0], [25.0, 26.0]),
+        (room("drop", when=SOME), [20.0] * 4, [20.0, NAN, NAN, 20.0]),
+        # a delay knows what was before its window
+        (room("delay", steps=2, when={"from_step": 3, "to_step": 5}), [0, 1, 2, 3, 4, 5], [0, 1, 2, 1, 2, 5]),
     ],
     ids=lambda value: value.get("kind") if isinstance(value, dict) else None,
 )
 def test_point_faults__kind_by_hand(fault: dict[str, Any], values: list[float], expected: list[float]) -> None:
-    assert series(point_faults(fault), values) == expected
-
-
-def test_point_faults__dropped_point_has_no_value() -> None:
-    assert np.array_equal(
-        series(point_faults(room("drop", when=SOME)), [20.0] * 4), [20.0, NAN, NAN, 20.0], equal_nan=True
-    )
+    assert np.array_equal(series(point_faults(fault), values), expected, equal_nan=True)
 
 
 @pytest.mark.parametrize("n", [1, 3, 7])
@@ -78,11 +75,6 @@ def test_point_faults__delay_is_the_shifted_series(n: int) -> None:
     delayed = series(point_faults(room("delay", steps=n)), values)
     assert np.isnan(delayed[:n]).all()
     assert delayed[n:] == values[:-n]
-
-
-def test_point_faults__delay_knows_what_was_before_its_window() -> None:
-    faults = point_faults(room("delay", steps=2, when={"from_step": 3, "to_step": 5}))
-    assert series(faults, [0.0, 1.0, 2.0, 3.0, 4.0, 5.0]) == [0.0, 1.0, 2.0, 1.0, 2.0, 5.0]
 
 
 @given(st.floats(), st.lists(st.floats(), min_size=1, max_size=5))
@@ -114,18 +106,24 @@ def test_point_faults__faults_of_a_point_act_one_on_the_other_in_order() -> None
 # Actuators
 
 
-def test_point_faults__command_that_does_not_arrive_leaves_the_former_one() -> None:
-    faults = point_faults(cooling("drop", when={"from_step": 2, "to_step": 4}))
-    assert commands(faults, [24.0, 25.0, 26.0, NAN, 28.0]) == [24.0, 25.0, 25.0, 25.0, 28.0]
-
-
-def test_point_faults__where_nothing_was_commanded_before_the_building_goes_on() -> None:
-    assert np.isnan(commands(point_faults(cooling("drop")), [24.0, 25.0])).all()
-
-
-def test_point_faults__commands_come_later_and_so_does_a_release() -> None:
-    delayed = commands(point_faults(cooling("delay", steps=2)), [24.0, 25.0, NAN, 26.0, 27.0])
-    assert np.array_equal(delayed, [NAN, NAN, 24.0, 25.0, NAN], equal_nan=True)
+@pytest.mark.parametrize(
+    ("fault", "sent", "expected"),
+    [
+        # a command that does not arrive leaves the former one; where there was none, the building goes on
+        (cooling("drop", when={"from_step": 2, "to_step": 4}), [24, 25, 26, NAN, 28], [24, 25, 25, 25, 28]),
+        (cooling("drop"), [24.0, 25.0], [NAN, NAN]),
+        # commands come later, and so does a release
+        (cooling("delay", steps=2), [24.0, 25.0, NAN, 26.0, 27.0], [NAN, NAN, 24.0, 25.0, NAN]),
+        # what is frozen is not released
+        (cooling("freeze", when={"from_step": 1}), [24.0, 25.0, NAN], [24.0, 25.0, 25.0]),
+        # what is disturbed stays within the bounds
+        (cooling("bias", offset=8.0), [20.0, 25.0], [28.0, 30.0]),
+        (cooling("bias", offset=-8.0), [20.0, 11.0], [12.0, 10.0]),
+    ],
+    ids=lambda value: value.get("kind") if isinstance(value, dict) else None,
+)
+def test_point_faults__commands_by_hand(fault: dict[str, Any], sent: list[float], expected: list[float]) -> None:
+    assert np.array_equal(commands(point_faults(fault), sent), expected, equal_nan=True)
 
 
 def test_point_faults__what_is_released_stays_so_unless_it_is_stuck() -> None:
@@ -144,13 +142,7 @@ def test_point_faults__what_is_released_stays_so_unless_it_is_stuck() -> None:
     assert commands(point_faults(cooling("stuck", value=22.0)), relinquished) == [22.0, 22.0]
 
 
-def test_point_faults__frozen_actuator_is_not_released() -> None:
-    assert commands(point_faults(cooling("freeze", when={"from_step": 1})), [24.0, 25.0, NAN]) == [24.0, 25.0, 25.0]
-
-
-def test_point_faults__disturbed_command_stays_within_the_bounds() -> None:
-    assert commands(point_faults(cooling("bias", offset=8.0)), [20.0, 25.0]) == [28.0, 30.0]
-    assert commands(point_faults(cooling("bias", offset=-8.0)), [20.0, 11.0]) == [12.0, 10.0]
+def test_point_faults__disturbed_command_without_bounds_has_none() -> None:
     damper = point_faults({"kind": "bias", "actuators": "damper", "offset": 1e6})
     assert damper.apply_to_commands(np.array([[20.0, 20.0, 1.0]]), [0]).tolist() == [[20.0, 20.0, 1000001.0]]
 
