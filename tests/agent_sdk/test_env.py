@@ -16,7 +16,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from support.nodes import COOLING, SMALL, ZONES, NodeProgram, free_port, new_episode, remains
 
-import zenostat
+from zenostat import Bus
 from zenostat.agent_sdk.rewards import LinearReward
 from zenostat.models.building.model import read_building
 from zenostat.models.catalog import find_building
@@ -43,7 +43,7 @@ def env() -> Iterator[gym.Env[Any, Any]]:
     building.close()
 
 
-def connected(bus: zenostat.Bus, **arguments: Any) -> gym.Env[Any, Any]:
+def connected(bus: Bus, **arguments: Any) -> gym.Env[Any, Any]:
     """An environment of the node that the tests of this module share."""
     new_episode(bus)
     return gym.make("zenostat/Building-v1", connect=bus.endpoint, node="office", affinity="off", **arguments)
@@ -102,7 +102,7 @@ def test_env__step_after_the_end_raises_and_a_reset_begins_anew(env: gym.Env[Any
     assert (truncated, info["step"]) == (False, 1)
 
 
-def test_env__step_before_the_first_reset_raises(shared_bus: zenostat.Bus) -> None:
+def test_env__step_before_the_first_reset_raises(shared_bus: Bus) -> None:
     with connected(shared_bus) as fresh, pytest.raises(EpisodeChanged, match=r"call reset\(\) before step\(\)"):
         fresh.unwrapped.step(fresh.action_space.low)
 
@@ -144,9 +144,7 @@ def test_env__reset_amid_an_episode_leaves_no_trace(env: gym.Env[Any, Any]) -> N
     assert rollout(env, seed=3, steps=10) == first
 
 
-def test_env__two_environments_give_the_same_trajectory_to_the_bit(
-    env: gym.Env[Any, Any], shared_bus: zenostat.Bus
-) -> None:
+def test_env__two_environments_give_the_same_trajectory_to_the_bit(env: gym.Env[Any, Any], shared_bus: Bus) -> None:
     with connected(shared_bus) as other:
         assert rollout(other, seed=5) == rollout(env, seed=5)
 
@@ -176,7 +174,7 @@ def test_env__action_at_sample_0_rules_the_first_timestep() -> None:
     assert dict(high[1:])["core_zn_temperature"] > dict(low[1:])["core_zn_temperature"]
 
 
-def test_env__no_actuators_is_the_buildings_own_control(shared_bus: zenostat.Bus) -> None:
+def test_env__no_actuators_is_the_buildings_own_control(shared_bus: Bus) -> None:
     with make(actuators={}) as own:
         assert own.action_space.shape == (0,)
         observation, _ = own.reset(seed=1)
@@ -234,7 +232,7 @@ def test_env__default_reward_by_hand(begin: str) -> None:
     assert bands == {(23.0, 26.0), (20.0, 23.5)}
 
 
-def test_env__reward_of_the_users_and_none(shared_bus: zenostat.Bus) -> None:
+def test_env__reward_of_the_users_and_none(shared_bus: Bus) -> None:
     with connected(shared_bus, reward=LinearReward(weight=1.0, lambda_energy=1.0)) as energetic:
         energetic.reset(seed=1)
         observation, reward, *_ = energetic.step(energetic.action_space.low)

@@ -12,22 +12,20 @@ from support.gateways import RunningGateway
 from support.mqtt_broker import Broker, needs_broker
 from support.nodes import until
 
-import zenostat
+from zenostat import Bus
 from zenostat.gateways.modbus.register_map import RegisterMap, Table
 from zenostat.topics.messages import CreateBranch
 
 POINT = "core_zn_cooling_setpoint"
 
 
-def commands(bus: zenostat.Bus, node: str) -> dict[int, float]:
+def commands(bus: Bus, node: str) -> dict[int, float]:
     return {n: entry.value for n, entry in enumerate(bus.priorities(node)[POINT], 1) if entry.value is not None}
 
 
 @pytest.mark.slow
 @needs_broker
-def test_gateways__clients_of_three_protocols_command_a_branch_and_not_its_parent(
-    bus: zenostat.Bus, tmp_path: Path
-) -> None:
+def test_gateways__clients_of_three_protocols_command_a_branch_and_not_its_parent(bus: Bus, tmp_path: Path) -> None:
     udp = free_udp_port()
     with bus.controller("office", priority=16) as link:
         link.reset()

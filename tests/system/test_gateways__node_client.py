@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from support.nodes import SMALL, NodeProgram
 
-import zenostat
+from zenostat import Bus
 from zenostat.bridge.transport.session import open_session
 from zenostat.gateways import node_client
 from zenostat.gateways.node_client import NodeClient
@@ -26,7 +26,7 @@ async def _client(endpoint: str, **options: Any) -> AsyncIterator[NodeClient]:
             yield client
 
 
-async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(episode_bus: zenostat.Bus) -> None:
+async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(episode_bus: Bus) -> None:
     episode_bus.pause("office")
     episode_bus.pace("office", mode="free")
     events: list[Event] = []
@@ -63,9 +63,7 @@ async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(e
     assert [event.source for event in events if event.kind is EventKind.WRITTEN] == ["device 7"] * 2
 
 
-async def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(
-    episode_bus: zenostat.Bus,
-) -> None:
+async def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(episode_bus: Bus) -> None:
     episode_bus.pause("office")
     async with _client(episode_bus.endpoint) as node:
         with pytest.raises(RequestRejected, match="did not reach sample 1 within"):
@@ -73,7 +71,7 @@ async def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_f
 
 
 async def test_gateways__too_many_requests_at_once_are_rejected_and_the_others_answered(
-    episode_bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch
+    episode_bus: Bus, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(node_client, "MAX_PENDING", 10)
 

@@ -9,6 +9,7 @@ import pytest
 from support.nodes import NodeProgram, Program, engines_of, until, values_of_day
 
 import zenostat
+from zenostat import Bus
 from zenostat.bridge.client import controller_link, receive_watchdog
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.transport.session import open_session
@@ -71,7 +72,7 @@ def is_event(kind: EventKind) -> Callable[[str, bytes], bool]:
 
 @pytest.mark.variants
 @pytest.mark.parametrize("step", [40, 0, 96])
-def test_lost_sample__is_requested(episode_bus: zenostat.Bus, step: int) -> None:
+def test_lost_sample__is_requested(episode_bus: Bus, step: int) -> None:
     with episode_bus.controller("office") as link:
         quiet = values_of_day(link)
         lost = lose(link, is_sample(step))
@@ -80,7 +81,7 @@ def test_lost_sample__is_requested(episode_bus: zenostat.Bus, step: int) -> None
 
 
 def test_lost_messages__controller_that_connects_late_asks_for_the_sample_after_the_one_that_is_answered(
-    episode_bus: zenostat.Bus,
+    episode_bus: Bus,
 ) -> None:
     """The node waits for another controller at sample 0, of which this one does not know whether it has answered."""
     with episode_bus.controller("office", actuators=[POINT], name="a") as first:
@@ -94,7 +95,7 @@ def test_lost_messages__controller_that_connects_late_asks_for_the_sample_after_
             assert lost
 
 
-def test_lost_messages__failure_whose_event_is_lost_is_raised(bus: zenostat.Bus, node: NodeProgram) -> None:
+def test_lost_messages__failure_whose_event_is_lost_is_raised(bus: Bus, node: NodeProgram) -> None:
     with bus.controller("office") as link:
         link.reset()
         lost = lose(link, is_event(EventKind.FAILED))
@@ -107,9 +108,7 @@ def test_lost_messages__failure_whose_event_is_lost_is_raised(bus: zenostat.Bus,
     assert lost
 
 
-def test_lost_messages__reset_by_another_controller_is_raised_though_its_messages_are_lost(
-    episode_bus: zenostat.Bus,
-) -> None:
+def test_lost_messages__reset_by_another_controller_is_raised_though_its_messages_are_lost(episode_bus: Bus) -> None:
     with episode_bus.controller("office", actuators=[POINT]) as link:
         link.reset()
         link.send()
@@ -123,7 +122,7 @@ def test_lost_messages__reset_by_another_controller_is_raised_though_its_message
 
 
 def test_lost_messages__controller_that_receives_nothing_for_long_gets_replies_and_the_latest_samples(
-    episode_bus: zenostat.Bus,
+    episode_bus: Bus,
 ) -> None:
     """More samples than its inbox holds come from another controller's episodes."""
     with (
@@ -161,7 +160,7 @@ def test_lost_messages__controller_without_a_claim_does_not_wait_for_ever() -> N
 
 @pytest.mark.parametrize("priority", ["DATA", "REAL_TIME"])
 def test_lost_messages__large_messages_of_a_stranger_do_not_displace_samples(
-    episode_bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch, priority: str
+    episode_bus: Bus, monkeypatch: pytest.MonkeyPatch, priority: str
 ) -> None:
     """At Zenoh's default priority none is lost; at a higher one than the samples', which are lost is asked for."""
     regained: list[int] = []
@@ -184,7 +183,7 @@ def test_lost_messages__large_messages_of_a_stranger_do_not_displace_samples(
 
 @pytest.mark.slow
 def test_lost_messages__subscriber_to_everything_that_reads_nothing_delays_commands_once_and_is_disconnected(
-    episode_bus: zenostat.Bus,
+    episode_bus: Bus,
 ) -> None:
     """Commands are not dropped, and `**` includes them; Zenoh gives it five seconds."""
     with episode_bus.controller("office") as link:
@@ -195,7 +194,7 @@ def test_lost_messages__subscriber_to_everything_that_reads_nothing_delays_comma
                 assert values_of_day(link) == quiet
 
 
-def test_lost_messages__refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus: zenostat.Bus) -> None:
+def test_lost_messages__refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus: Bus) -> None:
     """More than are published in a step; the controller's own is, or it would wait for a sample that never comes."""
     with episode_bus.controller("office") as link, open_session(connect=[episode_bus.endpoint]) as session:
         link.reset()
@@ -208,9 +207,7 @@ def test_lost_messages__refusals_of_strangers_leave_room_for_those_of_a_controll
             link.receive()
 
 
-async def test_lost_messages__gateway_asks_for_a_lost_sample(
-    bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch
-) -> None:
+async def test_lost_messages__gateway_asks_for_a_lost_sample(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     bus.pause("office")
     bus.pace("office", mode="free")
     bus.reset("office", Reset())

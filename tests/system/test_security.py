@@ -22,7 +22,7 @@ from support.nodes import SMALL, NodeProgram, free_port, until
 from zenoh.handlers import FifoChannel
 
 import zenostat
-from zenostat import ControllerLink
+from zenostat import Bus, ControllerLink
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.transport.access_control import ALL_MESSAGES, ROLES, Permission, acl_config, may, rules
 from zenostat.bridge.transport.certificates import Identity, add, make
@@ -63,13 +63,13 @@ def node(module_folder: Path, pki: Path) -> Iterator[NodeProgram]:
 
 
 @pytest.fixture
-def bus(node: NodeProgram, pki: Path) -> Iterator[zenostat.Bus]:
+def bus(node: NodeProgram, pki: Path) -> Iterator[Bus]:
     with zenostat.connect(node.endpoint, keys=pki, affinity="off") as connected:
         yield connected
 
 
 @pytest.fixture
-def watcher(node: NodeProgram, pki: Path) -> Iterator[zenostat.Bus]:
+def watcher(node: NodeProgram, pki: Path) -> Iterator[Bus]:
     with zenostat.connect(node.endpoint, keys=pki, role=Role.MONITOR, affinity="off") as connected:
         yield connected
 
@@ -105,7 +105,7 @@ def hearing(session: zenoh.Session, key: str) -> Iterator[zenoh.Subscriber]:
             pass
 
 
-def before_fence(bus: zenostat.Bus, inbox: zenoh.Subscriber, session: zenoh.Session | None = None) -> list[bytes]:
+def before_fence(bus: Bus, inbox: zenoh.Subscriber, session: zenoh.Session | None = None) -> list[bytes]:
     """Return what `inbox` received until the event of a write by `session` (the controller's by default)."""
     source = f"fence-{next(_numbers)}"
     write = codec.encode(Write(value=None, source=source))
@@ -214,7 +214,7 @@ def day(link: ControllerLink, meanwhile: Any = lambda _: None) -> list[bytes]:
 
 
 def test_security__monitor_s_attacks_leave_the_day_as_it_is(
-    node: NodeProgram, pki: Path, bus: zenostat.Bus, watcher: zenostat.Bus
+    node: NodeProgram, pki: Path, bus: Bus, watcher: Bus
 ) -> None:
     """A controller with a good certificate runs a day in lockstep, then the same day under a monitor's attacks."""
     with bus.controller("office") as link, raw(node.endpoint, pki, "monitor") as attacker:
@@ -249,9 +249,7 @@ def test_security__monitor_s_attacks_leave_the_day_as_it_is(
         assert [c.controller for c in after.controllers if c.state.is_connected] == [link.name]
 
 
-def test_security__same_attacks_work_with_a_controller_s_certificate(
-    node: NodeProgram, pki: Path, bus: zenostat.Bus
-) -> None:
+def test_security__same_attacks_work_with_a_controller_s_certificate(node: NodeProgram, pki: Path, bus: Bus) -> None:
     with raw(node.endpoint, pki, "second") as session, hearing(bus.session, keys.EVENT.at("office")) as events:
         assert ask(bus.session, keys.STATUS), "the node knows of the subscription"
         codec.decode(Ack, ask(session, keys.CLAIM, Claim(controller="thief", priority=1, required=False))[0])
@@ -280,7 +278,7 @@ def test_security__controller_may_stop_a_node_and_a_monitor_not(scratch: Path, p
         assert running.process.wait() == 0
 
 
-def test_security__monitor_reads(watcher: zenostat.Bus, bus: zenostat.Bus) -> None:
+def test_security__monitor_reads(watcher: Bus, bus: Bus) -> None:
     assert watcher.nodes() == ["office"]
     assert watcher.scenario("office") == bus.scenario("office")
     assert watcher.weather("office", ["dry_bulb_temperature"]).units == ["C"]
@@ -292,7 +290,7 @@ def test_security__monitor_reads(watcher: zenostat.Bus, bus: zenostat.Bus) -> No
         assert watcher.latest("office") == sample.message
 
 
-def test_security__monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: zenostat.Bus) -> None:
+def test_security__monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: Bus) -> None:
     """Nor does another controller; a node, which passes them on, does."""
     counts: dict[str, int] = {}
     for name in ("monitor", "second", "node"):
@@ -327,7 +325,7 @@ def test_security__monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: 
     ],
 )
 def test_security__nobody_hears_what_a_controller_states_in_a_node_s_name(
-    node: NodeProgram, pki: Path, bus: zenostat.Bus, watcher: zenostat.Bus, name: str, mode: str, passes: bool
+    node: NodeProgram, pki: Path, bus: Bus, watcher: Bus, name: str, mode: str, passes: bool
 ) -> None:
     stream, point = keys.stream("office"), keys.SENSOR.at("office", name="core_zn_air_temperature")
     with (
@@ -347,7 +345,7 @@ def test_security__nobody_hears_what_a_controller_states_in_a_node_s_name(
 
 @pytest.mark.parametrize(("name", "passes"), [("controller", False), ("node", True)])
 def test_security__forged_presence_is_not_seen(
-    node: NodeProgram, pki: Path, watcher: zenostat.Bus, name: str, passes: bool
+    node: NodeProgram, pki: Path, watcher: Bus, name: str, passes: bool
 ) -> None:
     with raw(node.endpoint, pki, name) as forger:
         tokens = [
@@ -371,7 +369,7 @@ def test_security__forged_presence_is_not_seen(
 
 @pytest.mark.parametrize(("name", "passes"), [("controller", False), ("monitor", False), ("node", True)])
 def test_security__only_a_node_answers_requests(
-    node: NodeProgram, pki: Path, watcher: zenostat.Bus, bus: zenostat.Bus, name: str, passes: bool
+    node: NodeProgram, pki: Path, watcher: Bus, bus: Bus, name: str, passes: bool
 ) -> None:
     def on_query(query: zenoh.Query) -> None:
         with query:

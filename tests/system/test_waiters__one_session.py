@@ -10,7 +10,7 @@ import pytest
 from support.nodes import NodeProgram, until
 
 import zenostat
-from zenostat import BuildingEnv
+from zenostat import BuildingEnv, Bus
 from zenostat.bridge.client import receive_watchdog
 from zenostat.bridge.transport.wakeup import Wake
 from zenostat.gateways.node_client import NodeClient
@@ -42,7 +42,7 @@ def wakes(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 
 @contextmanager
-def waiter(bus: zenostat.Bus, kind: str) -> Iterator[Wait]:
+def waiter(bus: Bus, kind: str) -> Iterator[Wait]:
     """One program that has seen sample 0 of `office`, which is paused."""
     if kind == "listen":
         with bus.listen("office") as samples:
@@ -63,7 +63,7 @@ def waiter(bus: zenostat.Bus, kind: str) -> Iterator[Wait]:
         yield lambda: _requests(bus)
 
 
-async def _gateway(bus: zenostat.Bus) -> int:
+async def _gateway(bus: Bus) -> int:
     async with NodeClient(bus.session, "office") as client:
 
         def is_next() -> bool:
@@ -74,7 +74,7 @@ async def _gateway(bus: zenostat.Bus) -> int:
         return client.sample.step
 
 
-def _requests(bus: zenostat.Bus) -> int:
+def _requests(bus: Bus) -> int:
     """Ask for everything that a node answers, again and again, until it has stepped."""
     while bus.status("office").step == [0]:
         assert bus.read("office").step >= 0
@@ -86,7 +86,7 @@ def _requests(bus: zenostat.Bus) -> int:
 
 
 @contextmanager
-def waiting(bus: zenostat.Bus, wakes: list[str], kinds: tuple[str, ...]) -> Iterator[list[Future[int]]]:
+def waiting(bus: Bus, wakes: list[str], kinds: tuple[str, ...]) -> Iterator[list[Future[int]]]:
     """All of them wait, and those with a watchdog have been woken several times."""
     order = sorted(kinds, key=lambda kind: kind != "env")  # first: its reset begins the episode
     with ExitStack() as stack, ThreadPoolExecutor(len(kinds)) as threads:
@@ -108,7 +108,7 @@ PAIRS += [(kind, kind) for kind in ("controller", "gateway", "listen")]
 
 @pytest.mark.parametrize("kinds", PAIRS, ids="-".join)
 def test_waiters__of_two_that_wait_for_a_paused_node_both_get_its_next_sample(
-    episode_bus: zenostat.Bus, wakes: list[str], kinds: tuple[str, ...]
+    episode_bus: Bus, wakes: list[str], kinds: tuple[str, ...]
 ) -> None:
     bus = episode_bus
     bus.pause("office")
@@ -119,9 +119,7 @@ def test_waiters__of_two_that_wait_for_a_paused_node_both_get_its_next_sample(
         assert [future.result(60) for future in futures] == [1, 1]
 
 
-def test_waiters__strangers_message_to_the_key_of_a_wake_up_ends_nothing(
-    episode_bus: zenostat.Bus, wakes: list[str]
-) -> None:
+def test_waiters__strangers_message_to_the_key_of_a_wake_up_ends_nothing(episode_bus: Bus, wakes: list[str]) -> None:
     bus = episode_bus
     bus.pause("office")
     bus.pace("office", mode=Mode.FREE)
@@ -135,9 +133,7 @@ def test_waiters__strangers_message_to_the_key_of_a_wake_up_ends_nothing(
         assert [future.result(60) for future in futures] == [1, 1]
 
 
-def test_waiters__all_that_wait_for_a_node_notice_its_loss(
-    bus: zenostat.Bus, node: NodeProgram, wakes: list[str]
-) -> None:
+def test_waiters__all_that_wait_for_a_node_notice_its_loss(bus: Bus, node: NodeProgram, wakes: list[str]) -> None:
     bus.pause("office")
     bus.pace("office", mode=Mode.FREE)
     kinds = ("env", "controller", "gateway", "listen", "listen", "requests")
