@@ -19,19 +19,6 @@ DISCONNECT, BYPASS = ControllerTrigger.DISCONNECT, ControllerTrigger.BYPASS
 # The table
 
 
-def holder(state: ControllerState) -> ClaimHolder:
-    return ClaimHolder(
-        "agent",
-        10,
-        np.ones(2, np.bool_),
-        required=True,
-        source=1,
-        covers_all=True,
-        stats=ControllerStats(),
-        state=state,
-    )
-
-
 def test_controller_states__table_is_that_of_the_drawing() -> None:
     """Written out by hand from the module's drawing and the sentences below it."""
     drawn = {
@@ -47,7 +34,16 @@ def test_controller_states__table_is_that_of_the_drawing() -> None:
 @pytest.mark.parametrize("what", ControllerTrigger)
 @pytest.mark.parametrize("state", ControllerState)
 def test_controller_states__pair_has_a_row_or_is_illegal(state: ControllerState, what: ControllerTrigger) -> None:
-    agent = holder(state)
+    agent = ClaimHolder(
+        "agent",
+        10,
+        np.ones(2, np.bool_),
+        required=True,
+        source=1,
+        covers_all=True,
+        stats=ControllerStats(),
+        state=state,
+    )
     if (state, what) in CONTROLLER_TRANSITIONS:
         assert agent.transition(what) is (CONTROLLER_TRANSITIONS[state, what] is not state)
         assert agent.state is CONTROLLER_TRANSITIONS[state, what]

@@ -64,10 +64,6 @@ def test_readable__error_does_not_write_out_a_large_value() -> None:
         assert len(str(caught.value)) < 500
 
 
-def _reward(path: Path) -> object:
-    return check_agent_settings("scenario", {"scenario": str(path)}, Affinity.OFF)
-
-
 READERS: dict[str, Callable[[Path], object]] = {
     "scenario": load_scenario,
     "faults": read_plan,
@@ -99,7 +95,7 @@ def test_readable__each_reader_refuses_what_is_no_text_file(
     make(path)
     with pytest.raises(UsageError, match=r"mine\.yaml"):
         read(path)
-    assert _reward(path) is None  # the node says why
+    assert check_agent_settings("scenario", {"scenario": str(path)}, Affinity.OFF) is None  # the node says why
 
 
 @pytest.mark.parametrize("read", READERS.values(), ids=READERS)

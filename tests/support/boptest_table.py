@@ -28,10 +28,6 @@ HEAD = f"| building | weather | period | day | {' | '.join(f'`{kpi}`' for kpi in
 _DAYS_COMMENT = "# Days of the test periods of bundled buildings, from 0; tests/support/boptest_table.py writes them.\n"
 
 
-def known_days() -> dict[str, dict[str, int]]:
-    return yaml12.parse(DAYS.read_text(encoding="utf-8"), DAYS.name)
-
-
 def write_days(days: dict[str, dict[str, int]]) -> None:
     rows = [
         f"{name}: {{{', '.join(f'{period}: {days[name][period]}' for period in TIME_PERIODS if period in days[name])}}}"
@@ -83,7 +79,7 @@ def write_table(rows: dict[str, list[str]]) -> None:
 def main(names: list[str]) -> None:
     cases = BundledTestCases()
     for name in names or [name for name in BUILDINGS if name not in table_rows()]:
-        case, days = cases.find(name), known_days()
+        case, days = cases.find(name), yaml12.parse(DAYS.read_text(encoding="utf-8"), DAYS.name)
         if name not in days:
             days[name] = simulate_test_periods(case.arguments)
             write_days(days)

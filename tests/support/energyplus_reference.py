@@ -145,7 +145,9 @@ class Alone:
             ids = _dictionary(file)
             columns = {identity: column for column, identity in enumerate(dict.fromkeys(ids.values()))}
             table = _table(file, columns, (self.steps, self.steps_per_hour), len(columns))
-        points = np.stack([_sum([table[:, columns[i]] for i in wanted]) for wanted in self._wanted(ids)], axis=1)
+        points = np.stack(
+            [reduce(np.add, [table[:, columns[i]] for i in wanted]) for wanted in self._wanted(ids)], axis=1
+        )
         assert not np.isnan(points).any(), "the ESO file has no value for some point at some timestep"
         return points
 
@@ -157,11 +159,6 @@ class Alone:
         for parts in self.meters:
             keys = [("", name.casefold(), _STEP) for name in parts]
             yield [ids[key] for key in keys if key in ids]
-
-
-def _sum(columns: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Add from left to right."""
-    return reduce(np.add, columns)
 
 
 def _dictionary(file: Iterator[str]) -> dict[tuple[str, str, str], str]:

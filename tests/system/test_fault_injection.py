@@ -364,10 +364,6 @@ def test_fault_injection__messages_after_a_snapshot_meet_the_same_faults_of_the_
 # The link
 
 
-def grid() -> dict[str, Any]:
-    return {"step_s": 900.0, "begin": datetime(2017, 7, 3)}
-
-
 def test_fault_injection__lost_samples_are_missing_when_free(episode_bus: Bus) -> None:
     bus = episode_bus
     faults = {"seed": 2, "faults": [{"kind": "loss", "samples": True, "probability": 0.3, "when": {"to_step": LAST}}]}
@@ -377,7 +373,7 @@ def test_fault_injection__lost_samples_are_missing_when_free(episode_bus: Bus) -
         received = [next(samples)]
         while not received[-1].truncated:
             received.append(next(samples))
-    expected = LinkFaults(FaultPlan.model_validate(faults), **grid())
+    expected = LinkFaults(FaultPlan.model_validate(faults), step_s=900.0, begin=datetime(2017, 7, 3))
     arrive = []
     for step in range(1, LAST + 1):
         expected.move(step)

@@ -50,10 +50,6 @@ def outcome(client: Any, request: str) -> str:
             return str(reply["content"].get("ename", reply["content"]["status"]))
 
 
-def programs(manager: Any) -> list[psutil.Process]:
-    return psutil.Process(manager.provisioner.pid).children(recursive=True)
-
-
 def test_jupyter__kernel_is_interrupted_and_restarted(kernel: tuple[Any, Any]) -> None:
     manager, client = kernel
     assert outcome(client, client.execute(MAKE)) == "ok"
@@ -63,7 +59,7 @@ def test_jupyter__kernel_is_interrupted_and_restarted(kernel: tuple[Any, Any]) -
     manager.interrupt_kernel()
     assert outcome(client, forever) == "KeyboardInterrupt"
     assert outcome(client, client.execute("env.reset(seed=1); await some()")) == "ok"
-    theirs = programs(manager)
+    theirs = psutil.Process(manager.provisioner.pid).children(recursive=True)
     assert theirs
     manager.restart_kernel(now=True)
     client.wait_for_ready(timeout=60)

@@ -6,10 +6,6 @@ from zenostat.views.live.row_picture import Columns
 from zenostat.views.live.value_sources import SourceColumns
 
 
-def _shown(sources: SourceColumns, column: int) -> str:
-    return list(sources.names)[sources.shown[0, column]]
-
-
 def test_rerun_value_sources__short_override_is_seen_in_a_year_wherever_the_blocks_are_cut() -> None:
     """A year has 26 timesteps a column: the override of one timestep is the color of its column, and of no other."""
     for cut in (1, 27, 30, 52):
@@ -19,7 +15,7 @@ def test_rerun_value_sources__short_override_is_seen_in_a_year_wherever_the_bloc
         steps = np.arange(78)
         sources.add(steps[:cut], names[:cut])
         sources.add(steps[cut:], names[cut:])
-        assert [_shown(sources, column) for column in range(3)] == ["rbc", "operator", "rbc"]
+        assert [list(sources.names)[sources.shown[0, column]] for column in range(3)] == ["rbc", "operator", "rbc"]
         assert (sources.shown[:, 3:] == -1).all()
 
 
