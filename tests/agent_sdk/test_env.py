@@ -2,8 +2,6 @@
 
 import json
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 from itertools import pairwise
@@ -15,6 +13,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 from support.nodes import COOLING, SMALL, ZONES, NodeProgram, free_port, new_episode, remains
+from support.run_cli import run_python
 
 from zenostat import Bus
 from zenostat.agent_sdk.rewards import LinearReward
@@ -318,7 +317,7 @@ def test_connect__rejects_settings_that_the_node_decides(folder: Path) -> None:
 def test_env__import_is_light() -> None:
     """Neither Rerun nor EnergyPlus nor the rooms of the building's side."""
     text = "import sys, zenostat; zenostat.connect; print(*sorted(sys.modules))"
-    done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True)
+    done = run_python("-P", "-c", text, check=True)
     loaded = set(done.stdout.split())
     assert "zenostat.bridge.client.bus" in loaded
     assert not loaded & {"rerun", "rerun_sdk", "rerun_bindings", "pyenergyplus"}
@@ -371,7 +370,5 @@ os.waitpid(child, 0)
 
 def test_env__forked_process_does_not_keep_its_parents_node(scratch: Path) -> None:
     """The node ends by itself, as its owner lets go, and is not killed after a long wait."""
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", _FORKS], capture_output=True, text=True, check=True, cwd=scratch, timeout=120
-    )
+    done = run_python("-P", "-c", _FORKS, check=True, cwd=scratch, timeout=120)
     assert int(done.stdout) != -signal.SIGKILL

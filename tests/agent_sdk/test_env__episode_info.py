@@ -1,7 +1,5 @@
 """Infos of an episode: how it ended, the sources of its values, its files, a picture."""
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import psutil
 import pytest
 from support.builders import manifest, sensor
 from support.nodes import command_of, until
+from support.run_cli import run_python
 
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.envs.termination import TerminationLimits
@@ -204,7 +203,7 @@ if __name__ == "__main__":
 """
     script = scratch / "program.py"
     script.write_text(code)
-    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True)
+    done = run_python(str(script))
     assert (done.stdout, done.returncode) == ("equal\n", 0), done.stderr[-2000:]
 
 

@@ -1,9 +1,7 @@
 """The names that `zenostat` offers, and the modules that importing it loads."""
 
-import subprocess
-import sys
-
 import pytest
+from support.run_cli import run_python
 
 import zenostat
 
@@ -23,6 +21,6 @@ def test_package__unknown_name_is_no_attribute() -> None:
 
 def test_package__importing_the_package_loads_no_environments() -> None:
     program = "import sys, zenostat; print(*sorted(sys.modules))"
-    loaded = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout.split()
+    loaded = run_python("-c", program, check=True).stdout.split()
     assert not [module for module in loaded if module.split(".")[0] in HEAVY]
     assert not [module for module in loaded if module.startswith("zenostat.agent_sdk.")]

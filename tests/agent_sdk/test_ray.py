@@ -3,8 +3,6 @@
 import os
 import re
 import signal
-import subprocess
-import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ from typing import Any
 import psutil
 import pytest
 from support.nodes import SMALL, command_of, runs, until
+from support.run_cli import run_python
 
 import zenostat.agent_sdk.ray
 from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
@@ -104,14 +103,7 @@ def test_ray__agents_of_zones_pass_rllibs_check() -> None:
 
 def run_example(name: str, *options: str, folder: Path) -> str:
     environment = {**os.environ, **PATIENT, "PYTHONWARNINGS": "ignore", "RAY_TMPDIR": str(folder), "HOME": str(folder)}
-    done = subprocess.run(
-        [sys.executable, str(EXAMPLES / name), *options],
-        env=environment,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=800,
-    )
+    done = run_python(str(EXAMPLES / name), *options, env=environment, cwd=folder, timeout=800)
     assert done.returncode == 0, done.stderr[-4000:]
     return done.stdout
 

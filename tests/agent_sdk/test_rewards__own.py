@@ -1,7 +1,5 @@
 """Rewards of a user's own, and points that are missing or of another unit."""
 
-import subprocess
-import sys
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 from support.builders import meter, sensor
 from support.rewards import NODE, SENSORS, SUMMER, WINTER, node_of, reward_config, values
+from support.run_cli import run_python
 
 from zenostat import rewards
 from zenostat.agent_sdk.rewards import (
@@ -240,7 +239,7 @@ def test_rewards__other_exceptions_of_a_function_are_its_own(error: Exception) -
 @pytest.mark.slow
 def test_rewards__example() -> None:
     example = Path(__file__).parents[2] / "examples" / "own_reward.py"
-    done = subprocess.run([sys.executable, str(example)], capture_output=True, text=True, timeout=120)
+    done = run_python(str(example), timeout=120)
     assert done.returncode == 0, done.stderr
     own, steady = done.stdout.splitlines()
     assert own.startswith("cool_and_cheap: energy -")

@@ -1,7 +1,5 @@
 """A vector environment as stable-baselines3 takes it: equal to its own vector of single environments."""
 
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import RecordEpisodeStatistics
 from support.nodes import SMALL
+from support.run_cli import run_python
 
 import zenostat  # noqa: F401  # registers the environments
 from zenostat import wrappers as w
@@ -165,7 +164,7 @@ def test_sb3_vec_env__what_cannot_be() -> None:
 
 def test_sb3_vec_env__without_stable_baselines_it_states_what_to_install() -> None:
     program = "import sys; sys.modules['stable_baselines3'] = None\nimport zenostat.agent_sdk.envs.sb3_vec_env"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    done = run_python("-c", program)
     assert "[train]'" in done.stderr
 
 

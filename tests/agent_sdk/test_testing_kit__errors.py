@@ -3,14 +3,13 @@
 import itertools
 import random
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pytest
+from support.run_cli import run_python
 
 from zenostat.agent_sdk.controllers import Controller
 from zenostat.agent_sdk.rewards import BoundReward, Outcome
@@ -410,5 +409,5 @@ def test_testing_kit__name_twice_is_named() -> None:
 
 def test_testing_kit__kit_needs_no_pytest() -> None:
     text = "import sys, zenostat.testing as t; t.check_reward('linear'); print('pytest' in sys.modules)"
-    done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True)
+    done = run_python("-P", "-c", text, check=True)
     assert done.stdout.strip() == "False"

@@ -1,7 +1,5 @@
 """Agents for zones: on the fake building by hand and property, on a real one by PettingZoo's own checks."""
 
-import subprocess
-import sys
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
@@ -11,6 +9,7 @@ import numpy as np
 import pytest
 from pettingzoo.test import parallel_api_test, parallel_seed_test
 from support.nodes import COOLING, SMALL, ZONES
+from support.run_cli import run_python
 
 from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
 from zenostat.agent_sdk.rewards import LinearReward
@@ -333,7 +332,7 @@ def test_zone_agents__only_the_zones_that_are_set_have_agents() -> None:
 
 def test_zone_agents__without_pettingzoo_one_sentence_states_what_to_do() -> None:
     text = "import sys; sys.modules['pettingzoo'] = None; import zenostat.agent_sdk.envs.zone_agents"
-    done = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True)
+    done = run_python("-P", "-c", text)
     assert done.returncode != 0
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith("zenostat.topics.errors.InvalidConfig: an environment of zone agents needs PettingZoo (")

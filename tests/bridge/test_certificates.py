@@ -2,19 +2,18 @@
 
 import shutil
 import subprocess
-import sys
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
 from support.certificates import expire
+from support.run_cli import run_program
 
 from zenostat.bridge.transport import certificates
 from zenostat.bridge.transport.certificates import add, identity, make, show
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.keys import Role
 
-ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 ROLES = ("node", "controller", "monitor")
 
 
@@ -210,7 +209,7 @@ def test_certificates__file_of_something_else(pki: Path, name: str, message: str
 @pytest.mark.slow
 def test_certificates__command_makes_adds_and_shows(tmp_path: Path) -> None:
     def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
-        return subprocess.run([*ZENOSTAT, "keys", *arguments], capture_output=True, text=True, cwd=tmp_path)
+        return run_program("keys", *arguments, cwd=tmp_path)
 
     first = run_zenostat("init", "--host", "lab.example.org", "--days", "30")
     assert first.returncode == 0, first.stderr

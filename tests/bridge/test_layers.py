@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.run_cli import run_python
 
 ROOT = Path(__file__).parents[2]
 
@@ -127,6 +126,6 @@ for name in names:
 others = "models eplus_node agent_sdk metrics views lab gateways cli".split()
 print([name for name in others if "zenostat." + name in sys.modules], "pyenergyplus" in sys.modules)
 """
-    done = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True)
+    done = run_python("-c", program, cwd=ROOT)
     assert done.returncode == 0, done.stderr
     assert done.stdout == "[] False\n"

@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.run_cli import run_python
 
 from chaos.account import Account, Episode
 from chaos.controller import LOST
@@ -32,14 +33,8 @@ PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 @pytest.mark.parametrize(("seconds", "seed"), [(10, 2026), (45, 6), (120, 6)])
 def test_chaos__run_with_this_seed_holds(seconds: int, seed: int, scratch: Path) -> None:
     """On a failure, the seed and what broke stand in the output."""
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "chaos", "--seconds", str(seconds), "--seed", str(seed)],
-        env=environment(),
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=580,
-    )
+    words = ["-P", "-m", "chaos", "--seconds", str(seconds), "--seed", str(seed)]
+    done = run_python(*words, env=environment(), timeout=580)
     assert done.returncode == 0, done.stdout + done.stderr
     assert f"seed {seed}" in done.stdout
     assert "broken" not in done.stdout
@@ -49,14 +44,7 @@ def test_chaos__run_with_this_seed_holds(seconds: int, seed: int, scratch: Path)
 @pytest.mark.slow
 @pytest.mark.timeout(400)
 def test_chaos__recordings_of_killed_nodes_verify_up_to_their_ends(scratch: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "chaos.recordings", "--seconds", "20", "--seed", "3"],
-        env=environment(),
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=380,
-    )
+    done = run_python("-P", "-m", "chaos.recordings", "--seconds", "20", "--seed", "3", env=environment(), timeout=380)
     assert done.returncode == 0, done.stdout + done.stderr
     assert re.search(r"[1-9]\d* nodes were killed; [1-9][\d,]* steps", done.stdout)
 

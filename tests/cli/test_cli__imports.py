@@ -1,10 +1,8 @@
 """Imports of `--help`: counted, since a time depends on the machine."""
 
-import subprocess
-import sys
-
 import pytest
 import typer
+from support.run_cli import run_python
 
 from zenostat.cli.commands import GROUPS, app, command_name
 
@@ -27,7 +25,7 @@ NAMES = [command_name(place) for places in GROUPS.values() for place in places]
 
 def imported(*arguments: str) -> set[str]:
     """Return the modules that a command imports as a program."""
-    done = subprocess.run([sys.executable, "-P", "-c", SCRIPT, *arguments], capture_output=True, text=True)
+    done = run_python("-P", "-c", SCRIPT, *arguments)
     assert (done.returncode, "Usage: " in done.stdout) == (0, True), done.stderr
     return set(done.stderr.splitlines())
 

@@ -1,9 +1,7 @@
 """Slow imports of a node's programs: a start pays for each of them."""
 
-import subprocess
-import sys
-
 import pytest
+from support.run_cli import run_python
 
 THIRD_PARTY = {"cryptography", "gymnasium", "numpy", "psutil", "pydantic", "rich", "typer", "yaml", "zenoh"}
 
@@ -14,5 +12,5 @@ THIRD_PARTY = {"cryptography", "gymnasium", "numpy", "psutil", "pydantic", "rich
 )
 def test_programs__program_imports_only_what_each_start_needs(program: str, needed: set[str]) -> None:
     text = f"import sys, {program}.__main__; print(*sys.modules)"
-    loaded = subprocess.run([sys.executable, "-P", "-c", text], capture_output=True, text=True, check=True).stdout
+    loaded = run_python("-P", "-c", text, check=True).stdout
     assert {name.partition(".")[0] for name in loaded.split()} & THIRD_PARTY == needed

@@ -1,8 +1,6 @@
 """Data sets of controllers: what Minari, h5py and a loader of transitions read is what the environment did."""
 
 import hashlib
-import subprocess
-import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -10,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from support.run_cli import run_python
 
 import zenostat  # noqa: F401  # registers the environments
 from zenostat.agent_sdk.controllers import Agent, load_controller
@@ -230,7 +229,7 @@ def test_datasets__jax_is_neither_required_nor_imported(tmp_path: Path) -> None:
         f"os.environ['MINARI_DATASETS_PATH'] = {str(tmp_path)!r}\n"
         f"import minari\nprint(len(minari.load_dataset({ID!r})[0].rewards))\n"
     )
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120)
+    done = run_python("-c", program, timeout=120)
     assert (done.returncode, done.stdout.strip()) == (0, "96"), done.stderr
 
 

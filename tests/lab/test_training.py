@@ -1,8 +1,6 @@
 """stable-baselines3 on buildings: its algorithms, the evaluation that leaves a training alone, its models."""
 
 import random
-import subprocess
-import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +11,7 @@ import numpy as np
 import pytest
 from support.builders import manifest
 from support.nodes import SMALL
+from support.run_cli import run_python
 
 import zenostat  # noqa: F401  # registers the environments
 from zenostat.agent_sdk.testing import Climate, FakeBuilding, FakeEnv, FakeLink
@@ -298,6 +297,6 @@ def test_training__files_that_are_no_models(tmp_path: Path) -> None:
 
 def test_training__without_the_extra_it_is_one_sentence() -> None:
     program = "import sys; sys.modules['stable_baselines3'] = None; import zenostat.lab.training"
-    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60)
+    done = run_python("-c", program, timeout=60)
     assert "InvalidConfig: training needs stable-baselines3" in done.stderr
     assert "[train]'" in done.stderr.splitlines()[-1]

@@ -2,8 +2,6 @@
 
 import copy
 import json
-import subprocess
-import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.energyplus_alone import run_energyplus
+from support.run_cli import run_python
 
 from zenostat.models.building import schema
 from zenostat.models.building.model import for_episode, read_building, write
@@ -94,7 +93,7 @@ for kind, said in full["properties"].items():
             found[kind] = [sorted(shape.get("properties", [])), sorted(shape.get("required", []))]
 print(json.dumps(found))
 """
-    done = subprocess.run([sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True)
+    done = run_python("-P", "-c", program, check=True)
     theirs = {kind: tuple(map(tuple, fields)) for kind, fields in json.loads(done.stdout).items()}
     kinds = schema._schema()["types"]
     ours = {

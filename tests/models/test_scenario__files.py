@@ -2,8 +2,6 @@
 
 import os
 import re
-import subprocess
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from jsonschema import Draft202012Validator
 from support.examples import examples
+from support.run_cli import run_python
 
 from zenostat.agent_sdk.rewards import read_reward
 from zenostat.cli.scenarios import scenario_schema
@@ -199,9 +198,7 @@ def test_scenario__file_is_utf_8_wherever_it_is_read(tmp_path: Path) -> None:
         "print(ascii(load_scenario(Path(sys.argv[1])).about))"
     )
     plain = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", program, str(file)], env={**os.environ, **plain}, capture_output=True, text=True
-    )
+    done = run_python("-P", "-c", program, str(file), env={**os.environ, **plain})
     assert done.stdout.strip() == ascii("Bürogebäude"), done.stderr
 
 

@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 from support.nodes import SMALL
@@ -19,6 +20,11 @@ ZENOSTAT = (sys.executable, "-P", "-m", "zenostat.cli.main")
 
 DAY = ("--building", SMALL["building"], "--weather", SMALL["weather"], "--begin", "07-03", "--end", "07-03")
 """Options of `zenostat node`: a day of the small building."""
+
+
+def run_python(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:
+    """Run Python with these words as a program of its own, which reads nothing; see `subprocess.run` for options."""
+    return subprocess.run([sys.executable, *words], stdin=subprocess.DEVNULL, capture_output=True, text=True, **options)
 
 
 def run_program(*arguments: str, cwd: Path | None = None, columns: int = 80) -> subprocess.CompletedProcess[str]:

@@ -9,48 +9,44 @@ from pathlib import Path
 
 import pytest
 from support.nodes import SMALL, NodeProgram, free_port
+from support.run_cli import ZENOSTAT, run_program
 
 import zenostat
 
-ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 POINT = "core_zn_cooling_setpoint"
-
-
-def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100)
 
 
 def test_cli__reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, bus: zenostat.Bus) -> None:
     at = ("--connect", node.endpoint)
-    done = run_zenostat("reset", "office", "--seed", "3", *at)
+    done = run_program("reset", "office", "--seed", "3", *at)
     assert (done.returncode, done.stderr) == (0, "")
     assert re.fullmatch(r"office: episode 1, 96 timesteps, USA_CO_Denver\S*\n", done.stdout)
     assert bus.status("office").episode == [1]
-    done = run_zenostat("stop", "office", *at)
+    done = run_program("stop", "office", *at)
     assert (done.returncode, done.stdout, done.stderr) == (0, "office: ended\n", "")
     assert node.process.wait() == 0
-    gone = run_zenostat("stop", "office", *at)
+    gone = run_program("stop", "office", *at)
     assert (gone.returncode, gone.stdout) == (1, "")
 
 
 def test_relinquish__reports_whether_a_value_was_held(shared_node: NodeProgram) -> None:
     at = ("--connect", shared_node.endpoint)
     nothing = f"office: {POINT} had nothing to relinquish at priority 8\n"
-    assert run_zenostat("relinquish", "office", POINT, *at).stdout == nothing
-    assert run_zenostat("write", "office", POINT, "26", *at).returncode == 0
-    assert run_zenostat("relinquish", "office", POINT, *at).stdout == f"office: {POINT} relinquished at priority 8\n"
-    assert run_zenostat("relinquish", "office", POINT, *at).stdout == nothing
+    assert run_program("relinquish", "office", POINT, *at).stdout == nothing
+    assert run_program("write", "office", POINT, "26", *at).returncode == 0
+    assert run_program("relinquish", "office", POINT, *at).stdout == f"office: {POINT} relinquished at priority 8\n"
+    assert run_program("relinquish", "office", POINT, *at).stdout == nothing
 
 
 @pytest.mark.slow
 def test_step__reports_the_timestep_that_it_reached(episode_bus: zenostat.Bus) -> None:
     at = ("--connect", episode_bus.endpoint)
     for arguments in (("pause", "office"), ("pace", "office", "free")):
-        assert run_zenostat(*arguments, *at).returncode == 0
-    assert "free; paused; step 4 of 96" in run_zenostat("step", "office", "4", *at).stdout
-    assert "free; paused; step 5 of 96" in run_zenostat("step", "office", *at).stdout
-    assert run_zenostat("pace", "office", "lockstep", *at).returncode == 0
-    output = run_zenostat("step", "office", "2", *at).stdout
+        assert run_program(*arguments, *at).returncode == 0
+    assert "free; paused; step 4 of 96" in run_program("step", "office", "4", *at).stdout
+    assert "free; paused; step 5 of 96" in run_program("step", "office", *at).stdout
+    assert run_program("pace", "office", "lockstep", *at).returncode == 0
+    output = run_program("step", "office", "2", *at).stdout
     assert "lockstep; paused; step 5 of 96" in output
     assert "2 of 2 timesteps left: waiting for a controller" in output
 

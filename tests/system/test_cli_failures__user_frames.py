@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 from support.nodes import NodeProgram, until
-
-ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
+from support.run_cli import ZENOSTAT, run_python
 
 MINE = """
 from zenostat.agent_sdk.controllers import Controller
@@ -69,9 +68,7 @@ def test_cli_failures__signal_during_the_shutdown_ends_without_a_traceback(numbe
         f"import atexit, os, sys; atexit.register(lambda: os.kill(os.getpid(), {int(number)}))\n"
         "sys.argv = ['zenostat', '--version']; from zenostat.cli.main import main; main()"
     )
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", program], capture_output=True, text=True, env={**os.environ}, timeout=60
-    )
+    done = run_python("-P", "-c", program, env={**os.environ}, timeout=60)
     assert done.returncode == 0, "all was done before it came"
     assert done.stdout.startswith("zenostat ")
     assert done.stderr == ""

@@ -5,8 +5,6 @@ import json
 import os
 import re
 import shlex
-import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -19,6 +17,7 @@ import yaml
 from click.testing import CliRunner
 from support import data_packs as packs
 from support.nodes import NodeProgram
+from support.run_cli import run_python
 
 from zenostat.agent_sdk.rewards import read_reward
 from zenostat.cli.commands import app
@@ -123,14 +122,7 @@ def test_docs__programs_run(page: str, scratch: Path) -> None:
             endpoint = stack.enter_context(NodeProgram(scratch / "node", **_node_of(page))).endpoint
         steps = [step for block in program for step in _steps(page, block, endpoint)]
         (scratch / "steps.json").write_text(json.dumps(steps))
-        done = subprocess.run(
-            [sys.executable, "-P", "-c", RUNNER, str(scratch / "steps.json")],
-            cwd=home,
-            stdin=subprocess.DEVNULL,
-            capture_output=True,
-            text=True,
-            timeout=200,
-        )
+        done = run_python("-P", "-c", RUNNER, str(scratch / "steps.json"), cwd=home, timeout=200)
     assert done.returncode == 0, done.stderr
 
 
@@ -232,14 +224,8 @@ def test_docs__links_lead_somewhere(page: str) -> None:
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """All pages as HTML."""
     folder = tmp_path_factory.mktemp("site")
-    done = subprocess.run(
-        [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
-        cwd=ROOT,
-        env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
-        capture_output=True,
-        text=True,
-        timeout=200,
-    )
+    words = ["-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)]
+    done = run_python(*words, cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"}, timeout=200)
     assert done.returncode == 0, done.stderr
     return folder
 

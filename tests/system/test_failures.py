@@ -7,8 +7,6 @@ import json
 import os
 import signal
 import socket
-import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -34,6 +32,7 @@ from support.nodes import (
     programs_of,
     until,
 )
+from support.run_cli import run_python
 
 import zenostat
 from zenostat.eplus_node.config import read_config
@@ -543,7 +542,7 @@ env = gym.make("zenostat/ref-small-office-USA_CO_Denver-continuous-stochastic-v1
                affinity="off")
 env.reset(seed=0)
 """
-    done = subprocess.run([sys.executable, "-c", text], capture_output=True, text=True, timeout=PATIENCE_S)
+    done = run_python("-c", text, timeout=PATIENCE_S)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 

@@ -4,7 +4,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
@@ -16,7 +15,7 @@ import psutil
 import pytest
 import zenoh
 from support.nodes import COOLING, SMALL, NodeProgram, Program, begin_new_episode, free_port, node_on_bus, until
-from support.run_cli import error_of
+from support.run_cli import ZENOSTAT, error_of, run_program
 from zenoh.handlers import FifoChannel
 
 import zenostat
@@ -341,12 +340,8 @@ def test_fallback_policies__two_controllers_and_a_supervisor_are_as_one_to_the_b
 # The command line
 
 
-ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
-
-
 def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
-    wide = {**os.environ, "COLUMNS": "200"}
-    return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, timeout=100, env=wide)
+    return run_program(*arguments, columns=200)
 
 
 def row(text: str, first: str) -> list[list[str]]:

@@ -1,10 +1,9 @@
 """A user's script works although its folder has modules with the names of our folders."""
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from support.run_cli import run_python
 
 SOURCE = Path(__file__).parents[2] / "src" / "zenostat"
 FOLDERS = [link.name for link in SOURCE.iterdir() if link.is_symlink()]
@@ -37,11 +36,5 @@ def test_isolation__script_beside_a_models_file_of_its_own(scratch: Path, from_i
     for name in FOLDERS:
         (home / f"{name}.py").write_text("raise RuntimeError('a file of the user was imported')\n")
     (home / "script.py").write_text(SCRIPT)
-    done = subprocess.run(
-        [sys.executable, str(home / "script.py")],
-        cwd=home if from_its_folder else scratch,
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-    )
+    done = run_python(str(home / "script.py"), cwd=home if from_its_folder else scratch)
     assert (done.returncode, done.stdout, done.stderr) == (0, "stepped to 1\n", "")

@@ -4,7 +4,6 @@ import math
 import re
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from fractions import Fraction
@@ -16,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.nodes import SMALL, NodeProgram, begin_new_episode, free_port, node_on_bus, until
-from support.run_cli import error_of, output_of
+from support.run_cli import ZENOSTAT, error_of, output_of
 
 import zenostat
 from zenostat import Bus
@@ -27,7 +26,6 @@ from zenostat.cli.pace import read_pace
 from zenostat.topics.errors import InvalidConfig, RequestRejected
 from zenostat.topics.messages import EventKind, Mode, Sample, State
 
-ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 SETPOINT = "core_zn_cooling_setpoint"
 STEP_S = 900.0
 DAY_STEPS = 96

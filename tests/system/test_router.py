@@ -17,6 +17,7 @@ from typing import Any
 
 import pytest
 from support.nodes import SMALL, NodeProgram, free_port, node_on_bus, until
+from support.run_cli import ZENOSTAT, run_program
 
 import zenostat
 from zenostat.bridge.transport.certificates import add, make
@@ -26,8 +27,6 @@ from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig, NameInUse
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import Claim
-
-ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 
 CONTROLLER = """
 import json, sys
@@ -305,9 +304,9 @@ def test_router__node_needs_a_bus() -> None:
 
 def test_router__command_of_a_node_that_does_not_listen() -> None:
     words = ["node", "--building", "x", "--weather", "y", "--no-listen"]
-    bare = subprocess.run([*ZENOSTAT, *words], capture_output=True, text=True)
+    bare = run_program(*words)
     assert bare.returncode == 2
     assert "one to connect to" in bare.stderr
-    both = subprocess.run([*ZENOSTAT, *words, "--listen", "tcp/127.0.0.1:1"], capture_output=True, text=True)
+    both = run_program(*words, "--listen", "tcp/127.0.0.1:1")
     assert both.returncode == 2
     assert "use one of them" in both.stderr

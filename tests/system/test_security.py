@@ -6,7 +6,6 @@ is there, whatever went before it has been dropped.
 
 import json
 import subprocess
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import count
@@ -19,6 +18,7 @@ import pytest
 import zenoh
 from support.certificates import expire
 from support.nodes import SMALL, NodeProgram, free_port, until
+from support.run_cli import run_program
 from zenoh.handlers import FifoChannel
 
 import zenostat
@@ -33,7 +33,6 @@ from zenostat.topics.errors import AddressInUse, InvalidConfig, NodeNotFound, Us
 from zenostat.topics.keys import TOPICS, Role
 from zenostat.topics.messages import Ack, Claim, Command, Event, EventKind, Reset, State, Stop, Write
 
-ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 POINT = "core_zn_cooling_setpoint"
 FORGED = b"forged"
 _numbers = count()
@@ -537,8 +536,7 @@ def test_security__listening_to_all_without_keys_is_warned_of(pki: Path) -> None
 
 def test_security__commands_take_keys(node: NodeProgram, pki: Path) -> None:
     def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
-        command = [*ZENOSTAT, *arguments, "--connect", node.endpoint, "--keys", str(pki)]
-        return subprocess.run(command, capture_output=True, text=True)
+        return run_program(*arguments, "--connect", node.endpoint, "--keys", str(pki))
 
     ran = run_zenostat("run", "--node", "office", "--controller", "rbc", "--reset", "--certificate", "second")
     assert ran.returncode == 0, ran.stderr

@@ -18,6 +18,7 @@ import yaml
 from pydantic_core import PydanticUndefined
 from support import asyncapi_validators, contract_page
 from support.contract_page import COMMAND, DOCUMENT, MASKED, PAGE, SAMPLE
+from support.run_cli import run_program
 
 from zenostat.bridge.faults import read_plan
 from zenostat.bridge.transport import session
@@ -268,11 +269,7 @@ def test_contract__raw_arrays_tell_their_elements() -> None:
 
 
 def test_contract__file_is_what_the_command_gives(tmp_path: Path) -> None:
-    done = subprocess.run(
-        [sys.executable, "-P", "-m", "zenostat.cli.main", "asyncapi", "--output", str(tmp_path / "asyncapi.yaml")],
-        capture_output=True,
-        text=True,
-    )
+    done = run_program("asyncapi", "--output", str(tmp_path / "asyncapi.yaml"))
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
     text = (tmp_path / "asyncapi.yaml").read_text(encoding="utf-8")
     assert yaml.safe_load(text) == CONTRACT
