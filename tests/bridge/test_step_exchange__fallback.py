@@ -194,17 +194,9 @@ def test_step_exchange__nothing_goes_on_where_nobody_ever_claimed(policy: Policy
     assert not at.ready_to_step()
 
 
-@pytest.mark.parametrize("policy", GO_ON)
-def test_disconnection__after_the_end_is_no_fallback(policy: Policy) -> None:
+@pytest.mark.parametrize("policy", [*GO_ON, Policy.ABORT])
+def test_disconnection__after_the_end_is_no_fallback_and_aborts_nothing(policy: Policy) -> None:
     at = with_agent(policy)
-    answer(at, "agent", [20.0, 25.0])
-    advance(at, last=True)
-    at.fallback.on_disconnect("agent", 1.0)
-    assert at.fallback.bypass("agent", 1.0) == []
-
-
-def test_disconnection__after_the_end_aborts_nothing() -> None:
-    at = with_agent(Policy.ABORT)
     answer(at, "agent", [20.0, 25.0])
     advance(at, last=True)
     at.fallback.on_disconnect("agent", 1.0)
@@ -392,9 +384,8 @@ def test_step_exchange__where_time_runs_by_itself_one_that_is_there_misses_nothi
 @pytest.mark.parametrize("mode", [Mode.FREE, Mode.PACED])
 def test_step_exchange__where_time_runs_by_itself_abort_ends_the_episode_of_one_that_has_gone(mode: Mode) -> None:
     at = with_agent(Policy.ABORT, mode=mode)
-    at.fallback.on_disconnect("agent", 1.0)
     with pytest.raises(EpisodeAborted):
-        at.fallback.bypass("agent", 1.0)
+        disconnect(at, "agent")
 
 
 @pytest.mark.parametrize("mode", [Mode.FREE, Mode.PACED])

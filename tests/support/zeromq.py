@@ -103,6 +103,11 @@ class Peer:
         _, encoding, payload = self.published.recv_multipart()
         return codec.decode(kind, payload, encoding.decode())
 
+    def first_sample(self) -> Sample:
+        """Subscribe to samples; return the latest one."""
+        self.listen("sample")
+        return self.after(None)
+
     def after(self, sample: Sample | None) -> Sample:
         """The first sample that is another one."""
         while (

@@ -33,8 +33,7 @@ def test_zeromq__controller_that_starts_again_takes_its_identity_from_a_connecti
         new.requests.disconnect(gateway.command)
         new.requests.routing_id = IDENTITY
         new.requests.connect(gateway.command)
-        new.listen("sample")
-        sample = new.after(None)
+        sample = new.first_sample()
         kind, denied = new.ask("command/doomed", **keeping(sample))
         assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
         assert denied["message"].startswith("'doomed' has claimed nothing; claim first, through this connection")

@@ -83,10 +83,6 @@ def peer_accepted(episode: int, step: Sequence[int] = ()) -> dict[str, Any]:
     return msgpack.unpackb(codec.encode(messages.Ack(episode=[episode], step=[*step])))
 
 
-def refused(status: messages.Status) -> tuple[int, int, int]:
-    return status.rejected, status.late, status.duplicate
-
-
 def refusal(answer: tuple[str, dict[str, Any]], error: str = "RequestRejected") -> str:
     """Return the message of a reply that refuses a request with that error."""
     kind, denied = answer
@@ -96,8 +92,7 @@ def refusal(answer: tuple[str, dict[str, Any]], error: str = "RequestRejected") 
 
 def test_zeromq_gateway__two_controllers_in_lockstep_each_answered_although_the_other_has_not_spoken(gateway):
     with Peer(gateway) as one, Peer(gateway, zmq.REQ) as two:
-        one.listen("sample")
-        sample = one.after(None)
+        sample = one.first_sample()
         names = [a["name"] for a in one.ask("manifest")[1]["actuators"]]
         before = messages.Status(**one.ask("rpc/status")[1])
         for peer, name, mine in ((one, "one", names[::2]), (two, "two", names[1::2])):
@@ -111,13 +106,12 @@ def test_zeromq_gateway__two_controllers_in_lockstep_each_answered_although_the_
             assert sample.step == [step + 1]
         status = messages.Status(**one.ask("rpc/status")[1])
         assert {c.controller: c.accepted for c in status.controllers} == {"one": 20, "two": 20}
-        assert refused(status) == refused(before)
+        assert (status.rejected, status.late, status.duplicate) == (before.rejected, before.late, before.duplicate)
 
 
 def test_zeromq_gateway__commands_sent_without_waiting_are_answered_in_order(gateway):
     with Peer(gateway) as peer:
-        peer.listen("sample")
-        sample = peer.after(None)
+        sample = peer.first_sample()
         peer.say("rpc/claim", controller="c")
         peer.say("command/c", **keeping(sample))
         peer.say("command/c", **keeping(sample))  # again
@@ -150,8 +144,7 @@ def test_zeromq_gateway__command_to_a_node_that_runs_freely(scratch):
 
 def test_refusals__carry_the_reason_of_the_node(gateway):
     with Peer(gateway) as peer, Peer(gateway) as other:
-        peer.listen("sample")
-        sample = peer.after(None)
+        sample = peer.first_sample()
         count = len(sample.effective) // 8
         assert peer.ask("command/c", **keeping(sample))[1]["message"].startswith("'c' has claimed nothing")
         assert peer.ask("rpc/claim", controller="c", actuators=["chair"])[1]["error"] == "RequestRejected"
@@ -169,8 +162,7 @@ def test_refusals__carry_the_reason_of_the_node(gateway):
 
 def test_zeromq_gateway__writes_are_answered(gateway):
     with Peer(gateway) as peer:
-        peer.listen("sample")
-        sample = peer.after(None)
+        sample = peer.first_sample()
         assert peer.ask(f"actuator/{SETPOINT}", value=26.5, source="panel")[0] == "Ack"
         denied = peer.ask(f"actuator/{SETPOINT}", value=99.0, source="panel")[1]
         assert "its bounds are" in denied["message"]
@@ -227,8 +219,7 @@ def test_zeromq_gateway__name_of_a_connected_controller_is_free_only_once_its_co
     shared_node, gateway
 ):
     with Peer(gateway) as new, zenostat.connect(shared_node.endpoint, affinity="off") as bus:
-        new.listen("sample")
-        sample = new.after(None)
+        sample = new.first_sample()
         with Peer(gateway) as old:
             assert old.ask("rpc/claim", controller="c")[0] == "Ack"
             for _ in range(2):
@@ -291,10 +282,8 @@ def test_zeromq_gateway__killed_gateway_breaks_nothing_of_the_node(episode_bus):
         assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Ack"
         gateway.process.kill()
         gateway.process.wait()
-        until(
-            lambda: [c.state for c in episode_bus.status("office").controllers] == ["disconnected"],
-            "the node misses it",
-        )
+        missed = ["disconnected"]
+        until(lambda: [c.state for c in episode_bus.status("office").controllers] == missed, "the node misses it")
     with episode_bus.controller("office") as link:
         assert [sample.step for sample in link][-1] == 96
 
@@ -304,8 +293,7 @@ def test_zeromq_gateway__killed_gateway_breaks_nothing_of_the_node(episode_bus):
 def test_end_of_the_node__published_and_answered(scratch, node, own_gateway, end):
     gateway = own_gateway
     with Peer(gateway) as peer, Peer(gateway) as waiting, Peer(gateway) as slow:
-        peer.listen("sample")
-        sample = peer.after(None)
+        sample = peer.first_sample()
         peer.published.unsubscribe(f"{peer.root}/sample")
         peer.listen("event")
         for one, name, mine in ((waiting, "waiting", [SETPOINT]), (slow, "slow", ["core_zn_heating_setpoint"])):
@@ -331,8 +319,7 @@ def test_end_of_the_node__published_and_answered(scratch, node, own_gateway, end
 def test_zeromq_gateway__failure_of_the_engine_is_an_event_after_the_command_was_accepted(shared_node, gateway):
     """stopped engine → the command is accepted, although its timestep never ends → killed engine → event, reset"""
     with Peer(gateway) as peer, Peer(gateway) as watcher:
-        peer.listen("sample")
-        sample = peer.after(None)
+        sample = peer.first_sample()
         watcher.listen("event")
         watcher.listen("manifest")
         watcher.hear(Manifest)  # the gateway knows of both subscriptions
