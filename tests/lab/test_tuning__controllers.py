@@ -211,8 +211,9 @@ def test_controller_study__recommended_search_space_fits_the_rules(tmp_path: Pat
     config.check()
 
 
-def test_controller_study__example_is_valid() -> None:
-    config: Any = load_tuning(Path(__file__).parents[2] / "examples" / "tune_rules.yaml")
+def test_controller_study__example_is_valid(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(Path(__file__).parents[2])
+    config: Any = load_tuning(Path("examples/tune_rules.yaml"))
     config.check()
     assert config.episodes == 3
 
