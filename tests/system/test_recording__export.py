@@ -1,5 +1,6 @@
 """A recording in the formats of other programs: the monitor's, and MCAP with protobuf messages."""
 
+import math
 from collections import defaultdict
 from pathlib import Path
 from types import SimpleNamespace
@@ -33,12 +34,14 @@ def watched(module_scratch: Path) -> Any:
     settings = {**SMALL, "weather": [WEATHER], "slots": 2, "baseline": True, "monitoring": True}
     settings |= {"faults": str(module_scratch / "faults.yaml"), "record": str(path)}
     with (
+        pytest.MonkeyPatch.context() as patch,
         NodeProgram(module_scratch / "watched", **settings) as program,
         open_session(connect=[program.endpoint]) as session,
         open_stream(session, "*", [rr.FileSink(str(live))], is_live=False) as stream,
         zenostat.connect(program.endpoint, affinity="off") as bus,
         bus.controller("office", name="rbc") as link,
     ):
+        patch.setattr("zenostat.views.live.stream.MAX_WAIT_S", math.inf)  # how often it logs does not depend on load
         for steps in (96, 20):
             sample = link.reset(seed=1)
             for number in range(steps):
