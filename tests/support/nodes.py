@@ -21,6 +21,7 @@ import psutil
 
 import zenostat
 from zenostat import ControllerLink
+from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.errors import from_wire
 from zenostat.topics.messages import Mode, Reset, State
 
@@ -153,7 +154,7 @@ class NodeProgram:
 @contextmanager
 def node_on_bus(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus]]:
     """A node as a program, and a bus that is connected to it; see `NodeProgram`."""
-    with NodeProgram(folder, **settings) as node, zenostat.connect(node.endpoint, affinity="off") as bus:
+    with NodeProgram(folder, **settings) as node, zenostat.connect(node.endpoint, affinity=Affinity.OFF) as bus:
         yield node, bus
 
 

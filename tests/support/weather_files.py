@@ -55,10 +55,10 @@ def run(folder: Path, weather: Path, begin: date | None, end: date | None, **mor
         **more,
     }
     if begin and end:
-        days = (("begin", begin), ("end", end))
+        ends = (("begin", begin), ("end", end))
         dates = [
             {f"{side}_year": day.year, f"{side}_month": day.month, f"{side}_day_of_month": day.day}
-            for side, day in days
+            for side, day in ends
         ]
         objects["RunPeriod"] = {"r": dates[0] | dates[1]}
     folder.mkdir(parents=True, exist_ok=True)
