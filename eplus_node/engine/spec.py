@@ -43,7 +43,11 @@ def engine_spec(plan: Plan, files: EpisodeFiles, folder: Path, **settings: Any) 
     """
     points = plan.points
     source = Path(plan.building.file) if plan.building.file else None
-    program = replace(ENERGYPLUS, failure=partial(_failure, source), explain=partial(explain, source=source))
+    program = replace(
+        ENERGYPLUS,
+        failure=partial(_failure, source),
+        explain=partial(explain, locate=locator(source) if source else None),
+    )
     return EngineSpec(
         program=program,
         folder=folder,

@@ -20,7 +20,7 @@ from zenostat.models.points.discovery import texts
 from zenostat.models.weather.header import Header
 from zenostat.topics.energyplus_names import SCHEDULE_VALUE, THERMOSTAT
 
-Objects = Mapping[str, Mapping[str, Any]]
+Objects = Mapping[str, dict[str, dict[str, Any]]]
 
 _SCHEDULE_PARTS = ("Schedule:Day", "Schedule:Week")
 
@@ -145,7 +145,7 @@ def describe_model(building: Building, version: str) -> ModelDescription:
 
 def _place(objects: Objects) -> Header:
     """Return the location of the model itself; a weather file of a scenario replaces it."""
-    fields = next(iter(objects.get("Site:Location", {}).values()), {})
+    fields: Mapping[str, Any] = next(iter(objects.get("Site:Location", {}).values()), {})
     latitude, longitude, zone, elevation = (
         float(fields.get(name, 0.0)) for name in ("latitude", "longitude", "time_zone", "elevation")
     )

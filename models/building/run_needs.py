@@ -49,7 +49,7 @@ def assumptions(objects: Objects, *, has_dates: bool) -> Iterator[str]:
     if not has_dates and len(periods) > 1:
         rest = ", ".join(map(repr, periods[1:]))
         yield f"the model has several RunPeriod objects; {periods[0]!r} is simulated, not {rest}; choose begin and end"
-    control = next(iter(objects.get("SimulationControl", {}).values()), {})
+    control: Mapping[str, Any] = next(iter(objects.get("SimulationControl", {}).values()), {})
     is_weather_run = str(control.get("run_simulation_for_weather_file_run_periods", "Yes")).casefold() != "no"
     if not has_dates and not periods and not is_weather_run:
         yield "the model simulates its sizing periods only; an episode simulates the weather file"

@@ -87,7 +87,7 @@ def is_required(kind: str, path: str) -> bool:
     first, _, member = path.partition("[")
     if not member:
         return first in shape["required"]
-    items = next((choice["items"] for choice in choices(kind, first) if "items" in choice), {"required": []})
+    items: dict[str, Any] = next((c["items"] for c in choices(kind, first) if "items" in c), {"required": []})
     return member.rpartition(".")[2] in items["required"]
 
 
