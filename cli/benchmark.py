@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 
 import typer
 
@@ -14,28 +14,29 @@ from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from zenostat.lab.benchmark import Results, Selection
-    from zenostat.lab.benchmark.run import Progress
+    from zenostat.lab.benchmark.workers import Progress
 
-_ALL = "baseline,fixed,rbc,pid,random,ppo,sac,oracle"
+_ALL = "baseline,fixed,rbc,tuned,pid,random,oracle,ppo,sac"
 
 
 _Names = Annotated[
-    str | None, typer.Option(help="With --check, only these rows; names separated by commas.", show_default=False)
+    str | None,
+    typer.Option(help="With --out or --check, only these; names separated by commas.", show_default=False),
 ]
 
 
 def benchmark(
     set_name: Annotated[
-        str, typer.Option("--set", help="smoke (seconds), quick (the published one) or full.")
+        str, typer.Option("--set", help="smoke (a test), quick (for a look) or full (the published one).")
     ] = "quick",
     controllers: Annotated[
         str,
         typer.Option(
             help="Names separated by commas, by default all of the benchmark; also path/to/file.py:MyController, "
-            "ppo:model.zip or a training's folder.",
+            "ppo:model.zip, a training's folder or an exported policy.",
             show_default=False,
         ),
     ] = _ALL,
@@ -44,7 +45,11 @@ def benchmark(
     ] = None,
     workers: Annotated[int, typer.Option(min=1, max=256, help="Buildings that are simulated at the same time.")] = 1,
     trainings: Annotated[
-        Path | None, typer.Option(help="Folder that keeps the trainings; by default beside the results.")
+        Path | None, typer.Option(help="Folder that keeps the trainings and tunings; by default beside the results.")
+    ] = None,
+    policies: Annotated[
+        Path | None,
+        typer.Option(help="Folder with finished policies, used instead of training; further ones are written to it."),
     ] = None,
     checked: Annotated[
         Path | None, typer.Option("--check", help="Run the rows of this file again, and compare them to the bit.")
@@ -53,6 +58,24 @@ def benchmark(
     season: _Names = None,
     weather: _Names = None,
     seed: _Names = None,
+    training_seed: _Names = None,
+    merged: Annotated[
+        list[Path] | None,
+        typer.Option("--merge", help="Write the rows of this file and of the others so given to --out; run nothing."),
+    ] = None,
+    submitted: Annotated[
+        Path | None,
+        typer.Option("--submit-check", help="Check results of others: form, versions, hashes, completeness, baseline."),
+    ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(help="With --submit-check, the published results; by default those in docs/benchmark."),
+    ] = None,
+    sample: Annotated[
+        int, typer.Option(min=0, help="With --submit-check, number of rows, drawn at random, to run again.")
+    ] = 0,
+    sample_seed: Annotated[int, typer.Option(min=0, help="Seed of that draw.")] = 0,
+    schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of results.")] = False,
     shown: Annotated[Path | None, typer.Option("--show", help="Show the results of this file; nothing is run.")] = None,
     page: Annotated[
         Path | None, typer.Option(help="Write a page with tables and figures to FILE.md and the folder FILE.")
@@ -63,39 +86,152 @@ def benchmark(
 
     Example: `zenostat benchmark --controllers rbc,mine.py:MyController --out results.json --workers 2`
 
-    Ctrl-C ends it; the same command continues. PPO and SAC are trained first, unless the folder of trainings has them.
+    Ctrl-C ends it; the same command continues. Controllers that learn or are tuned are trained first, unless the
+    folder of trainings has them.
     """
-    if sum(option is not None for option in (file, checked, shown)) != 1:
-        raise InvalidConfig("one of --out, --check and --show expected: a file of results (JSON)")
+    conditions = {
+        "controller": None if controllers == _ALL else controllers,
+        "building": building, "season": season, "weather": weather, "seed": seed, "training_seed": training_seed,
+    }  # fmt: skip
+    if schema:
+        from zenostat.lab.benchmark.results_file import schema as json_schema
+
+        out.print_json(data=json_schema())
+        return
+    _check_options(file, checked, shown, submitted, merged, conditions)
     import_extra("scipy", "benchmark", "the benchmark")
     if page is not None:
         _check_page(page)
-    names = _listed(controllers)
-    conditions = {"building": building, "season": season, "weather": weather, "seed": seed}
-    if checked is None and (named := [name for name, value in conditions.items() if value is not None]):
-        raise InvalidConfig(f"--{', --'.join(named)}: only with --check, which runs the rows of a file again")
+    running = _Running(workers, trainings, policies)
     errors: list[str] = []
     if checked is not None:
-        _check(checked, {"controller": None if controllers == _ALL else controllers, **conditions}, workers, trainings)
+        _check(checked, conditions, running)
+        return
+    if submitted is not None:
+        _check_submission(submitted, reference, sample, sample_seed, conditions, running)
         return
     if shown is not None:
-        from zenostat.lab.benchmark import load_results
-
-        results = load_results(shown)
+        results = _load_shown(shown, conditions)
     else:
         assert file is not None
-        from zenostat.lab.benchmark import run_benchmark
-
-        with ExitStack() as stack:
-            results, errors = run_benchmark(
-                set_name, file, names, workers=workers, cache=trainings, hashes=_hashes(set_name),
-                progress=_watcher(stack),
-            )  # fmt: skip
+        if merged:
+            results = _merge(merged, file)
+        else:
+            results, errors = _run(set_name, file, _listed(controllers), conditions, running)
     _show(results, page, as_json=as_json)
     for error in errors:
         err.print(f"failed: {error}", soft_wrap=True, markup=False)
     if errors:
         raise typer.Exit(1)
+
+
+class _Running(NamedTuple):
+    """Options of everything that runs episodes."""
+
+    workers: int
+    cache: Path | None
+    policies: Path | None
+
+
+def _check_options(
+    file: Path | None, checked: Path | None, shown: Path | None, submitted: Path | None, merged: Sequence[Path] | None,
+    conditions: Mapping[str, str | None],
+) -> None:  # fmt: skip
+    if sum(option is not None for option in (file, checked, shown, submitted)) != 1:
+        raise InvalidConfig(
+            "one of --out, --check, --show and --submit-check expected: a file of results (JSON); or --schema"
+        )
+    if merged and file is None:
+        raise InvalidConfig("--merge: name the file to write with --out")
+    named = [name.replace("_", "-") for name, value in conditions.items() if value is not None]
+    if named and named != ["controller"] and (merged or (file is None and checked is None)):
+        raise InvalidConfig(f"--{', --'.join(named)}: only with --out or --check, which run rows")
+
+
+def _run(
+    set_name: str, file: Path, names: list[str], conditions: Mapping[str, str | None], running: _Running
+) -> tuple[Results, list[str]]:
+    from zenostat.lab.benchmark import run_benchmark
+
+    with ExitStack() as stack:
+        return run_benchmark(
+            set_name, file, names, selection=_selection({**conditions, "controller": None}), workers=running.workers,
+            cache=running.cache, policies=running.policies, hashes=_hashes(set_name), progress=_watcher(stack),
+        )  # fmt: skip
+
+
+def _merge(files: Sequence[Path], target: Path) -> Results:
+    from zenostat.lab.benchmark.merge import merge_results
+
+    if not target.absolute().parent.is_dir():
+        raise InvalidConfig(f"--out {target}: there is no folder {target.absolute().parent}")
+    results = merge_results([*files, *([target] if target.exists() and target not in files else [])])
+    results.save(target)
+    return results
+
+
+def _load_shown(path: Path, conditions: Mapping[str, str | None]) -> Results:
+    """Return the results of a file, without the rows of controllers that were not named."""
+    from zenostat.lab.benchmark import load_results
+    from zenostat.lab.benchmark.merge import with_controllers
+
+    results, names = load_results(path), conditions["controller"]
+    return results if names is None else with_controllers(results, _listed(names), str(path))
+
+
+def _selection(conditions: Mapping[str, str | None]) -> Selection:
+    from zenostat.lab.benchmark import Selection
+
+    values: dict[str, Any] = {name: _listed(text) for name, text in conditions.items() if text is not None}
+    for name in ("seed", "training_seed"):
+        if name not in values:
+            continue
+        try:
+            values[name] = [int(number) for number in values[name]]
+        except ValueError:
+            option = name.replace("_", "-")
+            raise InvalidConfig(f"--{option} {conditions[name]}: numbers separated by commas expected") from None
+    return Selection(**values)
+
+
+def _check(path: Path, conditions: Mapping[str, str | None], running: _Running) -> None:
+    from zenostat.lab.benchmark import check, load_results
+    from zenostat.lab.benchmark.check import selected_rows
+
+    results, selection = load_results(path), _selection(conditions)
+    count = len(selected_rows(results, selection, str(path)))
+    with ExitStack() as stack:
+        differences = check(
+            path, selection, workers=running.workers, cache=running.cache, policies=running.policies,
+            hashes=_hashes(results.set), progress=_watcher(stack),
+        )  # fmt: skip
+    _report(differences, f"{path}: {count} rows are equal to the bit")
+
+
+def _check_submission(
+    path: Path, reference: Path | None, sample: int, sample_seed: int, conditions: Mapping[str, str | None],
+    running: _Running,
+) -> None:  # fmt: skip
+    from zenostat.lab.benchmark import load_results
+    from zenostat.lab.benchmark.submission import check_submission
+
+    names = _listed(conditions["controller"] or "")
+    with ExitStack() as stack:
+        errors, notes = check_submission(
+            path, reference, _hashes(load_results(path).set), sample=sample, sample_seed=sample_seed, controllers=names,
+            workers=running.workers, cache=running.cache, policies=running.policies, progress=_watcher(stack),
+        )  # fmt: skip
+    for note in notes:
+        err.print(note, soft_wrap=True, markup=False)
+    _report(errors, f"{path}: accepted")
+
+
+def _report(errors: Sequence[str], success: str) -> None:
+    for error in errors:
+        err.print(error, soft_wrap=True, markup=False)
+    if errors:
+        raise typer.Exit(1)
+    out.print(success, soft_wrap=True, markup=False)
 
 
 def _check_page(page: Path) -> None:
@@ -121,35 +257,6 @@ def _hashes(set_name: str) -> dict[str, str]:
 
 def _listed(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
-
-
-def _selection(conditions: Mapping[str, str | None]) -> Selection:
-    from zenostat.lab.benchmark import Selection
-
-    values: dict[str, Any] = {name: _listed(text) for name, text in conditions.items() if text is not None}
-    if "seed" in values:
-        try:
-            values["seed"] = [int(seed) for seed in values["seed"]]
-        except ValueError:
-            raise InvalidConfig(f"--seed {conditions['seed']}: numbers separated by commas expected") from None
-    return Selection(**values)
-
-
-def _check(path: Path, conditions: Mapping[str, str | None], workers: int, trainings: Path | None) -> None:
-    from zenostat.lab.benchmark import check, load_results
-    from zenostat.lab.benchmark.run import selected_rows
-
-    results, selection = load_results(path), _selection(conditions)
-    count = len(selected_rows(results, selection, str(path)))
-    with ExitStack() as stack:
-        differences = check(
-            path, selection, workers=workers, cache=trainings, hashes=_hashes(results.set), progress=_watcher(stack)
-        )
-    for difference in differences:
-        err.print(difference, soft_wrap=True, markup=False)
-    if differences:
-        raise typer.Exit(1)
-    out.print(f"{path}: {count} rows are equal to the bit", soft_wrap=True, markup=False)
 
 
 def _watcher(stack: ExitStack) -> Progress:

@@ -27,7 +27,8 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
     """Load the class of a controller, to be called with the node's manifest and parameters by name.
 
     Args:
-        text: a short name; the folder of a training, or `ppo:model.zip` (see `zenostat.training.load_policy`);
+        text: a short name; the folder of a training, or `ppo:model.zip` (see `zenostat.training.load_policy`); a policy
+            that was exported to a file `.npz`;
             `path/to/file.py:MyController`; or `package.module:MyController`, also for modules in the current folder.
             While the file is loaded, it can import modules from its own folder, which take precedence
             over installed modules of the same name. `FILE.yaml` is a controller file, as `zenostat tune` writes it:
@@ -43,6 +44,10 @@ def load_controller(text: str) -> Callable[..., ControllerProtocol]:
         return CONTROLLERS[text]
     if text.casefold().endswith((".yaml", ".yml")):
         return _load_file_of_parameters(text)
+    if text.casefold().endswith(".npz"):
+        from zenostat.agent_sdk.controllers.network_policy import load_network
+
+        return load_network(text).controller
     if text.casefold().endswith(".zip") or (":" not in text and Path(text).expanduser().is_dir()):
         from zenostat.agent_sdk.controllers.policy_loader import load_policy  # torch takes seconds to import
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import random
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 from zenostat.agent_sdk.controllers.base import Controller, Values
+from zenostat.agent_sdk.controllers.predictor import Predictor, describe_difference
 from zenostat.agent_sdk.envs import spaces
 from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.agent_sdk.envs.time_features import time_features
@@ -38,23 +38,6 @@ ALGORITHMS: dict[str, type[BaseAlgorithm]] = {
     "td3": sb3.TD3,
 }
 """Algorithms by the prefix of a model's file: `ppo:model.zip`."""
-
-
-class Predictor:
-    """A model's actions during an episode; it keeps the state of a recurrent model."""
-
-    def __init__(self, model: BaseAlgorithm) -> None:
-        self._model = model
-        self._state: Any = None
-        self._first = np.array([True])
-
-    def action(self, observation: Any) -> Any:
-        """Return the model's action without exploration."""
-        action, self._state = self._model.predict(
-            observation, state=self._state, episode_start=self._first, deterministic=True
-        )
-        self._first = np.array([False])
-        return action
 
 
 @contextmanager
@@ -133,17 +116,3 @@ def _dimension_names(manifest: Manifest, kind: str) -> list[str]:
     return (
         [*task.time, *manifest.observed_names] if kind == "observations" else [action.name for action in task.actions]
     )
-
-
-def describe_difference(trained: gym.Space[Any], current: gym.Space[Any], names: Sequence[str] = ()) -> str:
-    """Describe how two spaces differ; with the same number of dimensions, by the names whose bounds differ."""
-    if not (isinstance(trained, gym.spaces.Box) and isinstance(current, gym.spaces.Box)):
-        return f"{trained}, now {current}"
-    if trained.shape != current.shape:
-        listed = f": {', '.join(names)}" if names else ""
-        return f"{trained.low.size} of them, now {current.low.size}{listed}"
-    if len(names) != current.low.size:
-        names = [f"number {index}" for index in range(current.low.size)]
-    before, now = (np.stack([box.low.ravel(), box.high.ravel()], 1) for box in (trained, current))
-    rows = zip(names, before.tolist(), now.tolist(), strict=True)
-    return "; ".join(f"{name} was {a[0]:g} to {a[1]:g}, now {b[0]:g} to {b[1]:g}" for name, a, b in rows if a != b)

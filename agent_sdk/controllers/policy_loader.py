@@ -60,7 +60,7 @@ def load_policy(
         raise InvalidConfig(
             f"the algorithm of {path} is missing: one of {', '.join(ALGORITHMS)} expected, as ppo:{path}"
         )
-    model, normalization = _load_model(path, algorithm)
+    model, normalization = load_model(path, algorithm)
     wrappers, states = _read_chain(path) if folder is None else training_folder.read_wrappers(folder, path)
 
     def policy(manifest: Manifest) -> Controller:
@@ -80,7 +80,7 @@ def _read_chain(model: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]
     return list(content.get("chain", [])), list(content.get("wrappers", []))
 
 
-def _load_model(path: Path, algorithm: str | type[BaseAlgorithm]) -> tuple[BaseAlgorithm, VecNormalize | None]:
+def load_model(path: Path, algorithm: str | type[BaseAlgorithm]) -> tuple[BaseAlgorithm, VecNormalize | None]:
     """Load a model's file and the normalization beside it."""
     if isinstance(algorithm, str):
         if algorithm.casefold() not in ALGORITHMS:

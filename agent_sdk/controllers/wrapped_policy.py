@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -10,11 +11,10 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import torch
 from numpy.typing import NDArray
 
 from zenostat.agent_sdk.controllers.base import Controller, Values
-from zenostat.agent_sdk.controllers.policy import Predictor, describe_difference
+from zenostat.agent_sdk.controllers.predictor import Predictor, describe_difference
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics, set_wrapper_states
 from zenostat.agent_sdk.wrappers.serialization import apply_wrappers
@@ -35,7 +35,7 @@ class WrappedPolicy(Controller):
 
     Args:
         manifest: the node's manifest.
-        model: a model of stable-baselines3.
+        model: a model of stable-baselines3, or any object with its `predict` and spaces.
         normalization: its `VecNormalize`, if it was trained behind one.
         wrappers: the wrappers of its training, innermost first.
         states: what they have learnt, from the outermost; see `zenostat.wrappers.save_wrappers`.
@@ -80,7 +80,8 @@ class WrappedPolicy(Controller):
         if self._link is not None:
             self._link.cancel()
         self._link = _SampleQueue(self.manifest)
-        arguments = [self._link, torch.get_num_threads()]
+        torch = sys.modules.get("torch")  # loaded with a model of stable-baselines3
+        arguments = [self._link, torch and torch.get_num_threads()]
         threading.Thread(target=self._run, args=arguments, name="policy", daemon=True).start()
 
     def act(self, sample: SampleView) -> Values:
@@ -90,8 +91,9 @@ class WrappedPolicy(Controller):
         assert self._link is not None
         return self._link.exchange(sample)
 
-    def _run(self, link: _SampleQueue, torch_threads: int) -> None:
-        torch.set_num_threads(torch_threads)  # it applies to the thread that calls it
+    def _run(self, link: _SampleQueue, torch_threads: int | None) -> None:
+        if torch_threads is not None:
+            sys.modules["torch"].set_num_threads(torch_threads)  # it applies to the thread that calls it
         try:
             with self._environment(link) as env:
                 predictor, (observation, _) = Predictor(self._model), env.reset()

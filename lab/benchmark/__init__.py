@@ -1,8 +1,10 @@
 """A benchmark of controllers: fixed buildings, weather, seeds, reward and score; see docs/benchmark.md."""
 
-from zenostat.lab.benchmark.definition import BASELINES, SETS, VERSION, BenchmarkSet, Task
-from zenostat.lab.benchmark.results import Results, Row, load_results
-from zenostat.lab.benchmark.run import check, run_benchmark
+from zenostat.lab.benchmark.check import check
+from zenostat.lab.benchmark.definition import BASELINES, SETS, VERSION, BenchmarkSet, Episode, Task
+from zenostat.lab.benchmark.results import Results, load_results
+from zenostat.lab.benchmark.results_file import Row
+from zenostat.lab.benchmark.run import run_benchmark
 from zenostat.lab.benchmark.scores import Interval, Scores, interquartile_mean, relative_score, score_rows
 from zenostat.lab.benchmark.selection import Selection
 
@@ -11,6 +13,7 @@ __all__ = [
     "SETS",
     "VERSION",
     "BenchmarkSet",
+    "Episode",
     "Interval",
     "Results",
     "Row",

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
-from zenostat.lab.benchmark.frozen_bounds import frozen_actuators
+from zenostat.lab.benchmark.observation import sensors, wrappers
+from zenostat.lab.benchmark.recipes import LEARNING, TRAINING_SEEDS, recipe, seed_of
 
-VERSION = 1
+VERSION = 2
 
 SEASONS = {"winter": ("01-09", "01-15"), "spring": ("04-10", "04-16"), "summer": ("07-10", "07-16")}
 """First and last day of an episode: Monday to Sunday in the models' year, 2017."""
@@ -31,8 +32,8 @@ HELD_OUT_WEATHERS = (
 )  # fmt: skip
 """Weather of the episodes that are scored; no controller of the benchmark is trained or tuned on it."""
 
-TRAINING_SEED = 0
-"""Seed of the trainings; no scored episode has it."""
+LOWEST_SCORED_SEED = 20_001
+"""Lowest seed of a scored episode; trainings and tuning have lower ones."""
 
 _METERS = {
     "electricity_facility": "Electricity:Facility",
@@ -85,22 +86,17 @@ BASELINES: dict[str, dict[str, Any]] = {
     "baseline": {},
     "fixed": {},
     "rbc": {},
+    "tuned": {},
     "pid": {},
     "random": {},
     "ppo": {},
     "sac": {},
     "oracle": {"horizon": 4.0, "samples": 8, "iterations": 1, "block": 1.0},
 }
-"""Controllers of the benchmark with their parameters; `ppo` and `sac` are trained for each building and season."""
+"""Controllers of the benchmark with their parameters. `tuned` is `rbc` with parameters that are tuned, and `ppo` and
+`sac` are trained, for each building and season on the training weather."""
 
-_TRAININGS: dict[str, dict[str, Any]] = {
-    "ppo": {
-        "parameters": {"n_steps": 672, "batch_size": 96, "n_epochs": 10, "gamma": 0.99, "learning_rate": 3e-4},
-    },
-    "sac": {
-        "parameters": {"learning_starts": 672, "batch_size": 256, "gamma": 0.99, "learning_rate": 1e-3},
-    },
-}
+BASELINE, TUNED = "baseline", "tuned"
 
 
 @dataclass(frozen=True, order=True)
@@ -120,6 +116,32 @@ class Task:
         return "/".join(self.key)
 
 
+@dataclass(frozen=True, order=True)
+class Episode:
+    """An episode of a controller.
+
+    Attributes:
+        controller: its name.
+        task: the task.
+        seed: seed of the episode.
+        training_seed: number of the training; None of a controller that the benchmark does not train.
+    """
+
+    controller: str
+    task: Task
+    seed: int
+    training_seed: int | None = None
+
+    @property
+    def key(self) -> tuple[str, str, str, str, int, int]:
+        """Identity among the results, which can be sorted: -1 stands for no training."""
+        return (self.controller, *self.task.key, self.seed, -1 if self.training_seed is None else self.training_seed)
+
+    def __str__(self) -> str:
+        training = () if self.training_seed is None else (str(self.training_seed),)
+        return "/".join((self.controller, *self.task.key, str(self.seed), *training))
+
+
 @dataclass(frozen=True)
 class BenchmarkSet:
     """A size of the benchmark.
@@ -130,6 +152,8 @@ class BenchmarkSet:
         seeds: seeds of the episodes of each task.
         days: days of an episode, from the first day of the season's week.
         training_steps: steps by the name of the algorithm, for each building and season.
+        training_seeds: numbers of the trainings of each algorithm, for each building and season.
+        tuning: trials, and episode seeds of each trial, of the tuning of `tuned`, for each building and season.
     """
 
     name: str
@@ -139,54 +163,78 @@ class BenchmarkSet:
     seeds: tuple[int, ...]
     days: int
     training_steps: Mapping[str, int]
+    training_seeds: tuple[int, ...]
+    tuning: tuple[int, tuple[int, ...]]
 
     def tasks(self) -> list[Task]:
         """Return all tasks."""
         return [Task(*names) for names in product(self.buildings, self.seasons, self.weathers)]
 
-    def arguments(self, building: str, season: str, weather: str) -> dict[str, Any]:
-        """Return the arguments of `BuildingEnv` for a task: one pair of setpoints for all thermostats."""
-        return self._published_arguments(building, season, weather) | {"actuators": frozen_actuators(building)}
+    def episodes(self, controllers: Iterable[str]) -> list[Episode]:
+        """Return the episodes of controllers: of those that learn, each with each of their trainings."""
+        return [
+            Episode(name, task, seed, training_seed)
+            for name in controllers
+            for task in self.tasks()
+            for seed in self.seeds
+            for training_seed in (self.training_seeds if is_learning(name) else (None,))
+        ]
 
-    def _published_arguments(self, building: str, season: str, weather: str) -> dict[str, Any]:
-        """Return the arguments of version 1 as published, when `frozen_actuators` were the default; for hashes."""
+    def arguments(self, building: str, season: str, weather: str) -> dict[str, Any]:
+        """Return the arguments of `gym.make` for a task: one pair of setpoints for all thermostats."""
         begin, last = SEASONS[season]
         month, day = begin.split("-")
         end = last if self.days == 7 else f"{month}-{int(day) + self.days - 1:02}"
-        return {"scenario": f"{building}-{weather}-continuous-v1", "begin": begin, "end": end, **ARGUMENTS}
+        return {
+            "scenario": f"{building}-{weather}-continuous-v1",
+            "begin": begin,
+            "end": end,
+            **ARGUMENTS,
+            "sensors": sensors(building),
+        }
 
-    def training(self, algorithm: str, building: str, season: str) -> dict[str, Any]:
+    def wrappers(self, building: str) -> list[dict[str, Any]]:
+        """Return the wrappers of the tasks in a building, as for `zenostat.wrappers.apply_wrappers`."""
+        return wrappers(building, REWARD["price"])
+
+    def controller_arguments(self, controller: str, task: Task) -> dict[str, Any]:
+        """Return the arguments of a controller's environment: those of the task, for a learning one with its form."""
+        form = recipe(controller, task.building, task.season).get("arguments", {}) if is_learning(controller) else {}
+        return self.arguments(*task.key) | form
+
+    def training(self, algorithm: str, building: str, season: str, training_seed: int) -> dict[str, Any]:
         """Return the fields of a training file; `zenostat.training.read_training` reads them."""
-        published = self.published_training(algorithm, building, season)
-        later: dict[str, Any] = {"arguments": published["arguments"] | {"actuators": frozen_actuators(building)}}
-        if algorithm == "ppo":  # the default of version 1
-            later["parameters"] = published["parameters"] | {"policy_kwargs": {"log_std_init": 0.0}}
-        return published | later
-
-    def published_training(self, algorithm: str, building: str, season: str) -> dict[str, Any]:
-        """Return the fields of a training file of version 1 as published; for hashes."""
-        arguments = self._published_arguments(building, season, TRAINING_WEATHERS[0])
+        arguments = self.arguments(building, season, TRAINING_WEATHERS[0])
+        fields = recipe(algorithm, building, season)
         return {
             "algorithm": algorithm,
             "scenario": arguments.pop("scenario"),
-            "arguments": {**arguments, "weather": list(TRAINING_WEATHERS)},
             "steps": self.training_steps[algorithm],
-            "seed": TRAINING_SEED,
-            "wrappers": [{"wrapper": "CyclicTime", "fields": ["day_of_week", "hour"]}],
+            "seed": seed_of(training_seed),
+            "wrappers": self.wrappers(building),
             "evaluation": False,
             "threads": 1,
-            **_TRAININGS[algorithm],
+            **fields,
+            "arguments": arguments | {"weather": list(TRAINING_WEATHERS)} | fields.get("arguments", {}),
+        }
+
+    def tuning_arguments(self, building: str, season: str) -> dict[str, Any]:
+        """Return the arguments of `tune_controller` for `tuned` in a building and season."""
+        trials, seeds = self.tuning
+        return {
+            "scenario": self.arguments(building, season, TRAINING_WEATHERS[0]),
+            "weathers": list(TRAINING_WEATHERS),
+            "seeds": list(seeds),
+            "trials": trials,
         }
 
     def digest(self) -> str:
-        """Return a hash of all that defines the rows of the set, for results of different programs."""
-        trained = {
-            f"{algorithm}/{building}/{season}": self.published_training(algorithm, building, season)
-            for algorithm, building, season in product(_TRAININGS, self.buildings, self.seasons)
-        }
-        tasks = [[*task.key, self._published_arguments(*task.key)] for task in self.tasks()]
-        content = [VERSION, self.name, list(self.seeds), tasks, trained, LINEAR, BASELINES]
-        return digest_of(content)
+        """Return a hash of the tasks, seeds and rewards of the set, for results of different programs.
+
+        Controllers are not part of it: their hashes are in the results.
+        """
+        tasks = [[*task.key, self.arguments(*task.key), self.wrappers(task.building)] for task in self.tasks()]
+        return digest_of([VERSION, self.name, list(self.seeds), tasks, LINEAR])
 
 
 def digest_of(content: Any) -> str:
@@ -195,23 +243,29 @@ def digest_of(content: Any) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
 
 
-def is_trained(controller: str) -> bool:
-    """Return whether the benchmark trains a controller."""
-    return controller in _TRAININGS
+def is_learning(controller: str) -> bool:
+    """Return whether the benchmark trains a controller, several times with different seeds."""
+    return controller in LEARNING
 
 
-_QUICK_STEPS = {"ppo": 13_440, "sac": 2_688}
+def is_prepared(controller: str) -> bool:
+    """Return whether the benchmark trains or tunes a controller for each building and season."""
+    return is_learning(controller) or controller == TUNED
+
+
+_FULL_SEEDS = tuple(range(LOWEST_SCORED_SEED, LOWEST_SCORED_SEED + 5))
 SETS = {
     "smoke": BenchmarkSet(
-        "smoke", ("ref-small-office", "ref-warehouse"), ("summer",), HELD_OUT_WEATHERS[:1], (20_001,), 3,
-        {"ppo": 672, "sac": 700},
+        "smoke", ("ref-small-office", "ref-warehouse"), ("summer",), HELD_OUT_WEATHERS[:1], _FULL_SEEDS[:1], 3,
+        {"ppo": 672, "sac": 700}, (0,), (4, (0,)),
     ),
     "quick": BenchmarkSet(
-        "quick", tuple(BUILDINGS), tuple(SEASONS), HELD_OUT_WEATHERS[:2], (20_001,), 7, _QUICK_STEPS
+        "quick", tuple(BUILDINGS), tuple(SEASONS), HELD_OUT_WEATHERS[:2], _FULL_SEEDS[:1], 7,
+        {"ppo": 43_008, "sac": 10_752}, (0,), (30, (0,)),
     ),
     "full": BenchmarkSet(
-        "full", tuple(BUILDINGS), tuple(SEASONS), HELD_OUT_WEATHERS, tuple(range(20_001, 20_006)), 7,
-        {"ppo": 201_600, "sac": 40_320},
+        "full", tuple(BUILDINGS), tuple(SEASONS), HELD_OUT_WEATHERS, _FULL_SEEDS, 7,
+        {"ppo": 150_528, "sac": 32_256}, tuple(range(TRAINING_SEEDS)), (60, (0, 1)),
     ),
 }  # fmt: skip
-"""`smoke` is a test of the program in seconds, `quick` is the published one, `full` has more weather, seeds, steps."""
+"""`smoke` is a test of the program, `quick` is for a look, `full` is the published one."""

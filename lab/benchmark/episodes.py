@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from datetime import timedelta
@@ -13,9 +13,20 @@ from zenostat.agent_sdk.controllers import Agent, load_controller, make_controll
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards import read_reward
 from zenostat.bridge.client.sample import SampleView
-from zenostat.lab.benchmark.definition import BASELINES, LINEAR, SETS, Task, is_trained
-from zenostat.lab.benchmark.results import Row
-from zenostat.lab.benchmark.trained import Training
+from zenostat.lab.benchmark.definition import (
+    BASELINE,
+    BASELINES,
+    LINEAR,
+    SETS,
+    TUNED,
+    Episode,
+    Task,
+    digest_of,
+    is_prepared,
+)
+from zenostat.lab.benchmark.prepared import preparation_of, read_record
+from zenostat.lab.benchmark.processor_time import processor_s
+from zenostat.lab.benchmark.results_file import Row
 from zenostat.lab.benchmark.two_loop_pid import TwoLoopPID
 from zenostat.lab.evaluate import run_episode, without_actuators
 from zenostat.metrics.episode_metrics import EpisodeMetrics
@@ -36,17 +47,34 @@ class Job:
     Attributes:
         set: name of the set.
         task: the task.
-        episodes: pairs of controller and seed.
-        cache: folder of the trainings.
+        episodes: the episodes, whose controllers all have an environment with the same arguments.
+        cache: folder of the trainings and tunings.
     """
 
     set: str
     task: Task
-    episodes: tuple[tuple[str, int], ...]
+    episodes: tuple[Episode, ...]
     cache: Path
 
     def __str__(self) -> str:
         return str(self.task)
+
+
+def jobs(set_name: str, episodes: Sequence[Episode], cache: Path) -> list[Job]:
+    """Return a job for each task and each form of its environment; its building is started once for all its episodes.
+
+    The forms are that of the baseline control, without actuators, that of the task, and those of learning controllers.
+    """
+    groups: dict[tuple[Task, str], list[Episode]] = {}
+    for episode in episodes:
+        groups.setdefault((episode.task, digest_of(_arguments(set_name, episode))), []).append(episode)
+    return [Job(set_name, task, tuple(group), cache) for (task, _), group in groups.items()]
+
+
+def _arguments(set_name: str, episode: Episode) -> dict[str, Any]:
+    """Return the arguments of an episode's environment."""
+    arguments = SETS[set_name].controller_arguments(episode.controller, episode.task)
+    return without_actuators(arguments) if episode.controller == BASELINE else arguments
 
 
 class LinearReward:
@@ -68,26 +96,21 @@ class LinearReward:
 
 
 def run_job(job: Job) -> tuple[list[Row], list[str]]:
-    """Run the episodes of a job, those of the baseline control in a building without actuators.
+    """Run the episodes of a job.
 
     Each episode has a new controller and starts from the same state, so its row does not depend on the others.
 
     Returns:
         The rows, and the errors of the episodes that failed.
     """
-    settings = SETS[job.set].arguments(*job.task.key)
     rows: list[Row] = []
     errors: list[str] = []
-    for is_baseline in (True, False):
-        episodes = [episode for episode in job.episodes if (episode[0] == "baseline") == is_baseline]
-        if not episodes:
-            continue
-        with closing(BuildingEnv(**(without_actuators(settings) if is_baseline else settings))) as env:
-            for name, seed in episodes:
-                try:
-                    rows.append(_run_episode(job, env, name, seed))
-                except Exception as error:  # of a user's controller; the others still run
-                    errors.append(f"{name}/{job.task}/{seed}: {describe_error(error)}")
+    with closing(BuildingEnv(**_arguments(job.set, job.episodes[0]))) as env:
+        for episode in job.episodes:
+            try:
+                rows.append(_run_episode(job, env, episode))
+            except Exception as error:  # of a user's controller; the others still run
+                errors.append(f"{episode}: {describe_error(error)}")
     return rows, errors
 
 
@@ -96,30 +119,35 @@ def describe_error(error: Exception) -> str:
     return str(error) if isinstance(error, ZenostatError) else f"{type(error).__name__}: {error}"
 
 
-def _run_episode(job: Job, env: BuildingEnv, name: str, seed: int) -> Row:
-    agent = Agent(_controller(job, name, env.manifest, seed), env)
+def _run_episode(job: Job, env: BuildingEnv, episode: Episode) -> Row:
+    begin = processor_s()
+    agent = Agent(_controller(job, env.manifest, episode), env)
     linear = LinearReward(env.manifest)
-    result, _ = run_episode(env, lambda _: agent.action(env.sample), seed=seed, recorder=linear)
-    return _row(name, job.task, seed, result, linear.total)
+    result, _ = run_episode(env, lambda _: agent.action(env.sample), seed=episode.seed, recorder=linear)
+    return _row(episode, result, linear.total, processor_s() - begin)
 
 
-def _controller(job: Job, name: str, manifest: Manifest, seed: int) -> Any:
-    task = job.task
-    if is_trained(name):
-        factory = load_controller(str(Training(job.cache, job.set, name, task.building, task.season).folder))
-        return make_controller(factory, manifest, {})
+def _controller(job: Job, manifest: Manifest, episode: Episode) -> Any:
+    name = episode.controller
+    if is_prepared(name):
+        file = preparation_of(episode, job.set, job.cache).file
+        if name == TUNED:
+            return make_controller(load_controller("rbc"), manifest, read_record(file)["parameters"])
+        return make_controller(load_controller(str(file)), manifest, {})
     if name == "pid":
         return TwoLoopPID(manifest)
     parameters = dict(BASELINES.get(name, {}))
     if name in ("random", "oracle"):
-        parameters["seed"] = seed
+        parameters["seed"] = episode.seed
     return make_controller(load_controller(name), manifest, parameters)
 
 
-def _row(controller: str, task: Task, seed: int, result: EpisodeMetrics, linear: float) -> Row:
+def _row(episode: Episode, result: EpisodeMetrics, linear: float, seconds: float) -> Row:
     metrics = result.metrics()
     assert result.reward is not None, "the tasks have a reward"
     return Row(
-        controller, task.building, task.season, task.weather, seed, result.reward, dict(result.terms), linear,
+        episode.controller, *episode.task.key, episode.seed, float(result.reward),
+        {name: float(value) for name, value in result.terms.items()}, linear,
         {name: float(value) for name in _METRICS if (value := metrics.get(name)) is not None},
+        episode.training_seed, round(seconds, 2),
     )  # fmt: skip

@@ -9,7 +9,7 @@ from typing import Any
 
 from zenostat.lab.benchmark.definition import BUILDINGS
 from zenostat.lab.benchmark.results import Results
-from zenostat.lab.benchmark.scores import Interval, Scores, score_rows
+from zenostat.lab.benchmark.scores import Interval, Scores, relative_linear, score_rows
 from zenostat.topics.extras import import_extra
 from zenostat.views.report.figures.base import draw
 from zenostat.views.report.svg import save
@@ -27,7 +27,7 @@ def write_figures(results: Results, folder: Path) -> list[Path]:
     """
     import_extra("matplotlib", "plots", "figures")
     scores = score_rows(results.rows.values())
-    linear = score_rows(results.rows.values(), "linear")
+    linear = score_rows(results.rows.values(), relative_linear)
     buildings = list(scores[0].buildings)
     height_in = 0.8 + 0.24 * len(scores)
     names = [of.controller for of in scores][::-1]

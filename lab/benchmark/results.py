@@ -5,55 +5,23 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import platform
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from zenostat.lab.benchmark.definition import SETS, VERSION, Task, digest_of
+from pydantic import ValidationError
+
+from zenostat.lab.benchmark.definition import SETS, VERSION, Episode, Task
+from zenostat.lab.benchmark.results_file import TITLE, ResultsFile, Row, rows_digest
 from zenostat.topics import VERSION as PRODUCT_VERSION
 from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.user_file import user_file
 
-_LIBRARIES = ("gymnasium", "numpy", "pyenergyplus-lbnl", "scipy", "stable-baselines3", "torch")
-_TITLE = "zenostat benchmark"
-
-
-@dataclass(frozen=True)
-class Row:
-    """One episode of one controller.
-
-    Attributes:
-        controller: name of a controller of the benchmark, or what `load_controller` accepts.
-        building, season, weather: the task.
-        seed: seed of the episode.
-        reward: sum of the rewards, EUR.
-        terms: sums of its terms, EUR.
-        linear: sum of the linear rewards of the same episode.
-        metrics: metrics and KPIs by name, see `EpisodeMetrics.metrics`.
-    """
-
-    controller: str
-    building: str
-    season: str
-    weather: str
-    seed: int
-    reward: float
-    terms: dict[str, float]
-    linear: float
-    metrics: dict[str, float]
-
-    @property
-    def task(self) -> Task:
-        """The row's task."""
-        return Task(self.building, self.season, self.weather)
-
-    @property
-    def key(self) -> tuple[str, str, str, str, int]:
-        """Identity of a row among the results."""
-        return (self.controller, self.building, self.season, self.weather, self.seed)
+_LIBRARIES = ("gymnasium", "numpy", "optuna", "pyenergyplus-lbnl", "scipy", "stable-baselines3", "torch")
 
 
 @dataclass
@@ -62,17 +30,17 @@ class Results:
 
     Attributes:
         set: name of the set.
-        rows: by `Row.key`.
+        rows: by `Episode.key`.
         hashes: sha256 of the models and weather files by name, where known.
-        trainings: by `algorithm/building/season`, hashes of the training's configuration and of the trained weights.
-        controllers: sha256 of the files of further controllers.
+        trainings: by name, the record of each training and tuning; see `zenostat.lab.benchmark.prepared`.
+        controllers: by name, the hash of the parameters of a controller of the benchmark, or of another one's file.
         versions: of the product, EnergyPlus, Python and libraries.
     """
 
     set: str
-    rows: dict[tuple[str, str, str, str, int], Row] = field(default_factory=dict)
+    rows: dict[tuple[str, str, str, str, int, int], Row] = field(default_factory=dict)
     hashes: dict[str, str] = field(default_factory=dict)
-    trainings: dict[str, dict[str, str]] = field(default_factory=dict)
+    trainings: dict[str, dict[str, Any]] = field(default_factory=dict)
     controllers: dict[str, str] = field(default_factory=dict)
     versions: dict[str, str] = field(default_factory=dict)
 
@@ -81,7 +49,7 @@ class Results:
 
     def add(self, rows: Iterable[Row]) -> None:
         """Add rows; rows of the same key are replaced."""
-        self.rows.update({row.key: row for row in rows})
+        self.rows.update({episode_of(row).key: row for row in rows})
 
     def names(self) -> list[str]:
         """Return the controllers in the order in which they were added."""
@@ -93,9 +61,9 @@ class Results:
 
     def plain(self) -> dict[str, Any]:
         """Return the content of the file."""
-        rows = [asdict(row) for row in self.sorted_rows()]
+        rows = [row.plain() for row in self.sorted_rows()]
         return {
-            "format": _TITLE,
+            "format": TITLE,
             "version": VERSION,
             "set": self.set,
             "definition": SETS[self.set].digest(),
@@ -103,18 +71,25 @@ class Results:
             "hashes": dict(sorted(self.hashes.items())),
             "trainings": dict(sorted(self.trainings.items())),
             "controllers": dict(sorted(self.controllers.items())),
-            "rows_hash": digest_of(rows),
+            "rows_hash": rows_digest(rows),
             "rows": rows,
         }
 
     def save(self, path: Path) -> None:
-        """Write the file atomically, with a line for each row."""
+        """Write the file atomically, with a line for each training and row."""
         content = self.plain()
-        rows = content.pop("rows")
+        rows, trainings = content.pop("rows"), content.pop("trainings")
         head = json.dumps(content, indent=1)[:-2]
+        entries = ",\n".join(f"  {json.dumps(name)}: {json.dumps(record)}" for name, record in trainings.items())
         lines = ",\n".join(f"  {json.dumps(row)}" for row in rows)
+        text = f'{head},\n "trainings": {{\n{entries}\n }},\n "rows": [\n{lines}\n ]\n}}\n'
         with atomic_file(path) as temporary:
-            temporary.write_text(f'{head},\n "rows": [\n{lines}\n ]\n}}\n', encoding="utf-8")
+            temporary.write_text(text, encoding="utf-8")
+
+
+def episode_of(row: Row) -> Episode:
+    """Return the episode of a row."""
+    return Episode(row.controller, Task(row.building, row.season, row.weather), row.seed, row.training_seed)
 
 
 def load_results(path: str | Path) -> Results:
@@ -131,25 +106,35 @@ def load_results(path: str | Path) -> Results:
         content = json.loads(text)
     except ValueError as error:
         raise InvalidConfig(f"{path} has no results of a benchmark: {error}") from None
-    if not isinstance(content, dict) or content.get("format") != _TITLE:
+    if not isinstance(content, dict) or content.get("format") != TITLE:
         raise InvalidConfig(f"{path} has no results of a benchmark: a file that `zenostat benchmark` wrote expected")
-    if content["version"] != VERSION:
-        raise InvalidConfig(
-            f"{path} has results of version {content['version']} of the benchmark; this is version {VERSION}: use "
-            f"Zenostat {content.get('versions', {}).get('zenostat', '(unknown)')} for it, or another --out"
-        )
-    if content["set"] not in SETS or content["definition"] != SETS[content["set"]].digest():
-        raise InvalidConfig(
-            f"{path} has results of another definition of the set {content['set']!r}: choose another --out"
-        )
-    if digest_of(content["rows"]) != content["rows_hash"]:
+    _check_version(content, path)
+    try:
+        file = ResultsFile.model_validate_json(text)
+    except ValidationError as error:
+        described = describe_validation_errors(error, ResultsFile.model_fields)
+        raise InvalidConfig(f"{path} does not have the form of results: {described}") from None
+    if file.set not in SETS or file.definition != SETS[file.set].digest():
+        raise InvalidConfig(f"{path} has results of another definition of the set {file.set!r}: choose another --out")
+    if rows_digest(content["rows"]) != file.rows_hash:
         raise InvalidConfig(f"{path}: the rows are not those that were written: their hash differs")
     results = Results(
-        content["set"], hashes=content["hashes"], trainings=content["trainings"], controllers=content["controllers"],
-        versions=content["versions"],
+        file.set, hashes=file.hashes, trainings=content["trainings"], controllers=file.controllers,
+        versions=file.versions,
     )  # fmt: skip
-    results.add(Row(**row) for row in content["rows"])
+    results.add(file.rows)
     return results
+
+
+def _check_version(content: Mapping[str, Any], path: Path) -> None:
+    if content.get("version") == VERSION:
+        return
+    versions = content.get("versions")
+    product = versions.get("zenostat", "(unknown)") if isinstance(versions, dict) else "(unknown)"
+    raise InvalidConfig(
+        f"{path} has results of version {content.get('version')} of the benchmark; this is version {VERSION}: use "
+        f"Zenostat {product} for it, or another --out"
+    )
 
 
 def current_versions() -> dict[str, str]:
@@ -161,9 +146,14 @@ def current_versions() -> dict[str, str]:
     return versions
 
 
-def changed_versions(results: Results) -> list[str]:
-    """Return what has another version than in the results: `numpy 2.3.0, now 2.4.0`."""
-    now = current_versions()
+def changed_versions(results: Results, now: Mapping[str, str] | None = None) -> list[str]:
+    """Return what has another version than in the results: `numpy 2.3.0, now 2.4.0`.
+
+    Args:
+        results: the results.
+        now: the versions to compare with; None: the current ones.
+    """
+    now = current_versions() if now is None else now
     return [
         f"{name} {version}, now {now.get(name, 'missing')}"
         for name, version in results.versions.items()

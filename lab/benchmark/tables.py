@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from zenostat.lab.benchmark.definition import BUILDINGS
-from zenostat.lab.benchmark.results import Results
-from zenostat.lab.benchmark.scores import Interval, Scores, score_rows
+from zenostat.lab.benchmark.definition import BASELINE, BUILDINGS
+from zenostat.lab.benchmark.results import Results, episode_of
+from zenostat.lab.benchmark.scores import Interval, Scores, compared_rows, relative_linear, score_rows
 
 
 @dataclass(frozen=True)
@@ -27,23 +27,24 @@ class Table:
 
 
 def tables(results: Results) -> list[Table]:
-    """Return the scores, the scores by building, and means of what they consist of.
+    """Return the scores, the scores by building, means of what they consist of, and the processor time.
 
     Raises:
         InvalidConfig: see `score_rows`.
     """
     scores = score_rows(results.rows.values())
-    linear = {of.controller: of.overall for of in score_rows(results.rows.values(), "linear")}
-    count = scores[0].overall.rows
+    linear = {of.controller: of.overall for of in score_rows(results.rows.values(), relative_linear)}
+    count = len({episode_of(row).key[1:5] for row in compared_rows(results.rows.values())[BASELINE]})
     head = tuple(
-        (of.controller, interval_text(of.overall), interval_text(linear[of.controller]))
+        (of.controller, str(of.overall.rows), interval_text(of.overall), interval_text(linear[of.controller]))
         for of in scores
     )  # fmt: skip
     title = f"Scores of the set {results.set}: interquartile means over {count} episodes [95 % interval]"
     return [
-        Table(title, ("controller", "score", "score, linear reward"), head),
+        Table(title, ("controller", "rows", "score", "score, linear reward"), head),
         _by_building(scores),
         _means(results, scores),
+        _times(results, scores),
     ]
 
 
@@ -58,13 +59,10 @@ def _by_building(scores: Sequence[Scores]) -> Table:
 
 
 def _means(results: Results, scores: Sequence[Scores]) -> Table:
-    by_name = {
-        of.controller: [row for row in results.rows.values() if row.controller == of.controller] for of in scores
-    }
-    shared = set.intersection(*({row.key[1:] for row in rows} for rows in by_name.values()))
+    compared = compared_rows(results.rows.values())
     lines = []
-    for name, rows in by_name.items():
-        chosen = [row for row in rows if row.key[1:] in shared]
+    for name in (of.controller for of in scores):
+        chosen = compared[name]
         terms = [0.0 - fmean(row.terms.get(term, 0.0) for row in chosen) for term in ("cost", "gas", "peak", "comfort")]
         total = -fmean(row.reward for row in chosen)
         outside = fmean(row.metrics["occupied_outside_kh"] for row in chosen)
@@ -74,6 +72,25 @@ def _means(results: Results, scores: Sequence[Scores]) -> Table:
         "occupied outside (K h)",
     )  # fmt: skip
     return Table("Means over the episodes, for a week of a building", columns, tuple(lines))
+
+
+def _times(results: Results, scores: Sequence[Scores]) -> Table:
+    lines = []
+    for name in (of.controller for of in scores):
+        episodes = [row.processor_s for row in results.rows.values() if row.controller == name]
+        records = [record for key, record in results.trainings.items() if key.split("/")[0] == name]
+        trainings = [record["processor_s"] for record in records if record.get("processor_s") is not None]
+        known = [seconds for seconds in episodes if seconds is not None]
+        lines.append((
+            name, _mean_text(known), str(len(records) or ""), _mean_text(trainings),
+            f"{(sum(known) + sum(trainings)) / 3600.0:.1f}",
+        ))  # fmt: skip
+    columns = ("controller", "an episode (s)", "trainings or tunings", "one of them (s)", "all (h)")
+    return Table("Processor time", columns, tuple(lines))
+
+
+def _mean_text(seconds: Sequence[float]) -> str:
+    return f"{fmean(seconds):.1f}" if seconds else ""
 
 
 def interval_text(interval: Interval) -> str:

@@ -11,7 +11,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from zenostat.agent_sdk.controllers.policy import Predictor, preserve_random_state
+from zenostat.agent_sdk.controllers.policy import preserve_random_state
+from zenostat.agent_sdk.controllers.predictor import Predictor
 from zenostat.agent_sdk.vec_normalization import mark_normalized, normalization_of, normalization_path
 from zenostat.agent_sdk.wrappers import restore_wrappers, save_wrappers
 from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics

@@ -6,7 +6,7 @@ from gymnasium.spaces import Box, Discrete, Space
 
 pytest.importorskip("stable_baselines3")
 
-from zenostat.agent_sdk.controllers.policy import describe_difference
+from zenostat.agent_sdk.controllers.predictor import describe_difference
 
 WIDE = Box(np.array([-1, 0], np.float32), np.array([1, 3], np.float32))
 

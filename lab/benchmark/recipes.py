@@ -1,0 +1,78 @@
+"""How the benchmark trains PPO and SAC: fields of training files that are the same for all buildings, or by season."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+TRAINING_SEEDS = 5
+"""Number of trainings of each algorithm for each building and season in the sets `full`."""
+
+_SEED_SPACING = 100
+"""The slots of a training have its seed, one more, and so on: two trainings share no episode."""
+
+_TRAININGS: dict[str, dict[str, Any]] = {
+    "ppo": {
+        "slots": 4,
+        "parameters": {
+            "n_steps": 168,
+            "batch_size": 96,
+            "n_epochs": 10,
+            "gamma": 0.98,
+            "learning_rate": 3e-4,
+            "policy_kwargs": {"log_std_init": -1.5, "net_arch": [64, 64]},
+        },
+        "normalization": {"observations": True, "rewards": True, "actions": True},
+        "arguments": {"relative": 3.0},
+    },
+    "sac": {
+        "parameters": {
+            "learning_starts": 672,
+            "batch_size": 256,
+            "gamma": 0.98,
+            "learning_rate": 1e-3,
+            "policy_kwargs": {"net_arch": [64, 64]},
+        },
+        "normalization": {"observations": True, "rewards": True, "actions": True},
+        "arguments": {"relative": 3.0},
+    },
+}
+"""Fields of the training files. `arguments` are those in which a learning controller's environment differs from the
+task's: with `relative` it sets offsets to the building's own setpoints, in training and in scored episodes."""
+
+_BY_SEASON: dict[str, dict[str, dict[str, Any]]] = {}
+"""Fields that differ in a season, by algorithm and season; None as a value removes a field."""
+
+_BY_BUILDING: dict[str, dict[str, dict[str, Any]]] = {}
+"""Fields that differ in a building, by algorithm and building."""
+
+LEARNING = tuple(_TRAININGS)
+"""Algorithms that the benchmark trains."""
+
+
+def recipe(algorithm: str, building: str, season: str) -> dict[str, Any]:
+    """Return the fields of a training file that the benchmark sets for an algorithm in a building and season."""
+    fields = _TRAININGS[algorithm]
+    for other in (
+        _BY_SEASON.get(algorithm, {}).get(season, {}),
+        _BY_BUILDING.get(algorithm, {}).get(building, {}),
+    ):
+        fields = _merged(fields, other)
+    return fields
+
+
+def seed_of(training_seed: int) -> int:
+    """Return the seed in the training file of the training with this number."""
+    return _SEED_SPACING * training_seed
+
+
+def _merged(fields: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+    merged = dict(fields)
+    for name, value in other.items():
+        if value is None:
+            merged.pop(name, None)
+        elif isinstance(value, Mapping) and isinstance(merged.get(name), Mapping):
+            merged[name] = _merged(merged[name], value)
+        else:
+            merged[name] = value
+    return merged

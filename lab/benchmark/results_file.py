@@ -1,0 +1,115 @@
+"""Form of a file of results, from which its JSON schema is made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic.dataclasses import dataclass
+
+from zenostat.lab.benchmark.definition import VERSION, digest_of
+
+TITLE: Literal["zenostat benchmark"] = "zenostat benchmark"
+_NOT_HASHED = "processor_s"
+_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
+
+Hash = Annotated[str, Field(pattern="^[0-9a-f]{0,64}$")]
+Seed = Annotated[int, Field(ge=0)]
+
+
+@dataclass(frozen=True, config=_STRICT)
+class Row:
+    """One episode of one controller.
+
+    Attributes:
+        controller: name of a controller of the benchmark, or what `load_controller` accepts.
+        building, season, weather: the task.
+        seed: seed of the episode.
+        reward: sum of the rewards, EUR.
+        terms: sums of its terms, EUR.
+        linear: sum of the linear rewards of the same episode.
+        metrics: metrics and KPIs by name, see `EpisodeMetrics.metrics`.
+        training_seed: number of the training; None of a controller that the benchmark does not train.
+        processor_s: processor time, s; of building, controller and bus. Rows that differ in it alone are equal.
+    """
+
+    controller: str
+    building: str
+    season: str
+    weather: str
+    seed: Seed
+    reward: float
+    terms: dict[str, float]
+    linear: float
+    metrics: dict[str, float]
+    training_seed: Seed | None = None
+    processor_s: float | None = Field(None, ge=0.0)
+
+    def same(self, other: Row | None) -> bool:
+        """Return whether another row is equal to the bit."""
+        return other is not None and _hashed(self.plain()) == _hashed(other.plain())
+
+    def plain(self) -> dict[str, Any]:
+        """Return the content as JSON values."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+class Curve(BaseModel):
+    """A learning curve in some points: mean reward of the training episodes that end in the steps before each."""
+
+    model_config = _STRICT
+    steps: list[int]
+    rewards: list[float]
+
+
+class Record(BaseModel):
+    """Record of a training or a tuning.
+
+    Attributes:
+        configuration: hash of all fields of the training file, or of the arguments of the tuning.
+        weights: of a training, hash of the policy.
+        curve: of a training, its learning curve.
+        parameters: of a tuning, the best parameters.
+        value, default_value: of a tuning, mean reward of an episode with these and with the default parameters.
+        processor_s: processor time, s.
+    """
+
+    model_config = _STRICT
+    configuration: Hash
+    weights: Hash | None = None
+    curve: Curve | None = None
+    parameters: dict[str, float | int | bool | str] | None = None
+    value: float | None = None
+    default_value: float | None = None
+    processor_s: float | None = Field(None, ge=0.0)
+
+
+class ResultsFile(BaseModel):
+    """Results of `zenostat benchmark`."""
+
+    model_config = ConfigDict(**_STRICT, title=f"Results of zenostat benchmark, version {VERSION}")
+    format: Literal["zenostat benchmark"]
+    version: Literal[VERSION]  # type: ignore[valid-type]
+    set: str
+    definition: Hash
+    versions: dict[str, str]
+    hashes: dict[str, Hash]
+    trainings: dict[str, Record]
+    controllers: dict[str, Hash]
+    rows_hash: Hash
+    rows: list[Row]
+
+
+def schema() -> dict[str, Any]:
+    """Return the JSON schema of a file of results."""
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **ResultsFile.model_json_schema()}
+
+
+def rows_digest(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Return the hash of rows, without their processor times."""
+    return digest_of([_hashed(row) for row in rows])
+
+
+def _hashed(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in row.items() if name != _NOT_HASHED}
