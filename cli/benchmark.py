@@ -196,7 +196,7 @@ def _selection(conditions: Mapping[str, str | None]) -> Selection:
 
 def _check(path: Path, conditions: Mapping[str, str | None], running: _Running) -> None:
     from zenostat.lab.benchmark import check, load_results
-    from zenostat.lab.benchmark.check import selected_rows
+    from zenostat.lab.benchmark.rerun import selected_rows
 
     results, selection = load_results(path), _selection(conditions)
     count = len(selected_rows(results, selection, str(path)))

@@ -1,6 +1,6 @@
 """A benchmark of controllers: fixed buildings, weather, seeds, reward and score; see docs/benchmark.md."""
 
-from zenostat.lab.benchmark.check import check
+from zenostat.lab.benchmark.rerun import check
 from zenostat.lab.benchmark.definition import BASELINES, SETS, VERSION, BenchmarkSet, Episode, Task
 from zenostat.lab.benchmark.results import Results, load_results
 from zenostat.lab.benchmark.results_file import Row

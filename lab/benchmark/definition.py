@@ -10,7 +10,7 @@ from itertools import product
 from typing import Any
 
 from zenostat.lab.benchmark.observation import sensors, wrappers
-from zenostat.lab.benchmark.recipes import LEARNING, TRAINING_SEEDS, recipe, seed_of
+from zenostat.lab.benchmark.recipes import LEARNING, RULES, TRAINING_SEEDS, form, recipe, seed_of
 
 VERSION = 2
 
@@ -198,9 +198,8 @@ class BenchmarkSet:
         return wrappers(building, REWARD["price"])
 
     def controller_arguments(self, controller: str, task: Task) -> dict[str, Any]:
-        """Return the arguments of a controller's environment: those of the task, for a learning one with its form."""
-        form = recipe(controller, task.building, task.season).get("arguments", {}) if is_learning(controller) else {}
-        return self.arguments(*task.key) | form
+        """Return the arguments of a controller's environment: those of the task, with the controller's form of actions."""
+        return self.arguments(*task.key) | form(controller, task.building, task.season)
 
     def training(self, algorithm: str, building: str, season: str, training_seed: int) -> dict[str, Any]:
         """Return the fields of a training file; `zenostat.training.read_training` reads them."""
@@ -215,14 +214,15 @@ class BenchmarkSet:
             "evaluation": False,
             "threads": 1,
             **fields,
-            "arguments": arguments | {"weather": list(TRAINING_WEATHERS)} | fields.get("arguments", {}),
+            "arguments": arguments | {"weather": list(TRAINING_WEATHERS)} | form(algorithm, building, season),
         }
 
     def tuning_arguments(self, building: str, season: str) -> dict[str, Any]:
         """Return the arguments of `tune_controller` for `tuned` in a building and season."""
         trials, seeds = self.tuning
         return {
-            "scenario": self.arguments(building, season, TRAINING_WEATHERS[0]),
+            **RULES,
+            "arguments": self.arguments(building, season, TRAINING_WEATHERS[0]),
             "weathers": list(TRAINING_WEATHERS),
             "seeds": list(seeds),
             "trials": trials,

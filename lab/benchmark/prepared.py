@@ -172,13 +172,9 @@ def _curve(file: Path, steps: int) -> dict[str, Any]:
 
 
 def _tune(preparation: Preparation) -> None:
-    from zenostat.lab.tuning import RULE_SEARCH_SPACE, tune_controller
+    from zenostat.lab.tuning import tune_controller
 
-    fields = preparation.fields
-    tuned = tune_controller(
-        "rbc", fields["scenario"], RULE_SEARCH_SPACE, weathers=fields["weathers"], seeds=fields["seeds"],
-        trials=fields["trials"], seed=0,
-    )  # fmt: skip
+    tuned = tune_controller(**preparation.fields)
     record = {
         "configuration": preparation.configuration,
         "parameters": dict(tuned.parameters),

@@ -1,4 +1,4 @@
-"""How the benchmark trains PPO and SAC: fields of training files that are the same for all buildings, or by season."""
+"""How the benchmark trains PPO and SAC, and tunes rules."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 TRAINING_SEEDS = 5
-"""Number of trainings of each algorithm for each building and season in the sets `full`."""
+"""Number of trainings of each algorithm for each building and season in the set `full`."""
 
 _SEED_SPACING = 100
 """The slots of a training have its seed, one more, and so on: two trainings share no episode."""
@@ -46,6 +46,26 @@ _BY_SEASON: dict[str, dict[str, dict[str, Any]]] = {}
 _BY_BUILDING: dict[str, dict[str, dict[str, Any]]] = {}
 """Fields that differ in a building, by algorithm and building."""
 
+RULES: dict[str, Any] = {
+    "controller": "rbc",
+    "sampler": "tpe",
+    "parameters": {
+        "heating_margin": {"low": -4.0, "high": 2.0},
+        "cooling_margin": {"low": -4.0, "high": 2.0},
+        "heating_setback": {"low": 0.0, "high": 8.0},
+        "cooling_setback": {"low": 0.0, "high": 8.0},
+        "occupancy_threshold": {"low": 0.0, "high": 0.6},
+        "start_rate": {"low": 0.5, "high": 8.0, "log": True},
+        "limit_cooling": {"low": 0.0, "high": 4.0},
+        "precooling": {"low": 0.0, "high": 3.0},
+        "shed_cooling": {"low": 0.0, "high": 3.0},
+    },
+}
+"""What the tuning of `tuned` searches, as for `zenostat.lab.tuning.tune_controller`."""
+
+FORMS: dict[str, dict[str, Any]] = {}
+"""Arguments in which the environment of another controller of the benchmark differs from the task's."""
+
 LEARNING = tuple(_TRAININGS)
 """Algorithms that the benchmark trains."""
 
@@ -59,6 +79,13 @@ def recipe(algorithm: str, building: str, season: str) -> dict[str, Any]:
     ):
         fields = _merged(fields, other)
     return fields
+
+
+def form(controller: str, building: str, season: str) -> dict[str, Any]:
+    """Return the arguments in which a controller's environment differs from the task's."""
+    if controller in LEARNING:
+        return dict(recipe(controller, building, season).get("arguments", {}))
+    return FORMS.get(controller, {})
 
 
 def seed_of(training_seed: int) -> int:

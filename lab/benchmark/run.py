@@ -8,13 +8,15 @@ from typing import Any
 
 from zenostat.agent_sdk.controllers.base import BaselineController
 from zenostat.bridge.recording.file import file_digest
-from zenostat.lab.benchmark.definition import BASELINE, BASELINES, SETS, Episode, digest_of, is_prepared
+from zenostat.lab.benchmark.definition import BASELINE, BASELINES, SETS, TUNED, Episode, digest_of, is_prepared
 from zenostat.lab.benchmark.episodes import jobs, run_job
 from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared, preparation_of
+from zenostat.lab.benchmark.recipes import FORMS
 from zenostat.lab.benchmark.results import Results, changed_versions, load_results
 from zenostat.lab.benchmark.selection import Selection
 from zenostat.lab.benchmark.workers import Progress, RunAll, worker_pool
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.extras import import_extra
 from zenostat.topics.file_lock import locked
 
 DEFAULT_CONTROLLERS = tuple(BASELINES)
@@ -61,6 +63,8 @@ def run_benchmark(
         raise UnknownName(f"there is no set {set_name!r}; {did_you_mean(set_name, SETS, limit=len(SETS))}")
     names = list(dict.fromkeys([BASELINE, *controllers]))
     files = check_controllers(names)
+    if policies is None:
+        check_extras(names)
     episodes = SETS[set_name].episodes(names)
     if selection is not None:
         selection.check(episodes, f"the set {set_name!r}")
@@ -116,12 +120,23 @@ def check_controllers(names: Sequence[str]) -> dict[str, str]:
         if is_prepared(name):
             continue
         if name in BASELINES:
-            hashes[name] = digest_of([name, BASELINES[name]])
+            hashes[name] = digest_of([name, BASELINES[name], FORMS.get(name, {})])
         elif load_controller(name) is BaselineController:
             raise InvalidConfig(f"{name} is the baseline control: name it 'baseline'")
         else:
             hashes[name] = _controller_digest(name)
     return hashes
+
+
+def check_extras(names: Sequence[str]) -> None:
+    """Check that what trains and tunes is installed.
+
+    Raises:
+        InvalidConfig: an extra is missing.
+    """
+    for name in filter(is_prepared, names):
+        module, extra = ("optuna", "tune") if name == TUNED else ("stable_baselines3", "train")
+        import_extra(module, extra, f"the controller {name}")
 
 
 def _controller_digest(name: str) -> str:

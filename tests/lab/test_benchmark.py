@@ -4,10 +4,13 @@ import dataclasses
 import json
 import multiprocessing
 import threading
+from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from support import benchmark_page
 from typer.testing import CliRunner
 
@@ -25,12 +28,13 @@ from zenostat.lab.benchmark import (
     run_benchmark,
     score_rows,
 )
-from zenostat.lab.benchmark import run as benchmark_run
+from zenostat.lab.benchmark import rerun
 from zenostat.lab.benchmark.episodes import Job
 from zenostat.lab.benchmark.figures import write_figures
 from zenostat.lab.benchmark.page import write_page
-from zenostat.lab.benchmark.scores import bootstrap_interval
+from zenostat.lab.benchmark.scores import bootstrap_interval, relative_linear
 from zenostat.lab.benchmark.tables import tables
+from zenostat.lab.benchmark.workers import worker_pool
 from zenostat.models.catalog import find_building, find_weather
 from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError
 from zenostat.topics.file_lock import locked
@@ -38,10 +42,13 @@ from zenostat.topics.file_lock import locked
 OFFICE, WAREHOUSE = SETS["smoke"].buildings
 
 
-def row(controller: str, building: str = OFFICE, seed: int = 1, reward: float = -10.0, linear: float = -5.0) -> Row:
+def row(
+    controller: str, building: str = OFFICE, seed: int = 1, reward: float = -10.0, linear: float = -5.0,
+    training_seed: int | None = None,
+) -> Row:  # fmt: skip
     metrics = {"occupied_outside_kh": 1.5}
     terms = {"cost": reward + 3.0, "gas": 0.0, "peak": -2.0, "comfort": -1.0}
-    return Row(controller, building, "summer", "USA_IL_Chicago", seed, reward, terms, linear, metrics)
+    return Row(controller, building, "summer", "USA_IL_Chicago", seed, reward, terms, linear, metrics, training_seed)
 
 
 # Scores
@@ -61,23 +68,51 @@ def test_benchmark__interquartile_mean_ignores_the_outer_quarters() -> None:
     assert interquartile_mean([1.0, 2.0, 6.0]) == 3.0  # a quarter of three, rounded down, is none
 
 
+def matrix(*rows: Sequence[float]) -> NDArray[np.float64]:
+    return np.array(rows, np.float64)
+
+
 def test_benchmark__bootstrap_resamples_within_strata() -> None:
-    """With no variance within the buildings there is none in the result, however much the buildings differ."""
-    assert dataclasses.astuple(bootstrap_interval([[0.0] * 6, [1.0] * 6])) == (0.5, 0.5, 0.5, 12)
-    mixed = bootstrap_interval([[0.0, 1.0] * 3, [0.0, 1.0] * 3])
+    """With no variance within the strata there is none in the result, however much the strata differ."""
+    assert dataclasses.astuple(bootstrap_interval([matrix([0.0] * 6), matrix([1.0] * 6)])) == (0.5, 0.5, 0.5, 12)
+    mixed = bootstrap_interval([matrix([0.0, 1.0] * 3), matrix([0.0, 1.0] * 3)])
     assert mixed.low < mixed.value == 0.5 < mixed.high
-    assert mixed == bootstrap_interval([[0.0, 1.0] * 3, [0.0, 1.0] * 3])
+    assert mixed == bootstrap_interval([matrix([0.0, 1.0] * 3), matrix([0.0, 1.0] * 3)])
 
 
 def test_benchmark__bootstrap_interval_is_about_that_of_normal_samples() -> None:
     """The mean of the middle half of n normal values has a variance of about 1.2/n (Stigler 1973)."""
     sample = np.random.default_rng(5).normal(size=400)
-    interval = bootstrap_interval([sample[:200], sample[200:]])
+    interval = bootstrap_interval([matrix(sample[:200]), matrix(sample[200:])])
     assert interval.high - interval.low == pytest.approx(2 * 1.96 * np.sqrt(1.2 / 400), rel=0.2)
 
 
+def test_benchmark__bootstrap_contains_the_variance_between_trainings() -> None:
+    """Trainings that differ by t, with episodes that differ by e, have the variance t²/5 + e²/25 of the mean, not less.
+
+    The trainings are resampled as a whole: 125 rows of five trainings are not 125 independent ones.
+    """
+    random = np.random.default_rng(1)
+    trainings, episodes = random.normal(size=(5, 1)), random.normal(size=(1, 25))
+    apart = bootstrap_interval([trainings + 0.01 * episodes])
+    assert apart.rows == 125
+    rows_alone = bootstrap_interval([(trainings + 0.01 * episodes).reshape(1, -1)])
+    assert apart.high - apart.low > 2.0 * (rows_alone.high - rows_alone.low)
+
+
 def test_benchmark__one_episode_has_no_interval() -> None:
-    assert np.isnan(bootstrap_interval([[0.5]]).low)
+    assert np.isnan(bootstrap_interval([matrix([0.5])]).low)
+
+
+def test_benchmark__trainings_of_an_episode_are_scored_together() -> None:
+    rows = [row("baseline", seed=seed) for seed in (1, 2)]
+    rows += [
+        row("ppo", seed=seed, reward=-9.0 + training, training_seed=training) for seed in (1, 2) for training in (0, 1)
+    ]
+    scores = score_rows(rows)[0]
+    assert (scores.controller, scores.overall.rows) == ("ppo", 4)
+    assert scores.strata[(OFFICE, "summer")] == pytest.approx(np.array([[0.1, 0.1], [0.2, 0.2]]))
+    assert score_rows(rows[:-1])[0].overall.rows == 2  # the second episode lacks a training
 
 
 def test_benchmark__only_episodes_of_all_controllers_are_compared() -> None:
@@ -87,7 +122,7 @@ def test_benchmark__only_episodes_of_all_controllers_are_compared() -> None:
     assert [(of.controller, of.overall.value, of.overall.rows) for of in scores] == [
         ("rbc", pytest.approx(0.2), 1), ("baseline", 0.0, 1), ("fixed", pytest.approx(-0.2), 1),
     ]  # fmt: skip
-    assert score_rows(rows, "linear")[0].overall.value == 0.0
+    assert score_rows(rows, relative_linear)[0].overall.value == 0.0
 
 
 def test_benchmark__scores_need_the_baseline_control_and_common_episodes() -> None:
@@ -106,10 +141,23 @@ def test_benchmark__what_is_scored_was_not_trained_on() -> None:
     assert not set(definition.TRAINING_WEATHERS) & set(definition.HELD_OUT_WEATHERS)
     for benchmark_set in SETS.values():
         assert set(benchmark_set.weathers) <= set(definition.HELD_OUT_WEATHERS)
-        assert definition.TRAINING_SEED not in benchmark_set.seeds
-        for algorithm in benchmark_set.training_steps:
-            training = benchmark_set.training(algorithm, OFFICE, "summer")
+        lowest = min(benchmark_set.seeds)
+        for algorithm, number in product(benchmark_set.training_steps, benchmark_set.training_seeds):
+            training = benchmark_set.training(algorithm, OFFICE, "summer", number)
             assert training["arguments"]["weather"] == list(definition.TRAINING_WEATHERS)
+            assert training["seed"] + training.get("slots", 1) < lowest
+        tuning = benchmark_set.tuning_arguments(OFFICE, "summer")
+        assert tuning["weathers"] == list(definition.TRAINING_WEATHERS)
+        assert max(tuning["seeds"]) < lowest
+
+
+def test_benchmark__trainings_share_no_seed() -> None:
+    """The slots of a training have its seed, one more, and so on."""
+    full = SETS["full"]
+    for algorithm in full.training_steps:
+        fields = [full.training(algorithm, OFFICE, "summer", number) for number in full.training_seeds]
+        seeds = [seed for of in fields for seed in range(of["seed"], of["seed"] + of.get("slots", 1))]
+        assert len(set(seeds)) == len(seeds)
 
 
 def test_benchmark__all_names_exist() -> None:
@@ -127,8 +175,9 @@ def test_benchmark__trainings_of_all_sets_are_valid() -> None:
     for benchmark_set in SETS.values():
         for algorithm in benchmark_set.training_steps:
             for building in benchmark_set.buildings:
-                fields = benchmark_set.training(algorithm, building, benchmark_set.seasons[0])
-                check_training(read_training({**fields, "output": "nowhere/at-all"}))
+                for season in benchmark_set.seasons:
+                    fields = benchmark_set.training(algorithm, building, season, 0)
+                    check_training(read_training({**fields, "output": "nowhere/at-all"}))
 
 
 # Files
@@ -148,7 +197,7 @@ def test_benchmark__results_are_read_back(saved: Path) -> None:
     text, results = saved.read_text(), load_results(saved)
     results.save(saved)
     assert saved.read_text() == text
-    assert results.rows[("rbc", OFFICE, "summer", "USA_IL_Chicago", 2)].reward == -9.0 + 2 / 7
+    assert results.rows[("rbc", OFFICE, "summer", "USA_IL_Chicago", 2, -1)].reward == -9.0 + 2 / 7
 
 
 def test_benchmark__order_of_runs_does_not_matter(saved: Path, tmp_path: Path) -> None:
@@ -163,8 +212,10 @@ def test_benchmark__edited_or_foreign_results_are_refused(saved: Path, tmp_path:
     content = json.loads(saved.read_text())
     for change, text in (
         ({"rows": [*content["rows"][:-1]]}, "their hash differs"),
-        ({"version": 99}, "results of version 99 of the benchmark; this is version 1"),
+        ({"version": 99}, "results of version 99 of the benchmark; this is version 2"),
         ({"definition": "00"}, "another definition of the set 'smoke'"),
+        ({"rows": [{**content["rows"][0], "reward": "much"}]}, "does not have the form of results: rows.0.reward"),
+        ({"extra": 1}, "does not have the form of results: extra"),
         ({"format": "else"}, "a file that `zenostat benchmark` wrote expected"),
     ):
         saved.write_text(json.dumps(content | change))
@@ -228,7 +279,7 @@ def test_benchmark__command_shows_results_and_names_what_is_missing(saved: Path)
     assert "rbc" in shown.output
     missing = CliRunner().invoke(app, ["benchmark"])
     assert isinstance(missing.exception, InvalidConfig)
-    assert "--out, --check and --show" in str(missing.exception)
+    assert "--out, --check, --show and --submit-check" in str(missing.exception)
     page = CliRunner().invoke(app, ["benchmark", "--show", str(saved), "--page", "x.html"])
     assert "expected a .md file" in str(page.exception)
 
@@ -239,17 +290,17 @@ def test_benchmark__check_runs_the_selected_rows_and_prints_its_progress_without
     episodes: list[tuple[str, str, int]] = []
 
     def run_again(job: Job) -> tuple[list[Row], list[str]]:
-        episodes.extend((name, job.task.building, seed) for name, seed in job.episodes)
+        episodes.extend((one.controller, one.task.building, one.seed) for one in job.episodes)
         rows = load_results(saved).rows
-        return [rows[name, *job.task.key, seed] for name, seed in job.episodes], []
+        return [rows[one.key] for one in job.episodes], []
 
-    monkeypatch.setattr(benchmark_run, "run_job", run_again)
+    monkeypatch.setattr(rerun, "run_job", run_again)
     monkeypatch.setattr("zenostat.cli.benchmark._hashes", lambda _: {})
     options = ["--controllers", "rbc", "--building", f"{OFFICE},{WAREHOUSE}", "--season", "summer", "--seed", "1"]
     done = CliRunner().invoke(app, ["benchmark", "--check", str(saved), *options])
     assert done.exit_code == 0, done.output
-    expected = [one.key for one in load_results(saved).sorted_rows() if (one.controller, one.seed) == ("rbc", 1)]
-    assert sorted(episodes) == sorted((key[0], key[1], key[4]) for key in expected)
+    expected = [one for one in load_results(saved).sorted_rows() if (one.controller, one.seed) == ("rbc", 1)]
+    assert sorted(episodes) == sorted((one.controller, one.building, one.seed) for one in expected)
     assert "episodes: 0 of 2" in done.output
     assert "episodes: 2 of 2" in done.output
     assert f"{len(expected)} rows are equal to the bit" in done.output
@@ -273,7 +324,7 @@ def test_benchmark__selection_without_rows_is_refused(saved: Path, options: list
 def test_benchmark__selection_needs_rows_to_check(saved: Path) -> None:
     done = CliRunner().invoke(app, ["benchmark", "--show", str(saved), "--season", "summer"])
     assert isinstance(done.exception, InvalidConfig)
-    assert "--season: only with --check" in str(done.exception)
+    assert "--season: only with --out or --check" in str(done.exception)
 
 
 # What is published
@@ -299,7 +350,7 @@ def wait_for_ever_after_the_first(item: int) -> int:
 
 
 def interrupt_after_the_first() -> None:
-    with benchmark_run._pool(2) as run_all:
+    with worker_pool(2) as run_all:
         for _ in run_all(wait_for_ever_after_the_first, [0, 1], "episodes", None, []):
             raise KeyboardInterrupt
 
@@ -347,7 +398,10 @@ def test_benchmark__episodes_are_resumed_and_run_again_to_the_bit(tmp_path: Path
     run_benchmark("smoke", path, ["fixed", mine, "random"], progress=lambda stage, *_: stages.append(stage))
     assert stages == []
     assert path.read_text() == former
-    assert check(path) == []
+    with pytest.raises(InvalidConfig, match="not part of the benchmark: name the controllers to run with --controllers"):
+        check(path)
+    everything = Selection(controller=results.names())
+    assert check(path, everything) == []
     alone, _ = run_benchmark("smoke", tmp_path / "alone.json", ["random"])
     assert all(results.rows[key] == one for key, one in alone.rows.items())
     wrong = next(one for one in results.rows.values() if one.controller == "fixed")
@@ -363,5 +417,9 @@ def test_benchmark__trained_controllers_and_workers_give_the_same_rows(tmp_path:
     one, errors = run_benchmark("smoke", tmp_path / "one.json", ["ppo", "pid", "rbc"])
     two, _ = run_benchmark("smoke", tmp_path / "two.json", ["rbc", "pid", "ppo"], workers=2)
     assert errors == []
-    assert one.plain() == two.plain()
+    assert [a.same(b) for a, b in zip(one.sorted_rows(), two.sorted_rows(), strict=True)] == [True] * len(one.rows)
+    assert {name: record["weights"] for name, record in one.trainings.items()} == {
+        name: record["weights"] for name, record in two.trainings.items()
+    }
     assert len(one.trainings) == 2
+    assert all(of["processor_s"] > 0.0 and of["curve"]["steps"] for of in one.trainings.values())
