@@ -55,6 +55,10 @@ class Results:
         """Return the controllers in the order in which they were added."""
         return list(dict.fromkeys(row.controller for row in self.rows.values()))
 
+    def missing(self, names: Iterable[str]) -> list[Episode]:
+        """Return the episodes of controllers that the set has and the rows do not."""
+        return [episode for episode in SETS[self.set].episodes(names) if episode.key not in self.rows]
+
     def sorted_rows(self) -> list[Row]:
         """Return the rows in an order that does not depend on the order of their runs."""
         return [self.rows[key] for key in sorted(self.rows)]

@@ -145,6 +145,26 @@ def score_rows(rows: Iterable[Row], score: Score = relative_reward) -> list[Scor
     return sorted(scored, key=lambda scores: -scores.overall.value)
 
 
+def differences(scores: Scores, reference: Scores) -> tuple[Interval, dict[str, Interval]]:
+    """Return how much better one controller is than another in the same episodes, over all and by building.
+
+    Args:
+        scores: scores of the controller.
+        reference: those of the other one, of whose trainings the mean counts; both from one call of `score_rows`.
+
+    Returns:
+        Interquartile means of the differences of the scores, with intervals as of `bootstrap_interval`.
+    """
+    by_building: dict[str, list[Matrix]] = {}
+    for stratum, matrix in scores.strata.items():
+        other = reference.strata[stratum].mean(axis=0, keepdims=True)
+        by_building.setdefault(stratum[0], []).append(matrix - other)
+    everything = [matrix for matrices in by_building.values() for matrix in matrices]
+    return bootstrap_interval(everything), {
+        building: bootstrap_interval(matrices) for building, matrices in by_building.items()
+    }
+
+
 def compared_rows(rows: Iterable[Row]) -> dict[str, list[Row]]:
     """Return by controller the rows of the episodes that all controllers have."""
     by_controller = _by_controller(rows)

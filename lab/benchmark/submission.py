@@ -78,16 +78,13 @@ def _published(set_name: str) -> Path:
 
 def _incomplete(results: Results) -> list[str]:
     """Return an error for each controller without all tasks, seeds and trainings, and for episodes of no set."""
-    of_set = SETS[results.set]
     names = results.names()
     errors = [] if BASELINE in names else ["there are no rows of the baseline control"]
     if not set(names) - {BASELINE}:
         errors.append("there are no rows of a controller besides the baseline control")
-    expected = {episode.key: episode for episode in of_set.episodes(names)}
-    missing = [episode for key, episode in expected.items() if key not in results.rows]
+    expected = {episode.key: episode for episode in SETS[results.set].episodes(names)}
     for name in names:
-        absent = [episode for episode in missing if episode.controller == name]
-        if absent:
+        if absent := results.missing([name]):
             errors.append(f"{name}: {len(absent)} episodes are missing, such as {absent[0]}")
     others = [episode_of(row) for key, row in results.rows.items() if key not in expected]
     errors += [f"{episode}: no episode of the set {results.set!r}" for episode in others[:_SHOWN]]

@@ -5,12 +5,12 @@ from typing import Any
 import pytest
 
 from zenostat.lab.benchmark.definition import BUILDINGS
-from zenostat.lab.benchmark.frozen_bounds import frozen_actuators
+from zenostat.lab.benchmark.observation import sensors
 from zenostat.models.building.model import Building, read_building
 from zenostat.models.catalog import bundled_buildings, find_building, find_weather
 from zenostat.models.points import discovery, selection
 from zenostat.models.points.thermostat_bounds import setpoint_bounds
-from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
+from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, OCCUPANTS
 
 
 def building(heating: dict[str, Any], **objects: dict[str, Any]) -> Building:
@@ -76,13 +76,12 @@ def test_thermostat_bounds__every_bundled_building_has_bounds_that_meet() -> Non
 
 
 @pytest.mark.parametrize("name", BUILDINGS)
-def test_thermostat_bounds__version_1_of_the_benchmark_has_the_actuators_and_bounds_of_its_publication(
-    name: str,
-) -> None:
+def test_thermostat_bounds__benchmark_observes_every_zone_with_a_thermostat(name: str) -> None:
     model = read_building(find_building(name))
     offered = discovery.discover(model, find_weather("USA_IL_Chicago").path)
-    names = {key: list(spec) for key, spec in selection.default_actuators(offered).items()}
-    frozen = frozen_actuators(name)
-    assert {key: spec[:3] for key, spec in frozen.items()} == names
-    assert list(frozen) == list(names)
-    assert {tuple(spec[3:]) for spec in frozen.values()} == {(15.0, 22.5), (22.5, 30.0)}
+    zones = {spec[2] for spec in selection.default_actuators(offered).values()}
+    observed = [spec for spec in sensors(name).values() if spec[0] == "Zone Air Temperature"]
+    assert {zone for _, zone in observed} == zones
+    people = {spec[1] for spec in sensors(name).values() if spec[0] == OCCUPANTS}
+    default = selection.default_sensors(offered).values()
+    assert people == {spec[1] for spec in default if spec[0] == OCCUPANTS}

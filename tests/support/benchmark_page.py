@@ -1,54 +1,155 @@
 """Numbers of the benchmark in docs, from its results; `python tests/support/benchmark_page.py` writes them."""
 
+from __future__ import annotations
+
+import csv
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean
 
-from zenostat.lab.benchmark import Results, load_results, score_rows
+from zenostat.lab.benchmark import VERSION, Results, load_results, score_rows
 from zenostat.lab.benchmark.definition import BUILDINGS
-from zenostat.lab.benchmark.figures import write_figures
-from zenostat.lab.benchmark.tables import tables
+from zenostat.lab.benchmark.figures import write_curves, write_figures
+from zenostat.lab.benchmark.merge import with_controllers
+from zenostat.lab.benchmark.scores import Interval, Scores, differences
+from zenostat.lab.benchmark.tables import Table, interval_text, tables
 
-_COMPARED = ("rbc", "oracle")
+_COMPARED = ("tuned", "ppo", "oracle")
 PAGE = Path(__file__).parents[2] / "docs" / "benchmark.md"
 PLANNING = PAGE.with_name("mpc.md")
 FOLDER = PAGE.with_suffix("")
-PUBLISHED, SMOKE = FOLDER / "quick-1.json", FOLDER / "smoke-1.json"
-_FIGURES = ("![Scores of each controller](benchmark/scores.svg)", "![Scores by building](benchmark/buildings.svg)", "")
+PUBLISHED = {name: FOLDER / f"{name}-{VERSION}.json" for name in ("full", "quick", "smoke")}
+_MISSING = "There are no published rows of version {version} yet."
+_FIGURES = ("![Scores of each controller](benchmark/scores.svg)", "![Scores by building](benchmark/buildings.svg)")
+_CURVES = "![Learning curves of each training](benchmark/curves.svg)"
+
+
+def published(name: str) -> Results | None:
+    """Return the published results of a set; None if there are none."""
+    return load_results(PUBLISHED[name]) if PUBLISHED[name].is_file() else None
+
+
+def complete(results: Results) -> Results:
+    """Return the results without the rows of controllers that do not have all episodes of the set."""
+    return with_controllers(results, [name for name in results.names() if not results.missing([name])], results.set)
 
 
 def page(text: str) -> str:
     """Return a page with its results replaced."""
-    results = load_results(PUBLISHED)
-    parts = []
-    for table, figure in zip(tables(results), _FIGURES, strict=True):
-        parts += [f"**{table.title}**", table.markdown(), figure]
+    full, quick, smoke = (published(name) for name in PUBLISHED)
+    best = full or quick
+    text = _replace(text, "results", _results(full))
+    text = _replace(text, "quick", _results(quick, figures=full is None))
+    text = _replace(text, "savings", _or_missing(best, _savings))
+    return _replace(text, "smoke", _or_missing(smoke, lambda results: tables(complete(results))[0].markdown()))
+
+
+def _or_missing(results: Results | None, content: object) -> str:
+    assert callable(content)
+    return _MISSING.format(version=VERSION) if results is None else str(content(results))
+
+
+def _results(results: Results | None, *, figures: bool = True) -> str:
+    if results is None:
+        return _MISSING.format(version=VERSION)
+    shown = complete(results)
+    scores = score_rows(shown.rows.values())
+    parts = [_claims(scores)]
+    for table, figure in zip(tables(shown), (*_FIGURES, "", ""), strict=True):
+        parts += [f"**{table.title}**", table.markdown(), figure if figures else ""]
+    if (learned := _learned(scores)) is not None:
+        parts += [f"**{learned.title}**", learned.markdown()]
+    if figures and any(record.get("curve") for record in results.trainings.values()):
+        parts.append(_CURVES)
+    if (unfinished := _unfinished(results)) is not None:
+        parts += [f"**{unfinished.title}**", unfinished.markdown()]
+    for name in results.names():
+        if absent := results.missing([name]):
+            count = len([row for row in results.rows.values() if row.controller == name])
+            parts.append(f"`{name}` has {count:,} of {count + len(absent):,} rows so far and is not in the tables.")
     parts.append("Made with " + ", ".join(f"{name} {version}" for name, version in results.versions.items()) + ".")
-    text = _replace(text, "results", "\n\n".join(filter(None, parts)))
-    text = _replace(text, "savings", _savings(results))
-    return _replace(text, "smoke", tables(load_results(SMOKE))[0].markdown())
+    return "\n\n".join(filter(None, parts))
+
+
+def _unfinished(results: Results) -> Table | None:
+    """Return the scores by building of controllers that have all episodes of some buildings only; None without any."""
+    cells: dict[str, dict[str, str]] = {}
+    for name in results.names():
+        absent = {episode.task.building for episode in results.missing([name])}
+        for building in BUILDINGS.keys() - absent if absent else ():
+            rows = [row for row in results.rows.values() if row.building == building]
+            scores = score_rows(row for row in rows if row.controller in {name, "baseline"})
+            by_name = {of.controller: of.overall for of in scores}
+            cells.setdefault(name, {})[building] = interval_text(by_name[name])
+    lines = [(name, *(of.get(building, "") for building in BUILDINGS)) for name, of in cells.items()]
+    title = "Scores of controllers that have all episodes of some buildings only"
+    return Table(title, ("controller", *BUILDINGS.values()), tuple(lines)) if lines else None
+
+
+def _claims(scores: Sequence[Scores]) -> str:
+    """Return what the intervals say about each controller."""
+    groups: dict[str, list[str]] = {"above": [], "below": [], "open": []}
+    for of in scores:
+        if of.controller != "baseline":
+            groups[_side(of.overall)].append(f"`{of.controller}` ({of.overall.value:.3f})")
+    sentences = [
+        f"{title}: {', '.join(groups[side])}."
+        for side, title in (
+            ("above", "Better than the baseline control, with the whole interval"),
+            ("below", "Worse, with the whole interval"),
+            ("open", "Neither, since the interval contains 0 or a stratum has a single episode"),
+        )
+        if groups[side]
+    ]
+    return " ".join(sentences)
+
+
+def _side(interval: Interval) -> str:
+    return "above" if interval.low > 0.0 else "below" if interval.high < 0.0 else "open"
+
+
+def _learned(scores: Sequence[Scores]) -> Table | None:
+    """Return how much better the learned controllers are than the tuned rule, by building; None without them."""
+    by_name = {of.controller: of for of in scores}
+    names = [name for name in ("ppo", "sac") if name in by_name]
+    if not names or "tuned" not in by_name:
+        return None
+    rows, buildings = [], list(by_name["tuned"].buildings)
+    for name in names:
+        overall, of_building = differences(by_name[name], by_name["tuned"])
+        wins = sum(of_building[building].value > 0.0 for building in buildings)
+        cells = [interval_text(of_building[building]) for building in buildings]
+        rows.append((name, interval_text(overall), *cells, f"{wins} of {len(buildings)}"))
+    columns = ("controller", "all", *(BUILDINGS.get(name, name) for name in buildings), "buildings above 0")
+    return Table("Score of learned controllers minus that of `tuned` in the same episodes", columns, tuple(rows))
 
 
 def planning_page(text: str) -> str:
     """Return the page about planning with what the oracle is worth in the benchmark."""
-    scores = {of.controller: of.overall.value for of in score_rows(load_results(PUBLISHED).rows.values())}
+    results = published("full") or published("quick")
+    scores = (
+        {} if results is None else {of.controller: of.overall.value for of in score_rows(complete(results).rows.values())}
+    )
+    if not {"oracle", "rbc"} <= scores.keys():
+        return _replace(text, "planning", "The [benchmark](benchmark.md) has a table with the oracle's scores.")
     oracle, rule = scores["oracle"], scores["rbc"]
     return _replace(
         text,
         "planning",
         f"In the [benchmark](benchmark.md), whose reward has a tariff, a demand charge and occupied comfort, the score "
-        f"of the oracle is {oracle:.3f} and that of `rbc`, from which it starts, {rule:.3f}: the difference is "
+        f"of the oracle is {oracle:.3f} and that of `rbc` {rule:.3f}: the difference is "
         f"{100 * (oracle - rule):.0f} % of the cost of the baseline control.",
     )
 
 
 def _savings(results: Results) -> str:
-    """Return a table of what `rbc` and the oracle save by building, in EUR a week."""
-    columns = ["building", *(f"{name}, {what}" for name in _COMPARED for what in ("energy", "comfort"))]
+    """Return a table of what some controllers save by building, in EUR a week."""
+    names = [name for name in _COMPARED if name in complete(results).names()]
+    columns = ["building", *(f"{name}, {what}" for name in names for what in ("energy", "comfort"))]
     lines = [columns, ["---", *("---:" for _ in columns[1:])]]
     for building, title in BUILDINGS.items():
         cells = [title]
-        for name in _COMPARED:
+        for name in names:
             cells += [
                 f"{_saved(results, name, building, terms):.0f}" for terms in (("cost", "gas", "peak"), ("comfort",))
             ]
@@ -58,7 +159,7 @@ def _savings(results: Results) -> str:
 
 def _saved(results: Results, name: str, building: str, terms: Sequence[str]) -> float:
     rows = [row for row in results.rows.values() if (row.controller, row.building) == (name, building)]
-    before = [results.rows["baseline", *row.key[1:]] for row in rows]
+    before = [results.rows["baseline", row.building, row.season, row.weather, row.seed, -1] for row in rows]
     saved = fmean(
         sum(now.terms.get(term, 0.0) - then.terms.get(term, 0.0) for term in terms)
         for now, then in zip(rows, before, strict=True)
@@ -72,8 +173,28 @@ def _replace(text: str, part: str, content: str) -> str:
     return f"{before}{begin}\n\n{content}\n\n{end}{rest.partition(end)[2]}"
 
 
-if __name__ == "__main__":
+def write_curve_table(results: Results, path: Path) -> None:
+    """Write the learning curves of all trainings as CSV."""
+    with path.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["training", "step", "reward"])
+        for name, record in sorted(results.trainings.items()):
+            curve = record.get("curve") or {"steps": [], "rewards": []}
+            writer.writerows((name, *point) for point in zip(curve["steps"], curve["rewards"], strict=True))
+
+
+def main() -> None:
+    """Write pages, figures and curves."""
     for path, renewed in ((PAGE, page), (PLANNING, planning_page)):
         path.write_text(renewed(path.read_text(encoding="utf-8")), encoding="utf-8")
-    for raster in write_figures(load_results(PUBLISHED), FOLDER):
+    results = published("full") or published("quick")
+    if results is None:
+        return
+    rasters = [*write_figures(complete(results), FOLDER), write_curves(results, FOLDER)]
+    for raster in filter(None, rasters):
         raster.unlink()  # the page shows the SVG files
+    write_curve_table(results, FOLDER / f"curves-{VERSION}.csv")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,248 @@
+"""Results of the benchmark from several runs and from others: merged, checked, described by a schema."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from jsonschema import Draft202012Validator
+from support import benchmark_page
+from typer.testing import CliRunner
+
+from zenostat.cli.commands import app
+from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results
+from zenostat.lab.benchmark import rerun, submission
+from zenostat.lab.benchmark.merge import merge_results
+from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared
+from zenostat.lab.benchmark.processor_time import processor_s
+from zenostat.lab.benchmark.results_file import schema
+from zenostat.lab.benchmark.run import stale_trainings
+from zenostat.lab.benchmark.submission import check_submission
+from zenostat.topics.errors import InvalidConfig
+
+SMOKE = SETS["smoke"]
+OFFICE = SMOKE.buildings[0]
+
+
+def row(episode: Episode, reward: float = -10.0, **changes: Any) -> Row:
+    terms = {"cost": reward + 3.0, "gas": 0.0, "peak": -2.0, "comfort": -1.0}
+    values = dict(zip(("controller", "building", "season", "weather", "seed"), episode.key, strict=False))
+    fields = {**values, "reward": reward, "terms": terms, "linear": -5.0, "metrics": {"occupied_outside_kh": 1.5}}
+    return Row(**{**fields, "training_seed": episode.training_seed, "processor_s": 1.0, **changes})
+
+
+def record(controller: str, building: str, number: int | None = 0) -> dict[str, dict[str, Any]]:
+    made = Preparation(Path(), "smoke", controller, building, "summer", number)
+    return {made.name: {"configuration": made.configuration, "weights": "ab" * 32, "processor_s": 2.0}}
+
+
+def written(path: Path, rows: Iterable[Row], **changes: Any) -> Path:
+    results = Results("smoke", hashes={OFFICE: "ab"}, controllers={"baseline": "00", "rbc": "01"})
+    for name, value in changes.items():
+        setattr(results, name, value)
+    results.add(rows)
+    results.save(path)
+    return path
+
+
+@pytest.fixture
+def rows() -> list[Row]:
+    episodes = SMOKE.episodes(["baseline", "rbc", "ppo"])
+    return [row(episode, {"rbc": -9.0, "ppo": -8.0}.get(episode.controller, -10.0)) for episode in episodes]
+
+
+TRAININGS = {name: of for building in SMOKE.buildings for name, of in record("ppo", building).items()}
+
+
+@pytest.fixture
+def complete(rows: list[Row], tmp_path: Path) -> Path:
+    return written(tmp_path / "complete.json", rows, trainings=TRAININGS)
+
+
+# Form
+
+
+def test_benchmark_files__results_meet_the_published_schema(complete: Path) -> None:
+    published = json.loads((benchmark_page.FOLDER / "results.schema.json").read_text(encoding="utf-8"))
+    assert published == schema(), "zenostat benchmark --schema > docs/benchmark/results.schema.json"
+    Draft202012Validator.check_schema(published)
+    validator = Draft202012Validator(published)
+    content = json.loads(complete.read_text(encoding="utf-8"))
+    assert list(validator.iter_errors(content)) == []
+    for path in benchmark_page.PUBLISHED.values():
+        if path.is_file():
+            assert list(validator.iter_errors(json.loads(path.read_text(encoding="utf-8")))) == []
+    content["rows"][0]["seed"] = -1
+    assert [list(error.path) for error in validator.iter_errors(content)] == [["rows", 0, "seed"]]
+
+
+def test_benchmark_files__processor_times_do_not_count(rows: list[Row], tmp_path: Path) -> None:
+    slower = [dataclasses.replace(one, processor_s=99.0) for one in rows]
+    first, second = (load_results(written(tmp_path / "r.json", of)).plain() for of in (rows, slower))
+    assert first["rows"] != second["rows"]
+    assert first["rows_hash"] == second["rows_hash"]
+    assert all(one.same(other) for one, other in zip(rows, slower, strict=True))
+    assert not rows[0].same(dataclasses.replace(rows[0], linear=-5.1))
+
+
+def test_benchmark_files__processor_time_has_that_of_ended_and_running_children() -> None:
+    work = "import time; end = time.process_time() + 0.3\nwhile time.process_time() < end: pass\n"
+    before = processor_s()
+    subprocess.run([sys.executable, "-c", work], check=True)
+    with subprocess.Popen([sys.executable, "-c", work + "print(flush=True); input()"], stdin=-1, stdout=-1) as running:
+        assert running.stdout is not None
+        running.stdout.readline()
+        assert processor_s() - before >= 0.6
+        running.communicate(b"\n")
+
+
+# Merging
+
+
+def test_benchmark_files__parts_are_merged(rows: list[Row], complete: Path, tmp_path: Path) -> None:
+    rules = written(tmp_path / "rules.json", [one for one in rows if one.controller != "ppo"])
+    parts = [rules]
+    for building in SMOKE.buildings:
+        chosen = [one for one in rows if one.building == building and one.controller != "rbc"]
+        parts.append(written(tmp_path / f"{building}.json", chosen, trainings=record("ppo", building)))
+    target = tmp_path / "merged.json"
+    options = [part for path in parts for part in ("--merge", str(path))]
+    done = CliRunner().invoke(app, ["benchmark", *options, "--out", str(target)])
+    assert done.exit_code == 0, done.output
+    assert target.read_text(encoding="utf-8") == complete.read_text(encoding="utf-8")
+    assert load_results(target).missing(["baseline", "rbc", "ppo"]) == []
+    assert len(load_results(rules).missing(["ppo"])) == 2
+
+
+def test_benchmark_files__contradicting_parts_are_refused(rows: list[Row], complete: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.json"
+    first = rows[0]
+    other_weights = {**TRAININGS, f"ppo/{OFFICE}/summer/0": {"configuration": "00", "weights": "00"}}
+    for changed, fields, text in (
+        ([dataclasses.replace(first, linear=-6.0)], {}, f"different rows of baseline/{OFFICE}/summer"),
+        (rows, {"versions": {"numpy": "1.0"}}, "different versions"),
+        (rows, {"hashes": {OFFICE: "cd"}}, f"different files {OFFICE}"),
+        (rows, {"controllers": {"rbc": "ff"}}, "different versions of rbc"),
+        (rows, {"trainings": other_weights}, "different trainings ppo/ref-small-office/summer/0"),
+    ):
+        written(other, changed, **fields)  # type: ignore[arg-type]
+        with pytest.raises(InvalidConfig, match=text):
+            merge_results([complete, other])
+
+
+def test_benchmark_files__shown_controllers_can_be_chosen(complete: Path) -> None:
+    shown = CliRunner().invoke(app, ["benchmark", "--show", str(complete), "--controllers", "rbc"])
+    assert "rbc" in shown.output
+    assert "ppo" not in shown.output
+
+
+# Trainings
+
+
+def test_benchmark_files__trainings_of_another_recipe_are_stale(complete: Path) -> None:
+    results = load_results(complete)
+    assert stale_trainings(results) == []
+    results.trainings[f"ppo/{OFFICE}/summer/0"]["configuration"] = "00"
+    assert stale_trainings(results) == [f"ppo/{OFFICE}/summer/0"]
+
+
+def test_benchmark_files__finished_tunings_are_taken_from_the_folder_of_policies(tmp_path: Path) -> None:
+    made = Preparation(tmp_path / "cache", "smoke", "tuned", OFFICE, "summer", None, tmp_path / "policies")
+    published = tmp_path / "policies" / f"tuned-{OFFICE}-summer.json"
+    published.parent.mkdir()
+    content = {"configuration": made.configuration, "parameters": {"margin": 0.2}}
+    published.write_text(json.dumps(content))
+    assert ensure_prepared(made)[1] == {**content, "processor_s": None}
+    again = dataclasses.replace(made, policies=tmp_path / "new")
+    ensure_prepared(again)
+    assert (tmp_path / "new" / published.name).read_text() == published.read_text()
+    published.write_text(json.dumps({**content, "configuration": "00"}))
+    with pytest.raises(InvalidConfig, match="was made for another definition"):
+        ensure_prepared(dataclasses.replace(made, cache=tmp_path / "empty"))
+
+
+# Submissions
+
+
+@pytest.fixture
+def reference(rows: list[Row], tmp_path: Path) -> Path:
+    return written(tmp_path / "reference.json", [one for one in rows if one.controller != "ppo"])
+
+
+def test_benchmark_files__complete_rows_are_accepted(complete: Path, reference: Path) -> None:
+    assert check_submission(complete, reference, {OFFICE: "ab"}) == ([], [])
+
+
+def test_benchmark_files__all_errors_of_a_submission_are_listed(
+    rows: list[Row], reference: Path, tmp_path: Path
+) -> None:
+    wrong = [one for one in rows if one.controller != "rbc"][:-1]
+    wrong[0] = dataclasses.replace(wrong[0], linear=-6.0)
+    wrong[-1] = dataclasses.replace(wrong[-1], reward=30.0)
+    stranger = Episode("mine.py:Mine", SMOKE.tasks()[0], 99)
+    path = written(tmp_path / "submitted.json", [*wrong, row(stranger)], trainings=record("ppo", OFFICE))
+    errors, notes = check_submission(path, reference, {OFFICE: "cd"})
+    assert notes == []
+    expected = [
+        f"{OFFICE}: not the file of the benchmark",
+        "ppo: 1 episodes are missing",
+        "mine.py:Mine: 2 episodes are missing",
+        "mine.py:Mine/ref-small-office/summer/USA_IL_Chicago/99: no episode of the set",
+        "ppo/ref-warehouse/summer/0: its training or tuning is missing",
+        "mine.py:Mine: its hash is missing",
+        f"ppo/{OFFICE}/summer/USA_IL_Chicago/20001/0: the terms add up to -8.0, the reward is 30.0",
+        f"ppo/{OFFICE}/summer/USA_IL_Chicago/20001/0: a score of 4 is out of range",
+        f"baseline/{OFFICE}/summer/USA_IL_Chicago/20001: not the published row of the baseline control",
+    ]
+    assert [text for text in expected if not any(error.startswith(text) for error in errors)] == []
+    assert len(errors) == len(expected)
+
+
+def test_benchmark_files__other_versions_are_noted_instead_of_compared(
+    rows: list[Row], complete: Path, tmp_path: Path
+) -> None:
+    older = [dataclasses.replace(one, linear=-6.0) for one in rows]
+    reference = written(tmp_path / "reference.json", older, versions={"numpy": "1.0"})
+    errors, notes = check_submission(complete, reference, {})
+    assert errors == []
+    assert notes[-1].startswith("the rows of the baseline control were not compared")
+
+
+def test_benchmark_files__sample_is_drawn_from_the_seed_and_runs_no_unnamed_code(
+    rows: list[Row], reference: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    episodes = [Episode("evil.py:Evil", task, seed) for task in SMOKE.tasks() for seed in SMOKE.seeds]
+    path = written(
+        tmp_path / "submitted.json", [*rows, *map(row, episodes)], trainings=TRAININGS,
+        controllers={"baseline": "00", "rbc": "01", "evil.py:Evil": "02"},
+    )  # fmt: skip
+    drawn: list[list[str]] = []
+    monkeypatch.setattr(
+        submission, "check_rows", lambda _, rows, **__: [drawn.append([one.controller for one in rows])] and []
+    )
+    for seed in (1, 1, 2):
+        errors, notes = check_submission(path, reference, {}, sample=4, sample_seed=seed)
+        assert errors == []
+        assert "evil.py:Evil: not part of the benchmark" in notes[0]
+    assert drawn[0] == drawn[1]
+    assert not any("evil.py:Evil" in names for names in drawn)
+    check_submission(path, reference, {}, sample=99, controllers=["evil.py:Evil"])
+    assert "evil.py:Evil" in drawn[-1]
+    with pytest.raises(InvalidConfig, match=r"rows of evil\.py:Evil, which is not part of the benchmark"):
+        rerun.check(path)
+
+
+def test_benchmark_files__command_checks_a_submission(complete: Path, reference: Path, monkeypatch: Any) -> None:
+    monkeypatch.setattr("zenostat.cli.benchmark._hashes", lambda _: {})
+    options = ["benchmark", "--submit-check", str(complete), "--reference", str(reference)]
+    done = CliRunner().invoke(app, options)
+    assert done.exit_code == 0, done.output
+    assert "accepted" in done.output
+    missing = CliRunner().invoke(app, ["benchmark", "--submit-check", str(reference.parent / "none.json")])
+    assert missing.exit_code != 0
