@@ -78,6 +78,7 @@ class NetworkPolicy:
         observation: Any,
         state: Any = None,
         episode_start: Any = None,  # noqa: ARG002  # it is not recurrent
+        *,
         deterministic: bool = True,  # noqa: ARG002  # it does not explore
     ) -> tuple[NDArray[np.float32], Any]:
         """Return the action for one observation, shape (actions,), and the state as it is."""
@@ -120,7 +121,8 @@ class NetworkPolicy:
         """Write the policy atomically; the same policy gives the same bytes."""
         header = json.dumps({**self._header(), "record": dict(self.record)}, sort_keys=True).encode()
         with atomic_file(Path(path)) as temporary, temporary.open("wb") as file:
-            np.savez_compressed(file, **{_HEADER: np.frombuffer(header, np.uint8)}, **self.arrays)
+            arrays: Any = {_HEADER: np.frombuffer(header, np.uint8), **self.arrays}
+            np.savez_compressed(file, **arrays)
 
     def controller(self, manifest: Manifest) -> Controller:
         """Return the policy as a controller of a node.
@@ -151,9 +153,7 @@ def load_network(path: str | Path) -> NetworkPolicy:
         header = json.loads(arrays.pop(_HEADER).tobytes())
         policy = _read(header, arrays)
     except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, BadZipFile) as error:
-        raise InvalidConfig(
-            f"{path} is not a policy that Zenostat exported: {type(error).__name__}: {error}"
-        ) from None
+        raise InvalidConfig(f"{path} is not a policy that Zenostat exported: {type(error).__name__}: {error}") from None
     check_wrappers(policy.wrappers)
     return policy
 

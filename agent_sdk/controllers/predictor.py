@@ -16,7 +16,7 @@ class Model(Protocol):
     action_space: Any
 
     def predict(
-        self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = False
+        self, observation: Any, state: Any = None, episode_start: Any = None, *, deterministic: bool = False
     ) -> tuple[Any, Any]:
         """Return an action and the next state of a recurrent model."""
 

@@ -1,7 +1,7 @@
 """A benchmark of controllers: fixed buildings, weather, seeds, reward and score; see docs/benchmark.md."""
 
-from zenostat.lab.benchmark.rerun import check
 from zenostat.lab.benchmark.definition import BASELINES, SETS, VERSION, BenchmarkSet, Episode, Task
+from zenostat.lab.benchmark.rerun import check
 from zenostat.lab.benchmark.results import Results, load_results
 from zenostat.lab.benchmark.results_file import Row
 from zenostat.lab.benchmark.run import run_benchmark

@@ -10,7 +10,7 @@ from itertools import product
 from typing import Any
 
 from zenostat.lab.benchmark.observation import sensors, wrappers
-from zenostat.lab.benchmark.recipes import LEARNING, RULES, TRAINING_SEEDS, form, recipe, seed_of
+from zenostat.lab.benchmark.recipes import LEARNING, RULES, TRAINING_SEEDS, form, recipe, residual, seed_of
 
 VERSION = 2
 
@@ -198,11 +198,26 @@ class BenchmarkSet:
         return wrappers(building, REWARD["price"])
 
     def controller_arguments(self, controller: str, task: Task) -> dict[str, Any]:
-        """Return the arguments of a controller's environment: those of the task, with the controller's form of actions."""
+        """Return the arguments of a controller's environment: those of the task, in the form of its actions."""
         return self.arguments(*task.key) | form(controller, task.building, task.season)
 
-    def training(self, algorithm: str, building: str, season: str, training_seed: int) -> dict[str, Any]:
-        """Return the fields of a training file; `zenostat.training.read_training` reads them."""
+    def training(
+        self,
+        algorithm: str,
+        building: str,
+        season: str,
+        training_seed: int,
+        rule: Mapping[str, Any] | None = None,
+    ) -> dict[str, Any]:
+        """Return the fields of a training file; `zenostat.training.read_training` reads them.
+
+        Args:
+            algorithm: its name.
+            building: what it is trained for.
+            season: what it is trained for.
+            training_seed: number of the training.
+            rule: parameters of `tuned`, on which residual actions build; None: those of the rule's defaults.
+        """
         arguments = self.arguments(building, season, TRAINING_WEATHERS[0])
         fields = recipe(algorithm, building, season)
         return {
@@ -210,10 +225,10 @@ class BenchmarkSet:
             "scenario": arguments.pop("scenario"),
             "steps": self.training_steps[algorithm],
             "seed": seed_of(training_seed),
-            "wrappers": self.wrappers(building),
             "evaluation": False,
             "threads": 1,
             **fields,
+            "wrappers": [*residual(algorithm, building, season, rule), *self.wrappers(building)],
             "arguments": arguments | {"weather": list(TRAINING_WEATHERS)} | form(algorithm, building, season),
         }
 

@@ -61,7 +61,9 @@ def write_curves(results: Results, folder: Path) -> Path | None:
         return None
     rows = math.ceil(len(panels) / _PANELS)
     folder.mkdir(parents=True, exist_ok=True)
-    return save(draw("curves", 0.3 + 1.5 * rows, lambda figure: _fill_curves(figure, panels, records)), folder, "curves")[1]
+    return save(
+        draw("curves", 0.3 + 1.5 * rows, lambda figure: _fill_curves(figure, panels, records)), folder, "curves"
+    )[1]
 
 
 def _fill_curves(figure: Any, panels: Sequence[tuple[str, ...]], records: Mapping[tuple[str, ...], Any]) -> None:

@@ -65,7 +65,9 @@ def sensors(building: str) -> dict[str, list[Any]]:
 
 def _schedules(building: str) -> dict[str, list[Any]]:
     """Return the sensors of schedules ahead of time: those of people and of the setpoints under baseline control."""
-    leads: dict[str, tuple[float, ...]] = dict.fromkeys(_OCCUPANCY.get(building, _BUILDING_OCCUPANCY), _OCCUPANCY_LEADS_H)
+    leads: dict[str, tuple[float, ...]] = dict.fromkeys(
+        _OCCUPANCY.get(building, _BUILDING_OCCUPANCY), _OCCUPANCY_LEADS_H
+    )
     if building not in _CONSTANT_SETPOINTS:
         leads |= dict.fromkeys(_SETPOINTS, _SETPOINT_LEADS_H)
     return {

@@ -7,13 +7,14 @@ import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 from zenostat.lab.benchmark.definition import SETS, TUNED, Episode, digest_of
 from zenostat.lab.benchmark.processor_time import processor_s
+from zenostat.lab.benchmark.recipes import is_residual
 from zenostat.lab.benchmark.results import current_versions
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
@@ -62,17 +63,35 @@ class Preparation:
         of_set = SETS[self.set]
         if self.training_seed is None:
             return of_set.tuning_arguments(self.building, self.season)
-        return of_set.training(self.controller, self.building, self.season, self.training_seed)
+        return of_set.training(self.controller, self.building, self.season, self.training_seed, self.rule)
+
+    @property
+    def tuning(self) -> Preparation | None:
+        """The tuning that comes first; None if the training does not build on a tuned rule."""
+        if self.training_seed is None or not is_residual(self.controller, self.building, self.season):
+            return None
+        return replace(self, controller=TUNED, training_seed=None)
+
+    @property
+    def rule(self) -> dict[str, Any] | None:
+        """Parameters of the tuned rule on which a training builds, if any."""
+        tuning = self.tuning
+        return None if tuning is None else dict(read_record(tuning.file)["parameters"])
 
     @property
     def configuration(self) -> str:
-        """Hash of its fields."""
-        return digest_of(self.fields)
+        """Hash of its fields, in which a tuned rule is represented by the hash of its tuning."""
+        if self.tuning is None:
+            return digest_of(self.fields)
+        rule = {"configuration": self.tuning.configuration}
+        assert self.training_seed is not None
+        fields = SETS[self.set].training(self.controller, self.building, self.season, self.training_seed, rule)
+        return digest_of(fields)
 
     @property
     def folder(self) -> Path:
         """Folder of the training, named after its configuration and the versions that determine its weights."""
-        digest = digest_of([self.configuration, current_versions()])
+        digest = digest_of([self.configuration, self.rule, current_versions()])
         return self.cache / f"{self.name.replace('/', '-')}-{digest[:12]}"
 
     @property
@@ -93,9 +112,7 @@ class Preparation:
 def preparation_of(episode: Episode, set_name: str, cache: Path, policies: Path | None = None) -> Preparation:
     """Return what an episode of `ppo`, `sac` or `tuned` needs."""
     task = episode.task
-    return Preparation(
-        cache, set_name, episode.controller, task.building, task.season, episode.training_seed, policies
-    )
+    return Preparation(cache, set_name, episode.controller, task.building, task.season, episode.training_seed, policies)
 
 
 def ensure_prepared(preparation: Preparation) -> tuple[Preparation, dict[str, Any]]:
@@ -153,7 +170,11 @@ def _train(preparation: Preparation) -> None:
     folder = preparation.folder
     config = read_training({**preparation.fields, "output": str(folder)}, str(preparation))
     train(config, resume=is_training(folder))
-    record = {"configuration": preparation.configuration, "curve": _curve(folder / "curve.csv", config.steps)}
+    record = {
+        "configuration": preparation.configuration,
+        "curve": _curve(folder / "curve.csv", config.steps),
+        "parameters": preparation.rule,
+    }
     export_policy(folder, record).save(preparation.file)
 
 

@@ -1,4 +1,4 @@
-"""How the benchmark trains PPO and SAC, and tunes rules."""
+"""Settings of the benchmark's trainings and tunings."""
 
 from __future__ import annotations
 
@@ -70,8 +70,38 @@ LEARNING = tuple(_TRAININGS)
 """Algorithms that the benchmark trains."""
 
 
+_RESIDUAL = "residual"
+"""Field of a recipe: actions are offsets of so many K to what `tuned` does; without it they are the environment's."""
+
+
+def is_residual(algorithm: str, building: str, season: str) -> bool:
+    """Return whether the actions of a training are offsets to what `tuned` does, so that the tuning comes first."""
+    return _RESIDUAL in _fields(algorithm, building, season)
+
+
+def residual(algorithm: str, building: str, season: str, rule: Mapping[str, Any] | None) -> list[dict[str, Any]]:
+    """Return the wrapper of residual actions, or none.
+
+    Args:
+        algorithm: name of the training's algorithm.
+        building: what it is trained for.
+        season: what it is trained for.
+        rule: parameters of the rule.
+    """
+    if not is_residual(algorithm, building, season):
+        return []
+    offset = _fields(algorithm, building, season)[_RESIDUAL]
+    controller = RULES["controller"]
+    return [{"wrapper": "ResidualAction", "controller": controller, "parameters": dict(rule or {}), "offset": offset}]
+
+
 def recipe(algorithm: str, building: str, season: str) -> dict[str, Any]:
     """Return the fields of a training file that the benchmark sets for an algorithm in a building and season."""
+    fields = _fields(algorithm, building, season)
+    return {name: value for name, value in fields.items() if name != _RESIDUAL}
+
+
+def _fields(algorithm: str, building: str, season: str) -> dict[str, Any]:
     fields = _TRAININGS[algorithm]
     for other in (
         _BY_SEASON.get(algorithm, {}).get(season, {}),

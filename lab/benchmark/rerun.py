@@ -62,7 +62,7 @@ def check_rows(
             differences += failures
             again.update({episode_of(row): row for row in rows})
     pairs = [(row, again.get(episode_of(row))) for row in chosen]
-    return differences + [_difference(row, made) for row, made in pairs if not row.same(made)]
+    return differences + [_difference(row, new) for row, new in pairs if not row.same(new)]
 
 
 def selected_rows(results: Results, selection: Selection | None, what: str) -> list[Row]:

@@ -157,7 +157,7 @@ def changed_versions(results: Results, now: Mapping[str, str] | None = None) -> 
         results: the results.
         now: the versions to compare with; None: the current ones.
     """
-    now = current_versions() if now is None else now
+    now = dict(current_versions() if now is None else now)
     return [
         f"{name} {version}, now {now.get(name, 'missing')}"
         for name, version in results.versions.items()

@@ -16,6 +16,7 @@ _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
 Hash = Annotated[str, Field(pattern="^[0-9a-f]{0,64}$")]
 Seed = Annotated[int, Field(ge=0)]
+Seconds = Annotated[float, Field(ge=0.0)]
 
 
 @dataclass(frozen=True, config=_STRICT)
@@ -44,7 +45,7 @@ class Row:
     linear: float
     metrics: dict[str, float]
     training_seed: Seed | None = None
-    processor_s: float | None = Field(None, ge=0.0)
+    processor_s: Seconds | None = None
 
     def same(self, other: Row | None) -> bool:
         """Return whether another row is equal to the bit."""
@@ -70,7 +71,7 @@ class Record(BaseModel):
         configuration: hash of all fields of the training file, or of the arguments of the tuning.
         weights: of a training, hash of the policy.
         curve: of a training, its learning curve.
-        parameters: of a tuning, the best parameters.
+        parameters: of a tuning, the best parameters; of a training, those of the tuned rule on which it builds, if any.
         value, default_value: of a tuning, mean reward of an episode with these and with the default parameters.
         processor_s: processor time, s.
     """
@@ -82,7 +83,7 @@ class Record(BaseModel):
     parameters: dict[str, float | int | bool | str] | None = None
     value: float | None = None
     default_value: float | None = None
-    processor_s: float | None = Field(None, ge=0.0)
+    processor_s: Seconds | None = None
 
 
 class ResultsFile(BaseModel):

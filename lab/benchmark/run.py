@@ -201,7 +201,8 @@ def prepare_missing(
     Args:
         results: the results.
         missing: the episodes.
-        cache, policies: as of `run_benchmark`.
+        cache: folder of the trainings and tunings.
+        policies: as of `run_benchmark`.
         run_all: runs a function in worker processes.
         progress: as of `run_benchmark`.
         errors: gets the text of each error.
@@ -210,22 +211,30 @@ def prepare_missing(
     Returns:
         The names of what could not be trained or tuned, or has other weights than in the results.
     """
-    needed = {
-        made.name: made
+    trainings = {
+        preparation.name: preparation
         for episode in missing
         if is_prepared(episode.controller)
-        for made in [preparation_of(episode, results.set, cache, policies)]
+        for preparation in [preparation_of(episode, results.set, cache, policies)]
     }
-    unprepared = set(needed)
-    for made, record in run_all(ensure_prepared, list(needed.values()), "training", progress, errors):
-        former = results.trainings.get(made.name)
-        if former is not None and not same_controller(former, record):
-            errors.append(f"{made}: made again, it differs from that of the rows in the results")
-            continue
-        results.trainings[made.name] = record if former is None else former
-        unprepared.discard(made.name)
-        if path is not None:
-            results.save(path)
+    tunings = {tuning.name: tuning for of in trainings.values() if (tuning := of.tuning) is not None}
+    tunings |= {name: of for name, of in trainings.items() if of.training_seed is None}
+    unprepared = tunings.keys() | trainings.keys()
+
+    def prepare(stage: str, needed: Sequence[Preparation]) -> None:
+        for preparation, record in run_all(ensure_prepared, needed, stage, progress, errors):
+            former = results.trainings.get(preparation.name)
+            if former is not None and not same_controller(former, record):
+                errors.append(f"{preparation}: made again, it differs from that of the rows in the results")
+                continue
+            results.trainings[preparation.name] = record if former is None else former
+            unprepared.discard(preparation.name)
+            if path is not None:
+                results.save(path)
+
+    prepare("tuning", list(tunings.values()))
+    based = [of for name, of in trainings.items() if name not in tunings]
+    prepare("training", [of for of in based if of.tuning is None or of.tuning.name not in unprepared])
     return unprepared
 
 

@@ -32,7 +32,7 @@ Stratum = tuple[str, str]
 Matrix = NDArray[np.float64]
 """Scores in a stratum, shape (trainings, episodes); one training for a controller that is not trained."""
 Score = Callable[[Row, Row], float | None]
-"""Function from a row and the row of the baseline control in the same episode to a score; None: the episode has none."""
+"""Function from a row and that of the baseline control in the same episode to a score; None: the episode has none."""
 
 
 @dataclass(frozen=True)
@@ -169,9 +169,7 @@ def compared_rows(rows: Iterable[Row]) -> dict[str, list[Row]]:
     """Return by controller the rows of the episodes that all controllers have."""
     by_controller = _by_controller(rows)
     shared = _shared(by_controller)
-    return {
-        name: [row for key, row in keyed.items() if key[:4] in shared] for name, keyed in by_controller.items()
-    }
+    return {name: [row for key, row in keyed.items() if key[:4] in shared] for name, keyed in by_controller.items()}
 
 
 def _by_controller(rows: Iterable[Row]) -> dict[str, dict[tuple[Any, ...], Row]]:
@@ -187,10 +185,10 @@ def _shared(by_controller: Mapping[str, Mapping[tuple[Any, ...], Row]]) -> set[t
 
 
 def _trainings(keys: Iterable[tuple[Any, ...]]) -> dict[Stratum, set[int | None]]:
-    found: dict[Stratum, set[int | None]] = {}
+    trainings: dict[Stratum, set[int | None]] = {}
     for key in keys:
-        found.setdefault(key[:2], set()).add(key[4])
-    return found
+        trainings.setdefault(key[:2], set()).add(key[4])
+    return trainings
 
 
 def _complete(keyed: Mapping[tuple[Any, ...], Row]) -> set[tuple[Any, ...]]:

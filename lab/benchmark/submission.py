@@ -8,8 +8,8 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from zenostat.lab.benchmark.rerun import check_rows
 from zenostat.lab.benchmark.definition import BASELINE, BASELINES, SETS, VERSION, Episode, is_prepared
+from zenostat.lab.benchmark.rerun import check_rows
 from zenostat.lab.benchmark.results import Results, changed_versions, episode_of, load_results
 from zenostat.lab.benchmark.results_file import Row
 from zenostat.lab.benchmark.run import name_of, stale_trainings
@@ -39,7 +39,10 @@ def check_submission(
         sample: number of rows to run again; 0: none.
         sample_seed: seed with which they are drawn.
         controllers: controllers that are not part of the benchmark and may be run: a file of results chooses no code.
-        workers, cache, policies, progress: as of `run_benchmark`; without a cache, a temporary one.
+        workers: as of `run_benchmark`.
+        cache: folder of the trainings and tunings; None: a temporary one.
+        policies: as of `run_benchmark`.
+        progress: as of `run_benchmark`.
 
     Returns:
         The errors, and notes on what could not be checked.
@@ -83,9 +86,11 @@ def _incomplete(results: Results) -> list[str]:
     if not set(names) - {BASELINE}:
         errors.append("there are no rows of a controller besides the baseline control")
     expected = {episode.key: episode for episode in SETS[results.set].episodes(names)}
-    for name in names:
-        if absent := results.missing([name]):
-            errors.append(f"{name}: {len(absent)} episodes are missing, such as {absent[0]}")
+    errors += [
+        f"{name}: {len(absent)} episodes are missing, such as {absent[0]}"
+        for name in names
+        if (absent := results.missing([name]))
+    ]
     others = [episode_of(row) for key, row in results.rows.items() if key not in expected]
     errors += [f"{episode}: no episode of the set {results.set!r}" for episode in others[:_SHOWN]]
     needed = {name_of(episode) for episode in expected.values() if is_prepared(episode.controller)}

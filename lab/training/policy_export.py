@@ -73,7 +73,8 @@ def _layers(model: BaseAlgorithm, what: str) -> tuple[list[torch.nn.Module], boo
 
 
 def _arrays(layers: list[torch.nn.Module], what: str) -> tuple[tuple[str, ...], Arrays]:
-    names, arrays = [], Arrays()
+    names: list[str] = []
+    arrays = Arrays()
     for layer in layers:
         if isinstance(layer, torch.nn.Linear):
             index = names.count("linear")

@@ -85,7 +85,7 @@ def small(**changes: Any) -> NetworkPolicy:
 
 
 def test_network_policy__scales_and_clips_as_documented() -> None:
-    """By hand: an identity with normalization (x - 1) / sqrt(4), clipped to 0.3; squashed, tanh scaled to the bounds."""
+    """By hand: an identity of (x - 1) / sqrt(4), clipped to 0.3; squashed, tanh scaled to the bounds."""
     policy = small(clip_observations=0.3, epsilon=0.0)
     policy.arrays.update(mean=np.array([1.0, 1.0]), variance=np.array([4.0, 4.0]), action_high=np.float32([3.0, 3.0]))
     assert policy.predict([1.2, 9.0])[0] == pytest.approx([0.1, 0.3])

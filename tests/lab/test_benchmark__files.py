@@ -16,8 +16,7 @@ from support import benchmark_page
 from typer.testing import CliRunner
 
 from zenostat.cli.commands import app
-from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results
-from zenostat.lab.benchmark import rerun, submission
+from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results, rerun, submission
 from zenostat.lab.benchmark.merge import merge_results
 from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared
 from zenostat.lab.benchmark.processor_time import processor_s
@@ -38,8 +37,8 @@ def row(episode: Episode, reward: float = -10.0, **changes: Any) -> Row:
 
 
 def record(controller: str, building: str, number: int | None = 0) -> dict[str, dict[str, Any]]:
-    made = Preparation(Path(), "smoke", controller, building, "summer", number)
-    return {made.name: {"configuration": made.configuration, "weights": "ab" * 32, "processor_s": 2.0}}
+    preparation = Preparation(Path(), "smoke", controller, building, "summer", number)
+    return {preparation.name: {"configuration": preparation.configuration, "weights": "ab" * 32, "processor_s": 2.0}}
 
 
 def written(path: Path, rows: Iterable[Row], **changes: Any) -> Path:
@@ -153,18 +152,18 @@ def test_benchmark_files__trainings_of_another_recipe_are_stale(complete: Path) 
 
 
 def test_benchmark_files__finished_tunings_are_taken_from_the_folder_of_policies(tmp_path: Path) -> None:
-    made = Preparation(tmp_path / "cache", "smoke", "tuned", OFFICE, "summer", None, tmp_path / "policies")
+    preparation = Preparation(tmp_path / "cache", "smoke", "tuned", OFFICE, "summer", None, tmp_path / "policies")
     published = tmp_path / "policies" / f"tuned-{OFFICE}-summer.json"
     published.parent.mkdir()
-    content = {"configuration": made.configuration, "parameters": {"margin": 0.2}}
+    content = {"configuration": preparation.configuration, "parameters": {"margin": 0.2}}
     published.write_text(json.dumps(content))
-    assert ensure_prepared(made)[1] == {**content, "processor_s": None}
-    again = dataclasses.replace(made, policies=tmp_path / "new")
+    assert ensure_prepared(preparation)[1] == {**content, "processor_s": None}
+    again = dataclasses.replace(preparation, policies=tmp_path / "new")
     ensure_prepared(again)
     assert (tmp_path / "new" / published.name).read_text() == published.read_text()
     published.write_text(json.dumps({**content, "configuration": "00"}))
     with pytest.raises(InvalidConfig, match="was made for another definition"):
-        ensure_prepared(dataclasses.replace(made, cache=tmp_path / "empty"))
+        ensure_prepared(dataclasses.replace(preparation, cache=tmp_path / "empty"))
 
 
 # Submissions
@@ -223,9 +222,12 @@ def test_benchmark_files__sample_is_drawn_from_the_seed_and_runs_no_unnamed_code
         controllers={"baseline": "00", "rbc": "01", "evil.py:Evil": "02"},
     )  # fmt: skip
     drawn: list[list[str]] = []
-    monkeypatch.setattr(
-        submission, "check_rows", lambda _, rows, **__: [drawn.append([one.controller for one in rows])] and []
-    )
+
+    def run_again(_: Results, chosen: Iterable[Row], **__: Any) -> list[str]:
+        drawn.append([one.controller for one in chosen])
+        return []
+
+    monkeypatch.setattr(submission, "check_rows", run_again)
     for seed in (1, 1, 2):
         errors, notes = check_submission(path, reference, {}, sample=4, sample_seed=seed)
         assert errors == []

@@ -128,7 +128,9 @@ def planning_page(text: str) -> str:
     """Return the page about planning with what the oracle is worth in the benchmark."""
     results = published("full") or published("quick")
     scores = (
-        {} if results is None else {of.controller: of.overall.value for of in score_rows(complete(results).rows.values())}
+        {}
+        if results is None
+        else {of.controller: of.overall.value for of in score_rows(complete(results).rows.values())}
     )
     if not {"oracle", "rbc"} <= scores.keys():
         return _replace(text, "planning", "The [benchmark](benchmark.md) has a table with the oracle's scores.")
