@@ -415,7 +415,7 @@ def test_benchmark__episodes_are_resumed_and_run_again_to_the_bit(tmp_path: Path
     everything = Selection(controller=results.names())
     assert check(path, everything) == []
     alone, _ = run_benchmark("smoke", tmp_path / "alone.json", ["random"])
-    assert all(results.rows[key] == one for key, one in alone.rows.items())
+    assert all(one.same(results.rows[key]) for key, one in alone.rows.items())
     wrong = next(one for one in results.rows.values() if one.controller == "fixed")
     results.add([dataclasses.replace(wrong, reward=float(np.nextafter(wrong.reward, 0.0)))])
     results.save(path)
