@@ -228,7 +228,7 @@ class BenchmarkSet:
             "evaluation": False,
             "threads": 1,
             **fields,
-            "wrappers": [*residual(algorithm, building, season, rule), *self.wrappers(building)],
+            "wrappers": [*self.wrappers(building), *residual(algorithm, building, season, rule)],
             "arguments": arguments | {"weather": list(TRAINING_WEATHERS)} | form(algorithm, building, season),
         }
 

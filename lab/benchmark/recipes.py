@@ -23,7 +23,7 @@ _TRAININGS: dict[str, dict[str, Any]] = {
             "policy_kwargs": {"log_std_init": -1.5, "net_arch": [64, 64]},
         },
         "normalization": {"observations": True, "rewards": True, "actions": True},
-        "arguments": {"relative": 3.0},
+        "residual": 1.5,
     },
     "sac": {
         "parameters": {
@@ -34,11 +34,15 @@ _TRAININGS: dict[str, dict[str, Any]] = {
             "policy_kwargs": {"net_arch": [64, 64]},
         },
         "normalization": {"observations": True, "rewards": True, "actions": True},
-        "arguments": {"relative": 3.0},
+        "residual": 1.5,
     },
 }
-"""Fields of the training files. `arguments` are those in which a learning controller's environment differs from the
-task's: with `relative` it sets offsets to the building's own setpoints, in training and in scored episodes."""
+"""Fields of the training files, and one more that chooses the form of actions.
+
+With `residual` they are offsets of so many K to what `tuned` does, which the observation then contains. With
+`"arguments": {"relative": 3.0}` they are offsets to the building's own setpoints, in training and in scored episodes.
+With neither they are setpoints.
+"""
 
 _BY_SEASON: dict[str, dict[str, dict[str, Any]]] = {}
 """Fields that differ in a season, by algorithm and season; None as a value removes a field."""
@@ -71,7 +75,6 @@ LEARNING = tuple(_TRAININGS)
 
 
 _RESIDUAL = "residual"
-"""Field of a recipe: actions are offsets of so many K to what `tuned` does; without it they are the environment's."""
 
 
 def is_residual(algorithm: str, building: str, season: str) -> bool:

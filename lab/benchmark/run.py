@@ -135,8 +135,9 @@ def check_extras(names: Sequence[str]) -> None:
         InvalidConfig: an extra is missing.
     """
     for name in filter(is_prepared, names):
-        module, extra = ("optuna", "tune") if name == TUNED else ("stable_baselines3", "train")
-        import_extra(module, extra, f"the controller {name}")
+        if name != TUNED:
+            import_extra("stable_baselines3", "train", f"the controller {name}")
+        import_extra("optuna", "tune", f"the controller {name}, which is tuned or builds on one that is,")
 
 
 def _controller_digest(name: str) -> str:
