@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
+from zenostat.agent_sdk.controllers.training_folder import is_training, read_training_fields
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards import read_reward
 from zenostat.bridge.client.sample import SampleView
@@ -74,7 +75,16 @@ def jobs(set_name: str, episodes: Sequence[Episode], cache: Path) -> list[Job]:
 def _arguments(set_name: str, episode: Episode) -> dict[str, Any]:
     """Return the arguments of an episode's environment."""
     arguments = SETS[set_name].controller_arguments(episode.controller, episode.task)
-    return without_actuators(arguments) if episode.controller == BASELINE else arguments
+    return without_actuators(arguments) if episode.controller == BASELINE else arguments | _own_form(episode.controller)
+
+
+def _own_form(controller: str) -> dict[str, Any]:
+    """Return the argument `relative` of a user's training, if the controller is the folder of one that has it."""
+    folder = Path(controller).expanduser()
+    if not is_training(folder):
+        return {}
+    relative = read_training_fields(folder).get("arguments", {}).get("relative")
+    return {} if relative is None else {"relative": relative}
 
 
 class LinearReward:

@@ -24,6 +24,7 @@ from zenostat.lab.benchmark import (
     definition,
     interquartile_mean,
     load_results,
+    prepared,
     relative_score,
     rerun,
     run_benchmark,
@@ -425,13 +426,31 @@ def test_benchmark__episodes_are_resumed_and_run_again_to_the_bit(tmp_path: Path
 
 @pytest.mark.slow
 @pytest.mark.process
-def test_benchmark__trained_controllers_and_workers_give_the_same_rows(tmp_path: Path) -> None:
-    one, errors = run_benchmark("smoke", tmp_path / "one.json", ["ppo", "pid", "rbc"])
-    two, _ = run_benchmark("smoke", tmp_path / "two.json", ["rbc", "pid", "ppo"], workers=2)
+@pytest.mark.usefixtures("small_set")
+def test_benchmark__trained_controllers_workers_and_policies_give_the_same_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    policies, stages = tmp_path / "policies", list[str]()
+    one, errors = run_benchmark(
+        "smoke", tmp_path / "one.json", ["ppo", "tuned"], workers=2, policies=policies,
+        progress=lambda stage, *_: stages.append(stage),
+    )  # fmt: skip
+    assert errors == []
+    assert list(dict.fromkeys(stages)) == ["tuning", "training", "episodes"]
+    assert [path.name for path in sorted(policies.iterdir())] == [
+        f"ppo-{OFFICE}-summer-0.npz", f"tuned-{OFFICE}-summer.json",
+    ]  # fmt: skip
+    trained, tuned = one.trainings[f"ppo/{OFFICE}/summer/0"], one.trainings[f"tuned/{OFFICE}/summer"]
+    assert trained["parameters"] == tuned["parameters"]
+    assert trained["processor_s"] > 0.0 < tuned["processor_s"]
+    assert trained["curve"]["steps"][-1] == SETS["smoke"].training_steps["ppo"]
+
+    def train_again(_: object) -> None:
+        raise AssertionError("the folder of policies has it")
+
+    for name in ("_train", "_tune"):
+        monkeypatch.setattr(prepared, name, train_again)
+    two, errors = run_benchmark("smoke", tmp_path / "two.json", ["tuned", "ppo"], policies=policies)
     assert errors == []
     assert [a.same(b) for a, b in zip(one.sorted_rows(), two.sorted_rows(), strict=True)] == [True] * len(one.rows)
-    assert {name: record["weights"] for name, record in one.trainings.items()} == {
-        name: record["weights"] for name, record in two.trainings.items()
-    }
-    assert len(one.trainings) == 2
-    assert all(of["processor_s"] > 0.0 and of["curve"]["steps"] for of in one.trainings.values())
+    assert check(tmp_path / "one.json", policies=policies, cache=tmp_path / "cache") == []

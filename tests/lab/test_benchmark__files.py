@@ -15,11 +15,14 @@ from jsonschema import Draft202012Validator
 from support import benchmark_page
 from typer.testing import CliRunner
 
+from zenostat.agent_sdk.controllers.training_folder import FORMAT
 from zenostat.cli.commands import app
-from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results, rerun, submission
+from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results, rerun, run, submission
+from zenostat.lab.benchmark.episodes import jobs
 from zenostat.lab.benchmark.merge import merge_results
 from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared
 from zenostat.lab.benchmark.processor_time import processor_s
+from zenostat.lab.benchmark.recipes import is_residual
 from zenostat.lab.benchmark.results_file import schema
 from zenostat.lab.benchmark.run import stale_trainings
 from zenostat.lab.benchmark.submission import check_submission
@@ -164,6 +167,52 @@ def test_benchmark_files__finished_tunings_are_taken_from_the_folder_of_policies
     published.write_text(json.dumps({**content, "configuration": "00"}))
     with pytest.raises(InvalidConfig, match="was made for another definition"):
         ensure_prepared(dataclasses.replace(preparation, cache=tmp_path / "empty"))
+
+
+def test_benchmark_files__training_on_a_rule_waits_for_its_tuning(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a tuning fails, the trainings that build on it are not begun; the others are."""
+    assert is_residual("ppo", OFFICE, "summer")
+    begun: list[str] = []
+
+    def prepare(preparation: Preparation) -> tuple[Preparation, dict[str, Any]]:
+        begun.append(preparation.name)
+        if preparation.name == f"tuned/{OFFICE}/summer":
+            raise InvalidConfig("no rule")
+        return preparation, {"configuration": preparation.configuration, "weights": "00"}
+
+    monkeypatch.setattr(run, "ensure_prepared", prepare)
+    monkeypatch.setattr(run, "run_job", lambda job: ([row(episode) for episode in job.episodes], []))
+    results, errors = run.run_benchmark("smoke", tmp_path / "results.json", ["ppo"])
+    assert begun == [f"tuned/{OFFICE}/summer", "tuned/ref-warehouse/summer", "ppo/ref-warehouse/summer/0"]
+    assert errors == [f"tuning tuned/{OFFICE}/summer: no rule"]
+    assert [episode.task.building for episode in results.missing(["ppo"])] == [OFFICE]
+
+
+def test_benchmark_files__a_tuned_rule_is_part_of_what_defines_a_training(tmp_path: Path) -> None:
+    training = Preparation(tmp_path, "smoke", "ppo", OFFICE, "summer", 0)
+    tuning = training.tuning
+    assert tuning is not None
+    folders = []
+    for margin in (0.1, 0.2):
+        content = {"configuration": tuning.configuration, "parameters": {"cooling_margin": margin}}
+        tuning.file.write_text(json.dumps(content))
+        folders.append(training.folder)
+        wrapper = training.fields["wrappers"][-1]
+        assert (wrapper["wrapper"], wrapper["parameters"]) == ("ResidualAction", {"cooling_margin": margin})
+    assert folders[0] != folders[1]
+
+
+def test_benchmark_files__own_training_keeps_its_form_of_actions(tmp_path: Path) -> None:
+    forms: dict[str, Any] = {"absolute": {}, "relative": {"relative": 2.0}}
+    for name, arguments in forms.items():
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "training.yaml").write_text(json.dumps({"algorithm": "ppo", "arguments": arguments}))
+        (tmp_path / name / "versions.json").write_text(json.dumps({"format": FORMAT}))
+    names = ["baseline", "rbc", *(str(tmp_path / name) for name in forms)]
+    of_task = jobs("smoke", [Episode(name, SMOKE.tasks()[0], 1) for name in names], tmp_path)
+    assert [[episode.controller for episode in job.episodes] for job in of_task] == [names[:1], names[1:3], names[3:]]
 
 
 # Submissions
