@@ -19,6 +19,7 @@ from zenostat.agent_sdk.controllers.training_folder import FORMAT
 from zenostat.cli.commands import app
 from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results, rerun, run, submission
 from zenostat.lab.benchmark.episodes import jobs
+from zenostat.lab.benchmark.figures import write_curves
 from zenostat.lab.benchmark.merge import merge_results
 from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared
 from zenostat.lab.benchmark.processor_time import processor_s
@@ -142,6 +143,44 @@ def test_benchmark_files__shown_controllers_can_be_chosen(complete: Path) -> Non
     shown = CliRunner().invoke(app, ["benchmark", "--show", str(complete), "--controllers", "rbc"])
     assert "rbc" in shown.output
     assert "ppo" not in shown.output
+
+
+# The page
+
+
+def test_benchmark_files__page_tells_what_the_rows_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    quick = SETS["quick"]
+    rewards = {"baseline": -10.0, "tuned": -9.0, "fixed": -12.0, "ppo": -8.0, "sac": -8.5}
+    episodes = [
+        episode
+        for episode in quick.episodes(rewards)
+        if episode.controller != "sac" or episode.task.building == OFFICE  # SAC has one building so far
+    ]
+    results = Results("quick")
+    for episode in episodes:
+        worse = 1.5 if episode.controller == "ppo" and episode.task.building == "ref-warehouse" else 0.0
+        results.add([row(episode, rewards[episode.controller] - worse)])
+    curve = {"steps": [100, 200], "rewards": [-12.0, -9.0]}
+    results.trainings[f"ppo/{OFFICE}/summer/0"] = {"configuration": "00", "curve": curve, "processor_s": 7200.0}
+    results.save(tmp_path / "quick.json")
+    monkeypatch.setattr(benchmark_page, "PUBLISHED", {name: tmp_path / f"{name}.json" for name in SETS})
+    text = benchmark_page.page(benchmark_page.PAGE.read_text(encoding="utf-8"))
+    assert "Better than the baseline control, with the whole interval: `ppo` (0.200), `tuned` (0.100)." in text
+    assert "Worse, with the whole interval: `fixed` (-0.200)." in text
+    learned = next(line for line in text.splitlines() if line.startswith("| ppo | 0.100 [") and "of 5" in line)
+    assert learned.endswith("| 4 of 5 |")
+    assert "| -0.050 [-0.050, -0.050] |" in learned  # the warehouse
+    assert "| sac | 0.150 [0.150, 0.150] |  |  |  |  |" in text
+    assert "`sac` has 6 of 30 rows so far and is not in the tables." in text
+    assert "| ppo | 1.0 | 1 | 7200.0 | 2.0 |" in text
+    assert "There are no published rows of version 2 yet." in text  # of the other sets
+    figure = write_curves(results, tmp_path)
+    assert figure is not None
+    assert figure.is_file()
+    benchmark_page.write_curve_table(results, tmp_path / "curves.csv")
+    assert (tmp_path / "curves.csv").read_text().splitlines()[1:] == [
+        f"ppo/{OFFICE}/summer/0,100,-12.0", f"ppo/{OFFICE}/summer/0,200,-9.0",
+    ]  # fmt: skip
 
 
 # Trainings
