@@ -27,6 +27,8 @@ from zenostat.lab.benchmark.recipes import is_residual
 from zenostat.lab.benchmark.results_file import schema
 from zenostat.lab.benchmark.run import stale_trainings
 from zenostat.lab.benchmark.submission import check_submission
+from zenostat.topics import VERSION as PRODUCT_VERSION
+from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig
 
 SMOKE = SETS["smoke"]
@@ -255,6 +257,12 @@ def test_benchmark_files__own_training_keeps_its_form_of_actions(tmp_path: Path)
 
 
 # Submissions
+
+
+def test_benchmark_files__citation_names_this_version() -> None:
+    citation = yaml12.read_mapping(benchmark_page.PAGE.parents[1] / "CITATION.cff")
+    assert citation["version"] == PRODUCT_VERSION
+    assert citation["authors"] == [{"name": "The Zenostat developers"}]
 
 
 @pytest.fixture
