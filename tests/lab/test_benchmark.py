@@ -426,6 +426,7 @@ def test_benchmark__episodes_are_resumed_and_run_again_to_the_bit(tmp_path: Path
 
 @pytest.mark.slow
 @pytest.mark.process
+@pytest.mark.timeout(1200)
 @pytest.mark.usefixtures("small_set")
 def test_benchmark__trained_controllers_workers_and_policies_give_the_same_rows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -213,7 +213,7 @@ def test_benchmark_files__finished_tunings_are_taken_from_the_folder_of_policies
 def test_benchmark_files__training_on_a_rule_waits_for_its_tuning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Where a tuning fails, the trainings that build on it are not begun; the others are."""
+    """A failed tuning keeps the trainings that build on it from beginning, and no others."""
     assert is_residual("ppo", OFFICE, "summer")
     begun: list[str] = []
 
