@@ -68,8 +68,11 @@ RULES: dict[str, Any] = {
 """What the tuning of `tuned` searches, as for `zenostat.lab.tuning.tune_controller`."""
 
 FORMS: dict[str, dict[str, Any]] = {"oracle": {"relative": 8.0}}
-"""Arguments in which the environment of another controller of the benchmark differs from the task's. The oracle plans
-offsets, so that the baseline control is one of its plans: one pair of setpoints cannot express that of the warehouse."""
+"""Arguments in which the environment of another controller of the benchmark differs from the task's.
+
+The oracle plans offsets, so that the baseline control is one of its plans: one pair of setpoints cannot express that of
+the warehouse.
+"""
 
 LEARNING = tuple(_TRAININGS)
 """Algorithms that the benchmark trains."""
