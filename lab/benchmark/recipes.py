@@ -15,11 +15,12 @@ _TRAININGS: dict[str, dict[str, Any]] = {
     "ppo": {
         "slots": 4,
         "parameters": {
-            "n_steps": 168,
-            "batch_size": 96,
+            "n_steps": 672,
+            "batch_size": 384,
             "n_epochs": 10,
-            "gamma": 0.98,
-            "learning_rate": 3e-4,
+            "gamma": 0.95,
+            "learning_rate": 1e-3,
+            "target_kl": 0.03,
             "policy_kwargs": {"log_std_init": -1.5, "net_arch": [64, 64]},
         },
         "normalization": {"observations": True, "rewards": True, "actions": True},
@@ -52,7 +53,7 @@ _BY_BUILDING: dict[str, dict[str, dict[str, Any]]] = {}
 
 RULES: dict[str, Any] = {
     "controller": "rbc",
-    "sampler": "tpe",
+    "sampler": "cma-es",
     "parameters": {
         "heating_margin": {"low": -1.0, "high": 1.5, "start": 0.3},
         "cooling_margin": {"low": -1.0, "high": 1.5, "start": 0.3},
