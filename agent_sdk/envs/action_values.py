@@ -24,6 +24,7 @@ class Actions:
         space: `Box`, float32, shape (actions,), or `Discrete`, or `MultiDiscrete`.
         operations: A `CommandOp` byte for each actuator; None if the actions set all of them.
         is_relative: Whether an action is an offset to baseline control.
+        is_scheduled: Whether all offsets are relative to schedules, whose values depend on time alone.
     """
 
     def __init__(self, manifest: Manifest) -> None:
@@ -48,6 +49,7 @@ class Actions:
         self.operations, self._codes = bytes(codes) if unbound else None, np.array(codes, np.uint8)
         self._offsets = _Offsets(manifest) if any(action.relative for action in task.actions) else None
         self.is_relative = self._offsets is not None
+        self.is_scheduled = self._offsets is not None and self._offsets.is_scheduled
 
     @property
     def names(self) -> list[str]:
@@ -253,6 +255,10 @@ class _Offsets:
         self._columns = np.array([i for i, _ in chosen], np.intp)
         self._points = np.array([points[str(a.baseline_sensor)] for _, a in chosen], np.intp)
         self._low, self._high = bound_arrays([a for _, a in chosen])
+        sensors = {sensor.name: sensor for sensor in manifest.sensors}
+        self.is_scheduled = all(
+            str(a.baseline_sensor) in sensors and sensors[str(a.baseline_sensor)].lead_s for _, a in chosen
+        )
 
     def add(self, values: NDArray[np.float64], codes: NDArray[np.uint8], points: NDArray[np.float64]) -> None:
         """Replace offsets by absolute values within the actuators' bounds, and those of 0 by relinquishing."""

@@ -43,6 +43,8 @@ class Rollout:
         lengths: number of timesteps until the end of the episode or the plan, shape (slots,).
         terminated: whether a limit of the scenario was violated, shape (slots,).
         truncated: whether the run period ended, shape (slots,).
+        terms: terms of the rewards by name, shape (slots, timesteps), 0 after the end; empty without a reward.
+        metrics: the quantities behind the rewards by name, in the same form.
     """
 
     rewards: NDArray[np.float64]
@@ -50,6 +52,8 @@ class Rollout:
     lengths: NDArray[np.intp]
     terminated: NDArray[np.bool_]
     truncated: NDArray[np.bool_]
+    terms: dict[str, NDArray[np.float64]]
+    metrics: dict[str, NDArray[np.float64]]
 
 
 class BranchVectorEnv(BuildingVectorEnv):
@@ -65,6 +69,8 @@ class BranchVectorEnv(BuildingVectorEnv):
         state: captured state of the parent's episode.
         start: entries of the parent's infos that describe the start of its episode.
         undo: closes the branch; the environment takes it over.
+        scheduled: values of the points at the samples of the episode, by step, where they are known; those of schedules
+            are read by later branches of the same episode. The environment adds to it.
     """
 
     def __init__(
@@ -75,7 +81,9 @@ class BranchVectorEnv(BuildingVectorEnv):
         state: Mapping[str, Any],
         start: Infos,
         undo: ExitStack,
+        scheduled: dict[int, NDArray[np.float64]] | None = None,
     ) -> None:
+        self._scheduled = {} if scheduled is None else scheduled
         count = link.manifest.slots
         super().__init__(count, autoreset_mode=AutoresetMode.DISABLED, reward=reward, link=link)
         self._branch_link = link
@@ -136,11 +144,14 @@ class BranchVectorEnv(BuildingVectorEnv):
         lengths = np.full(self.num_envs, timesteps)
         terminated, truncated = np.zeros(self.num_envs, np.bool_), np.zeros(self.num_envs, np.bool_)
         observations: list[Observations] = []
+        outcomes = _OutcomeSeries(self.num_envs, timesteps)
         number = 0
         for sample in self._samples(sequences):
             live = ~self._done
-            rewards[:, number], observed, ended, at_end = self._evaluated(sample)
-            rewards[self._done, number] = 0.0
+            outcome, observed, ended, at_end = self._evaluated(sample)
+            if outcome is not None:
+                rewards[live, number] = np.broadcast_to(outcome.reward, live.shape)[live]
+                outcomes.add(number, outcome, live)
             observations.append(np.where(live.reshape(-1, *[1] * (observed.ndim - 1)), observed, self._observations))
             self._observations = observations[-1]
             terminated |= ended & live
@@ -149,21 +160,23 @@ class BranchVectorEnv(BuildingVectorEnv):
             lengths[live & (ended | at_end)] = number
             self._done |= ended | at_end
         observations += [self._observations] * (timesteps - number)
-        return Rollout(rewards, np.stack(observations, axis=1), lengths, terminated, truncated)
+        return Rollout(
+            rewards, np.stack(observations, axis=1), lengths, terminated, truncated, outcomes.terms, outcomes.metrics
+        )
 
     def _evaluated(
         self, sample: VectorSample
-    ) -> tuple[NDArray[np.float64], Observations, NDArray[np.bool_], NDArray[np.bool_]]:
-        """Return reward, observation, and whether it is terminated and truncated, of each slot."""
+    ) -> tuple[Outcome | None, Observations, NDArray[np.bool_], NDArray[np.bool_]]:
+        """Return rewards, observations, and whether it is terminated and truncated, of each slot."""
         self._sample = sample
         ends, state, values = sample.times, self._state, sample.fault_free_values
         begins = [end - self._timestep for end in ends]
-        rewards, terminated = np.zeros(self.num_envs), np.zeros(self.num_envs, np.bool_)
+        outcome, terminated = None, np.zeros(self.num_envs, np.bool_)
         if state.reward is not None:
-            rewards[:] = state.reward(values, begins).reward
+            outcome = state.reward(values, begins)
         if state.limits is not None:
             terminated[list(state.limits.violated_slots(values))] = True
-        return rewards, sample.observed(begins, ends, self._observed_indices), terminated, sample.truncated
+        return outcome, sample.observed(begins, ends, self._observed_indices), terminated, sample.truncated
 
     def _sequences(self, actions: ArrayLike) -> NDArray[Any]:
         """Return actions as an array, shape (slots, timesteps, *action shape); all are checked."""
@@ -184,20 +197,46 @@ class BranchVectorEnv(BuildingVectorEnv):
     def _samples(self, sequences: NDArray[Any]) -> Iterator[VectorSample]:
         """Simulate; yield the sample of each timestep, until all episodes have ended."""
         if not self._actions.is_relative:
-            yield from self._simulate(*self._encoded(sequences))
+            yield from self._simulate(*self._encoded(sequences, ()))
             return
-        for number in range(sequences.shape[1]):  # an offset is relative to the latest sample
-            if self._done.all():
-                return
-            yield from self._simulate(*self._encoded(sequences[:, number : number + 1]))
+        first = 0
+        while first < sequences.shape[1] and not self._done.all():
+            points = self._known_points(sequences.shape[1] - first)
+            for sample in self._simulate(*self._encoded(sequences[:, first : first + len(points)], points)):
+                yield sample
+                first += 1
 
-    def _encoded(self, sequences: NDArray[Any]) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
-        """Return commands and operations of each timestep, shape (timesteps, slots, actuators)."""
+    def _known_points(self, most: int) -> list[NDArray[np.float64]]:
+        """Return the points at the present sample and, as far as they are known, at those that follow it.
+
+        An offset is relative to the sample of its timestep. A later one is read only if all values that it needs are
+        those of schedules, which do not depend on actions.
+        """
+        assert self._sample is not None
+        live = int((~self._done).argmax())
+        step = self._sample.message.step[live]
+        points = [self._sample.fault_free_values]
+        if self._actions.is_scheduled:
+            self._scheduled[step] = self._sample.fault_free_values[live].copy()
+            while len(points) < most and step + len(points) in self._scheduled:
+                points.append(np.tile(self._scheduled[step + len(points)], (self.num_envs, 1)))
+        return points
+
+    def _encoded(
+        self, sequences: NDArray[Any], points: Sequence[NDArray[np.float64]]
+    ) -> tuple[NDArray[np.float64], NDArray[np.uint8] | None]:
+        """Return commands and operations of each timestep, shape (timesteps, slots, actuators).
+
+        Args:
+            sequences: shape (slots, timesteps, *action shape).
+            points: points at the sample of each timestep; empty if no action is relative to them.
+        """
+        assert self._sample is not None
         values, codes = [], []
         for number in range(sequences.shape[1]):
-            commanded, operations = self._command(sequences[:, number], ())
-            values.append(commanded)
-            codes.append(operations)
+            values.append(self._actions.rows(sequences[:, number], self.num_envs))
+            at = points[number] if points else self._sample.fault_free_values
+            codes.append(self._actions.complete(values[-1], at, self._state.context))
         if all(code is None for code in codes):
             return np.stack(values), None
         every = bytes([CommandOp.SET]) * values[0].size
@@ -233,6 +272,26 @@ class BranchVectorEnv(BuildingVectorEnv):
         points = len(self.manifest.sensors) + len(self.manifest.meters)
         size = self.num_envs * (8 * 2 * points + 8 * 3 * len(self.manifest.actuators) + 100) + 4000
         return max(1, min(_MAX_TIMESTEPS, _REPLY_BYTES // size))
+
+
+class _OutcomeSeries:
+    """Terms and metrics of the rewards of several timesteps.
+
+    Attributes:
+        terms, metrics: by name, shape (slots, timesteps).
+    """
+
+    def __init__(self, slots: int, timesteps: int) -> None:
+        self._shape = (slots, timesteps)
+        self.terms: dict[str, NDArray[np.float64]] = {}
+        self.metrics: dict[str, NDArray[np.float64]] = {}
+
+    def add(self, timestep: int, outcome: Outcome, live: NDArray[np.bool_]) -> None:
+        """Add the outcomes of the slots whose episodes go on."""
+        for series, values in ((self.terms, outcome.terms), (self.metrics, outcome.metrics)):
+            for name, value in values.items():
+                column = series.setdefault(name, np.zeros(self._shape))[:, timestep]
+                column[live] = np.broadcast_to(np.asarray(value, np.float64), live.shape)[live]
 
 
 class _RewardPerSlot(BoundReward):

@@ -128,6 +128,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         self._time, self._observed_indices = manifest.task.time, observed_indices(manifest)
 
         self._sample: SampleView | None = None
+        self._scheduled: dict[int, NDArray[np.float64]] = {}
         self._ended = self._busy = False
         self._pending: tuple[ArrayLike, NDArray[np.float64]] | None = None
         self._infos = SampleInfos(has_limits=self._state.limits is not None)
@@ -187,7 +188,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         else:
             sample = self._sample = self._forkable_link().reset(seed=seed, snapshot=snapshot.name)
             self._state.restore(snapshot.env_state)
-        self.manifest, self._ended = self._connection.manifest, False
+        self.manifest, self._ended, self._scheduled = self._connection.manifest, False, {}
         (start,) = self.link.accepted.episode_starts
         self._infos.start_episode(start)
         values, now, info = sample.values, sample.time, self._infos.of_sample(sample, self.link)
@@ -250,13 +251,14 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             snapshot.check(self.manifest)
         name = snapshot.name if snapshot is not None else ""
         request = branch_request(link.name, name, slots, forecast_error, relinquished=relinquished)
+        start = self._infos.episode_start
         with ExitStack() as undo:
             branch_link = open_branch(link, request, self._priority, undo)
             state = self._state.capture() if snapshot is None else snapshot.env_state
             reward = copy.deepcopy(self.reward)  # a reward of the user's may have a state
             if slots is not None:
-                return BranchVectorEnv(branch_link, reward, sample, state, self._infos.episode_start, undo)
-            return self._continue_at(branch_link, sample, reward, state, self._infos.episode_start, undo)
+                return BranchVectorEnv(branch_link, reward, sample, state, start, undo, self._scheduled)
+            return self._continue_at(branch_link, sample, reward, state, start, undo)
 
     def plan(
         self, actions: ArrayLike, *, snapshot: Snapshot | None = None, forecast_error: Sequence[float] = ()

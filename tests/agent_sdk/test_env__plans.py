@@ -109,6 +109,9 @@ def test_branch_with_slots__steps_and_plans_are_equal(office: BuildingEnv) -> No
     assert rollout.lengths.tolist() == [6, 6, 6]
     assert not rollout.terminated.any()
     assert not rollout.truncated.any()
+    np.testing.assert_array_equal(sum(rollout.terms.values()), rollout.rewards)
+    assert set(rollout.metrics) == {"energy_kwh", "peak_kw", "power_w", "degrees_outside"}
+    assert (np.diff(rollout.metrics["peak_kw"], axis=1) >= 0.0).all()
 
 
 def test_plan__ends_with_the_episode(office: BuildingEnv) -> None:

@@ -127,10 +127,14 @@ def test_relative__plans_give_the_rewards_of_their_steps() -> None:
             env.step(np.zeros(2, np.float32))
         plans = np.random.default_rng(3).uniform(-3.0, 3.0, (2, 10, 2)).astype(np.float32)
         rewards = env.plan(plans)
+        again = env.plan(plans)  # in one request: the first one has met the schedules
         expected = [env.step(action)[1] for action in plans[1]]
+        later = env.plan(plans[:, :4])  # beyond what is known, timestep by timestep
+        afterwards = [env.step(action)[1] for action in plans[1, :4]]
     finally:
         env.close()
-    assert rewards[1].tolist() == expected
+    assert rewards[1].tolist() == again[1].tolist() == expected
+    assert later[1].tolist() == afterwards
 
 
 def test_relative__controllers_of_absolute_values_act_through_offsets() -> None:
