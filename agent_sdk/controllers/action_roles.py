@@ -82,6 +82,24 @@ def bind_actions(manifest: Manifest) -> tuple[ActionBinding, ...]:
     )
 
 
+def setpoint_pairs(manifest: Manifest) -> list[tuple[int, int]]:
+    """Return the positions of the heating and the cooling setpoint of the same zones that can cross.
+
+    Where the bounds already keep them apart, there is no pair. Offsets of a pair that do not cross keep the setpoints
+    at least as far apart as the baseline control does.
+    """
+    bindings = list(enumerate(bind_actions(manifest)))
+    return [
+        (i, j)
+        for i, heater in bindings
+        for j, cooler in bindings
+        if heater.role is Role.HEATING
+        and cooler.role is Role.COOLING
+        and (set(heater.temperatures) & set(cooler.temperatures) or not heater.temperatures)
+        and bounds(heater.action)[1] > bounds(cooler.action)[0]
+    ]
+
+
 def _absolute(action: Action, actuators: Mapping[str, Actuator]) -> Action:
     """Return an action; of a relative one, that which sets absolute values."""
     if not action.relative:

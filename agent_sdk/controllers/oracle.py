@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.controllers.action_roles import Role, bind_actions
+from zenostat.agent_sdk.controllers.action_roles import Role, bind_actions, setpoint_pairs
 from zenostat.agent_sdk.controllers.agent import Agent, values_of
 from zenostat.agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol, Planner, Values
 from zenostat.agent_sdk.controllers.loader import load_controller
@@ -41,9 +41,9 @@ class OracleController(Controller):
     """Simulate plans in branches of the running building, and apply the best one until the next plan.
 
     The reward of a plan is that of the environment, with its state: a demand charge counts from the peak so far. One of
-    the plans is what the rule would do, so the chosen plan is never worse than the rule in its horizon. The branches
-    have the weather and occupancy that follow, so the foresight is perfect, unless `forecast_error` disturbs their
-    outdoor temperature.
+    the plans is what the rule would do, so the chosen plan is never worse than the rule in its horizon. Where actions
+    are relative to the baseline control, another one is the baseline control itself. The branches have the weather and
+    occupancy that follow, so the foresight is perfect, unless `forecast_error` disturbs their outdoor temperature.
 
     For zone setpoints among continuous actions, the first iteration also has the plans that building control knows: the
     widest setpoints for a time, then the rule (setback with optimum start and stop), and the rule with its setpoints
@@ -100,8 +100,9 @@ class OracleController(Controller):
         self._elite = number("elite", elite, minimum=0.0, maximum=1.0)
         self._error_k = number("forecast_error", forecast_error, minimum=0.0)
         self._step_h = step_h
+        self._is_relative = bool(manifest.task.actions) and all(a.relative for a in manifest.task.actions)
         self._rule = Agent(self._seed_rule(rule))
-        self._pairs = _setpoint_pairs(manifest)
+        self._pairs = setpoint_pairs(manifest)
         self._directions = _directions(manifest)
         self._seed = seed
         self._planner: Planner | None = None
@@ -109,7 +110,7 @@ class OracleController(Controller):
 
     def _seed_rule(self, rule: str | Callable[..., ControllerProtocol]) -> ControllerProtocol:
         factory = load_controller(rule) if isinstance(rule, str) else rule
-        if factory in (OracleController, BaselineController):
+        if factory is OracleController or (factory is BaselineController and not self._is_relative):
             raise InvalidConfig(f"rule = {rule!r}; a controller that sets every action is needed, such as 'rbc'")
         return make_controller(factory, self.manifest, {})
 
@@ -148,6 +149,8 @@ class OracleController(Controller):
             continued = np.concatenate([self._plan[age:], rule[len(self._plan) - age :]])
             candidates.append(continued[:timesteps][None])
         center = candidates[-1][0]
+        if self._is_relative and not self.manifest.task.discrete_actions:
+            candidates.append(np.zeros_like(rule)[None])  # the baseline control
         candidates.append(self._known_plans(planner.action_space, rule)[: self._samples - len(candidates) - 1])
         search = self._search(planner.action_space, center)
         best, best_return = rule, -np.inf
@@ -239,16 +242,3 @@ def _directions(manifest: Manifest) -> NDArray[np.float64]:
     """Return the direction in which each action saves energy: 1 for cooling setpoints, -1 for heating, else 0."""
     directions = {Role.COOLING: 1.0, Role.HEATING: -1.0}
     return np.array([directions.get(binding.role, 0.0) for binding in bind_actions(manifest)])
-
-
-def _setpoint_pairs(manifest: Manifest) -> list[tuple[int, int]]:
-    """Return the positions of heating and cooling setpoints of the same zones among the actions."""
-    bindings = list(enumerate(bind_actions(manifest)))
-    return [
-        (i, j)
-        for i, heater in bindings
-        for j, cooler in bindings
-        if heater.role is Role.HEATING
-        and cooler.role is Role.COOLING
-        and (set(heater.temperatures) & set(cooler.temperatures) or not heater.temperatures)
-    ]

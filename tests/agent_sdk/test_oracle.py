@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from support.builders import actuator, manifest, sensor, view
 
 from zenostat.agent_sdk.controllers import Agent, OracleController, action_of, load_controller
+from zenostat.agent_sdk.controllers.action_roles import setpoint_pairs
 from zenostat.agent_sdk.controllers.agent import values_of
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.sequence_search import (
@@ -155,6 +156,44 @@ def test_first_iteration__has_setback_optimum_start_preheating_and_load_shedding
     actions, returns = toy.plans[0]
     assert len(actions) == 8
     assert np.allclose(actions[returns.sum(axis=1).argmax()], plan)
+
+
+def relative_node() -> Manifest:
+    """The node with offsets of up to 4 K to setpoints of 18 and 28 degC."""
+    sensors = (*NODE.sensors, sensor("heating_next"), sensor("cooling_next"))
+    actuators = tuple(
+        of.model_copy(update={"baseline_sensor": name})
+        for of, name in zip(NODE.actuators, ("heating_next", "cooling_next"), strict=True)
+    )
+    actions = tuple(
+        action.model_copy(update={"relative": True, "low": -4.0, "high": 4.0, "unit": "K"})
+        for action in NODE.task.actions
+    )
+    return NODE.model_copy(update={"sensors": sensors, "actuators": actuators, "task": Task(actions=actions)})
+
+
+def test_first_iteration__has_the_baseline_control_where_actions_are_relative() -> None:
+    """Each offset costs, so the baseline control is the best plan, and the rule is not."""
+    toy = Toy(relative_node(), 1)
+    toy.action_space = gym.spaces.Box(-4.0, 4.0, (2,), np.float32)
+    toy.numbers = lambda actions: -np.abs(np.asarray(actions, float))  # type: ignore[method-assign]
+    toy.coefficients[:] = 1.0
+    for rule in (Middle, "baseline"):
+        agent = Agent(OracleController(toy.node, rule=rule, iterations=1, samples=8, horizon=4.0), toy)
+        action = agent.action(view(toy.node, heating_next=18.0, cooling_next=28.0))
+        actions, _ = toy.plans[-1]
+        assert len(actions) == 8
+        assert actions[0, 0].tolist() == ([2.0, -2.0] if rule is Middle else [0.0, 0.0])
+        assert action.tolist() == [0.0, 0.0]
+
+
+def test_setpoint_pairs__are_those_that_can_cross() -> None:
+    assert setpoint_pairs(NODE) == [(0, 1)]
+    apart = manifest(
+        sensors=[sensor("air", key="ROOM")],
+        actuators=[actuator("heating_setpoint", 15.0, 22.5), actuator("cooling_setpoint", 22.5, 30.0)],
+    )
+    assert setpoint_pairs(apart) == []
 
 
 def test_setpoints__never_cross() -> None:
