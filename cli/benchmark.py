@@ -80,6 +80,10 @@ def benchmark(
     page: Annotated[
         Path | None, typer.Option(help="Write a page with tables and figures to FILE.md and the folder FILE.")
     ] = None,
+    bounds: Annotated[
+        Path | None,
+        typer.Option(help="Also show shares of the gap to the bounds in this folder; see `zenostat bounds`."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the rows as JSON instead of tables.")] = False,
 ) -> None:
     """Score controllers relative to the baseline control, on buildings and weather that training has not seen.
@@ -118,7 +122,7 @@ def benchmark(
             results = _merge(merged, file)
         else:
             results, errors = _run(set_name, file, _listed(controllers), conditions, running)
-    _show(results, page, as_json=as_json)
+    _show(results, page, bounds, as_json=as_json)
     for error in errors:
         err.print(f"failed: {error}", soft_wrap=True, markup=False)
     if errors:
@@ -156,7 +160,7 @@ def _run(
     with ExitStack() as stack:
         return run_benchmark(
             set_name, file, names, selection=_selection({**conditions, "controller": None}), workers=running.workers,
-            cache=running.cache, policies=running.policies, hashes=_hashes(set_name), progress=_watcher(stack),
+            cache=running.cache, policies=running.policies, hashes=file_hashes(set_name), progress=_watcher(stack),
         )  # fmt: skip
 
 
@@ -203,7 +207,7 @@ def _check(path: Path, conditions: Mapping[str, str | None], running: _Running) 
     with ExitStack() as stack:
         differences = check(
             path, selection, workers=running.workers, cache=running.cache, policies=running.policies,
-            hashes=_hashes(results.set), progress=_watcher(stack),
+            hashes=file_hashes(results.set), progress=_watcher(stack),
         )  # fmt: skip
     _report(differences, f"{path}: {count} rows are equal to the bit")
 
@@ -218,8 +222,8 @@ def _check_submission(
     names = _listed(conditions["controller"] or "")
     with ExitStack() as stack:
         errors, notes = check_submission(
-            path, reference, _hashes(load_results(path).set), sample=sample, sample_seed=sample_seed, controllers=names,
-            workers=running.workers, cache=running.cache, policies=running.policies, progress=_watcher(stack),
+            path, reference, file_hashes(load_results(path).set), sample=sample, sample_seed=sample_seed,
+            controllers=names, workers=running.workers, cache=running.cache, policies=running.policies, progress=_watcher(stack),
         )  # fmt: skip
     for note in notes:
         err.print(note, soft_wrap=True, markup=False)
@@ -242,7 +246,7 @@ def _check_page(page: Path) -> None:
     import_extra("matplotlib", "plots", "a page with figures")
 
 
-def _hashes(set_name: str) -> dict[str, str]:
+def file_hashes(set_name: str) -> dict[str, str]:
     """Return the sha256 of the models and weather files of a set; empty if there is no such set."""
     from zenostat.bridge.recording.file import file_digest
     from zenostat.lab.benchmark.definition import SETS, TRAINING_WEATHERS
@@ -274,16 +278,18 @@ def _watcher(stack: ExitStack) -> Progress:
     return watch
 
 
-def _show(results: Results, page: Path | None, *, as_json: bool) -> None:
+def _show(results: Results, page: Path | None, bounds: Path | None, *, as_json: bool) -> None:
+    from zenostat.lab.benchmark.bound_file import load_bounds
+    from zenostat.lab.benchmark.gap import tables_with_gap
     from zenostat.lab.benchmark.page import write_page
-    from zenostat.lab.benchmark.tables import tables
 
+    known = {} if bounds is None else load_bounds(bounds, results.set)
     if page is not None:
-        write_page(results, page)
+        write_page(results, page, known)
     if as_json:
         show_json(results.plain()["rows"])
         return
-    for table in tables(results):
+    for table in tables_with_gap(results, known):
         show(table.title, table.columns, table.rows, right=table.columns[1:], wrap=table.columns[:1])
     if page is not None:
         out.print(f"page: {page}", soft_wrap=True, markup=False)

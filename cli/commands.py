@@ -22,7 +22,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     "Simulate and control": (
         "demo.demo", "node.node", "run.run", "evaluate.evaluate", "dataset.dataset", "probe.probe",
     ),
-    "Train agents": ("train.train", "tune.tune", "benchmark.benchmark"),
+    "Train agents": ("train.train", "tune.tune", "benchmark.benchmark", "bounds.bounds"),
     "Watch a bus": (
         "status.status", "monitor.monitor", "view.view", "watch.watch", "read.read", "plot.plot", "alarms.alarms",
         "priorities.priorities",

@@ -1,6 +1,9 @@
 """A benchmark of controllers: fixed buildings, weather, seeds, reward and score; see docs/benchmark.md."""
 
+from zenostat.lab.benchmark.bound_file import Bound, load_bound, load_bounds
+from zenostat.lab.benchmark.bounds import BoundTask, check_bound, improve_bound, tasks_of
 from zenostat.lab.benchmark.definition import BASELINES, SETS, VERSION, BenchmarkSet, Episode, Task
+from zenostat.lab.benchmark.gap import gap_share, gap_table
 from zenostat.lab.benchmark.rerun import check
 from zenostat.lab.benchmark.results import Results, load_results
 from zenostat.lab.benchmark.results_file import Row
@@ -13,6 +16,8 @@ __all__ = [
     "SETS",
     "VERSION",
     "BenchmarkSet",
+    "Bound",
+    "BoundTask",
     "Episode",
     "Interval",
     "Results",
@@ -21,9 +26,16 @@ __all__ = [
     "Selection",
     "Task",
     "check",
+    "check_bound",
+    "gap_share",
+    "gap_table",
+    "improve_bound",
     "interquartile_mean",
+    "load_bound",
+    "load_bounds",
     "load_results",
     "relative_score",
     "run_benchmark",
     "score_rows",
+    "tasks_of",
 ]

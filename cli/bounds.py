@@ -1,0 +1,125 @@
+"""`zenostat bounds`: search the best known score of each task of the benchmark."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from zenostat.cli.console import err, out, progress
+from zenostat.cli.tables import show
+from zenostat.topics.errors import InvalidConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from zenostat.lab.benchmark.bound_file import Bound
+
+_Names = Annotated[str | None, typer.Option(help="Only these tasks; names separated by commas.", show_default=False)]
+
+
+def bounds(
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder with a file for each task and seed.")],
+    set_name: Annotated[str, typer.Option("--set", help="Set of the benchmark: smoke, quick or full.")] = "quick",
+    simulations: Annotated[
+        int, typer.Option(min=1, help="Simulated episodes of each task, those of earlier runs included.")
+    ] = 1000,
+    controllers: Annotated[
+        str,
+        typer.Option(
+            help="Controllers with whose best the search begins, separated by commas; also "
+            "path/to/file.py:MyController or a training's folder."
+        ),
+    ] = "baseline,fixed,rbc,oracle",
+    building: _Names = None,
+    season: _Names = None,
+    weather: _Names = None,
+    seed: _Names = None,
+    search_seed: Annotated[int, typer.Option(min=0, help="Seed of new searches.")] = 0,
+    checked: Annotated[
+        bool, typer.Option("--check", help="Run the actions in the files again, and compare the rewards to the bit.")
+    ] = False,
+) -> None:
+    """Search for the best known score of each task of the benchmark, on its true model.
+
+    Example: `zenostat bounds docs/benchmark/bounds-2 --set quick --season summer --simulations 1000`
+
+    Ctrl-C ends it; the same command continues where the file of the task was written last. More simulations improve it.
+    """
+    from zenostat.cli.benchmark import file_hashes
+    from zenostat.lab.benchmark.bounds import BoundTask, tasks_of
+
+    names = {"building": building, "season": season, "weather": weather}
+    conditions: dict[str, Any] = {name: _listed(text) for name, text in names.items()} | {"seed": _seeds(seed)}
+    tasks = tasks_of(set_name, **conditions)
+    hashes = file_hashes(set_name)
+    if checked:
+        _check(folder, set_name, [(*task.key, number) for task, number in tasks], hashes)
+        return
+    starts = _listed(controllers) or []
+    jobs = [BoundTask(set_name, task, number, folder, starts, hashes) for task, number in tasks]
+    _show([_improve(job, simulations, search_seed) for job in jobs])
+
+
+def _listed(text: str | None) -> list[str] | None:
+    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _seeds(text: str | None) -> list[int] | None:
+    try:
+        return None if text is None else [int(value) for value in _listed(text) or ()]
+    except ValueError:
+        raise InvalidConfig(f"--seed {text}: numbers separated by commas expected") from None
+
+
+def _improve(job: Any, simulations: int, search_seed: int) -> Bound:
+    from zenostat.lab.benchmark.bounds import improve_bound
+
+    name = f"{job.task}/{job.seed}"
+    if not out.is_interactive:
+
+        def tell(done: int, reward: float) -> None:
+            err.print(f"{name}: {done} of {simulations} simulations, {reward:.2f}", soft_wrap=True, markup=False)
+
+        return improve_bound(job, simulations, search_seed=search_seed, progress=tell)
+    with progress() as bars:
+        bar = bars.add_task(name, total=simulations, rate="")
+
+        def watch(done: int, reward: float) -> None:
+            bars.update(bar, completed=done, rate=f"{reward:.2f}")
+
+        return improve_bound(job, simulations, search_seed=search_seed, progress=watch)
+
+
+def _check(folder: Path, set_name: str, keys: Sequence[Any], hashes: dict[str, str]) -> None:
+    from zenostat.lab.benchmark.bound_file import load_bounds
+    from zenostat.lab.benchmark.bounds import check_bound
+
+    chosen = [bound for key, bound in load_bounds(folder, set_name).items() if key in set(keys)]
+    if not chosen:
+        raise InvalidConfig(f"{folder} has no bounds of the chosen tasks")
+    differences = []
+    for bound in chosen:
+        changes = check_bound(bound, set_name, hashes)
+        for change in changes:
+            err.print(change, soft_wrap=True, markup=False)
+        differences += changes
+    if differences:
+        raise typer.Exit(1)
+    out.print(f"{folder}: {len(chosen)} bounds are equal to the bit", soft_wrap=True, markup=False)
+
+
+def _show(bounds_of_tasks: Sequence[Bound]) -> None:
+    rows = []
+    for bound in bounds_of_tasks:
+        best = max(bound.starts, key=lambda name: bound.starts[name])
+        baseline = bound.starts.get("baseline (relative)")
+        rows.append(
+            (
+                f"{bound.task}/{bound.seed}", "" if baseline is None else f"{baseline:,.2f}", best,
+                f"{bound.starts[best]:,.2f}", f"{bound.reward:,.2f}", str(bound.simulations),
+            )
+        )  # fmt: skip
+    columns = ("task", "baseline (EUR)", "best start", "(EUR)", "bound (EUR)", "simulations")
+    show("Total rewards", columns, rows, right=("baseline (EUR)", "(EUR)", "bound (EUR)", "simulations"))
