@@ -107,7 +107,7 @@ def _check(folder: Path, set_name: str, keys: Sequence[Any], hashes: dict[str, s
         differences += changes
     if differences:
         raise typer.Exit(1)
-    out.print(f"{folder}: {len(chosen)} bounds are equal to the bit", soft_wrap=True, markup=False)
+    out.print(f"{folder}: bounds that are equal to the bit: {len(chosen)}", soft_wrap=True, markup=False)
 
 
 def _show(bounds_of_tasks: Sequence[Bound]) -> None:

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from zenostat.cli.commands import app
-from zenostat.lab.benchmark import SETS, Row, Task
+from zenostat.lab.benchmark import SETS, Row, Task, run_benchmark
 from zenostat.lab.benchmark.bound_file import Bound, bound_path, definition_of, load_bound, load_bounds, packed
 from zenostat.lab.benchmark.bound_moves import (
     Actions,
@@ -308,24 +308,27 @@ def test_gap__table_has_the_bound_and_leaves_out_episodes_without_a_gap() -> Non
 
 @pytest.mark.slow
 @pytest.mark.process
-def test_bound__beats_the_controllers_and_is_run_again_to_the_bit(tmp_path: Path) -> None:
-    from zenostat.lab.benchmark import run_benchmark
-
-    job = BoundTask("smoke", TASK, SEED, tmp_path, ["baseline", "fixed", "rbc"])
-    bound = improve_bound(job, simulations=60)
-    results, _ = run_benchmark("smoke", tmp_path.parent / "results.json", ["rbc"])
+@pytest.mark.timeout(1200)
+@pytest.mark.parametrize(("days", "simulations"), [(1, 60), (3, 30)])  # with a sweep; with noise, windows only
+def test_bound__beats_the_controllers_and_is_run_again_to_the_bit(
+    days: int, simulations: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(SETS, "smoke", dataclasses.replace(SETS["smoke"], days=days, buildings=(OFFICE,)))
+    job = BoundTask("smoke", TASK, SEED, tmp_path / "bounds", ["baseline", "fixed", "rbc"])
+    bound = improve_bound(job, simulations)
+    results, _ = run_benchmark("smoke", tmp_path / "results.json", ["rbc"])
     rewards = {one.controller: one.reward for one in results.rows.values() if one.building == OFFICE}
     assert bound.starts["baseline (relative)"] == rewards["baseline"]  # offsets of 0, to the bit
     assert bound.starts["rbc (absolute)"] == rewards["rbc"]
     assert bound.reward > max(rewards.values())
-    assert bound.simulations == 60
+    assert bound.simulations == simulations
     assert load_bound(job.path, "smoke") == bound
     assert check_bound(bound, "smoke") == []
     other = bound.model_copy(update={"reward": float(np.nextafter(bound.reward, 0.0))})
     assert [text.split(":")[1] for text in check_bound(other, "smoke")] == [
         f" reward {other.reward!r}, now {bound.reward!r}"
     ]
-    assert improve_bound(job, simulations=60) == bound
-    checked = CliRunner().invoke(app, ["bounds", str(tmp_path), "--set", "smoke", "--building", OFFICE, "--check"])
+    assert improve_bound(job, simulations) == bound
+    checked = CliRunner().invoke(app, ["bounds", str(job.folder), "--set", "smoke", "--building", OFFICE, "--check"])
     assert checked.exit_code == 0, checked.output
-    assert "1 bounds are equal to the bit" in checked.output
+    assert "bounds that are equal to the bit: 1" in checked.output
