@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from typer.testing import CliRunner
 
 from zenostat.cli.commands import app
-from zenostat.lab.benchmark import SETS, Row, Task, run_benchmark
+from zenostat.lab.benchmark import SETS, Row, Task, bound_search, run_benchmark
 from zenostat.lab.benchmark.bound_file import Bound, bound_path, definition_of, load_bound, load_bounds, packed
 from zenostat.lab.benchmark.bound_moves import (
     Actions,
@@ -309,11 +309,12 @@ def test_gap__table_has_the_bound_and_leaves_out_episodes_without_a_gap() -> Non
 @pytest.mark.slow
 @pytest.mark.process
 @pytest.mark.timeout(1200)
-@pytest.mark.parametrize(("days", "simulations"), [(1, 60), (3, 30)])  # with a sweep; with noise, windows only
 def test_bound__beats_the_controllers_and_is_run_again_to_the_bit(
-    days: int, simulations: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setitem(SETS, "smoke", dataclasses.replace(SETS["smoke"], days=days, buildings=(OFFICE,)))
+    monkeypatch.setitem(SETS, "smoke", dataclasses.replace(SETS["smoke"], buildings=(OFFICE,)))
+    monkeypatch.setattr(bound_search, "STAGES_H", (1.0, None))
+    simulations = 5 + 9 + 16  # of the controllers, of a sweep, of windows
     job = BoundTask("smoke", TASK, SEED, tmp_path / "bounds", ["baseline", "fixed", "rbc"])
     bound = improve_bound(job, simulations)
     results, _ = run_benchmark("smoke", tmp_path / "results.json", ["rbc"])
@@ -321,7 +322,7 @@ def test_bound__beats_the_controllers_and_is_run_again_to_the_bit(
     assert bound.starts["baseline (relative)"] == rewards["baseline"]  # offsets of 0, to the bit
     assert bound.starts["rbc (absolute)"] == rewards["rbc"]
     assert bound.reward > max(rewards.values())
-    assert bound.simulations == simulations
+    assert (bound.simulations, bound.stages) == (simulations, 2)
     assert load_bound(job.path, "smoke") == bound
     assert check_bound(bound, "smoke") == []
     other = bound.model_copy(update={"reward": float(np.nextafter(bound.reward, 0.0))})
