@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
@@ -266,8 +267,10 @@ def _episode(env: BuildingEnv, act: Callable[[Any], Any], seed: int) -> _Outcome
 def _stages(job: BoundTask, bound: Bound, simulations: int) -> Iterator[Bound]:
     """Improve a bound; yield it after each stage of the search."""
     with closing(BuildingEnv(**job.arguments(bound.relative_k))) as env:
-        low, high = env.action_space.low, env.action_space.high
-        space = SequenceSpace.of(env.manifest, low, high, setpoint_pairs(env.manifest))
+        box = env.action_space
+        if not isinstance(box, gym.spaces.Box):
+            raise InvalidConfig(f"{job.task}: a bound is searched for continuous actions, not for {box}")
+        space = SequenceSpace.of(env.manifest, box.low, box.high, setpoint_pairs(env.manifest))
         best = Best(bound.sequence(), bound.reward, bound.simulations, bound.stages, bound.curve)
         model = _Branches(env, job.seed)
         model.begin()
@@ -329,7 +332,7 @@ def check_bound(bound: Bound, set_name: str, hashes: Mapping[str, str] | None = 
     """Run the sequence of a bound again, and return what differs; empty if all rewards are equal to the bit."""
     job = BoundTask(set_name, bound.task, bound.seed, Path())
     with closing(BuildingEnv(**job.arguments(bound.relative_k))) as env:
-        shape = (env.manifest.steps, *env.action_space.shape)
+        shape = (env.manifest.steps, *(env.action_space.shape or ()))
         if bound.shape != shape:
             return [f"{bound.task}/{bound.seed}: actions of shape {bound.shape}; {shape} expected"]
         outcome = replayed(env, bound.sequence(), bound.seed)
