@@ -151,7 +151,7 @@ class OracleController(Controller):
         center = candidates[-1][0]
         if self._is_relative and not self.manifest.task.discrete_actions:
             candidates.append(np.zeros_like(rule)[None])  # the baseline control
-        candidates.append(self._known_plans(planner.action_space, rule)[: self._samples - len(candidates) - 1])
+        candidates.append(self._known_plans(planner.action_space, rule)[: self._samples - len(candidates)])
         search = self._search(planner.action_space, center)
         best, best_return = rule, -np.inf
         for iteration in range(self._iterations):
