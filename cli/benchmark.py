@@ -223,7 +223,8 @@ def _check_submission(
     with ExitStack() as stack:
         errors, notes = check_submission(
             path, reference, file_hashes(load_results(path).set), sample=sample, sample_seed=sample_seed,
-            controllers=names, workers=running.workers, cache=running.cache, policies=running.policies, progress=_watcher(stack),
+            controllers=names, workers=running.workers, cache=running.cache, policies=running.policies,
+            progress=_watcher(stack),
         )  # fmt: skip
     for note in notes:
         err.print(note, soft_wrap=True, markup=False)

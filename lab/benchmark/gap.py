@@ -45,7 +45,6 @@ def gap_table(rows: Iterable[Row], bounds: Mapping[Key, Bound]) -> Table:
     Raises:
         InvalidConfig: there are no rows of the baseline control, or no episode of all controllers has such a bound.
     """
-
     chosen = [row for row in rows if _key(row) in bounds]
     baseline = {_key(row): row.reward for row in chosen if row.controller == BASELINE}
     gaps = {key for key, reward in baseline.items() if bounds[key].reward > reward}
