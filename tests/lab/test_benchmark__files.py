@@ -17,7 +17,7 @@ from typer.testing import CliRunner
 
 from zenostat.agent_sdk.controllers.training_folder import FORMAT
 from zenostat.cli.commands import app
-from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results, rerun, run, submission
+from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results, prepared, rerun, run, submission
 from zenostat.lab.benchmark.episodes import jobs
 from zenostat.lab.benchmark.figures import write_curves
 from zenostat.lab.benchmark.merge import merge_results
@@ -208,6 +208,13 @@ def test_benchmark_files__finished_tunings_are_taken_from_the_folder_of_policies
     published.write_text(json.dumps({**content, "configuration": "00"}))
     with pytest.raises(InvalidConfig, match="was made for another definition"):
         ensure_prepared(dataclasses.replace(preparation, cache=tmp_path / "empty"))
+
+
+def test_benchmark_files__curve_has_the_means_of_equal_parts_of_a_training(tmp_path: Path) -> None:
+    """25 parts of 40 steps: rewards of the episodes that end in steps 1 to 40, 41 to 80, and so on."""
+    file = tmp_path / "curve.csv"
+    file.write_text("step,slot,reward,steps\n20,0,-4.0,20\n40,1,-2.0,20\n41,0,-1.0,20\n1003,1,-0.5,20\n")
+    assert prepared._curve(file, 1000) == {"steps": [40, 80, 1000], "rewards": [-3.0, -1.0, -0.5]}
 
 
 def test_benchmark_files__training_on_a_rule_waits_for_its_tuning(
