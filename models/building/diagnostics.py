@@ -20,8 +20,11 @@ from zenostat.models.building.references import dangling_references
 from zenostat.models.building.source_model import SourceModel, read_source
 from zenostat.models.cache import cached_bytes, digest
 
-FORMAT = "1"
+FORMAT = "2"
 """Version of the stored files."""
+
+REQUIRED = ("Building", "GlobalGeometryRules")
+"""Types of which EnergyPlus requires an object."""
 
 _MAX_SHOWN = 10
 """Number of diagnostics that an error message lists."""
@@ -77,6 +80,11 @@ def diagnose_format(objects: Objects, source: SourceModel | None = None) -> list
     """Return the errors of a file's syntax, and of the objects against the schema; arguments as in `diagnose`."""
     issues = source.issues if source is not None else ()
     diagnostics = [Diagnostic(Severity.ERROR, kind, name, "", text, line) for line, kind, name, text in issues]
+    diagnostics += [
+        Diagnostic(Severity.ERROR, kind, "", "", f"the model has no {kind} object; EnergyPlus requires one")
+        for kind in REQUIRED
+        if not objects.get(kind)
+    ]
     damaged = {(each.kind, each.name) for each in diagnostics}
     # What follows from a missing comma or semicolon is no error of its own.
     errors = [e for e in schema.find_errors(objects, complete=True) if (e.kind, e.name) not in damaged]

@@ -11,7 +11,8 @@ from typing import NamedTuple
 import pytest
 from support.data_packs import sinergym
 
-from zenostat.models.building.diagnostics import Diagnostic, Severity, diagnose
+from zenostat.models.building import schema
+from zenostat.models.building.diagnostics import REQUIRED, Diagnostic, Severity, diagnose
 from zenostat.models.building.source_model import SourceModel, SourceObject, read_epjson, read_idf
 from zenostat.models.catalog import find_building
 
@@ -234,11 +235,20 @@ def test_diagnose__unknown_field_of_an_epjson() -> None:
 
 def test_diagnose__value_that_is_the_name_of_another_type_is_said() -> None:
     source = read_epjson(
-        '{"Zone": {"Z": {}}, "Lights": {\n"L": {"zone_or_zonelist_or_space_or_spacelist_name": "Z",\n'
+        '{"Building": {"B": {}}, "GlobalGeometryRules": {"G": {"coordinate_system": "World", '
+        '"starting_vertex_position": "UpperLeftCorner", "vertex_entry_direction": "Counterclockwise"}}, '
+        '"Zone": {"Z": {}}, "Lights": {\n"L": {"zone_or_zonelist_or_space_or_spacelist_name": "Z",\n'
         '"schedule_name": "z"}}}'
     )
     (reported,) = diagnose(source.objects, source)
     assert str(reported) == "line 3: Lights 'L': schedule_name is 'z', which is a Zone, no schedule; there are none"
+
+
+def test_diagnose__names_types_that_energyplus_requires() -> None:
+    assert schema.embedded()["required"] == list(REQUIRED)
+    assert [e.text for e in diagnose({"Building": {"B": {}}})] == [
+        "the model has no GlobalGeometryRules object; EnergyPlus requires one"
+    ]
 
 
 @pytest.mark.slow

@@ -213,10 +213,11 @@ def _broken(folder: Path, break_: Callable[[dict[str, Any]], None]) -> Path:
 
 
 def test_model__refused_by_energyplus(scratch: Path) -> None:
-    """A construction that names a material which is not there."""
+    """A fan that names a schedule which is not there."""
 
     def break_(objects: dict[str, Any]) -> None:
-        next(iter(objects["Construction"].values()))["outside_layer"] = "Unobtainium 20cm"
+        fans = next(items for kind, items in objects.items() if kind.startswith("Fan:"))
+        next(iter(fans.values()))["availability_schedule_name"] = "Unobtainium 20cm"
 
     with pytest.raises(ModelError) as raised:
         make(building=_broken(scratch, break_))
