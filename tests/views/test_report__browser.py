@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support.run_cli import run_in_process
 from support.trajectories import office_comparison
 
 from zenostat.views.report import write_report
@@ -283,3 +284,22 @@ def test_report__without_scripts_the_page_is_the_same_but_for_the_hint(browser: 
     assert page.locator("#hint").is_visible()
     page.evaluate("document.getElementById('hint').hidden = true")
     np.testing.assert_array_equal(pixels(page), still)
+
+
+def test_model_page__draws_the_building_and_names_the_zone_at_the_pointer(browser: Any, tmp_path: Path) -> None:
+    path, messages, requests = tmp_path / "office.html", list[str](), list[str]()
+    run_in_process("model", "ref-medium-office", "--html", str(path))
+    page = browser.new_page(viewport={"width": 1000, "height": 900})
+    page.on("console", lambda message: messages.append(message.text))
+    page.on("pageerror", lambda error: messages.append(str(error)))
+    page.on("request", lambda request: requests.append(request.url))
+    page.goto(path.as_uri())
+    canvas = page.locator("#view")
+    whole = canvas.evaluate("canvas => canvas.toDataURL()")
+    page.select_option("#storey", "0")
+    assert canvas.evaluate("canvas => canvas.toDataURL()") != whole
+    canvas.hover()  # its middle: the core of the lowest storey
+    assert page.text_content("#label") == "Core_bottom: 984 m²"
+    canvas.press("ArrowLeft")
+    assert (messages, requests) == ([], [path.as_uri()])
+    page.close()

@@ -24,6 +24,7 @@
     if (s.zone < 0) return top < storeys.length ? -1 : 0;
     if (top >= storeys.length || storey < top) return s.exposed && isFacing ? 0 : -1;
     if (storey > top || s.kind === 1 || s.kind === 3) return -1;
+    if (s.kind === 2 && s.corners[0][2] > storeys[top] + 1) return -1; // of a plenum above
     return s.kind === 2 ? 1 : s.exposed ? (isFacing ? 4 : 2) : 3;
   };
   const project = ([x, y, z]) => {

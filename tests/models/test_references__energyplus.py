@@ -1,0 +1,79 @@
+"""References that are refused: EnergyPlus itself ends at each of them, so no model that it simulates is refused."""
+
+from __future__ import annotations
+
+import copy
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from datetime import date
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.data_packs import sinergym
+
+from zenostat.models.building.dictionary import object_lists
+from zenostat.models.building.model import for_episode, read_building
+from zenostat.models.building.references import dangling_references
+from zenostat.models.catalog import bundled_weathers, find_building
+from zenostat.models.scenario.run_period import Period
+
+_RUN = """
+import sys
+from pyenergyplus.api import EnergyPlusAPI
+api = EnergyPlusAPI()
+state = api.state_manager.new_state()
+api.runtime.set_console_output_status(state, False)
+sys.exit(api.runtime.run_energyplus(state, ["-w", sys.argv[1], "-d", sys.argv[2], sys.argv[3]]))
+"""
+
+Objects = dict[str, dict[str, Any]]
+
+
+def mistyped(objects: Objects) -> Iterator[tuple[str, str, Objects]]:
+    """Each type and field of a model that refers to an object, with the model in which the first one is mistyped."""
+    for kind, items in objects.items():
+        for path in object_lists(kind):
+            first, _, member = path.partition(".")
+            for name, fields in items.items():
+                value = fields.get(first)
+                holder = value[0] if member and isinstance(value, list) and value else fields
+                text = holder.get(member or first)
+                if path != "name" and isinstance(text, str) and text:
+                    changed = copy.deepcopy(objects)
+                    target = changed[kind][name]
+                    (target[first][0] if member else target)[member or first] = f"{text}_TYPO"
+                    yield kind, path, changed
+                    break
+
+
+def exit_code(objects: Objects, folder: Path) -> int:
+    """The exit code of EnergyPlus for a day of a model."""
+    folder.mkdir()
+    path = folder / "in.epJSON"
+    path.write_text(json.dumps(objects))
+    command = [sys.executable, "-P", "-c", _RUN, str(bundled_weathers()[0].path), str(folder), str(path)]
+    return subprocess.run(command, check=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.parametrize("name", ["5ZoneAutoDXVAV", "2ZoneDataCenterHVAC_wEconomizer_CW", "warehouse"])
+def test_dangling_references__energyplus_ends_at_each_that_is_fatal(name: str, tmp_path: Path) -> None:
+    sinergym()
+    day = date(2017, 1, 1)
+    objects = for_episode(read_building(find_building(name)), Period(day, day, 4))
+    cases = []
+    for number, (kind, path, changed) in enumerate(mistyped(objects)):
+        reference = next(dangling_references(changed))
+        assert (reference.kind, reference.field.replace("[0]", "")) == (kind, path)
+        if reference.is_fatal:
+            cases.append((f"{kind} {path}", changed, tmp_path / str(number)))
+    assert len(cases) > 30
+    with ThreadPoolExecutor(2) as pool:
+        codes = dict(zip([c[0] for c in cases], pool.map(lambda c: exit_code(c[1], c[2]), cases), strict=True))
+    assert [case for case, code in codes.items() if code == 0] == []
+    assert any(code < 0 for code in codes.values())  # some by a crash
