@@ -137,7 +137,8 @@ def check_extras(names: Sequence[str]) -> None:
     for name in filter(is_prepared, names):
         if name != TUNED:
             import_extra("stable_baselines3", "train", f"the controller {name}")
-        import_extra("optuna", "tune", f"the controller {name}, which is tuned or builds on one that is,")
+        for module in ("optuna", "cmaes"):
+            import_extra(module, "tune", f"the controller {name}, which is tuned or builds on one that is,")
 
 
 def _controller_digest(name: str) -> str:
