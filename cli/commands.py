@@ -36,8 +36,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
         "record.record", "verify.verify", "replay.replay", "report.report", "export.export", "log.log",
     ),
     "Choose what to simulate": (
-        "scenarios.scenarios", "buildings.buildings", "weathers.weathers", "model.model", "points.points",
-        "data_packs.app",
+        "scenarios.scenarios", "buildings.buildings", "weathers.weathers", "model.model", "models.app", "points.points",
+        "data_packs.app", "engine.engine",
     ),
     "Connect other programs": ("keys.app", "router.router", "gateway.app", "asyncapi.asyncapi"),
 }  # fmt: skip

@@ -6,7 +6,6 @@ when a pack is added. `sinergym/NAME` searches only that pack.
 
 from __future__ import annotations
 
-import importlib.util
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,6 +13,7 @@ from functools import cache
 from pathlib import Path
 
 from zenostat.models import data_packs
+from zenostat.models.engine_library import WHEEL, module_folder
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 MODEL_SUFFIXES = (".epjson", ".idf", ".osm", ".gbxml", ".xml")
@@ -48,10 +48,10 @@ class _Kind:
 @cache
 def wheel() -> Path:
     """Return the folder of the EnergyPlus wheel; `InvalidConfig` if it is not installed."""
-    spec = importlib.util.find_spec("pyenergyplus")
-    if spec is None or not spec.submodule_search_locations:
+    folder = module_folder(WHEEL)
+    if folder is None:
         raise InvalidConfig("EnergyPlus is not installed: pip install pyenergyplus-lbnl")
-    return Path(spec.submodule_search_locations[0])
+    return folder
 
 
 def _kebab(camel: str) -> str:

@@ -15,10 +15,10 @@ import sys
 from array import array
 from collections.abc import Callable
 from contextlib import closing
-from functools import cache
 from pathlib import Path
 from typing import Any
 
+from zenostat.models.engine_library import engine_library, new_api
 from zenostat.models.err_file import explain
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import ModelError
@@ -66,35 +66,22 @@ def call(
         raise ModelError(f"EnergyPlus could not {_ACTIONS[verb]} {source}{crash}. {reason}")
 
 
-@cache
 def version() -> str:
-    """Return the version of the installed engine, from the name of its library: `25.2.0`."""
-    for library in _libraries():
-        tail = library.name.removeprefix("libenergyplusapi.").removeprefix("so.").removesuffix(".dylib")
-        if tail[:1].isdigit():
-            return tail
-    return "unknown"
+    """Return the version of the engine that runs: `25.2.0`."""
+    return engine_library().version
 
 
 def library() -> Path:
     """Return the path of the engine's library."""
-    return next(path.resolve() for path in _libraries())
-
-
-def _libraries() -> list[Path]:
-    from zenostat.models.catalog import wheel
-
-    return sorted(wheel().parent.glob("libenergyplusapi.*"))
+    return engine_library().path
 
 
 def _convert(source: str, target: str) -> None:
-    from pyenergyplus.api import EnergyPlusAPI
-
     folder = os.path.dirname(target)
     dictionary = os.path.join(folder, "none.idd")
     with open(dictionary, "w"):
         pass  # the wheel has no Energy+.idd; any file will do, since EnergyPlus reads its own schema
-    api = EnergyPlusAPI()
+    api = new_api()
     state = api.state_manager.new_state()
     api.runtime.set_console_output_status(state, False)
     api.runtime.run_energyplus(state, ["--convert-only", "-i", dictionary, "-d", folder, source])
@@ -152,13 +139,11 @@ def _unlisted_variables(points: list[list[str]], report: str) -> list[list[str]]
 
 def _run_until_ready(model: dict[str, Any], weather: str, folder: str) -> list[list[str]]:
     """Start a run, stop it once the API's lists of points are complete, and return these."""
-    from pyenergyplus.api import EnergyPlusAPI
-
     os.makedirs(folder)
     path = os.path.join(folder, "in.epJSON")
     with open(path, "w") as file:
         json.dump(model, file)
-    api = EnergyPlusAPI()
+    api = new_api()
     state = api.state_manager.new_state()
     api.runtime.set_console_output_status(state, False)
     points: list[list[str]] = []
@@ -177,9 +162,7 @@ def _run_until_ready(model: dict[str, Any], weather: str, folder: str) -> list[l
 
 def _schedules(model: str, names: str, weather: str, target: str) -> None:
     """Write the values of schedules in each timestep, row by row, as float64."""
-    from pyenergyplus.api import EnergyPlusAPI
-
-    api = EnergyPlusAPI()
+    api = new_api()
     exchange, state = api.exchange, api.state_manager.new_state()
     api.runtime.set_console_output_status(state, False)
     keys = json.loads(names)

@@ -29,6 +29,7 @@ from zenostat.bridge.engine.system_calls import (
 from zenostat.bridge.runtime.polling import Polling
 from zenostat.eplus_node.engine.huge_pages import collapse_huge_pages
 from zenostat.eplus_node.engine.memory import SaturationCache
+from zenostat.models.engine_library import new_api
 
 RUN_PERIOD = 3
 """EnergyPlus's `kind_of_sim` for a run period that reads a weather file."""
@@ -59,11 +60,9 @@ class Engine:
     """
 
     def __init__(self, orders: socket.socket, frames: socket.socket, spec: dict[str, Any]) -> None:
-        from pyenergyplus.api import EnergyPlusAPI
-
         self.orders, self.frames = orders, frames
         self.spec = spec
-        self.api = EnergyPlusAPI()
+        self.api = new_api()
         self.state = self.api.state_manager.new_state()
         self.api.runtime.set_console_output_status(self.state, False)
         for variable, key, *_ in spec["sensors"]:

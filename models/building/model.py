@@ -12,13 +12,17 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.models import energyplus
-from zenostat.models.building import idf, openstudio, output_objects, transition
+from zenostat.models.building import idf, openstudio, output_objects, templates
 from zenostat.models.building.diagnostics import Severity, cached_diagnostics, describe, verdict
 from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.building.run_needs import simulation_control
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
+from zenostat.models.input_format.idf_reader import idf_version
 from zenostat.models.scenario.run_period import Period, year_of
+from zenostat.models.upgrade.files import cached_upgrade
+from zenostat.models.upgrade.upgrade import UpgradedModel, upgrade_epjson
+from zenostat.models.upgrade.versions import short
 from zenostat.topics.calendar import LEAP_YEAR, parse_day
 from zenostat.topics.errors import InvalidConfig
 
@@ -42,8 +46,9 @@ class Building:
         name: the catalog's name.
         objects: object type, object name, fields.
         content: digest of its content.
-        notes: what was converted to reach the engine's version.
+        notes: on its upgrade to the engine's version, and on its templates.
         file: path of the file, for error messages.
+        is_own_format: whether the file has these objects, in the engine's version: no upgrade, no templates.
     """
 
     name: str
@@ -51,6 +56,7 @@ class Building:
     content: str
     notes: tuple[str, ...] = ()
     file: str = ""
+    is_own_format: bool = True
 
     def find(self, kind: str, name: str) -> dict[str, Any]:
         """Return an object's fields by type and name, both in any case; empty if there is none."""
@@ -103,34 +109,57 @@ class Building:
 def read_building(entry: Entry) -> Building:
     """Read the model of a catalog entry for the installed engine.
 
-    An IDF is converted once per content and engine version. An epJSON of an earlier version is converted if the
-    transition is known. OpenStudio translates its own models and gbXML to IDF.
+    An IDF is converted once per content and engine version. A model of an earlier version is upgraded, and templates
+    are expanded. OpenStudio translates its own models and gbXML to IDF.
 
     Raises:
-        InvalidConfig: the file has errors (the text lists them with their lines), the model's version cannot be
-            converted, or OpenStudio is needed and not installed.
-        ModelError: EnergyPlus cannot read the IDF.
+        InvalidConfig: the file has errors (the text lists them with their lines), the model cannot be upgraded, a
+            template cannot be expanded, or OpenStudio is needed and not installed.
+        ModelError: EnergyPlus cannot read the IDF, or ExpandObjects failed.
     """
     raw = entry.path.read_bytes()
     content = digest(raw, energyplus.version())
-    name, notes = entry.path.name, tuple[str, ...]()
-    if entry.path.suffix.lower() in openstudio.SUFFIXES:
+    translation, suffix = tuple[str, ...](), entry.path.suffix.lower()
+    if suffix in openstudio.SUFFIXES:
         translated = openstudio.translate(entry.path)
-        notes, content = translated.notes, digest(translated.idf, energyplus.version())
+        translation, content = translated.notes, digest(translated.idf, energyplus.version())
         raw = cached_bytes(
             f"models/{content}.epJSON", lambda target: idf.convert_text(translated.idf, target, entry.path)
         )
-    elif entry.path.suffix.lower() == ".idf":
-        transition.check_idf(raw.decode("latin-1"), name=name)
-        raw = cached_bytes(f"models/{content}.epJSON", lambda target: idf.convert(entry.path, target))
+    if suffix == ".idf":
+        upgraded = _read_idf(entry.path, raw, content)
+    else:
+        upgraded = upgrade_epjson(_read_epjson(entry.path, raw), name=entry.path.name)
+    if "Building" not in upgraded.objects:
+        raise InvalidConfig(f"{entry.path} is not a building model: it has no 'Building' object")
+    expanded, notes = templates.expand(upgraded.objects, file=str(entry.path))
+    summary = (upgraded.summary,) if upgraded.summary else ()
+    is_own_format = not summary and not notes
+    return Building(entry.name, expanded, content, (*translation, *summary, *notes), str(entry.path), is_own_format)
+
+
+def _read_idf(path: Path, raw: bytes, content: str) -> UpgradedModel:
+    """Read an IDF of any known version.
+
+    EnergyPlus's own converter reads those of its version, unless they have templates, which it refuses.
+    """
+    text = raw.decode("latin-1")
+    version = idf_version(text)
+    is_own = version in (None, "") or short(version) == short(energyplus.version())
+    if not is_own or templates.PREFIX in text.casefold():
+        return cached_upgrade(text, name=path.name)
+    converted = cached_bytes(f"models/{content}.epJSON", lambda target: idf.convert(path, target))
+    return upgrade_epjson(_read_epjson(path, converted), name=path.name)
+
+
+def _read_epjson(path: Path, raw: bytes) -> dict[str, Any]:
     try:
         objects = json.loads(raw)
     except (ValueError, RecursionError) as error:
-        raise InvalidConfig(f"{entry.path} is not an epJSON file: {error}") from None
+        raise InvalidConfig(f"{path} is not an epJSON file: {error}") from None
     if not isinstance(objects, dict) or "Building" not in objects:
-        raise InvalidConfig(f"{entry.path} is not a building model: it has no 'Building' object")
-    converted = transition.check_epjson(objects, name=name)
-    return Building(entry.name, converted.objects, content, (*notes, *converted.notes), str(entry.path))
+        raise InvalidConfig(f"{path} is not a building model: it has no 'Building' object")
+    return objects
 
 
 def check_runnable(building: Building) -> None:
@@ -143,7 +172,8 @@ def check_runnable(building: Building) -> None:
         InvalidConfig: lists all errors, with object, field and line.
     """
     file = building.file or building.name
-    diagnostics = cached_diagnostics(building.objects, building.content, building.file)
+    source = building.file if building.is_own_format else ""
+    diagnostics = cached_diagnostics(building.objects, building.content, source)
     errors = [each for each in diagnostics if each.severity is Severity.ERROR]
     if errors:
         raise InvalidConfig(describe(errors, file, verdict()))
@@ -175,6 +205,7 @@ def with_edits(building: Building, edits: Edits) -> Building:
         digest(building.content, json.dumps(edits, sort_keys=True)),
         building.notes,
         building.file,
+        building.is_own_format,
     )
 
 

@@ -26,7 +26,6 @@ from cbor2 import CBORDecodeError, CBORDecoder
 
 from zenostat.models import energyplus
 from zenostat.models.cache import cached_bytes
-from zenostat.models.catalog import wheel
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 FORMAT = "1"
@@ -278,6 +277,12 @@ def _short(value: object) -> str:
 
 
 @cache
+def document() -> dict[str, Any]:
+    """Return the whole schema of the installed engine, as in its library; 10 MB, and not to be modified."""
+    return dict(json.loads(cached_bytes(f"schema/{energyplus.version()}-whole.json", _make_document)))
+
+
+@cache
 def _schema() -> dict[str, Any]:
     """`types`: type to {fields: name to rule number, required, named, single}; `rules`: lists of choices."""
     content = cached_bytes(f"schema/{energyplus.version()}-{FORMAT}.json", _make)
@@ -287,6 +292,10 @@ def _schema() -> dict[str, Any]:
 @cache
 def _folded() -> dict[str, str]:
     return {kind.casefold(): kind for kind in _schema()["types"]}
+
+
+def _make_document(target: Path) -> None:
+    target.write_text(json.dumps(embedded()))
 
 
 def _make(target: Path) -> None:
@@ -336,9 +345,7 @@ def embedded() -> dict[str, Any]:
     Raises:
         InvalidConfig: the library has no schema.
     """
-    library = wheel().parent / f"libenergyplusapi.so.{energyplus.version()}"
-    if not library.exists():
-        library = next(iter(sorted(wheel().parent.glob("libenergyplusapi.*"))), library)
+    library = energyplus.library()
     first_key = b"\x67$schema"
     schema = None
     with library.open("rb") as file:

@@ -1,0 +1,1 @@
+"""EnergyPlus's input formats, IDF and epJSON, of any version: positions of fields, reading, writing, the dictionary."""

@@ -1,0 +1,141 @@
+"""Upgrade a model of an earlier version to the engine's, or refuse it by object, field and line.
+
+EnergyPlus itself only warns about another version and ignores fields that have since been renamed. Here an IDF is read
+with the input format of its own version, each version step applies its rules, and the result is checked against the
+engine's schema, so a change that no rule covers is an error and never a silently ignored field.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from zenostat.models import energyplus
+from zenostat.models.building import schema
+from zenostat.models.input_format.idf_reader import ParsedModel, idf_version, read_idf
+from zenostat.models.upgrade.apply import apply
+from zenostat.models.upgrade.step import Change, Objects, Refusal, UpgradingModel
+from zenostat.models.upgrade.versions import layout_of, short, steps_between
+from zenostat.topics.errors import InvalidConfig
+
+_MAX_ERRORS = 10
+
+
+@dataclass(frozen=True)
+class UpgradedModel:
+    """A model of the engine's version.
+
+    Attributes:
+        objects: object type, object name, fields.
+        before, after: its own version, and the engine's; equal if nothing was to do.
+        changes: what was changed, in order.
+    """
+
+    objects: Objects
+    before: str
+    after: str
+    changes: tuple[Change, ...] = ()
+
+    @property
+    def summary(self) -> str:
+        """A sentence on the upgrade; empty if there was none."""
+        if self.before == self.after:
+            return ""
+        head = f"upgraded from EnergyPlus {self.before} to {self.after}"
+        if not self.changes:
+            return f"{head}: nothing had to be changed"
+        objects = len({(change.kind, change.name) for change in self.changes})
+        return (
+            f"{head}: {_counted(len(self.changes), 'change')} in {_counted(objects, 'object')} "
+            "(`zenostat models upgrade FILE` lists them)"
+        )
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def upgrade_idf(text: str, *, name: str, engine: str | None = None) -> UpgradedModel:
+    """Read an IDF of a known version and upgrade it; one without a version is read as the engine's, as EnergyPlus does.
+
+    Raises:
+        InvalidConfig: the version cannot be upgraded, the text is not an IDF of its version, or no rule covers what
+            changed.
+    """
+    engine = engine or energyplus.version()
+    version = idf_version(text)
+    steps_between(version, engine, name)
+    own = short(version) if version else short(engine)
+    return _upgrade(read_idf(text, layout_of(own, name=name), name=name), version, name, engine)
+
+
+def upgrade_epjson(objects: Mapping[str, Any], *, name: str, engine: str | None = None) -> UpgradedModel:
+    """Upgrade a whole epJSON; the input is not modified, and one of the engine's version is used as it is.
+
+    Raises:
+        InvalidConfig: it is not an epJSON, its version cannot be upgraded, or no rule covers what changed.
+    """
+    if not all(isinstance(items, Mapping) and _all_fields(items) for items in objects.values()):
+        raise InvalidConfig(
+            "\n".join([f"{name} is not an epJSON file:", *schema.schema_errors(objects, complete=False)])
+        )
+    version = next((fields.get("version_identifier") for fields in objects.get("Version", {}).values()), None)
+    return _upgrade(ParsedModel(dict(objects)), version, name, engine or energyplus.version())
+
+
+def _all_fields(items: Mapping[str, Any]) -> bool:
+    return all(isinstance(fields, Mapping) for fields in items.values())
+
+
+def _upgrade(parsed: ParsedModel, version: object, name: str, engine: str) -> UpgradedModel:
+    steps = steps_between(version, engine, name)
+    target = short(engine)
+    if not steps:
+        return UpgradedModel(parsed.objects, target, target)
+    model = UpgradingModel(parsed.objects)
+    for step in steps:
+        apply(step, model)
+    model.objects["Version"] = {key: {"version_identifier": target} for key in list(model.objects["Version"])[:1]}
+    refusals = [*model.refusals, *_schema_refusals(model)]
+    if refusals:
+        lines = list(dict.fromkeys(_describe(refusal, parsed) for refusal in refusals))
+        more = [f"and {len(lines) - _MAX_ERRORS} more"] if len(lines) > _MAX_ERRORS else []
+        head = f"{name} is for EnergyPlus {version} and cannot be upgraded to {target}:"
+        raise InvalidConfig("\n  ".join([head, *lines[:_MAX_ERRORS], *more]))
+    return UpgradedModel(model.objects, steps[0].before, target, tuple(model.changes))
+
+
+def _schema_refusals(model: UpgradingModel) -> Iterator[Refusal]:
+    """Yield what the engine's schema rejects in the result, under the names of the user's file."""
+    refused = {(refusal.kind, refusal.name) for refusal in model.refusals}
+    for kind, items in model.objects.items():
+        spelling = schema.canonical_type(kind) or kind
+        if not schema.schema_errors({spelling: items}, complete=True):
+            continue
+        if schema.canonical_type(kind) is None:
+            names = list(items) or [""]
+            yield from (Refusal(*model.origin(kind, name), "", schema.unknown_type(kind)) for name in names)
+            continue
+        for name, fields in items.items():
+            origin = model.origin(kind, name)
+            errors = [] if origin in refused else schema.schema_errors({spelling: {name: fields}}, complete=True)
+            for error in errors:
+                text = error.removeprefix(f"{spelling} {name!r}").removeprefix(":").strip()
+                yield Refusal(*origin, _field_in(text, fields, model, kind, name), text)
+        if len(items) > 1 and schema.single(spelling):
+            yield Refusal(*model.origin(kind, next(iter(items))), "", f"a model has only one, got {len(items)}")
+
+
+def _field_in(text: str, fields: Mapping[str, Any], model: UpgradingModel, kind: str, name: str) -> str:
+    """Return the field of the user's file that an error is about; empty if it is about the object."""
+    words = text.replace("'", " ").replace("[", " ").replace(":", " ").split()
+    named = next((field for field in fields if field in words), "")
+    return model.renamed_fields.get((kind, name, named), named)
+
+
+def _describe(refusal: Refusal, parsed: ParsedModel) -> str:
+    line = parsed.line(refusal.kind, refusal.name, refusal.field)
+    place = f"line {line}: " if line is not None else ""
+    label = f"{refusal.kind} {refusal.name!r}" if refusal.name else refusal.kind
+    return f"{place}{label}: {refusal.text}"

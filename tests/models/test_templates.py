@@ -1,0 +1,201 @@
+"""HVACTemplate objects: expanded by ExpandObjects, simulated, and refused with EnergyPlus's own reasons."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.variable_runs import run
+
+from zenostat.models.building import templates
+from zenostat.models.building.model import Building, check_runnable, read_building
+from zenostat.models.catalog import find_building
+from zenostat.models.input_format.idf_writer import write_idf
+from zenostat.models.input_format.layout import engine_layout
+from zenostat.topics.errors import InvalidConfig
+
+ZONES = ("Core_ZN", "Perimeter_ZN_1", "Perimeter_ZN_2", "Perimeter_ZN_3", "Perimeter_ZN_4")
+HEATING_C, COOLING_C = 20.0, 25.0
+ENVELOPE = (
+    *("Building", "Construction", "ElectricEquipment", "FenestrationSurface", "GlobalGeometryRules", "InternalMass"),
+    *("HeatBalance", "Lights", "Material", "People", "RunPeriod", "Schedule", "ShadowCalculation", "SimulationControl"),
+    *("Site:", "Sizing:Parameters", "SizingPeriod", "SurfaceConvection", "Timestep", "Version", "WindowMaterial"),
+    *("ZoneAirHeatBalance", "ZoneInfiltration"),
+)
+
+Objects = dict[str, dict[str, Any]]
+
+THERMOSTAT: Objects = {
+    "HVACTemplate:Thermostat": {"all": {"constant_heating_setpoint": HEATING_C, "constant_cooling_setpoint": COOLING_C}}
+}
+HOT_WATER: Objects = {
+    "HVACTemplate:Plant:HotWaterLoop": {"hot water": {}},
+    "HVACTemplate:Plant:Boiler": {
+        "boiler": {"boiler_type": "HotWaterBoiler", "efficiency": 0.8, "fuel_type": "NaturalGas"}
+    },
+}
+CHILLED_WATER: Objects = {
+    "HVACTemplate:Plant:ChilledWaterLoop": {"chilled water": {}},
+    "HVACTemplate:Plant:Chiller": {"chiller": {"chiller_type": "ElectricReciprocatingChiller", "nominal_cop": 3.2}},
+    "HVACTemplate:Plant:Tower": {"tower": {"tower_type": "SingleSpeed"}},
+}
+MIXED_WATER: Objects = {
+    "HVACTemplate:Plant:MixedWaterLoop": {"mixed water": {}},
+    "HVACTemplate:Plant:Boiler": HOT_WATER["HVACTemplate:Plant:Boiler"],
+    "HVACTemplate:Plant:Tower": CHILLED_WATER["HVACTemplate:Plant:Tower"],
+}
+
+
+def zone_templates(kind: str, **fields: Any) -> Objects:
+    """A template of a type for each zone; a field `{zone}` in a text stands for the zone's name."""
+    common = {"template_thermostat_name": "all"} | fields
+    return {
+        f"HVACTemplate:Zone:{kind}": {
+            f"{kind} {zone}": {"zone_name": zone}
+            | {k: v.format(zone=zone) if isinstance(v, str) else v for k, v in common.items()}
+            for zone in ZONES
+        }
+    }
+
+
+def systems_per_zone(kind: str, **fields: Any) -> Objects:
+    """A system of a type for each zone."""
+    return {
+        f"HVACTemplate:System:{kind}": {
+            f"system {zone}": {"control_zone_or_thermostat_location_name": zone, **fields} for zone in ZONES
+        }
+    }
+
+
+SYSTEMS: dict[str, Objects] = {
+    "ideal loads": zone_templates("IdealLoadsAirSystem"),
+    "hot-water baseboard": zone_templates(
+        "BaseboardHeat", zone_heating_sizing_factor=1.2, baseboard_heating_type="HotWater"
+    )
+    | HOT_WATER,
+    "VAV": zone_templates("VAV", template_vav_system_name="vav", reheat_coil_type="HotWater")
+    | {"HVACTemplate:System:VAV": {"vav": {"heating_coil_type": "HotWater"}}}
+    | HOT_WATER
+    | CHILLED_WATER,
+    "unitary": zone_templates("Unitary", template_unitary_system_name="system {zone}")
+    | systems_per_zone("Unitary", heating_coil_type="Gas"),
+    "PTAC": zone_templates("PTAC"),
+    "PTHP": zone_templates("PTHP"),
+    "fan coil": zone_templates("FanCoil") | HOT_WATER | CHILLED_WATER,
+    "packaged VAV": zone_templates("VAV", template_vav_system_name="vav", reheat_coil_type="Electric")
+    | {"HVACTemplate:System:PackagedVAV": {"vav": {"heating_coil_type": "Gas"}}},
+    "fan-powered VAV": zone_templates("VAV:FanPowered", template_vav_system_name="vav", reheat_coil_type="Electric")
+    | {"HVACTemplate:System:PackagedVAV": {"vav": {}}},
+    "VAV with heating and cooling": zone_templates(
+        "VAV:HeatAndCool", template_vav_system_name="vav", reheat_coil_type="HotWater"
+    )
+    | {"HVACTemplate:System:VAV": {"vav": {"heating_coil_type": "HotWater"}}}
+    | HOT_WATER
+    | CHILLED_WATER,
+    "heat pump": zone_templates("Unitary", template_unitary_system_name="system {zone}")
+    | systems_per_zone("UnitaryHeatPump:AirToAir"),
+    "unitary system": zone_templates("Unitary", template_unitary_system_name="system {zone}")
+    | systems_per_zone(
+        "UnitarySystem",
+        cooling_coil_type="SingleSpeedDX",
+        heating_coil_type="Gas",
+        heating_design_supply_air_temperature=50.0,
+    ),
+    "constant volume": zone_templates(
+        "ConstantVolume", template_constant_volume_system_name="cv", reheat_coil_type="HotWater"
+    )
+    | {"HVACTemplate:System:ConstantVolume": {"cv": {}}}
+    | HOT_WATER
+    | CHILLED_WATER,
+    "dual duct": zone_templates("DualDuct", template_dual_duct_system_name="dual")
+    | {"HVACTemplate:System:DualDuct": {"dual": {}}}
+    | HOT_WATER
+    | CHILLED_WATER,
+    "VRF": zone_templates("VRF", template_vrf_system_name="vrf")
+    | {"HVACTemplate:System:VRF": {"vrf": {"master_thermostat_priority_control_type": "ThermostatOffsetPriority"}}},
+    "water-to-air heat pump": zone_templates("WaterToAirHeatPump") | MIXED_WATER,
+    "dedicated outdoor air": zone_templates("FanCoil", dedicated_outdoor_air_system_name="doas")
+    | {"HVACTemplate:System:DedicatedOutdoorAir": {"doas": {}}}
+    | HOT_WATER
+    | CHILLED_WATER,
+}
+MILD = {"VRF": "03-15", "VAV with heating and cooling": "03-15"}
+"""Days for systems whose capacity does not suffice in January."""
+
+QUICK = ("ideal loads", "hot-water baseboard")
+
+
+@cache
+def envelope() -> Objects:
+    """A small office without its systems, sized for its own design days."""
+    office = read_building(find_building("ref-small-office")).objects
+    kept = {kind: items for kind, items in office.items() if kind.startswith(ENVELOPE) or kind == "Zone"}
+    control = {"do_zone_sizing_calculation": "Yes", "do_system_sizing_calculation": "Yes"}
+    return kept | {"SimulationControl": {"SimulationControl 1": control | {"do_plant_sizing_calculation": "Yes"}}}
+
+
+def office_with(system: Mapping[str, Mapping[str, Any]], path: Path) -> Building:
+    """Write the envelope with templates as an IDF or epJSON, by the path's suffix, and read it as a node does."""
+    objects = envelope() | THERMOSTAT | system
+    is_idf = path.suffix == ".idf"
+    path.write_text(write_idf(objects, engine_layout()) if is_idf else json.dumps(objects))
+    building = read_building(find_building(str(path)))
+    check_runnable(building)
+    return building
+
+
+def temperatures(building: Building, folder: Path, day: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+    points = [("Zone Mean Air Temperature", zone) for zone in ZONES]
+    return run(building, points, folder / day, begin=day, end=day)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=[] if name in QUICK else pytest.mark.slow) for name in SYSTEMS]
+)
+def test_templates__expanded_systems_keep_the_setpoints(name: str, tmp_path: Path) -> None:
+    building = office_with(SYSTEMS[name], tmp_path / "office.idf")
+    assert not templates.has_templates(building.objects)
+    winter = temperatures(building, tmp_path, MILD.get(name, "01-15"))
+    assert np.all(winter > HEATING_C - 0.6), winter.min(axis=0)
+    if name != "hot-water baseboard":
+        summer = temperatures(building, tmp_path, "07-15")
+        assert np.all(summer < COOLING_C + 0.6), summer.max(axis=0)
+        assert name == "constant volume" or np.any(summer > COOLING_C - 0.6)  # that one reheats all day
+
+
+@pytest.mark.parametrize("name", [*QUICK[:1], pytest.param("VAV", marks=pytest.mark.slow)])
+def test_templates__idf_and_epjson_expand_alike(name: str, tmp_path: Path) -> None:
+    from_idf = office_with(SYSTEMS[name], tmp_path / "office.idf")
+    from_epjson = office_with(SYSTEMS[name], tmp_path / "office.epJSON")
+    for kind in from_idf.objects.keys() | from_epjson.objects.keys():
+        assert from_idf.objects[kind] == from_epjson.objects[kind], kind
+
+
+def test_templates__note_tells_how_many_objects_were_made(tmp_path: Path) -> None:
+    building = office_with(SYSTEMS["ideal loads"], tmp_path / "office.idf")
+    added = sum(map(len, building.objects.values())) - sum(map(len, envelope().values()))
+    assert building.notes == (f"6 HVACTemplate objects expanded to {added} objects by ExpandObjects",)
+
+
+def test_templates__model_without_templates_is_the_same_object() -> None:
+    objects = envelope()
+    assert templates.expand(objects, file="office.idf") == (objects, ())
+
+
+def test_templates__field_that_the_schema_rejects_is_named(tmp_path: Path) -> None:
+    with pytest.raises(
+        InvalidConfig, match=r"outdoor_air_method is 'Nothing'; expected one of 'DetailedSpecification'"
+    ):
+        office_with(zone_templates("IdealLoadsAirSystem", outdoor_air_method="Nothing"), tmp_path / "office.epJSON")
+
+
+def test_templates__missing_system_is_refused_with_the_reason_of_expandobjects(tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfig) as raised:
+        office_with(zone_templates("VAV", template_vav_system_name="nowhere"), tmp_path / "office.idf")
+    assert "office.idf" in str(raised.value)
+    assert "HVACTemplate:Zone:VAV" in str(raised.value)
