@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 
 from zenostat.lab.benchmark.bound_file import Bound, Key
 from zenostat.lab.benchmark.definition import BASELINE, BUILDINGS
 from zenostat.lab.benchmark.results import Results
 from zenostat.lab.benchmark.results_file import Row
-from zenostat.lab.benchmark.scores import score_rows
+from zenostat.lab.benchmark.scores import compared_rows, score_rows
 from zenostat.lab.benchmark.tables import Table, interval_text, tables
 from zenostat.topics.errors import InvalidConfig
 
@@ -45,36 +46,35 @@ def gap_table(rows: Iterable[Row], bounds: Mapping[Key, Bound]) -> Table:
     Raises:
         InvalidConfig: there are no rows of the baseline control, or no episode of all controllers has such a bound.
     """
-    chosen = [row for row in rows if _key(row) in bounds]
-    baseline = {_key(row): row.reward for row in chosen if row.controller == BASELINE}
-    gaps = {key for key, reward in baseline.items() if bounds[key].reward > reward}
-    if baseline and not gaps:
-        raise InvalidConfig("no episode of the results has a bound above the baseline control")
-    chosen = [row for row in chosen if _key(row) in gaps] + [_row(bounds[key]) for key in sorted(gaps)]
-    shares = score_rows(chosen, lambda row, of: gap_share(row.reward, of.reward, bounds[_key(row)].reward))
-    scores = {of.controller: of.overall for of in score_rows(chosen)}
-    buildings = list(shares[0].buildings)
-    lines = [
-        (
-            of.controller, interval_text(of.overall), interval_text(scores[of.controller]),
-            *(interval_text(of.buildings[name]) for name in buildings),
-        )
-        for of in shares
-    ]  # fmt: skip
-    count = next(of.overall.rows for of in shares if of.controller == BOUND)
-    title = f"Shares of the gap between baseline control and bound over {count} episodes [95 % interval]"
-    if empty := len(baseline) - len(gaps):
+    rows = list(rows)
+    if not any(row.controller == BASELINE for row in rows):
+        raise InvalidConfig(f"shares of a gap begin at the baseline control: run the controller {BASELINE!r} too")
+    baselines = {_key(row): row for row in rows if row.controller == BASELINE and _key(row) in bounds}
+    usable = {key for key, row in baselines.items() if gap_share(0.0, row.reward, bounds[key].reward) is not None}
+    compared = compared_rows(row for row in rows if _key(row) in baselines)
+    shared = {_key(row) for row in compared.get(BASELINE, ())}
+    chosen = [row for of_controller in compared.values() for row in of_controller if _key(row) in usable]
+    if not chosen:
+        raise InvalidConfig("no episode of all controllers has a bound above the baseline control")
+    reached = [
+        replace(row, controller=BOUND, reward=bounds[_key(row)].reward) for row in chosen if row.controller == BASELINE
+    ]
+
+    def share(row: Row, baseline: Row) -> float | None:
+        return gap_share(row.reward, baseline.reward, bounds[_key(row)].reward)
+
+    scores = {of.controller: of.overall for of in score_rows([*chosen, *reached])}
+    lines = []
+    shares = score_rows([*chosen, *reached], share)
+    for of in shares:
+        intervals = [of.overall, scores[of.controller], *of.buildings.values()]
+        lines.append((of.controller, *map(interval_text, intervals)))
+    title = f"Shares of the gap between baseline control and bound over {len(reached)} episodes [95 % interval]"
+    if empty := len(shared - usable):
         title += f"; {empty} without a gap are left out"
-    columns = ("controller", "share of the gap", "score", *(BUILDINGS.get(name, name) for name in buildings))
+    columns = ("controller", "share of the gap", "score", *(BUILDINGS.get(name, name) for name in shares[0].buildings))
     return Table(title, columns, tuple(lines))
 
 
 def _key(row: Row) -> Key:
     return (row.building, row.season, row.weather, row.seed)
-
-
-def _row(bound: Bound) -> Row:
-    return Row(
-        controller=BOUND, building=bound.building, season=bound.season, weather=bound.weather, seed=bound.seed,
-        reward=bound.reward, terms=bound.terms, linear=bound.linear, metrics={}, training_seed=None, processor_s=0.0,
-    )  # fmt: skip

@@ -296,7 +296,7 @@ def test_benchmark__check_runs_the_selected_rows_and_prints_its_progress_without
         return [rows[one.key] for one in job.episodes], []
 
     monkeypatch.setattr(rerun, "run_job", run_again)
-    monkeypatch.setattr("zenostat.cli.benchmark._hashes", lambda _: {})
+    monkeypatch.setattr("zenostat.cli.benchmark.file_hashes", lambda _: {})
     options = ["--controllers", "rbc", "--building", f"{OFFICE},{WAREHOUSE}", "--season", "summer", "--seed", "1"]
     done = CliRunner().invoke(app, ["benchmark", "--check", str(saved), *options])
     assert done.exit_code == 0, done.output

@@ -344,7 +344,7 @@ def test_benchmark_files__sample_is_drawn_from_the_seed_and_runs_no_unnamed_code
 
 
 def test_benchmark_files__command_checks_a_submission(complete: Path, reference: Path, monkeypatch: Any) -> None:
-    monkeypatch.setattr("zenostat.cli.benchmark._hashes", lambda _: {})
+    monkeypatch.setattr("zenostat.cli.benchmark.file_hashes", lambda _: {})
     options = ["benchmark", "--submit-check", str(complete), "--reference", str(reference)]
     done = CliRunner().invoke(app, options)
     assert done.exit_code == 0, done.output

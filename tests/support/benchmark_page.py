@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean
 
-from zenostat.lab.benchmark import VERSION, Results, load_results, score_rows
+from zenostat.lab.benchmark import VERSION, Results, gap_table, load_bounds, load_results, score_rows
 from zenostat.lab.benchmark.definition import BUILDINGS
 from zenostat.lab.benchmark.figures import write_curves, write_figures
 from zenostat.lab.benchmark.merge import with_controllers
@@ -19,6 +19,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "benchmark.md"
 PLANNING = PAGE.with_name("mpc.md")
 FOLDER = PAGE.with_suffix("")
 PUBLISHED = {name: FOLDER / f"{name}-{VERSION}.json" for name in ("full", "quick", "smoke")}
+BOUNDS = FOLDER / f"bounds-{VERSION}"
 _MISSING = "There are no published rows of version {version} yet."
 _FIGURES = ("![Scores of each controller](benchmark/scores.svg)", "![Scores by building](benchmark/buildings.svg)")
 _CURVES = "![Learning curves of each training](benchmark/curves.svg)"
@@ -57,6 +58,9 @@ def _results(results: Results | None, *, figures: bool = True) -> str:
     parts = [_claims(scores)]
     for table, figure in zip(tables(shown), (*_FIGURES, "", ""), strict=True):
         parts += [f"**{table.title}**", table.markdown(), figure if figures else ""]
+    if bounds := load_bounds(BOUNDS, results.set) if BOUNDS.is_dir() else {}:
+        gap = gap_table(shown.rows.values(), bounds)
+        parts += [f"**{gap.title}**", gap.markdown(), _above_half(gap)]
     if (learned := _learned(scores)) is not None:
         parts += [f"**{learned.title}**", learned.markdown()]
     if figures and any(record.get("curve") for record in results.trainings.values()):
@@ -102,6 +106,13 @@ def _claims(scores: Sequence[Scores]) -> str:
         if groups[side]
     ]
     return " ".join(sentences)
+
+
+def _above_half(gap: Table) -> str:
+    """Return which controllers are above half of the gap."""
+    shares = {name: float(share.split()[0]) for name, share, *_ in gap.rows}
+    above = [f"`{name}`" for name, share in shares.items() if share > 0.5 and name != "bound"]
+    return f"Above half of the gap: {', '.join(above) or 'none'}."
 
 
 def _side(interval: Interval) -> str:
