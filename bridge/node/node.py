@@ -21,7 +21,7 @@ from zenostat.bridge.node.manifest import node_manifest
 from zenostat.bridge.node.names import check_name_is_free, instances
 from zenostat.bridge.node.plant import PlantContext, PlantFactory, SlotPlacement
 from zenostat.bridge.node.recording import RecordingManager
-from zenostat.bridge.node.server import NodeServer
+from zenostat.bridge.node.server import NodeServer, Observer
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.bridge.node.shutdown import SHUTDOWN_TIMEOUT_S, ShutdownGuard
 from zenostat.bridge.runtime import affinity
@@ -41,6 +41,7 @@ class Node:
     Args:
         settings: of the node.
         prepare: checks what the plant simulates, and returns a function that creates it; called first of all.
+        observer: called with the server after each sample and event.
         program: whether the process belongs to the node alone; it is then ended if the node does not end in time.
         finish_s: time that the simulators may take to finish files that are kept; 0: they are killed at once.
 
@@ -57,12 +58,13 @@ class Node:
         self,
         settings: NodeSettings,
         prepare: Callable[[], PlantFactory],
+        observer: Observer | None = None,
         *,
         program: bool = False,
         finish_s: float = 0.0,
     ) -> None:
         self.settings = settings
-        self._prepare, self._finish_s = prepare, finish_s
+        self._prepare, self._observer, self._finish_s = prepare, observer, finish_s
         self._registry = EngineRegistry(settings.unresponsive_s)
         self._scratch: Scratch | None = None
         timeout_s = SHUTDOWN_TIMEOUT_S + finish_s
@@ -191,7 +193,7 @@ class Node:
         history = History(plant.description, settings.slots, int(settings.history_mb * 1e6))
         kept = history if history.samples else None
         manifest = node_manifest(settings, plant, kept, instance=self.instance, cpu=self.cpu)
-        self.server = NodeServer(self.session, plant, manifest, exchange, kept, self._alarms())
+        self.server = NodeServer(self.session, plant, manifest, exchange, self._observer, kept, self._alarms())
         self.server.on_stop = self._on_stop_request
         self._recordings = RecordingManager(self.server, plant, cpus=self._cpus)
         self._close.callback(self._recordings.close)

@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 # For the hot path: in Python 3.11, looking up an enum's member raises and catches an error.
 _LOCKSTEP, _WAITING, _ENDED = Mode.LOCKSTEP, State.WAITING, State.ENDED
 
+Observer = Callable[["NodeServer"], None]
+
 
 class Stopped(BaseException):
     """Raised in a server's thread by a signal or a stop request."""
@@ -52,6 +54,7 @@ class NodeServer:
         plant: waiting at its samples.
         manifest: the description to publish.
         exchange: at the plant's samples.
+        observer: called after each sample and event.
         history: keeps each published sample; None keeps none.
         alarms: evaluated at each sample; None has none.
 
@@ -68,11 +71,13 @@ class NodeServer:
         plant: RunningPlant,
         manifest: Manifest,
         exchange: StepExchange,
+        observer: Observer | None = None,
         history: History | None = None,
         alarms: AlarmMonitor | None = None,
     ) -> None:
         self.session, self.plant, self.manifest = session, plant, manifest
         self.exchange, self.history, self.alarms = exchange, history, alarms
+        self._observer = observer
         self._close = ExitStack()
         self.timer = Timer()
         self.injection: FaultInjection | None = None
@@ -256,6 +261,8 @@ class NodeServer:
         self.pacing.wait(now_s)
         step = exchange.step[0]
         self.publications.points(values, exchange.episode[0], step, self.samples.time(step))
+        if self._observer is not None:
+            self._observer(self)
 
     def _publish_with_faults(self, injection: FaultInjection) -> None:
         payload, now_s = self.latest_sample, monotonic()
@@ -267,6 +274,8 @@ class NodeServer:
     def event(self, event: Event) -> None:
         """Publish an event."""
         self.publications.event(event, event.source if event.source in self.exchange.claims.by_name else "")
+        if self._observer is not None:
+            self._observer(self)
 
     def publish_events(self, events: list[Event]) -> None:
         """Publish several events."""

@@ -13,6 +13,7 @@ from zenostat.bridge.faults import read_plan
 from zenostat.bridge.node.fault_injection import FaultInjection
 from zenostat.bridge.node.node import Node
 from zenostat.bridge.node.plant import PlantFactory
+from zenostat.bridge.node.server import Observer
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.bridge.python_plant.class_plan import plan_class
 from zenostat.bridge.python_plant.plant import PythonPlant
@@ -58,7 +59,7 @@ def _unknown_setting(name: str, known: Sequence[str]) -> str:
     return f"a plant of your own has no setting {name!r}; {hint}"
 
 
-def plant_node(settings: PlantSettings, *, program: bool = False) -> Node:
+def plant_node(settings: PlantSettings, observer: Observer | None = None, *, program: bool = False) -> Node:
     """Return a node that is not started yet; see `zenostat.bridge.node.node.Node` for the arguments.
 
     Raises (on entering the node):
@@ -73,4 +74,4 @@ def plant_node(settings: PlantSettings, *, program: bool = False) -> Node:
             point_alarms(read_rules(settings.alarms), plan.description)
         return partial(PythonPlant, plan)
 
-    return Node(settings, prepare, program=program)
+    return Node(settings, prepare, observer, program=program)

@@ -413,7 +413,7 @@ def test_wrappers__one_class_wraps_single_and_vector_environments() -> None:
     assert isinstance(w.CyclicTime(env=fakes(1)), gym.vector.VectorWrapper)
     bases = (w.BuildingWrapper, w.MeansLog)
     ours = [kind for name in w.__all__ if isinstance(kind := getattr(w, name), type) and kind not in bases]
-    assert len(ours) == 15
+    assert len(ours) == 16
     assert all(issubclass(kind, w.BuildingWrapper) for kind in ours)
 
 

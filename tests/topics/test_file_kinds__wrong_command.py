@@ -9,6 +9,7 @@ FILES = {
     FileKind.SCENARIO: {"building", "weather", "steps_per_hour"},
     FileKind.TRAINING: {"algorithm", "scenario", "steps", "parameters"},
     FileKind.TUNING: {"study", "training", "parameters"},
+    FileKind.CONTROLLER: {"controller", "parameters"},
 }
 
 
