@@ -15,6 +15,7 @@ from zenostat.models.input_format.layout import Layout, engine_layout
 from zenostat.models.upgrade import from_9, from_22
 from zenostat.models.upgrade.step import VersionStep
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import install_command
 
 STEPS: tuple[VersionStep, ...] = (*from_9.STEPS, *from_22.STEPS)
 """All steps, in order."""
@@ -69,7 +70,7 @@ def layout_of(version: str, *, name: str) -> Layout:
     if find_spec("idfkit") is None:
         raise InvalidConfig(
             f"{name} is an IDF for EnergyPlus {version}, and reading it needs the input formats of earlier versions: "
-            "pip install 'zenostat[models]'"
+            f"{install_command('models')}"
         )
     return Layout(schema_document(version), version)
 

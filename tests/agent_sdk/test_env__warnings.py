@@ -54,6 +54,7 @@ def test_env__model_without_a_run_period_states_that_it_simulates_a_year(scratch
     weather = SMALL["weather"]
     with (
         pytest.warns(UserWarning, match="no RunPeriod, so an episode is a whole year; choose begin and end"),
+        pytest.warns(UserWarning, match="simulates its sizing periods only; an episode simulates the weather file"),
         closing(BuildingEnv(file, weather, affinity="off")) as env,
     ):
         assert env.manifest.begin[5:10] == "01-01"

@@ -256,7 +256,7 @@ def broken_idf(folder: Path) -> Path:
 
 def other_version(folder: Path) -> Path:
     path = folder / "old.epJSON"
-    path.write_text('{"Version": {"v": {"version_identifier": "9.4"}}, "Building": {"b": {}}}')
+    path.write_text('{"Version": {"v": {"version_identifier": "8.9"}}, "Building": {"b": {}}}')
     return path
 
 
@@ -306,7 +306,7 @@ def test_scenarios__reward_of_no_kind_is_refused_by_the_environment(scratch: Pat
     ("broken", "field", "kind", "words"),
     [
         (broken_idf, "building", InvalidConfig, r"broken\.idf is not a valid model"),
-        (other_version, "building", InvalidConfig, r"9\.4.*25\.2"),
+        (other_version, "building", InvalidConfig, r"8\.9.*25\.2"),
         (cut_epw, "weather", InvalidConfig, r"cut\.epw"),
     ],
 )
