@@ -11,7 +11,7 @@ from bacpypes3.apdu import WritePropertyMultipleRequest
 from bacpypes3.basetypes import BinaryPV, PriorityValue, PropertyValue, WriteAccessSpecification
 from bacpypes3.constructeddata import Any as AnyValue
 from bacpypes3.primitivedata import CharacterString, Real, Unsigned
-from support.bacnet import ADVANCE, DEVICE, INSTANCE, PAUSED, STEP, TIME, Client, client, free_udp_port, served, single
+from support.bacnet import ADVANCE, DEVICE, INSTANCE, PAUSED, STEP, TIME, free_udp_port, served, single
 from support.nodes import SMALL, NodeProgram, until
 
 from zenostat import Bus
@@ -322,8 +322,6 @@ async def test_bacnet_gateway__address_in_use_or_of_no_interface_is_refused_befo
             async with first:
                 with pytest.raises(AddressInUse, match=f"UDP port {port}"):
                     await second.__aenter__()
-            async with client(port) as reader:
-                assert isinstance(reader, Client)
     with pytest.raises(InvalidConfig, match=r"127\.0\.0\.1 \(lo\)"):
         find_interface("0.0.0.0", port)
     with pytest.raises(InvalidConfig, match="IPv4"):
