@@ -49,6 +49,8 @@ def upgrade(
 
     if output is not None and output.suffix.lower() not in (".idf", ".epjson"):
         raise InvalidConfig(f"--output {output} should end with .epJSON or .idf")
+    if output is not None and output.exists():
+        raise InvalidConfig(f"--output {output} exists already; choose another name, or remove it first")
     upgraded = upgrade_file(file, transition_programs)
     if output is not None:
         write_model(upgraded.objects, output)

@@ -80,6 +80,15 @@ def test_models_upgrade__writes_an_idf(office: dict[str, dict[str, dict[str, obj
     assert read_building(find_building(str(output))).objects["Zone"] == office["Zone"]
 
 
+def test_models_upgrade__never_replaces_a_file(tmp_path: Path) -> None:
+    path = tmp_path / "old.idf"
+    path.write_text("Version,22.1;")
+    result = run_in_process("models", "upgrade", str(path), "--output", str(path), columns=300)
+    assert result.returncode != 0
+    assert "exists already; choose another name" in result.stderr
+    assert path.read_text() == "Version,22.1;"
+
+
 def test_models_upgrade__lists_each_change_as_json(
     office: dict[str, dict[str, dict[str, object]]], tmp_path: Path
 ) -> None:
