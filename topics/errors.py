@@ -34,10 +34,13 @@ import difflib
 import heapq
 import itertools
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import TypeVar
 
 T = TypeVar("T")
+MAX_LISTED = 10
+"""Number of errors that an error text lists."""
+
 _SMALL, _COMPARED = 4096, 500
 _TYPO = 0.8
 """Similarity of a name that differs by a letter or two."""
@@ -202,6 +205,12 @@ def _is_word(text: str, name: str) -> bool:
         if begins and (not after.isalnum() or after.isupper()):
             return True
     return False
+
+
+def list_errors(head: str, errors: Sequence[str], *, limit: int = MAX_LISTED) -> str:
+    """Return an error text of several lines: the head, the first errors, and how many more there are."""
+    more = [f"and {len(errors) - limit} more"] if len(errors) > limit else []
+    return "\n  ".join([head, *errors[:limit], *more])
 
 
 def did_you_mean(name: str, known: Iterable[str], *, limit: int = 5) -> str:

@@ -14,7 +14,7 @@ from zenostat.models.building.diagnostics import Diagnostic, cached_diagnostics
 from zenostat.models.building.geometry import BuildingGeometry, building_geometry
 from zenostat.models.building.model import Building
 from zenostat.models.building.run_needs import assumptions
-from zenostat.models.building.source_model import read_source
+from zenostat.models.building.source_lines import read_source
 from zenostat.models.building.summary import BuildingSummary, building_summary, zone_areas, zone_multipliers
 from zenostat.models.points.discovery import texts
 from zenostat.models.weather.header import Header
@@ -109,8 +109,8 @@ class ModelDescription:
 
 def file_version(path: Path) -> str:
     """Return the EnergyPlus version that a model file names; empty if it names none."""
-    entry = next((each for each in read_source(path).entries if each.kind.casefold() == "version"), None)
-    return next((value.text for name, value in entry.fields.items() if name != "name"), "") if entry else ""
+    versions = read_source(path).objects.get("Version", {})
+    return next((str(fields.get("version_identifier", "")) for fields in versions.values()), "")
 
 
 def describe_model(building: Building, version: str) -> ModelDescription:

@@ -17,17 +17,16 @@ from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.nodes import unconnected_nodes
 from zenostat.models.building.references import dangling_references
-from zenostat.models.building.source_model import SourceModel, read_source
+from zenostat.models.building.source_lines import read_source
 from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.input_format.source_model import SourceModel
+from zenostat.topics.errors import list_errors
 
-FORMAT = "2"
+FORMAT = "3"
 """Version of the stored files."""
 
 REQUIRED = ("Building", "GlobalGeometryRules")
 """Types of which EnergyPlus requires an object."""
-
-_MAX_SHOWN = 10
-"""Number of diagnostics that an error message lists."""
 
 Objects = Mapping[str, Mapping[str, Any]]
 
@@ -121,9 +120,7 @@ def verdict() -> str:
 
 def describe(diagnostics: Iterable[Diagnostic], file: str, verdict: str) -> str:
     """Return an error text with a diagnostic in each line: `FILE verdict:` and the first of them."""
-    lines = [str(each) for each in diagnostics]
-    more = [f"and {len(lines) - _MAX_SHOWN} more"] if len(lines) > _MAX_SHOWN else []
-    return "\n  ".join([f"{file} {verdict}:", *lines[:_MAX_SHOWN], *more])
+    return list_errors(f"{file} {verdict}:", [str(each) for each in diagnostics])
 
 
 def cached_diagnostics(objects: Objects, content: str, file: str) -> list[Diagnostic]:

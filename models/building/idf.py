@@ -15,11 +15,10 @@ from typing import Any
 from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.diagnostics import describe, diagnose, diagnose_format, verdict
-from zenostat.models.building.source_model import SourceModel, read_source
+from zenostat.models.building.source_lines import read_source
 from zenostat.models.err_file import severe_messages
-from zenostat.topics.errors import InvalidConfig, ModelError
-
-_MAX_ERRORS = 10
+from zenostat.models.input_format.source_model import SourceModel
+from zenostat.topics.errors import InvalidConfig, ModelError, list_errors
 
 
 def convert(path: Path, target: Path) -> None:
@@ -40,8 +39,7 @@ def convert(path: Path, target: Path) -> None:
     errors = [line for line in messages if "Fatal" not in line]
     errors += _lost_objects(source, json.loads(target.read_bytes()) or {})
     if errors:
-        more = [f"and {len(errors) - _MAX_ERRORS} more"] if len(errors) > _MAX_ERRORS else []
-        raise ModelError("\n  ".join([f"{path} {verdict()}:", *errors[:_MAX_ERRORS], *more]))
+        raise ModelError(list_errors(f"{path} {verdict()}:", errors))
 
 
 def convert_text(text: str, target: Path, file: Path) -> None:

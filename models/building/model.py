@@ -48,7 +48,7 @@ class Building:
         content: digest of its content.
         notes: on its upgrade to the engine's version, and on its templates.
         file: path of the file, for error messages.
-        is_own_format: whether the file has these objects, in the engine's version: no upgrade, no templates.
+        is_own_format: whether the file is in the engine's version, so that its lines are those of these objects.
     """
 
     name: str
@@ -134,8 +134,7 @@ def read_building(entry: Entry) -> Building:
         raise InvalidConfig(f"{entry.path} is not a building model: it has no 'Building' object")
     expanded, notes = templates.expand(upgraded.objects, file=str(entry.path))
     summary = (upgraded.summary,) if upgraded.summary else ()
-    is_own_format = not summary and not notes
-    return Building(entry.name, expanded, content, (*translation, *summary, *notes), str(entry.path), is_own_format)
+    return Building(entry.name, expanded, content, (*translation, *summary, *notes), str(entry.path), not summary)
 
 
 def _read_idf(path: Path, raw: bytes, content: str) -> UpgradedModel:

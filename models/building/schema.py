@@ -276,9 +276,12 @@ def _short(value: object) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-@cache
 def document() -> dict[str, Any]:
-    """Return the whole schema of the installed engine, as in its library; 10 MB, and not to be modified."""
+    """Return the whole schema of the installed engine, as in its library; it has 28 MB as Python objects.
+
+    Raises:
+        InvalidConfig: the library has no schema.
+    """
     return dict(json.loads(cached_bytes(f"schema/{energyplus.version()}-whole.json", _make_document)))
 
 
@@ -295,12 +298,12 @@ def _folded() -> dict[str, str]:
 
 
 def _make_document(target: Path) -> None:
-    target.write_text(json.dumps(embedded()))
+    target.write_text(json.dumps(_embedded()))
 
 
 def _make(target: Path) -> None:
     rules: dict[str, int] = {}
-    kinds = {kind: _compact(entry, rules) for kind, entry in sorted(embedded()["properties"].items())}
+    kinds = {kind: _compact(entry, rules) for kind, entry in sorted(document()["properties"].items())}
     target.write_text(json.dumps({"types": kinds, "rules": [json.loads(rule) for rule in rules]}))
 
 
@@ -337,14 +340,8 @@ def _choice(spec: dict[str, Any], rules: dict[str, int]) -> dict[str, Any]:
     return choice
 
 
-def embedded() -> dict[str, Any]:
-    """Return the schema inside EnergyPlus's library: a CBOR map whose first key is `$schema`.
-
-    It has 28 MB as Python objects; what is needed again is kept in the cache.
-
-    Raises:
-        InvalidConfig: the library has no schema.
-    """
+def _embedded() -> dict[str, Any]:
+    """Return the schema inside EnergyPlus's library: a CBOR map whose first key is `$schema`."""
     library = energyplus.library()
     first_key = b"\x67$schema"
     schema = None

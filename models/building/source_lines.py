@@ -1,4 +1,4 @@
-"""Find the line of a model file that a message of EnergyPlus is about."""
+"""Read a model file with its lines, and find the line that a message of EnergyPlus is about."""
 
 from __future__ import annotations
 
@@ -7,11 +7,24 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
-from zenostat.models.building.source_model import SourceObject, read_source
+from zenostat.models.input_format.epjson_reader import read_epjson
+from zenostat.models.input_format.idf_reader import parse_idf
+from zenostat.models.input_format.layout import engine_layout
+from zenostat.models.input_format.source_model import SourceModel, SourceObject
 from zenostat.topics.errors import did_you_mean
 
 _WHOLE_WORD = r"(?<![\w:.-]){}(?![\w:.-])"
 _NOT_FOUND = re.compile(r"(\w+) ?= ?([^=]+?), item not found")
+
+
+def read_source(path: Path) -> SourceModel:
+    """Read an IDF of the engine's version or an epJSON; an unreadable file has no objects."""
+    is_idf = path.suffix.lower() == ".idf"
+    try:
+        text = path.read_text(encoding="latin-1" if is_idf else "utf-8")
+    except (OSError, UnicodeDecodeError):
+        return SourceModel()
+    return parse_idf(text, engine_layout()) if is_idf else read_epjson(text)
 
 
 def locator(path: str | Path) -> Callable[[str], str | None]:
@@ -44,7 +57,7 @@ def locate(message: str, objects: Sequence[SourceObject]) -> str | None:
         for path, (line, value) in subject.fields.items()
         if path != "name" and not _is_number(value) and _contains(rest, value)
     ]
-    _, line, path = max(fields) if fields else (0, subject.line, "")
+    _, line, path = max(fields) if fields else (0, subject.fields.get("name", subject).line, "")
     where = f": {path}" if path else ""
     return f"line {line}: {subject.kind} {_name(subject)!r}{where}{_suggestion(message, objects)}"
 

@@ -18,12 +18,11 @@ from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.idd import dictionary
-from zenostat.models.input_format.idf_reader import idf_objects, read_idf
+from zenostat.models.input_format.idf_reader import read_idf
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
-from zenostat.topics.errors import InvalidConfig, ModelError
-
-Objects = dict[str, dict[str, dict[str, Any]]]
+from zenostat.models.input_format.source_model import Objects, SourceModel
+from zenostat.topics.errors import InvalidConfig, ModelError, list_errors
 
 PREFIX = "hvactemplate:"
 
@@ -32,8 +31,7 @@ _TIMEOUT_S = 60.0
 _NOT_PASSED = ("energymanagementsystem:", "output", "meter:", "pythonplugin:")
 """Prefixes of types that ExpandObjects does not use; their texts may contain what an IDF cannot."""
 
-_MESSAGE = "output:preprocessormessage"
-_MAX_ERRORS = 10
+_MESSAGE = "Output:PreprocessorMessage"
 
 
 def has_templates(objects: Mapping[str, Any]) -> bool:
@@ -63,11 +61,12 @@ def expand(objects: Objects, *, file: str) -> tuple[Objects, tuple[str, ...]]:
     passed |= {kind: _with_words(kind, items) for kind, items in templates.items()}
     text = write_idf(passed, engine_layout(), all_fields=True)
     name = f"models/{digest(text, energyplus.version())}-expanded-{_FORMAT}.idf"
-    expanded = cached_bytes(name, lambda target: _run(text, target, file)).decode("latin-1")
+    result_text = cached_bytes(name, lambda target: _run(text, target, file)).decode("latin-1")
+    expanded = read_idf(result_text, engine_layout(), name=f"{file}, with its templates expanded,")
     messages = list(_messages(expanded))
     if fatal := [message for severity, message in messages if severity in ("severe", "fatal")]:
         _reject(file, fatal)
-    added = _added(expanded, passed, file)
+    added = _added(expanded.objects, passed)
     if errors := schema.schema_errors(added, complete=True):
         _reject(file, [f"in the result, {error}" for error in errors])
     result = {kind: dict(items) for kind, items in objects.items() if kind not in templates}
@@ -91,10 +90,7 @@ def _with_words(kind: str, items: Mapping[str, Mapping[str, Any]]) -> dict[str, 
 
 
 def _reject(file: str, errors: list[str]) -> None:
-    more = [f"and {len(errors) - _MAX_ERRORS} more"] if len(errors) > _MAX_ERRORS else []
-    raise InvalidConfig(
-        "\n  ".join([f"{file}: its HVACTemplate objects cannot be expanded:", *errors[:_MAX_ERRORS], *more])
-    )
+    raise InvalidConfig(list_errors(f"{file}: its HVACTemplate objects cannot be expanded:", errors))
 
 
 def _run(text: str, target: Path, file: str) -> None:
@@ -122,21 +118,20 @@ def _run(text: str, target: Path, file: str) -> None:
         shutil.copyfile(result, target)
 
 
-def _messages(expanded: str) -> Iterator[tuple[str, str]]:
+def _messages(expanded: SourceModel) -> Iterator[tuple[str, str]]:
     """Yield severity and text of ExpandObjects's messages, which it leaves as objects."""
-    for each in idf_objects(expanded):
-        if each.kind.casefold() == _MESSAGE and len(each.fields) > 1:
-            _, severity, *lines = (value for _, value in each.fields)
+    for each in expanded.entries:
+        if each.kind == _MESSAGE and len(each.fields) > 1:
+            _, severity, *lines = (field.text for field in each.fields.values())
             yield severity.casefold(), " ".join(lines)
 
 
-def _added(expanded: str, passed: Mapping[str, Mapping[str, Any]], file: str) -> Objects:
+def _added(expanded: Objects, passed: Mapping[str, Mapping[str, Any]]) -> Objects:
     """Return the objects that ExpandObjects added; it copies those of the model first, in their order."""
-    objects = read_idf(expanded, engine_layout(), name=f"{file}, with its templates expanded,").objects
     added = {}
-    for kind, items in objects.items():
+    for kind, items in expanded.items():
         copied = len(passed.get(kind, {}))
-        if kind.casefold() != _MESSAGE and len(items) > copied:
+        if kind != _MESSAGE and len(items) > copied:
             added[kind] = dict(list(items.items())[copied:])
     return added
 

@@ -1,4 +1,4 @@
-"""Read an IDF of any version into epJSON objects, with the line of each field.
+"""Read an IDF of any version into epJSON objects, with the line of each field and the errors of its syntax.
 
 The result equals that of EnergyPlus's own converter (`tests/models/test_idf_reader.py` compares all bundled models),
 which reads only IDF files of its own version and keeps no lines.
@@ -7,70 +7,35 @@ which reads only IDF files of its own version and keeps no lines.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 from zenostat.models.input_format.layout import Layout, Rules, TypeLayout
-from zenostat.topics.errors import InvalidConfig, did_you_mean
-
-Objects = dict[str, dict[str, dict[str, Any]]]
-"""epJSON: object type, object name, fields."""
+from zenostat.models.input_format.source_model import (
+    Objects,
+    SourceField,
+    SourceModel,
+    SourceObject,
+    SyntaxIssue,
+    repeated_objects,
+)
+from zenostat.topics.errors import InvalidConfig, did_you_mean, list_errors
 
 _COMMENT = re.compile(r"!.*")
 _VERSION = re.compile(r"(?:^|;)\s*version\s*,([^,;]*)[,;]", re.IGNORECASE)
 _SEPARATOR = re.compile(r"([,;])")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 _INTEGER = re.compile(r"[+-]?\d+")
+_TYPE_FIELD = re.compile("type|class|key|name|field|line")  # fields that may hold the name of an object type
 _SIZES = frozenset(("autosize", "autocalculate"))
 _LARGEST_INTEGER = 2**31 - 1
-_MAX_ERRORS = 10
 
 
-@dataclass(frozen=True, slots=True)
-class IdfObject:
-    """An object of an IDF: its type, its fields with their lines, and the line of the type."""
-
-    kind: str
-    fields: tuple[tuple[int, str], ...]
+class _Value(NamedTuple):
     line: int
-
-
-@dataclass(frozen=True)
-class ParsedModel:
-    """A model file's objects as epJSON.
-
-    Attributes:
-        objects: object type, object name, fields.
-        lines: line of each object (the field is empty then) and of each of its fields, by type, name and field.
-    """
-
-    objects: Objects
-    lines: dict[tuple[str, str, str], int] = field(default_factory=dict)
-
-    def line(self, kind: str, name: str, field_name: str = "") -> int | None:
-        """Return the line of a field, else of its object; None if it is not in the file."""
-        return self.lines.get((kind, name, field_name), self.lines.get((kind, name, "")))
-
-
-def idf_objects(text: str) -> Iterator[IdfObject]:
-    """Yield the objects of an IDF; text after the last semicolon is ignored, as in EnergyPlus."""
-    parts: list[tuple[int, str]] = []
-    value, begin = "", 0
-    for number, line in enumerate(text.splitlines(), 1):
-        for part in _SEPARATOR.split(line.partition("!")[0]):
-            if part not in (",", ";"):
-                if part.strip() and not value.strip():
-                    begin = number
-                value += part
-                continue
-            parts.append((begin if value.strip() else number, value.strip()))
-            value = ""
-            if part == ";":
-                (first, kind), *fields = parts
-                if kind:
-                    yield IdfObject(kind, tuple(fields), first)
-                parts = []
+    text: str
+    is_split: bool  # a line ends within it: a comma is missing
 
 
 def idf_version(text: str) -> str | None:
@@ -79,8 +44,17 @@ def idf_version(text: str) -> str | None:
     return match[1].strip() if match else None
 
 
-def read_idf(text: str, layout: Layout, *, name: str) -> ParsedModel:
-    """Read an IDF of the layout's version.
+def parse_idf(text: str, layout: Layout) -> SourceModel:
+    """Read an IDF of the layout's version; the result has the errors of its syntax."""
+    reader = _Reader(layout)
+    for values, is_ended in _objects(text):
+        reader.add(values, is_ended=is_ended)
+    issues = sorted([*reader.issues, *repeated_objects(reader.known)])
+    return SourceModel(tuple(reader.entries), reader.objects, tuple(issues))
+
+
+def read_idf(text: str, layout: Layout, *, name: str) -> SourceModel:
+    """Read an IDF of the layout's version without errors of syntax.
 
     Args:
         text: the file's content.
@@ -88,74 +62,124 @@ def read_idf(text: str, layout: Layout, *, name: str) -> ParsedModel:
         name: of the file, for error messages.
 
     Raises:
-        InvalidConfig: an object has an unknown type, too many fields or a name that another one has; the text lists
-            these with their lines.
+        InvalidConfig: a type is unknown, an object has too many fields, does not end or is in the file twice; the text
+            lists these with their lines.
     """
-    reader = _Reader(layout)
-    for each in idf_objects(text):
-        reader.add(each)
-    if reader.errors:
-        more = [f"and {len(reader.errors) - _MAX_ERRORS} more"] if len(reader.errors) > _MAX_ERRORS else []
-        head = f"{name} is not an IDF for EnergyPlus {layout.version}:"
-        raise InvalidConfig("\n  ".join([head, *reader.errors[:_MAX_ERRORS], *more]))
-    return ParsedModel(reader.objects, reader.lines)
+    model = parse_idf(text, layout)
+    if model.issues:
+        errors = [f"line {issue.line}: {issue.text}" for issue in model.issues]
+        raise InvalidConfig(list_errors(f"{name} is not an IDF for EnergyPlus {layout.version}:", errors))
+    return model
+
+
+def _objects(text: str) -> Iterator[tuple[list[_Value], bool]]:
+    """Yield the values of each object, its type first, and whether it ends with a semicolon."""
+    values: list[_Value] = []
+    value, begin, is_split = "", 0, False
+    for number, line in enumerate(text.splitlines(), 1):
+        for part in _SEPARATOR.split(line.partition("!")[0]):
+            if part not in (",", ";"):
+                if part := part.strip():
+                    is_split = is_split or bool(value)
+                    begin = begin if value else number
+                    value = f"{value} {part}" if value else part
+                continue
+            values.append(_Value(begin if value else number, value, is_split))
+            value, is_split = "", False
+            if part == ";":
+                if values[0].text:
+                    yield values, True
+                values = []
+    if values or value:
+        yield [*values, _Value(begin, value, is_split)] if value else values, False
 
 
 class _Reader:
-    """State of reading one IDF."""
+    """The objects of an IDF while they are read; `known` are those whose type the version has."""
 
     def __init__(self, layout: Layout) -> None:
+        self.entries: list[SourceObject] = []
+        self.known: list[SourceObject] = []
         self.objects: Objects = {}
-        self.lines: dict[tuple[str, str, str], int] = {}
-        self.errors: list[str] = []
+        self.issues: list[SyntaxIssue] = []
         self._layout = layout
+        self._counts: Counter[str] = Counter()
 
-    def add(self, each: IdfObject) -> None:
-        """Add an object, or an error."""
-        layout = self._layout.find(each.kind)
+    def add(self, values: list[_Value], *, is_ended: bool) -> None:
+        """Add an object; the first value is its type."""
+        (line, word, _), *rest = values
+        layout = self._layout.find(word)
         if layout is None:
-            hint = did_you_mean(each.kind, self._layout.kinds)
-            self.errors.append(f"line {each.line}: no object type {each.kind[:60]!r}; {hint}")
+            shown = word if len(word) <= 60 else word[:57] + "..."
+            text = f"EnergyPlus has no object type {shown!r}; {did_you_mean(shown, self._layout.kinds)}"
+            self.entries.append(SourceObject(word, rest[0].text if rest else "", line))
+            self.issues.append(SyntaxIssue(line, word, "", text))
             return
-        capacity = len(layout.order) if not layout.list_name else len(each.fields)
-        if len(each.fields) > capacity and any(value for _, value in each.fields[capacity:]):
-            line = each.fields[capacity][0]
-            self.errors.append(f"line {line}: {layout.kind} has {capacity} fields, got {len(each.fields)}")
-            return
-        fields, lines = _fields(layout, each.fields)
-        items = self.objects.setdefault(layout.kind, {})
-        named = fields.pop("name", "") if layout.named else ""
-        key = str(named) or f"{layout.kind} {len(items) + 1}"
-        if any(key.casefold() == other.casefold() for other in items) if named else key in items:
-            self.errors.append(f"line {each.line}: a second {layout.kind} {key!r}")
-            return
-        items[key] = fields
-        self.lines[layout.kind, key, ""] = each.line
-        self.lines.update({(layout.kind, key, field_name): line for field_name, line in lines.items()})
+        self._counts[layout.kind] += 1
+        own_name = rest[0].text if rest else ""
+        name = own_name if layout.named else f"{layout.kind} {self._counts[layout.kind]}"
+        entry = SourceObject(layout.kind, name, line)
+        text, at = self._error(entry, layout, rest, is_ended=is_ended)
+        if text:
+            self.issues.append(SyntaxIssue(at, entry.kind, entry.name, text))
+        fields = _fields(entry, layout, rest)
+        self.entries.append(entry)
+        self.known.append(entry)
+        self.objects.setdefault(layout.kind, {}).setdefault(name, fields)
+
+    def _error(
+        self, entry: SourceObject, layout: TypeLayout, values: list[_Value], *, is_ended: bool
+    ) -> tuple[str, int]:
+        """Return what is wrong with the syntax of an object, and its line; empty if nothing is."""
+        label = f"{entry.kind} {entry.name!r}"
+        surplus = values[len(layout.order)] if len(values) > len(layout.order) and not layout.list_name else None
+        split = next((value for value in values if value.is_split), None)
+        if split is not None:
+            problem = f"',' or ';' is missing within {split.text!r}, which begins here and ends in a later line"
+            return f"{label}: {problem}", split.line
+        swallowed = self._swallowed(layout, values)
+        if swallowed is not None:
+            return f"{label} does not end: ';' is missing before {swallowed.text!r}", swallowed.line
+        if not is_ended:
+            line = values[-1].line if values else entry.line
+            return f"{label} does not end: ';' is missing after its last field", line
+        if surplus is not None:
+            has = f"{label} has {len(values)} fields, but the type has {len(layout.order)}"
+            return f"{has}; is there a ',' too many, or a ';' missing at the end?", surplus.line
+        return "", 0
+
+    def _swallowed(self, layout: TypeLayout, values: list[_Value]) -> _Value | None:
+        """Return the first value that is the type of another object, where the semicolon before it is missing."""
+        for index, value in enumerate(values[1:], 1):
+            if self._layout.find(value.text) is not None:
+                member = layout.path(index).rpartition(".")[2]
+                may_be_text = _TYPE_FIELD.search(member) or ":" not in value.text
+                if not member or member in layout.numeric or not may_be_text:
+                    return value
+        return None
 
 
-def _fields(layout: TypeLayout, values: tuple[tuple[int, str], ...]) -> tuple[dict[str, Any], dict[str, int]]:
-    """Return the fields of an object and their lines; entries of its list are `LIST[INDEX].FIELD` in the lines."""
+def _fields(entry: SourceObject, layout: TypeLayout, values: list[_Value]) -> dict[str, Any]:
+    """Return the fields of an object as in an epJSON, and add them to `entry` with their lines."""
     fields: dict[str, Any] = {}
-    lines: dict[str, int] = {}
-    for field_name, (line, value) in zip(layout.order, values, strict=False):
-        lines[field_name] = line
-        if value:
-            fields[field_name] = _value(value, layout.rules.get(field_name, {}), numeric=field_name in layout.numeric)
-    rest, size = values[len(layout.order) :], len(layout.entry_order)
     entries: list[dict[str, Any]] = []
-    for start in range(0, len(rest), size or 1):
-        entry: dict[str, Any] = {}
-        for entry_field, (line, value) in zip(layout.entry_order, rest[start : start + size], strict=False):
-            lines[f"{layout.list_name}[{len(entries)}].{entry_field}"] = line
-            if value:
-                entry[entry_field] = _value(
-                    value, layout.entry_rules[entry_field], numeric=entry_field in layout.numeric
-                )
-        entries.append(entry)
-    if layout.list_name and entries:
+    size = len(layout.entry_order)
+    for index, (line, text, _) in enumerate(values):
+        path = layout.path(index)
+        if not path:
+            break
+        entry.fields[path] = SourceField(line, text)
+        target, member, rules = fields, path, layout.rules
+        if index >= len(layout.order):
+            position, offset = divmod(index - len(layout.order), size)
+            if position == len(entries):
+                entries.append({})
+            target, member, rules = entries[position], layout.entry_order[offset], layout.entry_rules
+        if text and not (layout.named and path == "name"):
+            target[member] = _value(text, rules.get(member, {}), numeric=member in layout.numeric)
+    if entries:
         fields[layout.list_name] = entries
-    return fields, lines
+    return fields
 
 
 def _value(text: str, rules: Rules, *, numeric: bool) -> Any:

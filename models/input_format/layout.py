@@ -30,7 +30,8 @@ class TypeLayout:
         entry_order: fields of an entry of that list, in the order of an IDF.
         entry_rules: the schema's rules of an entry's fields.
         titles: names of the fields in the data dictionary.
-        named: whether objects have names; `name_required`: whether a name is required.
+        numeric: fields that hold numbers.
+        named: whether objects have names.
         required: fields that each object has.
         minimum_fields: number of fields up to which defaults apply.
         group: heading in the data dictionary.
@@ -48,6 +49,18 @@ class TypeLayout:
     required: tuple[str, ...] = ()
     minimum_fields: int = 0
     group: str = ""
+
+    def path(self, index: int) -> str:
+        """Return the path of the field at a position, from 0: `schedule_name`, `vertices[2].vertex_x_coordinate`.
+
+        Empty beyond the last field.
+        """
+        if index < len(self.order):
+            return self.order[index]
+        if not self.entry_order:
+            return ""
+        entry, member = divmod(index - len(self.order), len(self.entry_order))
+        return f"{self.list_name}[{entry}].{self.entry_order[member]}"
 
 
 class Layout:

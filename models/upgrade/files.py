@@ -14,8 +14,9 @@ from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import MODEL_SUFFIXES
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
+from zenostat.models.input_format.source_model import Objects
 from zenostat.models.upgrade.programs import run_programs
-from zenostat.models.upgrade.step import Change, Objects
+from zenostat.models.upgrade.step import Change
 from zenostat.models.upgrade.upgrade import UpgradedModel, upgrade_epjson, upgrade_idf
 from zenostat.models.upgrade.versions import short
 from zenostat.topics.atomic_file import atomic_file

@@ -11,8 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-Objects = dict[str, dict[str, dict[str, Any]]]
-"""epJSON: object type, object name, fields."""
+from zenostat.models.input_format.source_model import Objects
 
 Renames = tuple[tuple[str, str], ...]
 """Patterns of whole field names, and their replacements."""

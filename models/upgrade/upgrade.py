@@ -13,13 +13,12 @@ from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
-from zenostat.models.input_format.idf_reader import ParsedModel, idf_version, read_idf
+from zenostat.models.input_format.idf_reader import idf_version, read_idf
+from zenostat.models.input_format.source_model import Objects, SourceModel
 from zenostat.models.upgrade.apply import apply
-from zenostat.models.upgrade.step import Change, Objects, Refusal, UpgradingModel
+from zenostat.models.upgrade.step import Change, Refusal, UpgradingModel
 from zenostat.models.upgrade.versions import layout_of, short, steps_between
-from zenostat.topics.errors import InvalidConfig
-
-_MAX_ERRORS = 10
+from zenostat.topics.errors import InvalidConfig, list_errors
 
 
 @dataclass(frozen=True)
@@ -81,28 +80,27 @@ def upgrade_epjson(objects: Mapping[str, Any], *, name: str, engine: str | None 
             "\n".join([f"{name} is not an epJSON file:", *schema.schema_errors(objects, complete=False)])
         )
     version = next((fields.get("version_identifier") for fields in objects.get("Version", {}).values()), None)
-    return _upgrade(ParsedModel(dict(objects)), version, name, engine or energyplus.version())
+    return _upgrade(SourceModel(objects=dict(objects)), version, name, engine or energyplus.version())
 
 
 def _all_fields(items: Mapping[str, Any]) -> bool:
     return all(isinstance(fields, Mapping) for fields in items.values())
 
 
-def _upgrade(parsed: ParsedModel, version: object, name: str, engine: str) -> UpgradedModel:
+def _upgrade(source: SourceModel, version: object, name: str, engine: str) -> UpgradedModel:
     steps = steps_between(version, engine, name)
     target = short(engine)
     if not steps:
-        return UpgradedModel(parsed.objects, target, target)
-    model = UpgradingModel(parsed.objects)
+        return UpgradedModel(source.objects, target, target)
+    model = UpgradingModel(source.objects)
     for step in steps:
         apply(step, model)
     model.objects["Version"] = {key: {"version_identifier": target} for key in list(model.objects["Version"])[:1]}
     refusals = [*model.refusals, *_schema_refusals(model)]
     if refusals:
-        lines = list(dict.fromkeys(_describe(refusal, parsed) for refusal in refusals))
-        more = [f"and {len(lines) - _MAX_ERRORS} more"] if len(lines) > _MAX_ERRORS else []
+        lines = list(dict.fromkeys(_describe(refusal, source) for refusal in refusals))
         head = f"{name} is for EnergyPlus {version} and cannot be upgraded to {target}:"
-        raise InvalidConfig("\n  ".join([head, *lines[:_MAX_ERRORS], *more]))
+        raise InvalidConfig(list_errors(head, lines))
     return UpgradedModel(model.objects, steps[0].before, target, tuple(model.changes))
 
 
@@ -121,7 +119,7 @@ def _schema_refusals(model: UpgradingModel) -> Iterator[Refusal]:
             origin = model.origin(kind, name)
             errors = [] if origin in refused else schema.schema_errors({spelling: {name: fields}}, complete=True)
             for error in errors:
-                text = error.removeprefix(f"{spelling} {name!r}").removeprefix(":").strip()
+                text = error.removeprefix(f"{spelling} {name!r}").removeprefix(spelling).removeprefix(":").strip()
                 yield Refusal(*origin, _field_in(text, fields, model, kind, name), text)
         if len(items) > 1 and schema.single(spelling):
             yield Refusal(*model.origin(kind, next(iter(items))), "", f"a model has only one, got {len(items)}")
@@ -134,8 +132,8 @@ def _field_in(text: str, fields: Mapping[str, Any], model: UpgradingModel, kind:
     return model.renamed_fields.get((kind, name, named), named)
 
 
-def _describe(refusal: Refusal, parsed: ParsedModel) -> str:
-    line = parsed.line(refusal.kind, refusal.name, refusal.field)
+def _describe(refusal: Refusal, source: SourceModel) -> str:
+    line = source.line(refusal.kind, refusal.name, refusal.field)
     place = f"line {line}: " if line is not None else ""
     label = f"{refusal.kind} {refusal.name!r}" if refusal.name else refusal.kind
     return f"{place}{label}: {refusal.text}"

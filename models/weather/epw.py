@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.models.weather.header import HEADER_LINES, Header, parse_header
-from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean, list_errors
 
 Floats = NDArray[np.float64]
 
@@ -279,8 +279,7 @@ def _day_errors(row_days: NDArray[np.int64] | None, header: Header, periods: lis
 
 
 def _report(path: Path, errors: list[str]) -> str:
-    omitted = [f"and {len(errors) - _MAX_ERRORS} more"] if len(errors) > _MAX_ERRORS else []
-    return "\n  ".join([f"{path} is not a valid weather file:", *errors[:_MAX_ERRORS], *omitted])
+    return list_errors(f"{path} is not a valid weather file:", errors, limit=_MAX_ERRORS)
 
 
 def write(weather: Weather, path: Path, changed: Mapping[str, Floats]) -> None:

@@ -56,9 +56,9 @@ def test_idf_reader__keeps_the_line_of_each_object_and_field() -> None:
 @pytest.mark.parametrize(
     ("text", "reason"),
     [
-        ("\nZones,\n Core;", "line 2: no object type 'Zones'"),
-        ("Version,25.2,\n 1;", "line 2: Version has 1 fields, got 2"),
-        ("Zone,Core;\nZone,\nCORE;", "line 2: a second Zone 'CORE'"),
+        ("\nZones,\n Core;", "line 2: EnergyPlus has no object type 'Zones'; did you mean 'Zone"),
+        ("Version,25.2,\n 1;", "line 2: Version 'Version 1' has 2 fields, but the type has 1"),
+        ("Zone,Core;\nZone,\nCORE;", "line 2: Zone 'CORE' is in the file twice; first in line 1"),
     ],
 )
 def test_idf_reader__names_the_line_of_what_it_cannot_read(text: str, reason: str) -> None:

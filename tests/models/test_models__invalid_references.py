@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from zenostat.models.building.model import read_building
-from zenostat.models.building.source_lines import locate
-from zenostat.models.building.source_model import read_source
+from zenostat.models.building.source_lines import locate, read_source
 from zenostat.models.catalog import bundled_weathers, find_building
 from zenostat.models.err_file import explain
 from zenostat.models.points.discovery import discover

@@ -8,13 +8,12 @@ from typing import Any
 import pytest
 
 from zenostat.models import energyplus
-from zenostat.models.building import diagnostics
 from zenostat.models.building.model import Building, check_runnable, read_building
 from zenostat.models.catalog import bundled_weathers, find_building
 from zenostat.models.points.discovery import discover
 from zenostat.models.weather.design_days import site
 from zenostat.models.weather.header import read_header
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import MAX_LISTED, InvalidConfig
 
 pytestmark = pytest.mark.process
 
@@ -123,4 +122,4 @@ def test_models__error_of_a_ddy_names_that_file(tmp_path: Path, monkeypatch: pyt
 def test_model_errors__list_the_first_of_many() -> None:
     with pytest.raises(InvalidConfig) as caught:
         check_runnable(Building("many", {f"None{i}": {} for i in range(1000)}, "", (), "many.epJSON"))
-    assert len(str(caught.value).splitlines()) == diagnostics._MAX_SHOWN + 2
+    assert len(str(caught.value).splitlines()) == MAX_LISTED + 2

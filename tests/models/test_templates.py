@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+import re
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -199,3 +200,30 @@ def test_templates__missing_system_is_refused_with_the_reason_of_expandobjects(t
         office_with(zone_templates("VAV", template_vav_system_name="nowhere"), tmp_path / "office.idf")
     assert "office.idf" in str(raised.value)
     assert "HVACTemplate:Zone:VAV" in str(raised.value)
+
+
+def mistyped_office(path: Path, change: Callable[[str], str]) -> str:
+    """Write the envelope with ideal loads as an IDF, change its text, and return the error of reading it."""
+    objects = envelope() | THERMOSTAT | SYSTEMS["ideal loads"]
+    path.write_text(change(write_idf(objects, engine_layout())))
+    with pytest.raises(InvalidConfig) as raised:
+        check_runnable(read_building(find_building(str(path))))
+    return str(raised.value)
+
+
+def test_templates__dangling_reference_is_named_with_the_line_of_the_users_file(tmp_path: Path) -> None:
+    path = tmp_path / "office.idf"
+    name = next(iter(envelope()["Lights"]))
+    schedule = envelope()["Lights"][name]["schedule_name"]
+    error = mistyped_office(path, lambda text: re.sub(rf"(\nLights,(?s:.)*?{schedule}),", r"\1_TYPO,", text, count=1))
+    line = 1 + next(i for i, text in enumerate(path.read_text().splitlines()) if f"{schedule}_TYPO," in text)
+    assert error.startswith(f"{path} is not a valid model for EnergyPlus")
+    assert f"line {line}: Lights {name!r}: schedule_name is '{schedule}_TYPO', but the model has no schedule" in error
+
+
+def test_templates__missing_comma_is_named_with_the_line_of_the_users_file(tmp_path: Path) -> None:
+    path = tmp_path / "office.idf"
+    error = mistyped_office(path, lambda text: re.sub(r"(IdealLoadsAirSystem,\n  Core_ZN),", r"\1", text, count=1))
+    line = 2 + next(i for i, text in enumerate(path.read_text().splitlines()) if "IdealLoadsAirSystem," in text)
+    assert f"line {line}: HVACTemplate:Zone:IdealLoadsAirSystem " in error
+    assert "',' or ';' is missing within 'Core_ZN all'" in error

@@ -452,6 +452,24 @@ def left_by(before: str, kind: str, field: str) -> list[str]:
     return left
 
 
+@needs_schemas
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("Version,9.4;\nZone,\n  Core\n  0;\n", "line 3: Zone 'Core 0': ',' or ';' is missing within 'Core 0'"),
+        ("Version,9.4;\nZone,\n  Core,\n  0,\nZone,\n  Attic;\n", "line 5: Zone 'Core' does not end: ';' is missing"),
+        ("Version,9.4;\nZone,\n  Core,\n  0", "line 4: Zone 'Core' does not end: ';' is missing after its last field"),
+        ("Version,9.4,\n 1;", "line 2: Version 'Version 1' has 2 fields, but the type has 1"),
+        ("Version,9.4;\nZone,Core;\nZone,\nCORE;", "line 3: Zone 'CORE' is in the file twice; first in line 2"),
+        ("Version,9.4;\nZonne,Core;", "line 2: EnergyPlus has no object type 'Zonne'; did you mean 'Zone"),
+    ],
+)
+def test_upgrade__syntax_error_of_an_earlier_version_is_named_with_its_line(text: str, reason: str) -> None:
+    head, error = refused(text).split("\n")
+    assert head == "old.idf is not an IDF for EnergyPlus 9.4:"
+    assert error.strip().startswith(reason)
+
+
 # What no rule covers
 
 
