@@ -86,7 +86,8 @@ def is_required(kind: str, path: str) -> bool:
     first, _, member = path.partition("[")
     if not member:
         return first in shape["required"]
-    items: dict[str, Any] = next((c["items"] for c in choices(kind, first) if "items" in c), {"required": []})
+    choices = _schema()["rules"][shape["fields"][first]]
+    items: dict[str, Any] = next((c["items"] for c in choices if "items" in c), {"required": []})
     return member.rpartition(".")[2] in items["required"]
 
 
@@ -103,20 +104,6 @@ def has_field(kind: str, name: str) -> bool:
 def unknown_field(kind: str, name: str) -> str:
     """Return the error text for a field that objects of type `kind` do not have, to follow the object's name."""
     return f"has no field {name!r}; {did_you_mean(name, _schema()['types'][kind]['fields'])}"
-
-
-def choices(kind: str, field: str, extension: str = "") -> list[dict[str, Any]]:
-    """Return the alternatives of a field, each with its `type`, `words` and `limits`; empty if there is no such field.
-
-    Args:
-        kind: object type, as EnergyPlus spells it.
-        field: name of the field.
-        extension: the list that the field is in; empty if it is in none.
-    """
-    fields, rules = _schema()["types"][kind]["fields"], _schema()["rules"]
-    if extension:
-        fields = next((choice["items"]["fields"] for choice in rules[fields[extension]] if "items" in choice), {})
-    return list(rules[fields[field]]) if field in fields else []
 
 
 def canonical_fields(kind: str, fields: Fields) -> dict[str, Any]:
