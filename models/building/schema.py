@@ -290,7 +290,7 @@ def _make_document(target: Path) -> None:
 
 def _make(target: Path) -> None:
     rules: dict[str, int] = {}
-    kinds = {kind: _compact(entry, rules) for kind, entry in sorted(document()["properties"].items())}
+    kinds = {kind: _compact(entry, rules) for kind, entry in sorted(_embedded()["properties"].items())}
     target.write_text(json.dumps({"types": kinds, "rules": [json.loads(rule) for rule in rules]}))
 
 

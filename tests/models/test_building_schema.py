@@ -208,7 +208,7 @@ def fresh(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def test_building_schema__schema_is_read_out_of_the_library_once(fresh: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert "Material" in schema.types()
-    monkeypatch.setattr(schema, "embedded", None)
+    monkeypatch.setattr(schema, "_embedded", None)
     schema._schema.cache_clear()
     assert schema.canonical_type("MATERIAL") == "Material"
     assert len(list((fresh / "v2" / "schema").glob("*.json"))) == 1
