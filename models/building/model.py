@@ -18,6 +18,7 @@ from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.building.run_needs import simulation_control
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
+from zenostat.models.input_format.encoding import check_encoding
 from zenostat.models.input_format.idf_reader import idf_version
 from zenostat.models.scenario.run_period import Period, year_of
 from zenostat.models.upgrade.files import cached_upgrade
@@ -142,6 +143,7 @@ def _read_idf(path: Path, raw: bytes, content: str) -> UpgradedModel:
 
     EnergyPlus's own converter reads those of its version, unless they have templates, which it refuses.
     """
+    check_encoding(raw, path)
     text = raw.decode("latin-1")
     version = idf_version(text)
     is_own = version in (None, "") or short(version) == short(energyplus.version())

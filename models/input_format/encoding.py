@@ -1,0 +1,36 @@
+"""Check the bytes of an IDF: EnergyPlus needs UTF-8 without a byte-order mark, and lines that end with LF."""
+
+from __future__ import annotations
+
+import codecs
+from pathlib import Path
+
+from zenostat.topics.errors import InvalidConfig
+
+_UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+
+
+def check_encoding(raw: bytes, path: Path) -> None:
+    """Check that EnergyPlus can read the characters of an IDF. Comments may have any.
+
+    Raises:
+        InvalidConfig: the file is empty, has a byte-order mark, no LF, or a byte outside comments that is not UTF-8;
+            the text says how to save it.
+    """
+    if not raw.strip():
+        raise InvalidConfig(f"{path} is not an IDF: it is empty")
+    if raw.startswith(_UTF16) or b"\0" in raw:
+        raise InvalidConfig(f"{path} is not an IDF in UTF-8 (perhaps it is in UTF-16): save it as UTF-8")
+    if raw.startswith(codecs.BOM_UTF8):
+        raise InvalidConfig(f"{path} begins with a byte-order mark (BOM): save it as UTF-8 without BOM")
+    if raw.lstrip().startswith(b"{"):
+        raise InvalidConfig(f"{path} is not an IDF but JSON: name it {path.stem}.epJSON")
+    if b"\r" in raw and b"\n" not in raw:
+        raise InvalidConfig(f"{path} has lines that end with CR alone: save it with line ends of Unix or Windows")
+    for number, line in enumerate(raw.split(b"\n"), 1):
+        try:
+            line.partition(b"!")[0].decode("utf-8")
+        except UnicodeDecodeError as error:
+            byte = line[error.start]
+            reason = f"the byte 0x{byte:02X} is not UTF-8"
+            raise InvalidConfig(f"{path}, line {number}: {reason}: save the file as UTF-8") from None

@@ -1,0 +1,34 @@
+"""What an IDF may consist of: bytes that EnergyPlus reads."""
+
+from pathlib import Path
+
+import pytest
+
+from zenostat.models.input_format.encoding import check_encoding
+from zenostat.topics.errors import InvalidConfig
+
+ZONE = "Version,25.2;\n! Büro\nZone,\n  Büro;  !- Name\n"
+
+
+@pytest.mark.parametrize(
+    "raw", [ZONE.encode(), ZONE.replace("\n", "\r\n").encode(), b"Version,25.2; ! caf\xe9\nZone,A; !- \xfc\n"]
+)
+def test_check_encoding__accepts_utf_8_and_any_byte_in_a_comment(raw: bytes) -> None:
+    check_encoding(raw, Path("office.idf"))
+
+
+@pytest.mark.parametrize(
+    ("raw", "text"),
+    [
+        (b" \r\n", "office.idf is not an IDF: it is empty"),
+        (ZONE.encode("utf-16"), "perhaps it is in UTF-16"),
+        (b"Version,25.2;\0", "not an IDF in UTF-8"),
+        (ZONE.encode("utf-8-sig"), "byte-order mark"),
+        (b' {"Version": {}}', "not an IDF but JSON: name it office.epJSON"),
+        (b"Version,25.2;\rZone,A;\r", "CR alone"),
+        (ZONE.encode("latin-1"), "office.idf, line 4: the byte 0xFC is not UTF-8"),
+    ],
+)
+def test_check_encoding__names_what_is_wrong(raw: bytes, text: str) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        check_encoding(raw, Path("office.idf"))
