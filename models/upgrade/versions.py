@@ -50,8 +50,8 @@ def advice(engine: str) -> str:
     """Say which versions an engine can simulate, for the end of an error text."""
     return (
         f"the engine's version is {short(engine)}, and models for {STEPS[0].before} to {STEPS[-1].before} are "
-        "upgraded; for others use EnergyPlus's transition programs (`zenostat models upgrade FILE "
-        "--transition-programs FOLDER`)"
+        "upgraded; for earlier ones use EnergyPlus's transition programs (`zenostat models upgrade FILE "
+        "--transition-programs FOLDER`), and for later ones another engine"
     )
 
 
