@@ -1,4 +1,4 @@
-"""What an IDF may consist of: bytes that EnergyPlus reads."""
+"""Bytes of an IDF: those that EnergyPlus reads, and an error for each other one."""
 
 from pathlib import Path
 
