@@ -66,7 +66,7 @@ RULES: dict[str, Any] = {
         "shed_cooling": {"low": 0.0, "high": 1.5, "start": 0.1},
     },
 }
-"""What the tuning of `tuned` searches, as for `zenostat.lab.tuning.tune_controller`."""
+"""Search space and sampler of `tuned`, as for `zenostat.lab.tuning.tune_controller`."""
 
 FORMS: dict[str, dict[str, Any]] = {"oracle": {"relative": 8.0}}
 """Arguments in which the environment of another controller of the benchmark differs from the task's.

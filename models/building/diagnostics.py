@@ -114,7 +114,7 @@ def _located(diagnostic: Diagnostic, source: SourceModel | None) -> Diagnostic:
 
 
 def verdict() -> str:
-    """Return what is said of a file with errors, for `describe`."""
+    """Return the heading of a file with errors, for `describe`."""
     return f"is not a valid model for EnergyPlus {energyplus.version()}"
 
 
@@ -129,7 +129,7 @@ def cached_diagnostics(objects: Objects, content: str, file: str) -> list[Diagno
     Args:
         objects: the model as epJSON.
         content: digest of its content, edits included.
-        file: the user's file, whose lines are given; empty or missing files have none.
+        file: the user's file, for line numbers; empty or missing: there are none.
     """
 
     def make(target: Path) -> None:

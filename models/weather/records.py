@@ -66,7 +66,7 @@ def _number(row: Sequence[str], index: int) -> float:
     try:
         return float(row[index])
     except (IndexError, ValueError):
-        return 0.0  # a cell that is no number is told by `zenostat.models.weather.epw`
+        return 0.0  # `zenostat.models.weather.epw` reports a cell that is no number
 
 
 def _order_errors(rows: Sequence[Sequence[str]], rows_per_day: int) -> Iterator[str]:
