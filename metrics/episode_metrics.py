@@ -112,8 +112,7 @@ class MetricsAccumulator:
     Args:
         manifest: manifest of the node.
         reward: reward with the comfort band; None, or a reward without a band: that of the scenario.
-        prices, emissions: prices and emission factors by fuel for these KPIs; see
-        `zenostat.metrics.tariffs`.
+        prices, emissions: prices and emission factors by fuel for these KPIs; see `zenostat.metrics.tariffs`.
 
     Attributes:
         sources: by metric, the point or reward that it is derived from.
