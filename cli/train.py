@@ -63,7 +63,14 @@ def train(
         err.print(f"resumed with other versions, so not equal to the bit: {'; '.join(changes)}", markup=False)
     with stop_signals() as (stop, received), progress() as bars:
         watch = None if not out.is_interactive else _watcher(bars)
-        result = run(config, resume=resume, progress=watch, on_evaluation=_print_evaluation, stop=stop)
+        result = run(
+            config,
+            resume=resume,
+            progress=watch,
+            on_evaluation=_print_evaluation,
+            on_references=_print_references,
+            stop=stop,
+        )
     if not result.finished:
         again = f"zenostat train {result.folder} --resume"
         out.print(f"stopped; checkpoint at step {result.step:,}; continue with: {again}", soft_wrap=True, markup=False)
@@ -148,3 +155,8 @@ def _print_evaluation(step: int, results: tuple[EpisodeMetrics, ...]) -> None:
     rewards = [result.reward for result in results if result.reward is not None]
     if rewards:
         out.print(f"step {step:,}: evaluation {sum(rewards) / len(rewards):,.2f}", soft_wrap=True, markup=False)
+
+
+def _print_references(rewards: dict[str, float]) -> None:
+    for name, reward in rewards.items():
+        out.print(f"{name}: {reward:,.2f} in the evaluation episodes", soft_wrap=True, markup=False)

@@ -55,6 +55,7 @@ class Evaluation(ConfigPart):
         episodes: number of episodes of an evaluation.
         seed: seed of the first one; episode k has `seed + k`, the same in each evaluation.
         scenario, arguments: override those of the training, for instance with another weather.
+        references: bundled controllers that run through the same episodes once, before the training begins.
     """
 
     every_steps: Count | None = None
@@ -63,6 +64,7 @@ class Evaluation(ConfigPart):
     seed: Seed = 10_000
     scenario: str | None = None
     arguments: dict[str, Any] = Field(default_factory=dict)
+    references: tuple[str, ...] = ("baseline",)
 
     @model_validator(mode="after")
     def _one_interval(self) -> Evaluation:

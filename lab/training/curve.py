@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import importlib.util
 from collections.abc import Mapping, Sequence
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ import numpy as np
 from zenostat.metrics.episode_metrics import EpisodeMetrics
 from zenostat.topics.atomic_file import atomic_file
 
-CURVE, EVALUATIONS, PICTURE = "curve.csv", "evaluations.csv", "curve"
+CURVE, EVALUATIONS, REFERENCES, PICTURE = "curve.csv", "evaluations.csv", "references.csv", "curve"
 _COLUMNS = ("step", "slot", "reward", "steps")
 _SHOWN = 100
 """Number of episodes in a moving mean, as stable-baselines3 logs it."""
+_STYLES = ("--", ":", "-.")
 
 
 class CurveFile:
@@ -67,6 +69,16 @@ def _read(path: Path, until: int) -> list[dict[str, Any]]:
     with path.open(newline="", encoding="utf-8") as file:
         rows = [row for row in csv.DictReader(file) if None not in row.values() and row["step"].isdigit()]
     return [{name: _number(text) for name, text in row.items()} for row in rows if int(row["step"]) <= until]
+
+
+def reference_rewards(folder: Path) -> dict[str, float]:
+    """Return the mean reward of an episode by reference of a training; empty if none was evaluated."""
+    rewards: dict[str, list[float]] = {}
+    if (path := folder / REFERENCES).is_file():
+        with path.open(newline="", encoding="utf-8") as file:
+            for row in csv.DictReader(file):
+                rewards.setdefault(row["controller"], []).append(float(row["reward"]))
+    return {name: float(np.mean(values)) for name, values in rewards.items()}
 
 
 def _number(text: str) -> int | float | None:
@@ -138,6 +150,8 @@ class LearningCurve:
                 if max(map(len, evaluations.values())) > 1:
                     low, high = ([limit(values) for values in evaluations.values()] for limit in (min, max))
                     axis.fill_between(list(evaluations), low, high, color=LIGHT["series-2"], alpha=0.15, linewidth=0)
+            for style, (name, reward) in zip(cycle(_STYLES), reference_rewards(self._folder).items(), strict=False):
+                axis.axhline(reward, color=LIGHT["ink"], linestyle=style, linewidth=1, label=f"{name}, mean")
             axis.set_xlabel("training step")
             axis.set_ylabel("reward of an episode")
             axis.xaxis.set_major_formatter(lambda value, _: f"{value:,.0f}")

@@ -33,12 +33,13 @@ from zenostat.lab.training.checkpoint import (
     wrapper_state,
 )
 from zenostat.lab.training.config import EVALUATIONS, TrainingConfig
-from zenostat.lab.training.curve import LearningCurve
+from zenostat.lab.training.curve import LearningCurve, reference_rewards
 from zenostat.lab.training.environments import TrainingEnv, check_environment, make_env
 from zenostat.lab.training.evaluation_callback import EvaluationCallback
 from zenostat.lab.training.horizon import discount, horizon_warning, scale_warning
 from zenostat.lab.training.logs import check_logs, make_logger
 from zenostat.lab.training.parameters import check_action_space, check_algorithm, make_model
+from zenostat.lab.training.references import OnReferences, check_references, evaluate_references
 from zenostat.metrics.episode_metrics import EpisodeMetrics
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import ErrorCollector, InvalidConfig
@@ -98,6 +99,7 @@ def check_training(config: TrainingConfig, *, resume: bool = False) -> None:
     errors.collect(lambda: check_algorithm(config))
     errors.collect(lambda: check_environment(config))
     errors.collect(lambda: check_logs(config))
+    errors.collect(lambda: check_references(config))
     errors.collect(lambda: _check_folder(config, resume=resume))
     errors.raise_if_any()
 
@@ -118,6 +120,7 @@ def train(
     resume: bool = False,
     progress: Progress | None = None,
     on_evaluation: OnEvaluation | None = None,
+    on_references: OnReferences | None = None,
     stop: threading.Event | None = None,
 ) -> TrainingResult:
     """Train, and write model, normalization, wrappers, scenario, versions, curve and logs to the training's folder.
@@ -131,6 +134,7 @@ def train(
             was not interrupted, on the same machine with the same versions. `steps` may differ.
         progress: called at each step.
         on_evaluation: called after each evaluation, with the training step and the metrics of its episodes.
+        on_references: called before the training, with the mean reward of an evaluation episode by reference.
         stop: when it is set, a checkpoint is written and the training ends.
 
     Raises:
@@ -144,7 +148,8 @@ def train(
     with ExitStack() as stack:
         stack.callback(_remove_if_empty, folder)
         stack.enter_context(locked(folder / ".lock", f"{folder}: another process is training there"))
-        return _Run(config, folder, stack, on_evaluation).train(progress, stop or threading.Event(), resume=resume)
+        run = _Run(config, folder, stack, on_evaluation, on_references)
+        return run.train(progress, stop or threading.Event(), resume=resume)
 
 
 def _remove_if_empty(folder: Path) -> None:
@@ -156,9 +161,15 @@ class _Run:
     """A training with its open environments and files, which `stack` closes."""
 
     def __init__(
-        self, config: TrainingConfig, folder: Path, stack: ExitStack, on_evaluation: OnEvaluation | None
+        self,
+        config: TrainingConfig,
+        folder: Path,
+        stack: ExitStack,
+        on_evaluation: OnEvaluation | None,
+        on_references: OnReferences | None,
     ) -> None:
-        self._config, self._folder, self._stack, self._on_evaluation = config, folder, stack, on_evaluation
+        self._config, self._folder, self._stack = config, folder, stack
+        self._on_evaluation, self._on_references = on_evaluation, on_references
         self._last_evaluation: float | None = None
 
     def train(self, progress: Progress | None, stop: threading.Event, *, resume: bool) -> TrainingResult:
@@ -184,6 +195,10 @@ class _Run:
         if checkpoint is not None:
             restore_environment(checkpoint, env, config.seed)
             restore_model(checkpoint, model)
+        if checkpoint is None:
+            evaluate_references(config, folder)
+        if self._on_references is not None and (rewards := reference_rewards(folder)):
+            self._on_references(rewards)
         evaluation = self._evaluation_callback()
         callback = _TrainingCallback(
             env, evaluation, self._curve, folder / training_folder.CHECKPOINTS, config, stop, checkpoint

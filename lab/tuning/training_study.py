@@ -33,7 +33,11 @@ class TrainingStudy(StudyConfig):
         fields: dict[str, Any] = {**self.training, "output": str(output)}
         for path, value in values.items():
             fields = with_field(fields, path, value)
-        return read_training(fields)
+        config = read_training(fields)
+        if not config.evaluation:
+            return config
+        alone = config.evaluation.model_copy(update={"references": ()})  # the same in each trial
+        return config.model_copy(update={"evaluation": alone})
 
     def checked(self, what: str) -> Any:
         """Return the study with its number of trials; see `StudyConfig.checked`.
