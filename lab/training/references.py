@@ -1,4 +1,4 @@
-"""What other controllers reach in the evaluation episodes of a training, for comparison."""
+"""Mean rewards of other controllers in the evaluation episodes of a training, for comparison."""
 
 from __future__ import annotations
 
