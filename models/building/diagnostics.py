@@ -17,12 +17,13 @@ from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.nodes import unconnected_nodes
 from zenostat.models.building.references import dangling_references
+from zenostat.models.building.schedule_rules import schedule_findings
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.source_model import SourceModel
 from zenostat.topics.errors import list_errors
 
-FORMAT = "3"
+FORMAT = "4"
 """Version of the stored files."""
 
 REQUIRED = ("Building", "GlobalGeometryRules")
@@ -71,7 +72,7 @@ def diagnose(objects: Objects, source: SourceModel | None = None) -> list[Diagno
     diagnostics = diagnose_format(objects, source)
     # Objects of an unknown type, or behind a missing semicolon, would be missed by all that refer to them.
     if (source is None or not source.issues) and all(_is_known(kind, items) for kind, items in objects.items()):
-        diagnostics += [_located(each, source) for each in _reference_diagnostics(objects)]
+        diagnostics += [_located(each, source) for each in _rule_diagnostics(objects)]
     return sorted(diagnostics, key=lambda each: (each.severity is Severity.WARNING, each.line or 0))
 
 
@@ -95,7 +96,7 @@ def _is_known(kind: str, items: object) -> bool:
     return isinstance(items, Mapping) and schema.canonical_type(kind) == kind
 
 
-def _reference_diagnostics(objects: Objects) -> Iterator[Diagnostic]:
+def _rule_diagnostics(objects: Objects) -> Iterator[Diagnostic]:
     valid = {
         kind: {name: fields for name, fields in items.items() if isinstance(fields, Mapping)}
         for kind, items in objects.items()
@@ -103,6 +104,9 @@ def _reference_diagnostics(objects: Objects) -> Iterator[Diagnostic]:
     for each in dangling_references(valid):
         severity = Severity.ERROR if each.is_fatal else Severity.WARNING
         yield Diagnostic(severity, each.kind, each.name, each.field, each.describe())
+    for found in schedule_findings(valid):
+        severity = Severity.ERROR if found.is_fatal else Severity.WARNING
+        yield Diagnostic(severity, found.kind, found.name, found.field, found.text)
     for node in unconnected_nodes(valid):
         yield Diagnostic(Severity.WARNING, node.kind, node.name, node.field, node.describe())
 

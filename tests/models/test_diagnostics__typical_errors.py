@@ -23,6 +23,9 @@ MARK = "_TYPO"
 MODELS = ["office-small", "sinergym/5ZoneAutoDXVAV", "warehouse"]
 """An IDF, an epJSON, and a second IDF with other systems."""
 
+OWN_WARNINGS = {"office-small": ["data[8].field"]}
+"""Fields of the models that have a warning: a schedule of the small office has `For: Weedends`."""
+
 
 class Case(NamedTuple):
     """A typing error: the object types of which the first in the model is changed, its field, and what is said."""
@@ -122,6 +125,11 @@ def diagnostics_of(model: ModelText) -> list[Diagnostic]:
     return diagnose(source.objects, source)
 
 
+def errors_of(model: ModelText) -> list[Diagnostic]:
+    """The errors of a changed model."""
+    return [each for each in diagnostics_of(model) if each.severity is Severity.ERROR]
+
+
 def mistyped(model: ModelText, entry: SourceObject, field: str, value: str) -> tuple[ModelText, int]:
     """The model with another value in a field, and the number of its line."""
     line, text = entry.fields[field]
@@ -160,7 +168,7 @@ def test_diagnose__typing_error_is_named_with_object_field_and_line(case: str, n
 
 @pytest.mark.parametrize("name", MODELS)
 def test_diagnose__no_error_in_the_models_themselves(name: str) -> None:
-    assert diagnostics_of(model_text(name)) == []
+    assert [each.field for each in diagnostics_of(model_text(name))] == OWN_WARNINGS.get(name, [])
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -180,7 +188,7 @@ def test_diagnose__missing_required_field(name: str) -> None:
     model, entry = model_text(name), first_object(name, "Material", "conductivity")
     line, text = entry.fields["conductivity"]
     cut = re.escape(text) if model.is_idf else rf'"conductivity": *{re.escape(text)},'
-    (reported,) = diagnostics_of(model.with_line(line, lambda old: re.sub(cut, "", old, count=1)))
+    (reported,) = errors_of(model.with_line(line, lambda old: re.sub(cut, "", old, count=1)))
     assert (reported.kind, reported.name) == ("Material", entry.name)
     assert "lacks 'conductivity'" in reported.text
     assert reported.line == entry.line
@@ -201,7 +209,7 @@ def test_diagnose__object_that_is_in_the_file_twice(name: str) -> None:
         number = entry.line
         changed = changed._replace(text=changed.text.replace(f"}}, {key}", f"}},\n{key}", 1))
         number += 1
-    (reported,) = diagnostics_of(changed)
+    (reported,) = errors_of(changed)
     assert (reported.kind, reported.name, reported.line) == ("Material", entry.name, number)
     assert f"is in the file twice; first in line {entry.line}" in reported.text
 
@@ -222,7 +230,7 @@ def test_diagnose__missing_comma_or_semicolon_of_an_idf(name: str, sign: str) ->
 def test_diagnose__too_many_fields_of_an_idf(name: str) -> None:
     model, entry = model_text(name), first_object(name, "ScheduleTypeLimits")
     number = max(value.line for value in entry.fields.values())
-    (reported,) = diagnostics_of(model.with_line(number, lambda line: line.replace(";", ", , , 1, 2, 3;", 1)))
+    (reported,) = errors_of(model.with_line(number, lambda line: line.replace(";", ", , , 1, 2, 3;", 1)))
     assert (reported.kind, reported.name, reported.line) == ("ScheduleTypeLimits", entry.name, number)
     assert re.search(r"has \d fields, but the type has 5", reported.text)
 
@@ -230,7 +238,7 @@ def test_diagnose__too_many_fields_of_an_idf(name: str) -> None:
 def test_diagnose__unknown_field_of_an_epjson() -> None:
     model, entry = model_text(MODELS[1]), first_object(MODELS[1], "Lights", "schedule_name")
     line = entry.fields["schedule_name"].line
-    missing, reported = diagnostics_of(model.with_line(line, lambda old: old.replace("schedule_name", "schedul_name")))
+    missing, reported = errors_of(model.with_line(line, lambda old: old.replace("schedule_name", "schedul_name")))
     assert "lacks 'schedule_name'" in missing.text
     assert (reported.kind, reported.name, reported.field, reported.line) == ("Lights", entry.name, "schedul_name", line)
     assert "has no field 'schedul_name'; did you mean 'schedule_name'" in reported.text

@@ -1,0 +1,156 @@
+"""Check the fields of a `Schedule:Compact`: dates, day types, times and values in EnergyPlus's order."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
+
+from zenostat.models.building.schedule_fields import (
+    LAST_DAY,
+    DayTimes,
+    DayTypes,
+    FieldError,
+    date_of,
+    day_of_year,
+    number,
+    unknown_day_words,
+)
+
+_THROUGH, _FOR, _UNTIL, _INTERPOLATE = "THROUGH", "FOR", "UNTIL", "INTERPOLATE"
+_INTERPOLATIONS = ("NO", "AVERAGE", "LINEAR")
+
+
+class FieldFinding(NamedTuple):
+    """A finding on a field of a schedule.
+
+    Attributes:
+        field: its path, such as `data[3].field`; empty if it is about the object.
+        text: what is wrong, to follow the object's name.
+        is_fatal: whether EnergyPlus ends because of it.
+    """
+
+    field: str
+    text: str
+    is_fatal: bool = True
+
+
+def compact_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
+    """Yield the findings on the fields of a `Schedule:Compact`; reading ends at the first that is fatal."""
+    entries = [entry.get("field", "") for entry in fields.get("data", ()) if isinstance(entry, Mapping)]
+    while entries and not _text(entries[-1]):
+        entries.pop()
+    reader = _Reader(entries)
+    try:
+        yield from reader.read()
+    except FieldError as error:
+        yield reader.finding(str(error))
+
+
+def _text(value: Any) -> str:
+    return str(value).strip()
+
+
+class _Reader:
+    """The fields of one schedule, and the position of the one that is read."""
+
+    def __init__(self, entries: list[Any]) -> None:
+        self._entries = entries
+        self._at = 0
+
+    def finding(self, text: str, *, is_fatal: bool = True) -> FieldFinding:
+        """Return a finding on the field at the position."""
+        if not self._entries:
+            return FieldFinding("", f": {text}", is_fatal)
+        index = min(self._at, len(self._entries) - 1)
+        path = f"data[{index}].field"
+        return FieldFinding(path, f": {path} is {self._entries[index]!r}, {text}", is_fatal)
+
+    def read(self) -> Iterator[FieldFinding]:
+        """Yield the findings that are not fatal.
+
+        Raises:
+            FieldError: EnergyPlus does not accept the field at the position.
+        """
+        day = 0
+        if not self._entries:
+            raise FieldError("it has no fields; expected 'Through: 12/31', 'For: AllDays', 'Until: 24:00' and a value")
+        while self._at < len(self._entries):
+            through = self._at
+            self._expect(_THROUGH, "Through: 12/31")
+            end = day_of_year(re.sub(r"^through:?", "", self._here, flags=re.IGNORECASE))
+            if day == LAST_DAY:
+                raise FieldError("but the whole year has values already")
+            if end < day:
+                raise FieldError(f"which is before {date_of(day)}, the date before it; dates must increase")
+            if end == day:
+                yield self.finding("which adds no day to those before it", is_fatal=False)
+            day = end
+            self._at += 1
+            yield from self._week(through)
+        if day < LAST_DAY:
+            self._at = through
+            raise FieldError(f"the last date; the days after {date_of(day) if day else 'it'} have no values; "
+                             "the last field with 'Through:' must be 'Through: 12/31'")  # fmt: skip
+
+    @property
+    def _here(self) -> str:
+        return _text(self._entries[self._at])
+
+    def _begins(self, word: str) -> bool:
+        return self._at < len(self._entries) and self._here.upper().startswith(word)
+
+    def _expect(self, word: str, example: str) -> None:
+        if not self._begins(word):
+            raise FieldError(f"where a field such as '{example}' is expected")
+
+    def _week(self, through: int) -> Iterator[FieldFinding]:
+        """Read the day types and values up to the next date."""
+        if self._at == len(self._entries):
+            raise FieldError("after which the values are missing, such as 'For: AllDays', 'Until: 24:00' and a number")
+        days = DayTypes()
+        while self._at < len(self._entries) and not self._begins(_THROUGH):
+            self._expect(_FOR, "For: AllDays")
+            if self._at == len(self._entries) - 1:
+                yield self.finding("after which the values are missing; EnergyPlus uses 0", is_fatal=False)
+                self._at += 1
+                return
+            days.add(self._here)
+            yield from (self.finding(f"but {note}", is_fatal=False) for note in unknown_day_words(self._here))
+            self._at += 1
+            if not self._begins(_UNTIL):
+                self._check_interpolation()
+                self._at += 1
+            yield from self._day()
+        if days.missing:
+            at, self._at = self._at, through
+            names = ", ".join(days.missing)
+            yield self.finding(f"but there is no value for {names}; EnergyPlus uses 0", is_fatal=False)
+            self._at = at
+
+    def _check_interpolation(self) -> None:
+        if not any(word in self._here.upper() for word in _INTERPOLATIONS):
+            if self._begins(_INTERPOLATE):
+                raise FieldError("but an interpolation is one of No, Average, Linear")
+            raise FieldError("where a field such as 'Until: 24:00' is expected, or 'Interpolate: Average' before it")
+
+    def _day(self) -> Iterator[FieldFinding]:
+        """Read times and values."""
+        times, last = DayTimes(), self._at
+        while self._at < len(self._entries) and not self._begins(_FOR) and not self._begins(_THROUGH):
+            last = self._at
+            self._expect(_UNTIL, "Until: 24:00")
+            if note := times.add(self._here):
+                yield self.finding(f"but {note}", is_fatal=False)
+            self._at += 1
+            if self._at == len(self._entries):
+                raise FieldError("after which the value is missing")
+            value = self._entries[self._at]
+            if number(value) is None:
+                raise FieldError("where the value is expected, which is a number")
+            if not _text(value):
+                yield self.finding("where the value is expected; EnergyPlus uses 0", is_fatal=False)
+            self._at += 1
+        after, self._at = self._at, last
+        times.check_end()
+        self._at = after

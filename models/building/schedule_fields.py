@@ -1,0 +1,194 @@
+"""Read dates, day types and times of EnergyPlus's schedules as EnergyPlus reads them.
+
+The rules are those of EnergyPlus 25.2's `ScheduleManager` and of its Input Output Reference, "Group Schedules"; each
+was tried with EnergyPlus itself (`tests/models/test_schedule_rules.py`).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from math import isfinite
+from typing import Any
+
+from zenostat.topics.errors import did_you_mean
+
+DAY_TYPES = (
+    *("Sunday", "Monday", "Tuesday", "Wednesday", "Thursday", "Friday", "Saturday"),
+    *("Holiday", "SummerDesignDay", "WinterDesignDay", "CustomDay1", "CustomDay2"),
+)
+"""The day types for which each day of a schedule needs values."""
+
+LAST_DAY = 366
+"""31 December, counted in a leap year."""
+
+DAY_MIN = 1440
+
+_WEEKDAYS = DAY_TYPES[1:6]
+_GROUPS: dict[str, tuple[str, ...]] = {
+    "WEEKDAY": _WEEKDAYS,
+    **{name.upper(): (name,) for name in _WEEKDAYS},
+    "WEEKEND": ("Sunday", "Saturday"),
+    **{name.upper(): (name,) for name in ("Saturday", "Sunday", "CustomDay1", "CustomDay2")},
+    "ALLDAY": DAY_TYPES,
+    "HOLIDAY": ("Holiday",),
+    "SUMMER": ("SummerDesignDay",),
+    "WINTER": ("WinterDesignDay",),
+}
+"""Words that EnergyPlus looks for anywhere in a list of day types, in its order, and the day types that each means."""
+
+_REST = "ALLOTHERDAY"
+_DAY_WORDS = ("AllDays", "AllOtherDays", "Weekdays", "Weekends", "Holidays", *DAY_TYPES)
+_MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
+_MONTH_ENDS = (0, 31, 60, 91, 121, 152, 182, 213, 244, 274, 305, 335, 366)
+_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
+
+
+class FieldError(Exception):
+    """A field that EnergyPlus does not accept; the text follows the field's name and value."""
+
+
+def number(value: Any) -> float | None:
+    """Return the number that EnergyPlus reads in a field; None if it is no number. A blank one is 0."""
+    if isinstance(value, (int, float)):
+        return float(value)
+    text = str(value or "").strip()
+    if not text:
+        return 0.0
+    if not _NUMBER.fullmatch(text):
+        return None
+    result = float(re.sub("[dD]", "e", text))
+    return result if isfinite(result) else None
+
+
+def day_of_year(text: str) -> int:
+    """Return the day, from 1 to 366, of a date such as `12/31` or `31 Dec`; 0 of a blank one.
+
+    Raises:
+        FieldError: it is no day of the year.
+    """
+    words = re.sub("[/:-]", " ", text.upper())
+    words = re.sub("(ST|ND|RD|TH|OF|IN) ", "   ", words)
+    parts = words.split()
+    numbers = [number(part) for part in parts]
+    if not parts or (len(parts) == 1 and numbers[0] == 0):
+        return 0
+    if len(parts) == 3 and all(each is not None for each in numbers):
+        first, second, third = (int(each or 0) for each in numbers)
+        month, day = (second, third) if first > 100 else (first, second)
+    elif len(parts) == 2 and numbers[1] is not None:
+        month = int(numbers[0]) if numbers[0] is not None else _month(parts[0])
+        day = int(numbers[1])
+    elif len(parts) == 2 and numbers[0] is not None:
+        month, day = _month(parts[1]), int(numbers[0])
+    else:
+        raise FieldError("which is no date; expected month/day, such as '12/31'")
+    if not 1 <= month <= 12 or not 1 <= day <= _MONTH_ENDS[month] - _MONTH_ENDS[month - 1]:
+        swapped = "; the month is first" if month > 12 >= day else ""
+        raise FieldError(f"which is no day of the year; expected month/day, such as '12/31'{swapped}")
+    return _MONTH_ENDS[month - 1] + day
+
+
+def _month(word: str) -> int:
+    return _MONTHS.index(word[:3]) + 1 if word[:3] in _MONTHS else 0
+
+
+def date_of(day: int) -> str:
+    """Return the date of a day, from 1 to 366: `12/31`."""
+    month = next(i for i, end in enumerate(_MONTH_ENDS) if day <= end)
+    return f"{month}/{day - _MONTH_ENDS[month - 1]}"
+
+
+@dataclass
+class DayTypes:
+    """The day types of a week that have values so far."""
+
+    known: set[str] = field(default_factory=set)
+
+    def add(self, text: str) -> None:
+        """Add those of a list such as `For: Weekdays SummerDesignDay`.
+
+        Raises:
+            FieldError: it names no day type, or one that has values already.
+        """
+        words, named, twice = text.upper(), False, list[str]()
+        for word, members in _GROUPS.items():
+            if word in words:
+                named = True
+                twice += [member for member in members if member in self.known]
+                self.known.update(members)
+        if _REST in words:
+            named = True
+            self.known.update(DAY_TYPES)
+        if not named:
+            raise FieldError(f"which names no day type; expected one or more of {', '.join(_DAY_WORDS)}")
+        if twice:
+            raise FieldError(f"but {', '.join(dict.fromkeys(twice))} has values already")
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The day types without values."""
+        return tuple(name for name in DAY_TYPES if name not in self.known)
+
+
+def unknown_day_words(text: str) -> Iterator[str]:
+    """Yield a note on each word of a list of day types that EnergyPlus ignores."""
+    for word in re.split(r"[\s,]+", re.sub(r"^\s*for\s*:?", "", text, flags=re.IGNORECASE)):
+        if word and _REST not in word.upper() and not any(group in word.upper() for group in _GROUPS):
+            yield f"EnergyPlus ignores {word!r}, which is no day type; {did_you_mean(word, _DAY_WORDS)}"
+
+
+@dataclass
+class DayTimes:
+    """The times of a day up to which values are given, in minutes.
+
+    Attributes:
+        last: the last time.
+        latest: the latest time.
+    """
+
+    last: int = 0
+    latest: int = 0
+
+    def add(self, text: str) -> str:
+        """Add a time such as `Until: 24:00`; return a note on it, empty without one.
+
+        Raises:
+            FieldError: it is no time, or is before the last one.
+        """
+        hour, minute = _hour_and_minute(re.sub(r"^until:?", "", text.strip(), flags=re.IGNORECASE))
+        note = ""
+        if hour == 24 and minute:
+            note, minute = "EnergyPlus ends the day at 24:00", 0
+        time, before = 60 * hour + minute, self.last
+        # EnergyPlus finds a time that is out of order only if it is in an earlier hour.
+        if time < before and (time - 1) // 60 < before // 60:
+            raise FieldError(f"which is before {_clock(before)}, the time before it; times must increase")
+        if time <= before:
+            note = f"EnergyPlus does not use the value, since the time is not after {_clock(before)}"
+        self.last, self.latest = time, max(time, self.latest)
+        return note
+
+    def check_end(self) -> None:
+        """Check that the whole day has values.
+
+        Raises:
+            FieldError: the last time is not 24:00.
+        """
+        if self.latest < DAY_MIN:
+            raise FieldError(f"but the day ends at 24:00; the values after {_clock(self.latest)} are missing")
+
+
+def _hour_and_minute(text: str) -> tuple[int, int]:
+    before, colon, after = text.partition(":")
+    hour, minute = number(before), number(after)
+    if not colon or hour is None or minute is None or hour != int(hour) or minute != int(minute):
+        raise FieldError("which is no time; expected hours:minutes, such as '18:00'")
+    if not 0 <= hour <= 24 or not 0 <= minute < 60:
+        raise FieldError("which is no time of a day; expected 0:00 to 24:00")
+    return int(hour), int(minute)
+
+
+def _clock(minutes: int) -> str:
+    return f"{minutes // 60}:{minutes % 60:02}"

@@ -1,0 +1,130 @@
+"""Find what EnergyPlus does not accept in schedules, which its input schema does not show."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+from zenostat.models.building.compact_schedules import FieldFinding, compact_findings
+from zenostat.models.building.schedule_fields import (
+    DAY_MIN,
+    LAST_DAY,
+    DayTimes,
+    DayTypes,
+    FieldError,
+    date_of,
+    day_of_year,
+    unknown_day_words,
+)
+
+Objects = Mapping[str, Mapping[str, Any]]
+
+
+class ScheduleFinding(NamedTuple):
+    """A finding on a schedule.
+
+    Attributes:
+        kind, name, field: the object and the path of its field, which is empty if it is about the object.
+        text: the whole sentence.
+        is_fatal: whether EnergyPlus ends because of it.
+    """
+
+    kind: str
+    name: str
+    field: str
+    text: str
+    is_fatal: bool
+
+
+def schedule_findings(objects: Objects) -> Iterator[ScheduleFinding]:
+    """Yield the findings on the schedules of a model, which matches the schema."""
+    for kind, check in _CHECKS.items():
+        for name, fields in objects.get(kind, {}).items():
+            for found in check(fields):
+                yield ScheduleFinding(kind, name, found.field, f"{kind} {name!r}{found.text}", found.is_fatal)
+
+
+def _interval_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
+    entries = list(fields.get("data", ()))
+    times = DayTimes()
+    path, shown = "", "it has no times"
+    try:
+        for index, entry in enumerate(entries):
+            path, time = f"data[{index}].time", str(entry.get("time", ""))
+            shown = f"{path} is {time!r}"
+            if note := times.add(time):
+                yield FieldFinding(path, f": {shown}, but {note}", is_fatal=False)
+            if "value_until_time" not in entry:
+                path = f"data[{index}].value_until_time"
+                yield FieldFinding(path, f": {path}, the value up to {time!r}, is missing")
+                return
+        times.check_end()
+    except FieldError as error:
+        yield FieldFinding(path, f": {shown}, {error}")
+
+
+def _list_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
+    count = len(fields.get("extensions", ()))
+    minutes = fields.get("minutes_per_item")
+    path = "minutes_per_item" if minutes else ""
+    if not minutes:
+        text = f": it lacks 'minutes_per_item', the minutes for which each of its {count} values holds"
+    elif 60 % int(minutes):
+        text = f": minutes_per_item is {minutes}, which does not divide the hour; 15, 30 or 60 do"
+    elif count * int(minutes) != DAY_MIN:
+        text = f": minutes_per_item is {minutes}, for which a day has {DAY_MIN // int(minutes)} values, but it has {count}"
+    else:
+        return
+    yield FieldFinding(path, text)
+
+
+def _week_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
+    days = DayTypes()
+    for index, entry in enumerate(fields.get("data", ())):
+        path, text = f"data[{index}].daytype_list", str(entry.get("daytype_list", ""))
+        try:
+            days.add(text)
+        except FieldError as error:
+            yield FieldFinding(path, f": {path} is {text!r}, {error}")
+            return
+        for note in unknown_day_words(text):
+            yield FieldFinding(path, f": {path} is {text!r}, but {note}", is_fatal=False)
+    if days.missing:
+        text = f": it has no schedule for {', '.join(days.missing)}; 'For: AllOtherDays' stands for the rest"
+        yield FieldFinding("", text)
+
+
+def _year_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
+    counts = [0] * (LAST_DAY + 1)
+    for index, entry in enumerate(fields.get("schedule_weeks", ())):
+        ends = list[int]()
+        for end in ("start", "end"):
+            date = f"{entry.get(f'{end}_month', 0)}/{entry.get(f'{end}_day', 0)}"
+            path = f"schedule_weeks[{index}].{end}_day"
+            try:
+                ends.append(day_of_year(date))
+            except FieldError:
+                yield FieldFinding(path, f": schedule_weeks[{index}] {end}s on {date}, which is no day of the year")
+                return
+        first, last = ends
+        days = range(first, last + 1) if first <= last else [*range(first, LAST_DAY + 1), *range(1, last + 1)]
+        for day in days:
+            counts[day] += 1
+            if counts[day] > 1:
+                path = f"schedule_weeks[{index}].start_month"
+                text = f": schedule_weeks[{index}] has {date_of(day)}, which an earlier week has already"
+                yield FieldFinding(path, text)
+                return
+    counts[60] = counts[60] or counts[59]
+    missing = [day for day in range(1, LAST_DAY + 1) if not counts[day]]
+    if missing:
+        yield FieldFinding("", f": no week of it has {date_of(missing[0])}; the days of the year must be complete")
+
+
+_CHECKS: dict[str, Callable[[Mapping[str, Any]], Iterator[FieldFinding]]] = {
+    "Schedule:Compact": compact_findings,
+    "Schedule:Day:Interval": _interval_findings,
+    "Schedule:Day:List": _list_findings,
+    "Schedule:Week:Compact": _week_findings,
+    "Schedule:Year": _year_findings,
+}
