@@ -154,6 +154,10 @@ def _find_by_path(text: str, kind: _Kind) -> Entry:
         path = Path(text).expanduser()
     except RuntimeError as error:  # ~name of an unknown user
         raise UnknownName(f"no {kind.noun} file at {text}: {error}") from None
+    if path.is_dir():
+        names = sorted(file.name for file in path.iterdir() if file.suffix.lower() in kind.suffixes)
+        has = f"its {kind.noun} files: {', '.join(names[:5])}" if names else f"it has no {kind.noun} file"
+        raise UnknownName(f"{path.absolute()} is a folder, and a file is expected; {has}")
     if not path.is_file():
         raise UnknownName(f"no {kind.noun} file at {path.absolute()}")
     if path.suffix.lower() not in kind.suffixes:

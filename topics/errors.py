@@ -216,8 +216,8 @@ def list_errors(head: str, errors: Sequence[str], *, limit: int = MAX_LISTED) ->
 def did_you_mean(name: str, known: Iterable[str], *, limit: int = 5) -> str:
     """Return the end of an error text that suggests the names in `known` nearest to `name`, whatever their case.
 
-    The same name in another case comes first, then names that contain the text as a word, those that differ by a typo,
-    those that contain it anywhere, and those with a similar spelling.
+    The same name in another case comes first, then one that differs by its plural, names that contain the text as a
+    word, those that differ by a typo, those that contain it anywhere, and those with a similar spelling.
     """
     names = list(dict.fromkeys(known))
     if not names:
@@ -230,8 +230,9 @@ def did_you_mean(name: str, known: Iterable[str], *, limit: int = 5) -> str:
     words = [n for n in parts if _is_word(name, n)]
     alike = difflib.get_close_matches(folded, _candidates(folded, [*by_fold]), n=limit, cutoff=0.5)
     typos = [a for a in alike if difflib.SequenceMatcher(None, a, folded).ratio() >= _TYPO]
+    plural = [n for n in parts if n.casefold() in (f"{folded}s", f"{folded}es")]
     spelled, typed = ([n for a in group for n in by_fold[a]] for group in (alike, typos))
-    similar = list(dict.fromkeys([*by_fold.get(folded, ()), *words, *typed, *parts, *spelled]))[:limit]
+    similar = list(dict.fromkeys([*by_fold.get(folded, ()), *plural, *words, *typed, *parts, *spelled]))[:limit]
     if similar:
         *others, last = map(repr, similar)
         return "did you mean " + (f"{', '.join(others)} or {last}?" if others else f"{last}?")

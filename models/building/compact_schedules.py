@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
+from zenostat.models.building.findings import FieldFinding
 from zenostat.models.building.schedule_fields import (
     LAST_DAY,
     DayTimes,
@@ -21,30 +22,23 @@ _THROUGH, _FOR, _UNTIL, _INTERPOLATE = "THROUGH", "FOR", "UNTIL", "INTERPOLATE"
 _INTERPOLATIONS = ("NO", "AVERAGE", "LINEAR")
 
 
-class FieldFinding(NamedTuple):
-    """A finding on a field of a schedule.
-
-    Attributes:
-        field: its path, such as `data[3].field`; empty if it is about the object.
-        text: what is wrong, to follow the object's name.
-        is_fatal: whether EnergyPlus ends because of it.
-    """
-
-    field: str
-    text: str
-    is_fatal: bool = True
-
-
 def compact_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
     """Yield the findings on the fields of a `Schedule:Compact`; reading ends at the first that is fatal."""
-    entries = [entry.get("field", "") for entry in fields.get("data", ()) if isinstance(entry, Mapping)]
-    while entries and not _text(entries[-1]):
-        entries.pop()
-    reader = _Reader(entries)
+    reader = _Reader(fields)
     try:
         yield from reader.read()
     except FieldError as error:
         yield reader.finding(str(error))
+
+
+def compact_values(fields: Mapping[str, Any]) -> list[tuple[str, float]]:
+    """Return the path and the value of each field with a value that EnergyPlus uses; none if it does not accept one."""
+    reader = _Reader(fields)
+    try:
+        list(reader.read())
+    except FieldError:
+        return []
+    return reader.values
 
 
 def _text(value: Any) -> str:
@@ -52,9 +46,13 @@ def _text(value: Any) -> str:
 
 
 class _Reader:
-    """The fields of one schedule, and the position of the one that is read."""
+    """The fields of one schedule, the position of the one that is read, and path and number of the values so far."""
 
-    def __init__(self, entries: list[Any]) -> None:
+    def __init__(self, fields: Mapping[str, Any]) -> None:
+        entries = [entry.get("field", "") for entry in fields.get("data", ()) if isinstance(entry, Mapping)]
+        while entries and not _text(entries[-1]):
+            entries.pop()
+        self.values: list[tuple[str, float]] = []
         self._entries = entries
         self._at = 0
 
@@ -140,14 +138,18 @@ class _Reader:
         while self._at < len(self._entries) and not self._begins(_FOR) and not self._begins(_THROUGH):
             last = self._at
             self._expect(_UNTIL, "Until: 24:00")
+            before = times.last
             if note := times.add(self._here):
                 yield self.finding(f"but {note}", is_fatal=False)
             self._at += 1
             if self._at == len(self._entries):
                 raise FieldError("after which the value is missing")
             value = self._entries[self._at]
-            if number(value) is None:
+            read = number(value)
+            if read is None:
                 raise FieldError("where the value is expected, which is a number")
+            if times.last > before:
+                self.values.append((f"data[{self._at}].field", read))
             if not _text(value):
                 yield self.finding("where the value is expected; EnergyPlus uses 0", is_fatal=False)
             self._at += 1

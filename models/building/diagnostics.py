@@ -10,13 +10,16 @@ import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.nodes import unconnected_nodes
+from zenostat.models.building.plausibility import plausibility_findings
 from zenostat.models.building.references import dangling_references
+from zenostat.models.building.schedule_limits import limit_findings
 from zenostat.models.building.schedule_rules import schedule_findings
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.cache import cached_bytes, digest
@@ -73,6 +76,7 @@ def diagnose(objects: Objects, source: SourceModel | None = None) -> list[Diagno
     # Objects of an unknown type, or behind a missing semicolon, would be missed by all that refer to them.
     if (source is None or not source.issues) and all(_is_known(kind, items) for kind, items in objects.items()):
         diagnostics += [_located(each, source) for each in _rule_diagnostics(objects)]
+    diagnostics = _with_hints(diagnostics, source)
     return sorted(diagnostics, key=lambda each: (each.severity is Severity.WARNING, each.line or 0))
 
 
@@ -92,6 +96,22 @@ def diagnose_format(objects: Objects, source: SourceModel | None = None) -> list
     return sorted(diagnostics, key=lambda each: each.line or 0)
 
 
+def _with_hints(diagnostics: list[Diagnostic], source: SourceModel | None) -> list[Diagnostic]:
+    """Return one diagnostic for each object whose fields seem to be shifted, instead of those that follow from it."""
+    result, hinted = list[Diagnostic](), set[tuple[str, str]]()
+    for each in sorted(diagnostics, key=lambda each: each.severity is Severity.WARNING):
+        hint = source.hints.get((each.kind, each.name)) if source is not None else None
+        if hint is None:
+            result.append(each)
+        elif (each.kind, each.name) not in hinted:
+            hinted.add((each.kind, each.name))
+            label = f"{each.kind} {each.name!r}"
+            reason = each.text.removeprefix(label).removeprefix(": ").strip()
+            text = f"{label}: {hint.field} {hint.text} (all fields after it are shifted: {reason})"
+            result.append(replace(each, field=hint.field, line=hint.line, text=text))
+    return result
+
+
 def _is_known(kind: str, items: object) -> bool:
     return isinstance(items, Mapping) and schema.canonical_type(kind) == kind
 
@@ -104,7 +124,12 @@ def _rule_diagnostics(objects: Objects) -> Iterator[Diagnostic]:
     for each in dangling_references(valid):
         severity = Severity.ERROR if each.is_fatal else Severity.WARNING
         yield Diagnostic(severity, each.kind, each.name, each.field, each.describe())
-    for found in schedule_findings(valid):
+    invalid = {(each.kind, each.name) for each in schema.find_errors(valid, complete=True)}
+    sound = {
+        kind: {name: fields for name, fields in items.items() if (kind, name) not in invalid}
+        for kind, items in valid.items()
+    }
+    for found in chain(schedule_findings(sound), limit_findings(sound), plausibility_findings(valid)):
         severity = Severity.ERROR if found.is_fatal else Severity.WARNING
         yield Diagnostic(severity, found.kind, found.name, found.field, found.text)
     for node in unconnected_nodes(valid):

@@ -16,6 +16,7 @@ from zenostat.models.building import idf, openstudio, output_objects, templates
 from zenostat.models.building.diagnostics import Severity, cached_diagnostics, describe, verdict
 from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.building.run_needs import simulation_control
+from zenostat.models.building.source_lines import read_source
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
 from zenostat.models.input_format.encoding import check_encoding
@@ -87,6 +88,8 @@ class Building:
         year = int(own.get("begin_year") or year_of(month, day, own.get("day_of_week_for_start_day")))
         if begin is None or end is None:
             self._check_own_days()
+        if steps_per_hour is None:
+            self._check_own_timestep()
         first = parse_day(begin or f"{month}-{day}", "begin", year)
         if end is None and begin is None:
             over_new_year = (last_month, last_day) < (month, day)
@@ -101,10 +104,27 @@ class Building:
             month, day = int(own.get(f"{end}_month", default[0])), int(own.get(f"{end}_day_of_month", default[1]))
             if not 1 <= month <= 12 or not 1 <= day <= monthrange(LEAP_YEAR, month)[1]:
                 name = next(iter(self.objects.get("RunPeriod", {})))
+                place = self._place("RunPeriod", name, f"{end}_day_of_month")
                 raise InvalidConfig(
-                    f"RunPeriod {name!r} of {self.file or self.name} {end}s on {month:02}-{day:02}, which is no day; "
+                    f"RunPeriod {name!r} of {place} {end}s on {month:02}-{day:02}, which is no day; "
                     "correct it, or choose begin and end"
                 )
+
+
+    def _check_own_timestep(self) -> None:
+        """Check the number of timesteps of the model itself, which EnergyPlus would change."""
+        if 60 % self.steps_per_hour:
+            name = next(iter(self.objects.get("Timestep", {})))
+            place = self._place("Timestep", name, "number_of_timesteps_per_hour")
+            raise InvalidConfig(
+                f"Timestep {name!r} of {place} has number_of_timesteps_per_hour {self.steps_per_hour}, which does not "
+                "divide the hour; 4, 6, 10 or 12 do; correct it, or choose steps_per_hour"
+            )
+
+    def _place(self, kind: str, name: str, field: str) -> str:
+        """Return the model's file, with the line of a field if it is known."""
+        line = read_source(Path(self.file)).line(kind, name, field) if self.file and self.is_own_format else None
+        return f"{self.file or self.name}, line {line}," if line else self.file or self.name
 
 
 def read_building(entry: Entry) -> Building:

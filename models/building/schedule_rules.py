@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
-from zenostat.models.building.compact_schedules import FieldFinding, compact_findings
+from zenostat.models.building.compact_schedules import compact_findings
+from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
 from zenostat.models.building.schedule_fields import (
     DAY_MIN,
     LAST_DAY,
@@ -20,28 +21,11 @@ from zenostat.models.building.schedule_fields import (
 Objects = Mapping[str, Mapping[str, Any]]
 
 
-class ScheduleFinding(NamedTuple):
-    """A finding on a schedule.
-
-    Attributes:
-        kind, name, field: the object and the path of its field, which is empty if it is about the object.
-        text: the whole sentence.
-        is_fatal: whether EnergyPlus ends because of it.
-    """
-
-    kind: str
-    name: str
-    field: str
-    text: str
-    is_fatal: bool
-
-
-def schedule_findings(objects: Objects) -> Iterator[ScheduleFinding]:
+def schedule_findings(objects: Objects) -> Iterator[RuleFinding]:
     """Yield the findings on the schedules of a model, which matches the schema."""
     for kind, check in _CHECKS.items():
         for name, fields in objects.get(kind, {}).items():
-            for found in check(fields):
-                yield ScheduleFinding(kind, name, found.field, f"{kind} {name!r}{found.text}", found.is_fatal)
+            yield from (finding(kind, name, found) for found in check(fields))
 
 
 def _interval_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import codecs
+import re
 from pathlib import Path
 
 from zenostat.topics.errors import InvalidConfig
 
+_MACRO = re.compile(rb"\s*(##[a-zA-Z0-9]+)")
 _UTF16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -14,13 +16,16 @@ def check_encoding(raw: bytes, path: Path) -> None:
     """Check that EnergyPlus can read the characters of an IDF. Comments may have any.
 
     Raises:
-        InvalidConfig: the file is empty, has a byte-order mark, no LF, or a byte outside comments that is not UTF-8;
-            the text says how to save it.
+        InvalidConfig: the file is empty, has a byte-order mark, no LF, a NUL, a byte outside comments that is not
+            UTF-8, or commands of EpMacro; the text says what to do.
     """
     if not raw.strip():
         raise InvalidConfig(f"{path} is not an IDF: it is empty")
-    if raw.startswith(_UTF16) or b"\0" in raw:
+    if raw.startswith(_UTF16) or raw.count(b"\0") > len(raw) // 4:
         raise InvalidConfig(f"{path} is not an IDF in UTF-8 (perhaps it is in UTF-16): save it as UTF-8")
+    if b"\0" in raw:
+        line = raw[: raw.index(b"\0")].count(b"\n") + 1
+        raise InvalidConfig(f"{path} is not an IDF: line {line} has a NUL byte; the file is damaged")
     if raw.startswith(codecs.BOM_UTF8):
         raise InvalidConfig(f"{path} begins with a byte-order mark (BOM): save it as UTF-8 without BOM")
     if raw.lstrip().startswith(b"{"):
@@ -28,6 +33,10 @@ def check_encoding(raw: bytes, path: Path) -> None:
     if b"\r" in raw and b"\n" not in raw:
         raise InvalidConfig(f"{path} has lines that end with CR alone: save it with line ends of Unix or Windows")
     for number, line in enumerate(raw.split(b"\n"), 1):
+        if macro := _MACRO.match(line):
+            command = macro[1].decode("ascii")
+            reason = f"{command} is a command of EpMacro, which EnergyPlus's engine does not know"
+            raise InvalidConfig(f"{path}, line {number}: {reason}; run EpMacro, and use the file that it writes")
         try:
             line.partition(b"!")[0].decode("utf-8")
         except UnicodeDecodeError as error:

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from typing import Any, NamedTuple
 
 from zenostat.models.input_format.layout import Layout, Rules, TypeLayout
+from zenostat.models.input_format.shifted_fields import shift_hint
 from zenostat.models.input_format.source_model import (
     Objects,
+    ShiftHint,
     SourceField,
     SourceModel,
     SourceObject,
@@ -44,13 +47,20 @@ def idf_version(text: str) -> str | None:
     return match[1].strip() if match else None
 
 
+def version_line(text: str) -> int:
+    """Return the line, from 1, of an IDF's version identifier; 0 if it has none."""
+    code = _COMMENT.sub("", text)
+    match = _VERSION.search(code)
+    return code[: match.end(1) - len(match[1].lstrip())].count("\n") + 1 if match else 0
+
+
 def parse_idf(text: str, layout: Layout) -> SourceModel:
     """Read an IDF of the layout's version; the result has the errors of its syntax."""
-    reader = _Reader(layout)
+    reader = _Reader(layout, text.splitlines())
     for values, is_ended in _objects(text):
         reader.add(values, is_ended=is_ended)
     issues = sorted([*reader.issues, *repeated_objects(reader.known)])
-    return SourceModel(tuple(reader.entries), reader.objects, tuple(issues))
+    return SourceModel(tuple(reader.entries), reader.objects, tuple(issues), reader.hints)
 
 
 def read_idf(text: str, layout: Layout, *, name: str) -> SourceModel:
@@ -67,9 +77,14 @@ def read_idf(text: str, layout: Layout, *, name: str) -> SourceModel:
     """
     model = parse_idf(text, layout)
     if model.issues:
-        errors = [f"line {issue.line}: {issue.text}" for issue in model.issues]
+        errors = [_described(issue, model.hints.get((issue.kind, issue.name))) for issue in model.issues]
         raise InvalidConfig(list_errors(f"{name} is not an IDF for EnergyPlus {layout.version}:", errors))
     return model
+
+
+def _described(issue: SyntaxIssue, hint: ShiftHint | None) -> str:
+    text = f"line {issue.line}: {issue.text}"
+    return f"{text} Line {hint.line}: {hint.field} {hint.text}" if hint else text
 
 
 def _objects(text: str) -> Iterator[tuple[list[_Value], bool]]:
@@ -97,19 +112,25 @@ def _objects(text: str) -> Iterator[tuple[list[_Value], bool]]:
 class _Reader:
     """The objects of an IDF while they are read; `known` are those whose type the version has."""
 
-    def __init__(self, layout: Layout) -> None:
+    def __init__(self, layout: Layout, lines: Sequence[str]) -> None:
         self.entries: list[SourceObject] = []
         self.known: list[SourceObject] = []
         self.objects: Objects = {}
         self.issues: list[SyntaxIssue] = []
+        self.hints: dict[tuple[str, str], ShiftHint] = {}
         self._layout = layout
+        self._lines = lines
         self._counts: Counter[str] = Counter()
+        self._last: tuple[SourceObject, TypeLayout, list[_Value]] | None = None
 
     def add(self, values: list[_Value], *, is_ended: bool) -> None:
         """Add an object; the first value is its type."""
         (line, word, _), *rest = values
         layout = self._layout.find(word)
         if layout is None:
+            if self._continues(word, line):
+                return
+            self._last = None
             shown = word if len(word) <= 60 else word[:57] + "..."
             text = f"EnergyPlus has no object type {shown!r}; {did_you_mean(shown, self._layout.kinds)}"
             self.entries.append(SourceObject(word, rest[0].text if rest else "", line))
@@ -120,12 +141,35 @@ class _Reader:
         name = own_name if layout.named else f"{layout.kind} {self._counts[layout.kind]}"
         entry = SourceObject(layout.kind, name, line)
         text, at = self._error(entry, layout, rest, is_ended=is_ended)
+        hint = shift_hint(layout, [(value.line, value.text) for value in rest], self._lines)
+        if hint is not None:
+            self.hints[entry.kind, entry.name] = hint
         if text:
             self.issues.append(SyntaxIssue(at, entry.kind, entry.name, text))
+        self._last = (entry, layout, rest) if is_ended and not text else None
         fields = _fields(entry, layout, rest)
         self.entries.append(entry)
         self.known.append(entry)
         self.objects.setdefault(layout.kind, {}).setdefault(name, fields)
+
+    def _continues(self, word: str, line: int) -> bool:
+        """Whether a word that is no type goes on with the last object; if so, report the semicolon that ended it."""
+        if self._last is None:
+            return word == ""
+        entry, layout, values = self._last
+        is_complete = len(values) >= len(layout.order) and not layout.list_name
+        kinds = [kind.casefold() for kind in self._layout.kinds]
+        if is_complete or ":" in word or get_close_matches(word.casefold(), kinds, 1, 0.75):
+            return False
+        last = values[-1] if values else _Value(entry.line, "", False)
+        path = layout.path(len(values) - 1) if values else "its type"
+        text = (
+            f"{entry.kind} {entry.name!r} ends with ';' after {path}, but line {line} goes on with {word!r}; "
+            f"put ',' there if it is a field of the object, which is {layout.path(len(values))}"
+        )
+        self.issues.append(SyntaxIssue(last.line, entry.kind, entry.name, text))
+        self._last = None
+        return True
 
     def _error(
         self, entry: SourceObject, layout: TypeLayout, values: list[_Value], *, is_ended: bool

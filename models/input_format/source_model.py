@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -44,6 +44,20 @@ class SyntaxIssue(NamedTuple):
     text: str
 
 
+class ShiftHint(NamedTuple):
+    """A line of an object that has one value more than it should have, it seems, so that all after it are shifted.
+
+    Attributes:
+        line: of the file, from 1.
+        field: path of the first field that the value may belong to.
+        text: what the line has, and what may be meant.
+    """
+
+    line: int
+    field: str
+    text: str
+
+
 @dataclass(frozen=True)
 class SourceModel:
     """A model file with the lines of its objects.
@@ -52,11 +66,13 @@ class SourceModel:
         entries: its objects in their order.
         objects: the same as an epJSON; of objects with the same name, the first.
         issues: errors of its syntax.
+        hints: of objects whose fields seem to be shifted, by type and name.
     """
 
     entries: tuple[SourceObject, ...] = ()
     objects: Objects = field(default_factory=dict)
     issues: tuple[SyntaxIssue, ...] = ()
+    hints: Mapping[tuple[str, str], ShiftHint] = field(default_factory=dict)
 
     def line(self, kind: str, name: str = "", path: str = "") -> int | None:
         """Return the line of a field, else of its object, else of the first object of the type; None if not found."""

@@ -13,7 +13,7 @@ from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
-from zenostat.models.input_format.idf_reader import idf_version, read_idf
+from zenostat.models.input_format.idf_reader import idf_version, read_idf, version_line
 from zenostat.models.input_format.source_model import Objects, SourceModel
 from zenostat.models.upgrade.apply import apply
 from zenostat.models.upgrade.step import Change, Refusal, UpgradingModel
@@ -64,7 +64,8 @@ def upgrade_idf(text: str, *, name: str, engine: str | None = None) -> UpgradedM
     """
     engine = engine or energyplus.version()
     version = idf_version(text)
-    steps_between(version, engine, name)
+    line = version_line(text)
+    steps_between(version, engine, f"{name}, line {line}" if line else name)
     own = short(version) if version else short(engine)
     return _upgrade(read_idf(text, layout_of(own, name=name), name=name), version, name, engine)
 

@@ -20,6 +20,8 @@ from zenostat.topics.extras import install_command
 STEPS: tuple[VersionStep, ...] = (*from_9.STEPS, *from_22.STEPS)
 """All steps, in order."""
 
+_VERSION = re.compile(r"\d+(\.\w+)*")
+
 _SCHEMA_FOLDERS = {"9.0": "V9-0-1"}
 """Folders of idfkit's schemas that do not follow from the version's name."""
 
@@ -40,6 +42,8 @@ def steps_between(version: object, engine: str, name: str) -> tuple[VersionStep,
     own = short(version) if version not in (None, "") else target
     if own == target:
         return ()
+    if not _VERSION.fullmatch(str(version).strip()):
+        raise InvalidConfig(f"{name}: Version is {str(version)!r}, which is no version of EnergyPlus, such as {target!r}")
     begins, ends = [step.before for step in STEPS], [step.after for step in STEPS]
     if own not in begins or target not in ends[begins.index(own) :]:
         raise InvalidConfig(f"{name} is for EnergyPlus {version}; {advice(engine)}")

@@ -156,7 +156,7 @@ def test_catalog__file_of_another_kind_is_refused_with_the_right_one(tmp_path: P
 
 def test_catalog__folder_is_no_building(tmp_path: Path) -> None:
     (tmp_path / "house.idf").mkdir()
-    with pytest.raises(UnknownName, match="no building file at"):
+    with pytest.raises(UnknownName, match=r"house\.idf is a folder, and a file is expected; it has no building file"):
         find_building(str(tmp_path / "house.idf"))
 
 

@@ -251,13 +251,13 @@ def test_diagnose__value_that_is_the_name_of_another_type_is_said() -> None:
         '"Zone": {"Z": {}}, "Lights": {\n"L": {"zone_or_zonelist_or_space_or_spacelist_name": "Z",\n'
         '"schedule_name": "z"}}}'
     )
-    (reported,) = diagnose(source.objects, source)
+    (reported,) = [each for each in diagnose(source.objects, source) if each.kind == "Lights"]
     assert str(reported) == "line 3: Lights 'L': schedule_name is 'z', which is a Zone, no schedule; there are none"
 
 
 def test_diagnose__names_types_that_energyplus_requires() -> None:
     assert schema.document()["required"] == list(REQUIRED)
-    assert [e.text for e in diagnose({"Building": {"B": {}}})] == [
+    assert [e.text for e in diagnose({"Building": {"B": {}}}) if e.severity is Severity.ERROR] == [
         "the model has no GlobalGeometryRules object; EnergyPlus requires one"
     ]
 

@@ -22,7 +22,8 @@ def test_check_encoding__accepts_utf_8_and_any_byte_in_a_comment(raw: bytes) -> 
     [
         (b" \r\n", "office.idf is not an IDF: it is empty"),
         (ZONE.encode("utf-16"), "perhaps it is in UTF-16"),
-        (b"Version,25.2;\0", "not an IDF in UTF-8"),
+        (b"Version,25.2;\nZone,\0A;\n", "office.idf is not an IDF: line 2 has a NUL byte"),
+        (b"##include zones.imf\nVersion,25.2;\n", "office.idf, line 1: ##include is a command of EpMacro"),
         (ZONE.encode("utf-8-sig"), "byte-order mark"),
         (b' {"Version": {}}', "not an IDF but JSON: name it office.epJSON"),
         (b"Version,25.2;\rZone,A;\r", "CR alone"),

@@ -2,30 +2,17 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.box_model import box_model
+from support.box_model import box_model, exit_code
 
 from zenostat.models.building.diagnostics import Severity, diagnose
 from zenostat.models.building.schedule_rules import schedule_findings
-from zenostat.models.catalog import bundled_weathers
 from zenostat.models.input_format.idf_reader import parse_idf
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
-
-_RUN = """
-import sys
-from pyenergyplus.api import EnergyPlusAPI
-api = EnergyPlusAPI()
-state = api.state_manager.new_state()
-api.runtime.set_console_output_status(state, False)
-sys.exit(api.runtime.run_energyplus(state, ["-w", sys.argv[1], "-d", sys.argv[2], sys.argv[3]]))
-"""
 
 ON = ("For: AllDays", "Until: 24:00", 1.0)
 YEAR = "Through: 12/31"
@@ -220,15 +207,6 @@ def test_schedule_findings__of_days_weeks_and_years(case: str) -> None:
     assert not words or words in found[0].text
 
 
-def exit_code(objects: dict[str, Any], folder: Path) -> int:
-    """The exit code of EnergyPlus for a day of the box whose lights follow schedule S."""
-    folder.mkdir()
-    path = folder / "in.epJSON"
-    path.write_text(json.dumps(box_model("S") | objects))
-    command = [sys.executable, "-P", "-c", _RUN, str(bundled_weathers()[0].path), str(folder), str(path)]
-    return subprocess.run(command, check=False, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL).returncode
-
-
 @pytest.mark.slow
 @pytest.mark.process
 def test_schedule_findings__energyplus_ends_at_exactly_those_that_are_fatal(tmp_path: Path) -> None:
@@ -238,7 +216,7 @@ def test_schedule_findings__energyplus_ends_at_exactly_those_that_are_fatal(tmp_
     differing = {}
     for number, (case, objects) in enumerate(cases.items()):
         is_refused = any(each.is_fatal for each in schedule_findings(objects))
-        code = exit_code(objects, tmp_path / str(number))
+        code = exit_code(box_model("S") | objects, tmp_path / str(number))
         if is_refused != (code != 0):
             differing[case] = code
     assert differing == {}

@@ -78,7 +78,15 @@ def test_upgrade__engines_own_version_and_none_are_taken_as_they_are(version: st
     assert (result.objects, result.changes, result.summary) == (model_data, (), "")
 
 
-@pytest.mark.parametrize("version", ["8.9", "24.3", "26.1", "8", "new"])
+def test_upgrade__what_is_no_version_is_refused_with_its_line() -> None:
+    assert "old.epJSON: Version is 'new', which is no version" in refused(model("new", Zone={"core": {}}))
+    with pytest.raises(
+        InvalidConfig, match=r"old\.idf, line 4: Version is 'new', which is no version of EnergyPlus, such"
+    ):
+        upgrade_idf("! mine\n\nVersion,\n  new;", name="old.idf")
+
+
+@pytest.mark.parametrize("version", ["8.9", "24.3", "26.1", "8"])
 def test_upgrade__other_versions_are_refused(version: str) -> None:
     reason = f"is for EnergyPlus {version}; the engine's version is 25.2, and models for 9.0 to 25.1 are upgraded"
     assert reason in refused(model(version, Zone={"core": {}}))

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Any
 
+from support.energyplus_alone import run_energyplus
 from zenostat.models.building.model import Objects
+from zenostat.models.catalog import bundled_weathers
 
 _WALLS = {
     "Roof": ("Roof", ((0, 5, 3), (0, 0, 3), (5, 0, 3), (5, 5, 3))),
@@ -74,3 +78,11 @@ def box_model(schedule: str = "Always") -> dict[str, Objects]:
             }
         },
     }
+
+
+def exit_code(objects: dict[str, Objects], folder: Path) -> int:
+    """Return the exit code of EnergyPlus for a model."""
+    folder.mkdir()
+    path = folder / "in.epJSON"
+    path.write_text(json.dumps(objects))
+    return run_energyplus(path, bundled_weathers()[0].path, folder).returncode

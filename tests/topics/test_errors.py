@@ -82,9 +82,14 @@ def test_errors__one_except_catches_all() -> None:
 SETPOINTS = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "attic_cooling_setpoint", "lights"]
 
 
+def test_errors__plural_comes_before_names_that_contain_the_text() -> None:
+    names = ["DaylightingDevice:LightWell", "Exterior:Lights", "Lights"]
+    assert did_you_mean("Light", names).startswith("did you mean 'Lights', 'DaylightingDevice:LightWell'")
+
+
 def test_errors__names_that_contain_the_text_come_first() -> None:
-    suggestion = did_you_mean("cooling", [*SETPOINTS, "coolings", "coling"])
-    assert suggestion.startswith("did you mean 'core_zn_cooling_setpoint', 'attic_cooling_setpoint', 'coolings'")
+    suggestion = did_you_mean("cooling", [*SETPOINTS, "coooling", "coling"])
+    assert suggestion.startswith("did you mean 'core_zn_cooling_setpoint', 'attic_cooling_setpoint', 'coooling'")
     assert suggestion.endswith(" or 'coling'?")
 
 

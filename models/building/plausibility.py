@@ -1,0 +1,137 @@
+"""Find what a model hardly means: zones without surfaces, setpoints or materials with swapped values, odd timesteps."""
+
+from __future__ import annotations
+
+from calendar import monthrange
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
+from zenostat.models.building.schedule_limits import schedule_values
+from zenostat.topics.calendar import LEAP_YEAR
+
+Objects = Mapping[str, Mapping[str, Any]]
+
+_SURFACES = ("BuildingSurface", "Wall", "RoofCeiling", "Roof", "Ceiling", "Floor")
+
+
+_MOST_CONDUCTIVE = 500.0
+"""W/(m K); silver has 429, diamond more."""
+
+_LIGHTEST = 1.0
+"""kg/m3; air has 1.2."""
+
+_HOTTEST_HEATING_C = 40.0
+"""A heating setpoint that is always above it is none of a room."""
+
+
+
+
+def plausibility_findings(objects: Objects) -> Iterator[RuleFinding]:
+    """Yield the findings, of which EnergyPlus itself ends only at zones without surfaces."""
+    yield from _run_findings(objects)
+    yield from _zone_findings(objects)
+    yield from _setpoint_findings(objects)
+    yield from _material_findings(objects)
+
+
+def _number(fields: Mapping[str, Any], name: str, default: float) -> float:
+    """Return a field's number; the default if it has none, also where the schema does not allow its value."""
+    value = fields.get(name)
+    return value if isinstance(value, (int, float)) else default
+
+
+def _run_findings(objects: Objects) -> Iterator[RuleFinding]:
+    if not objects.get("Version"):
+        text = "the model has no Version object; it is read as one of the engine's version"
+        yield RuleFinding("Version", "", "", text, False)
+    for name, fields in objects.get("Version", {}).items():
+        if not fields.get("version_identifier"):
+            text = ": it lacks 'version_identifier', at which EnergyPlus crashes; '25.2' is an example"
+            yield finding("Version", name, FieldFinding("", text))
+    for name, fields in objects.get("Timestep", {}).items():
+        steps = _number(fields, "number_of_timesteps_per_hour", 6)
+        if steps >= 1 and 60 % steps:
+            text = f": number_of_timesteps_per_hour is {steps:g}, which does not divide the hour; 4, 6, 10 or 12 do"
+            yield finding("Timestep", name, FieldFinding("number_of_timesteps_per_hour", text, is_fatal=False))
+    for name, fields in objects.get("RunPeriod", {}).items():
+        for end in ("begin", "end"):
+            month, day = (int(_number(fields, f"{end}_{part}", 1)) for part in ("month", "day_of_month"))
+            if 1 <= month <= 12 and day > monthrange(LEAP_YEAR, month)[1]:
+                text = f": it {end}s on {month:02}-{day:02}, which is no day of the year"
+                yield finding("RunPeriod", name, FieldFinding(f"{end}_day_of_month", text, is_fatal=False))
+
+
+def _zone_findings(objects: Objects) -> Iterator[RuleFinding]:
+    with_surfaces = _zones_of(objects, _SURFACES)
+    for name in objects.get("Zone", {}):
+        if name.casefold() not in with_surfaces:
+            yield finding("Zone", name, FieldFinding("", ": no surface belongs to it, such as a BuildingSurface:Detailed"))
+    if not objects.get("Zone"):
+        yield RuleFinding("Zone", "", "", "the model has no Zone object, so there is nothing to simulate", False)
+    zones = {name.casefold() for name in objects.get("Zone", {})}
+    controlled = _zones_of(objects, ("ZoneControl:Thermostat",))
+    for name, fields in objects.get("ZoneHVAC:EquipmentConnections", {}).items():
+        zone = str(fields.get("zone_name", ""))
+        if zone.casefold() in zones - controlled and fields.get("zone_air_inlet_node_or_nodelist_name"):
+            text = f": zone {zone!r} has HVAC equipment, but no ZoneControl:Thermostat controls it"
+            yield finding("ZoneHVAC:EquipmentConnections", name, FieldFinding("zone_name", text, is_fatal=False))
+
+
+def _zones_of(objects: Objects, types: tuple[str, ...]) -> set[str]:
+    """Return the zones, case-folded, that objects of some types name, also by lists and spaces."""
+    named = {
+        str(value).casefold()
+        for kind, items in objects.items()
+        if kind in types or kind.startswith(tuple(f"{each}:" for each in types))
+        for fields in items.values()
+        for field, value in fields.items()
+        if field.startswith(("zone_name", "zone_or_zonelist"))
+    }
+    spaces = {name.casefold(): str(f.get("zone_name", "")).casefold() for name, f in objects.get("Space", {}).items()}
+    for name, fields in objects.get("SpaceList", {}).items():
+        if name.casefold() in named:
+            named |= {str(entry.get("space_name", "")).casefold() for entry in fields.get("spaces", ())}
+    for name, fields in objects.get("ZoneList", {}).items():
+        if name.casefold() in named:
+            named |= {str(entry.get("zone_name", "")).casefold() for entry in fields.get("zones", ())}
+    return named | {zone for space, zone in spaces.items() if space in named}
+
+
+def _setpoint_findings(objects: Objects) -> Iterator[RuleFinding]:
+    schedules = {
+        name.casefold(): (kind, fields)
+        for kind in ("Schedule:Constant", "Schedule:Compact", "Schedule:Year")
+        for name, fields in objects.get(kind, {}).items()
+    }
+
+    def values(schedule: object) -> list[float]:
+        kind, fields = schedules.get(str(schedule).casefold(), ("", {}))
+        return [value for _, value in schedule_values(objects, kind, fields)] if kind else []
+
+    for name, fields in objects.get("ThermostatSetpoint:DualSetpoint", {}).items():
+        path = "heating_setpoint_temperature_schedule_name"
+        own, other = fields.get(path), fields.get("cooling_setpoint_temperature_schedule_name")
+        heating, cooling = values(own), values(other)
+        if heating and cooling and min(heating) > max(cooling):
+            text = (
+                f": {path} is {own!r}, whose lowest value, {min(heating):g} °C, is above the highest of the cooling "
+                f"schedule {other!r}, {max(cooling):g} °C; are they swapped?"
+            )
+            yield finding("ThermostatSetpoint:DualSetpoint", name, FieldFinding(path, text, is_fatal=False))
+        elif heating and min(heating) > _HOTTEST_HEATING_C:
+            text = f": {path} is {own!r}, which is always above {_HOTTEST_HEATING_C:g} °C; are its values in °F?"
+            yield finding("ThermostatSetpoint:DualSetpoint", name, FieldFinding(path, text, is_fatal=False))
+
+
+def _material_findings(objects: Objects) -> Iterator[RuleFinding]:
+    for name, fields in objects.get("Material", {}).items():
+        conductivity, density = _number(fields, "conductivity", 0.0), _number(fields, "density", _LIGHTEST)
+        if conductivity > _MOST_CONDUCTIVE:
+            text = f": conductivity is {conductivity:g} W/(m K), more than any metal has"
+            if density < _MOST_CONDUCTIVE:
+                text += f"; density is {density:g} kg/m3: are they swapped?"
+            yield finding("Material", name, FieldFinding("conductivity", text, is_fatal=False))
+        elif density < _LIGHTEST:
+            text = f": density is {density:g} kg/m3, less than that of air"
+            yield finding("Material", name, FieldFinding("density", text, is_fatal=False))

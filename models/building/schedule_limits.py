@@ -1,0 +1,73 @@
+"""Compare schedules with the limits of their type: EnergyPlus ends at a value beyond them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from zenostat.models.building.compact_schedules import compact_values
+from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
+
+Objects = Mapping[str, Mapping[str, Any]]
+
+_TOLERANCE = 1.2e-7
+"""EnergyPlus's own, the resolution of a 32-bit float."""
+
+
+def limit_findings(objects: Objects) -> Iterator[RuleFinding]:
+    """Yield the findings on limits, and on the schedules that do not keep them."""
+    limits, unusable = dict[str, tuple[str, float, float]](), set[str]()
+    for name, fields in objects.get("ScheduleTypeLimits", {}).items():
+        low, high = fields.get("lower_limit_value"), fields.get("upper_limit_value")
+        if low is None or high is None:
+            continue
+        text = ""
+        if not fields.get("numeric_type"):
+            text = ": it lacks 'numeric_type', Continuous or Discrete, which limits need"
+            yield finding("ScheduleTypeLimits", name, FieldFinding("", text))
+        elif low > high:
+            text = f": lower_limit_value is {low:g}, which is above upper_limit_value, {high:g}"
+            yield finding("ScheduleTypeLimits", name, FieldFinding("lower_limit_value", text))
+        if not text:
+            limits[name.casefold()] = (name, float(low), float(high))
+    for kind, name, fields in _limited(objects):
+        own = limits.get(str(fields.get("schedule_type_limits_name", "")).casefold())
+        for path, value in schedule_values(objects, kind, fields) if own else ():
+            if own and not own[1] - _TOLERANCE <= value <= own[2] + _TOLERANCE:
+                text = f"but its type {own[0]!r} has the limits {own[1]:g} and {own[2]:g}"
+                shown = f": {path} is {value:g}, {text}" if path else f": a value is {value:g}, {text}"
+                yield finding(kind, name, FieldFinding(path, shown))
+                break
+
+
+def _limited(objects: Objects) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    for kind in ("Schedule:Constant", "Schedule:Compact", "Schedule:Year"):
+        for name, fields in objects.get(kind, {}).items():
+            yield kind, name, fields
+
+
+def schedule_values(objects: Objects, kind: str, fields: Mapping[str, Any]) -> list[tuple[str, float]]:
+    """Return path and value of a schedule's values; without a path, the values of other objects that it refers to."""
+    if kind == "Schedule:Constant":
+        value = fields.get("hourly_value", 0.0)
+        return [("hourly_value", value)] if isinstance(value, (int, float)) else []
+    if kind == "Schedule:Compact":
+        return compact_values(fields)
+    weeks = {str(entry.get("schedule_week_name", "")).casefold() for entry in fields.get("schedule_weeks", ())}
+    days = set[str]()
+    for week in ("Schedule:Week:Daily", "Schedule:Week:Compact"):
+        for name, own in objects.get(week, {}).items():
+            if name.casefold() in weeks:
+                parts = [own, *own.get("data", ())]
+                days |= {str(v).casefold() for part in parts for f, v in part.items() if f.endswith("day_name")}
+    return [("", value) for value in _day_values(objects, days)]
+
+
+def _day_values(objects: Objects, days: set[str]) -> Iterator[float]:
+    for kind in ("Schedule:Day:Hourly", "Schedule:Day:Interval", "Schedule:Day:List"):
+        for name, fields in objects.get(kind, {}).items():
+            if name.casefold() in days:
+                entries = (*fields.get("data", ()), *fields.get("extensions", ()))
+                values = [value for field, value in fields.items() if field.startswith("hour_")]
+                values += [entry.get(key) for entry in entries for key in ("value_until_time", "value")]
+                yield from (value for value in values if isinstance(value, (int, float)))

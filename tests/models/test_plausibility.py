@@ -1,0 +1,166 @@
+"""Models that hardly mean what they have: a warning with object, field and line, or an error where EnergyPlus ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.box_model import box_model, exit_code
+
+from zenostat.models.building.diagnostics import Severity, diagnose
+from zenostat.models.building.model import Building
+from zenostat.models.input_format.epjson_reader import read_epjson
+from zenostat.models.input_format.idf_reader import parse_idf
+from zenostat.models.input_format.idf_writer import write_idf
+from zenostat.models.input_format.layout import engine_layout
+from zenostat.topics.errors import InvalidConfig
+
+Objects = dict[str, dict[str, Any]]
+
+
+def setpoints(heating: Any, cooling: Any) -> Objects:
+    """A thermostat's setpoints, each of a Schedule:Constant."""
+    field = "setpoint_temperature_schedule_name"
+    return {
+        "Schedule:Constant": {
+            "Always": {"hourly_value": 1.0},
+            "Heating": {"hourly_value": heating},
+            "Cooling": {"hourly_value": cooling},
+        },
+        "ThermostatSetpoint:DualSetpoint": {
+            "Setpoints": {f"heating_{field}": "Heating", f"cooling_{field}": "Cooling"}
+        },
+    }
+
+
+CONNECTIONS: Objects = {
+    "ZoneHVAC:EquipmentList": {"Equipment": {}},
+    "NodeList": {"Inlets": {"nodes": [{"node_name": "Inlet"}]}},
+    "ZoneHVAC:EquipmentConnections": {
+        "ZoneHVAC:EquipmentConnections 1": {
+            "zone_name": "Box",
+            "zone_conditioning_equipment_list_name": "Equipment",
+            "zone_air_inlet_node_or_nodelist_name": "Inlets",
+            "zone_air_node_name": "Air",
+        }
+    },
+}
+LIMITS = {"lower_limit_value": 0, "upper_limit_value": 1, "numeric_type": "Continuous"}
+WARNING, ERROR = Severity.WARNING, Severity.ERROR
+
+CASES: dict[str, tuple[Callable[[Objects], object], Severity, str, str, str]] = {
+    "zone without surfaces": (
+        lambda model: model["Zone"].update({"Attic": {}}), ERROR, "Zone", "", "'Attic': no surface belongs to it"),
+    "no surfaces": (
+        lambda model: model.pop("BuildingSurface:Detailed"), ERROR, "Zone", "", "'Box': no surface belongs to it"),
+    "no version": (lambda model: model.pop("Version"), WARNING, "Version", "", "has no Version object"),
+    "empty version": (
+        lambda model: model["Version"].update({"Version 1": {}}), ERROR, "Version", "", "lacks 'version_identifier'"),
+    "odd timestep": (
+        lambda model: model["Timestep"]["Timestep 1"].update(number_of_timesteps_per_hour=7),
+        WARNING, "Timestep", "number_of_timesteps_per_hour", "is 7, which does not divide the hour"),
+    "no such day": (
+        lambda model: model["RunPeriod"]["Day"].update(begin_day_of_month=30, begin_month=2, end_month=3),
+        WARNING, "RunPeriod", "begin_day_of_month", "begins on 02-30, which is no day of the year"),
+    "swapped setpoints": (
+        lambda model: model.update(setpoints(24.0, 20.0)), WARNING, "ThermostatSetpoint:DualSetpoint",
+        "heating_setpoint_temperature_schedule_name", "24 °C, is above the highest of the cooling schedule 'Cooling'"),
+    "setpoints in °F": (
+        lambda model: model.update(setpoints(70.0, 75.0)), WARNING, "ThermostatSetpoint:DualSetpoint",
+        "heating_setpoint_temperature_schedule_name", "always above 40 °C; are its values in °F?"),
+    "no thermostat": (
+        lambda model: model.update(CONNECTIONS), WARNING, "ZoneHVAC:EquipmentConnections", "zone_name",
+        "zone 'Box' has HVAC equipment, but no ZoneControl:Thermostat"),
+    "swapped conductivity and density": (
+        lambda model: model["Material"]["Concrete"].update(conductivity=2300.0, density=1.7),
+        WARNING, "Material", "conductivity", "density is 1.7 kg/m3: are they swapped?"),
+    "value beyond limits": (
+        lambda model: (model["ScheduleTypeLimits"]["Any number"].update(LIMITS),
+                       model["Schedule:Constant"]["Always"].update(hourly_value=3.0)),
+        ERROR, "Schedule:Constant", "hourly_value", "is 3, but its type 'Any number' has the limits 0 and 1"),
+    "swapped limits": (
+        lambda model: model["ScheduleTypeLimits"]["Any number"].update(LIMITS | {"lower_limit_value": 2}),
+        ERROR, "ScheduleTypeLimits", "lower_limit_value", "is 2, which is above upper_limit_value, 1"),
+    "limits without a type": (
+        lambda model: model["ScheduleTypeLimits"]["Any number"].update(lower_limit_value=0, upper_limit_value=1),
+        ERROR, "ScheduleTypeLimits", "", "lacks 'numeric_type'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_diagnose__implausible_model_has_one_finding_with_its_line(case: str) -> None:
+    change, severity, kind, field, words = CASES[case]
+    model = box_model()
+    change(model)
+    source = parse_idf(write_idf(model, engine_layout()), engine_layout())
+    (found,) = [each for each in diagnose(source.objects, source) if each.kind == kind]
+    assert (found.severity, found.field) == (severity, field)
+    assert words in found.text
+    assert found.line == source.line(kind, found.name, field)
+    assert (found.line is None) == (case == "no version")
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.parametrize("case", [case for case in CASES if case not in ("no such day", "no thermostat")])
+def test_diagnose__energyplus_ends_at_what_is_an_error(case: str, tmp_path: Path) -> None:
+    """The day that does not exist is replaced by a scenario's, and the equipment of the zone is incomplete."""
+    change, severity, *_ = CASES[case]
+    model = box_model()
+    change(model)
+    assert (exit_code(model, tmp_path / "run") != 0) == (severity is ERROR)
+
+
+@pytest.mark.parametrize("change", [lambda model: model, lambda model: model.update(setpoints(20.0, 24.0))])
+def test_diagnose__sound_model_has_no_finding(change: Callable[[Objects], object]) -> None:
+    model = box_model()
+    change(model)
+    assert diagnose(model) == []
+
+
+def test_period__own_timestep_that_energyplus_would_change_is_refused_with_its_line(tmp_path: Path) -> None:
+    model = box_model()
+    model["Timestep"]["Timestep 1"]["number_of_timesteps_per_hour"] = 7
+    path = tmp_path / "box.idf"
+    path.write_text(write_idf(model, engine_layout()))
+    building = Building("box", model, "", file=str(path))
+    line = 1 + path.read_text().splitlines().index("Timestep,") + 1
+    with pytest.raises(InvalidConfig, match=rf"box\.idf, line {line}, has number_of_timesteps_per_hour 7"):
+        building.period(None, None, None)
+    assert building.period(None, None, 4).steps_per_hour == 4
+
+
+SHIFTED = {
+    "decimal comma": ("  0.2,  !", "  0,2,  !", "thickness has '0,2' in a line, which are two values; if that is a"),
+    "doubled comma": ("  0.2,  !", "  0.2,,  !", "thickness has ',,' in a line after '0.2'"),
+    "semicolon": ("  0.2,  !", "  0.2;  !", "ends with ';' after thickness, but line {next} goes on with '1.7'"),
+    "semicolon of the type": ("Material,", "Material;", "ends with ';' after its type, but line {next} goes on"),
+}
+
+
+@pytest.mark.parametrize("case", SHIFTED)
+def test_diagnose__shifted_fields_are_one_error_at_the_line_of_their_cause(case: str) -> None:
+    before, after, words = SHIFTED[case]
+    text = write_idf(box_model(), engine_layout())
+    changed = text.replace(before, after, 1)
+    line = 1 + next(i for i, (a, b) in enumerate(zip(text.splitlines(), changed.splitlines(), strict=True)) if a != b)
+    source = parse_idf(changed, engine_layout())
+    (found,) = diagnose(source.objects, source)
+    assert (found.severity, found.kind, found.line) == (ERROR, "Material", line)
+    assert words.format(next=line + 1) in found.text
+
+
+def test_parse_idf__two_values_in_a_line_are_no_error() -> None:
+    text = write_idf(box_model(), engine_layout()).replace("  0.2,  !- Thickness\n", "  0.2,", 1)
+    source = parse_idf(text, engine_layout())
+    assert diagnose(source.objects, source) == []
+
+
+def test_read_epjson__keys_that_are_in_the_file_twice_are_errors() -> None:
+    text = '{"Zone": {"A": {}},\n"Building": {"B": {"north_axis": 1.0,\n"north_axis": 2.0}},\n"Zone": {"C": {}}}'
+    assert [(issue.line, issue.text) for issue in read_epjson(text).issues] == [
+        (3, "Building 'B': north_axis is in it twice; first in line 2, whose value JSON leaves out"),
+        (4, "type 'Zone' is in the file twice; first in line 1, whose objects JSON leaves out"),
+    ]
