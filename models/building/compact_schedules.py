@@ -76,7 +76,7 @@ class _Reader:
         while self._at < len(self._entries):
             through = self._at
             self._expect(_THROUGH, "Through: 12/31")
-            end = day_of_year(re.sub(r"^through:?", "", self._here, flags=re.IGNORECASE))
+            end = day_of_year(re.sub(r"^through:?", "", self._field, flags=re.IGNORECASE))
             if day == LAST_DAY:
                 raise FieldError("but the whole year has values already")
             if end < day:
@@ -92,11 +92,11 @@ class _Reader:
                              "the last field with 'Through:' must be 'Through: 12/31'")  # fmt: skip
 
     @property
-    def _here(self) -> str:
+    def _field(self) -> str:
         return _text(self._entries[self._at])
 
     def _begins(self, word: str) -> bool:
-        return self._at < len(self._entries) and self._here.upper().startswith(word)
+        return self._at < len(self._entries) and self._field.upper().startswith(word)
 
     def _expect(self, word: str, example: str) -> None:
         if not self._begins(word):
@@ -113,8 +113,8 @@ class _Reader:
                 yield self.finding("after which the values are missing; EnergyPlus uses 0", is_fatal=False)
                 self._at += 1
                 return
-            days.add(self._here)
-            yield from (self.finding(f"but {note}", is_fatal=False) for note in unknown_day_words(self._here))
+            days.add(self._field)
+            yield from (self.finding(f"but {note}", is_fatal=False) for note in unknown_day_words(self._field))
             self._at += 1
             if not self._begins(_UNTIL):
                 self._check_interpolation()
@@ -127,7 +127,7 @@ class _Reader:
             self._at = at
 
     def _check_interpolation(self) -> None:
-        if not any(word in self._here.upper() for word in _INTERPOLATIONS):
+        if not any(word in self._field.upper() for word in _INTERPOLATIONS):
             if self._begins(_INTERPOLATE):
                 raise FieldError("but an interpolation is one of No, Average, Linear")
             raise FieldError("where a field such as 'Until: 24:00' is expected, or 'Interpolate: Average' before it")
@@ -139,7 +139,7 @@ class _Reader:
             last = self._at
             self._expect(_UNTIL, "Until: 24:00")
             before = times.last
-            if note := times.add(self._here):
+            if note := times.add(self._field):
                 yield self.finding(f"but {note}", is_fatal=False)
             self._at += 1
             if self._at == len(self._entries):

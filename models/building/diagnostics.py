@@ -129,9 +129,9 @@ def _rule_diagnostics(objects: Objects) -> Iterator[Diagnostic]:
         kind: {name: fields for name, fields in items.items() if (kind, name) not in invalid}
         for kind, items in valid.items()
     }
-    for found in chain(schedule_findings(sound), limit_findings(sound), plausibility_findings(valid)):
-        severity = Severity.ERROR if found.is_fatal else Severity.WARNING
-        yield Diagnostic(severity, found.kind, found.name, found.field, found.text)
+    for finding in chain(schedule_findings(sound), limit_findings(sound), plausibility_findings(valid)):
+        severity = Severity.ERROR if finding.is_fatal else Severity.WARNING
+        yield Diagnostic(severity, finding.kind, finding.name, finding.field, finding.text)
     for node in unconnected_nodes(valid):
         yield Diagnostic(Severity.WARNING, node.kind, node.name, node.field, node.describe())
 

@@ -35,6 +35,6 @@ class RuleFinding(NamedTuple):
     is_fatal: bool
 
 
-def finding(kind: str, name: str, found: FieldFinding) -> RuleFinding:
+def finding(kind: str, name: str, of_field: FieldFinding) -> RuleFinding:
     """Return a field's finding with the object that it is about."""
-    return RuleFinding(kind, name, found.field, f"{kind} {name!r}{found.text}", found.is_fatal)
+    return RuleFinding(kind, name, of_field.field, f"{kind} {name!r}{of_field.text}", of_field.is_fatal)

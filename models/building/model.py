@@ -110,7 +110,6 @@ class Building:
                     "correct it, or choose begin and end"
                 )
 
-
     def _check_own_timestep(self) -> None:
         """Check the number of timesteps of the model itself, which EnergyPlus would change."""
         if 60 % self.steps_per_hour:

@@ -25,8 +25,6 @@ _HOTTEST_HEATING_C = 40.0
 """A heating setpoint that is always above it is none of a room."""
 
 
-
-
 def plausibility_findings(objects: Objects) -> Iterator[RuleFinding]:
     """Yield the findings, of which EnergyPlus itself ends only at zones without surfaces."""
     yield from _run_findings(objects)
@@ -44,7 +42,7 @@ def _number(fields: Mapping[str, Any], name: str, default: float) -> float:
 def _run_findings(objects: Objects) -> Iterator[RuleFinding]:
     if not objects.get("Version"):
         text = "the model has no Version object; it is read as one of the engine's version"
-        yield RuleFinding("Version", "", "", text, False)
+        yield RuleFinding("Version", "", "", text, is_fatal=False)
     for name, fields in objects.get("Version", {}).items():
         if not fields.get("version_identifier"):
             text = ": it lacks 'version_identifier', at which EnergyPlus crashes; '25.2' is an example"
@@ -66,9 +64,13 @@ def _zone_findings(objects: Objects) -> Iterator[RuleFinding]:
     with_surfaces = _zones_of(objects, _SURFACES)
     for name in objects.get("Zone", {}):
         if name.casefold() not in with_surfaces:
-            yield finding("Zone", name, FieldFinding("", ": no surface belongs to it, such as a BuildingSurface:Detailed"))
+            yield finding(
+                "Zone", name, FieldFinding("", ": no surface belongs to it, such as a BuildingSurface:Detailed")
+            )
     if not objects.get("Zone"):
-        yield RuleFinding("Zone", "", "", "the model has no Zone object, so there is nothing to simulate", False)
+        yield RuleFinding(
+            "Zone", "", "", "the model has no Zone object, so there is nothing to simulate", is_fatal=False
+        )
     zones = {name.casefold() for name in objects.get("Zone", {})}
     controlled = _zones_of(objects, ("ZoneControl:Thermostat",))
     for name, fields in objects.get("ZoneHVAC:EquipmentConnections", {}).items():

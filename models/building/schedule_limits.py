@@ -16,7 +16,7 @@ _TOLERANCE = 1.2e-7
 
 def limit_findings(objects: Objects) -> Iterator[RuleFinding]:
     """Yield the findings on limits, and on the schedules that do not keep them."""
-    limits, unusable = dict[str, tuple[str, float, float]](), set[str]()
+    limits = dict[str, tuple[str, float, float]]()
     for name, fields in objects.get("ScheduleTypeLimits", {}).items():
         low, high = fields.get("lower_limit_value"), fields.get("upper_limit_value")
         if low is None or high is None:

@@ -25,7 +25,7 @@ def schedule_findings(objects: Objects) -> Iterator[RuleFinding]:
     """Yield the findings on the schedules of a model, which matches the schema."""
     for kind, check in _CHECKS.items():
         for name, fields in objects.get(kind, {}).items():
-            yield from (finding(kind, name, found) for found in check(fields))
+            yield from (finding(kind, name, each) for each in check(fields))
 
 
 def _interval_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
@@ -56,7 +56,9 @@ def _list_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
     elif 60 % int(minutes):
         text = f": minutes_per_item is {minutes}, which does not divide the hour; 15, 30 or 60 do"
     elif count * int(minutes) != DAY_MIN:
-        text = f": minutes_per_item is {minutes}, for which a day has {DAY_MIN // int(minutes)} values, but it has {count}"
+        text = (
+            f": minutes_per_item is {minutes}, for which a day has {DAY_MIN // int(minutes)} values, but it has {count}"
+        )
     else:
         return
     yield FieldFinding(path, text)

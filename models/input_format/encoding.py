@@ -24,8 +24,8 @@ def check_encoding(raw: bytes, path: Path) -> None:
     if raw.startswith(_UTF16) or raw.count(b"\0") > len(raw) // 4:
         raise InvalidConfig(f"{path} is not an IDF in UTF-8 (perhaps it is in UTF-16): save it as UTF-8")
     if b"\0" in raw:
-        line = raw[: raw.index(b"\0")].count(b"\n") + 1
-        raise InvalidConfig(f"{path} is not an IDF: line {line} has a NUL byte; the file is damaged")
+        damaged = raw[: raw.index(b"\0")].count(b"\n") + 1
+        raise InvalidConfig(f"{path} is not an IDF: line {damaged} has a NUL byte; the file is damaged")
     if raw.startswith(codecs.BOM_UTF8):
         raise InvalidConfig(f"{path} begins with a byte-order mark (BOM): save it as UTF-8 without BOM")
     if raw.lstrip().startswith(b"{"):

@@ -6,7 +6,13 @@ import json
 import re
 from collections.abc import Iterator
 
-from zenostat.models.input_format.source_model import SourceField, SourceModel, SourceObject, SyntaxIssue, repeated_objects
+from zenostat.models.input_format.source_model import (
+    SourceField,
+    SourceModel,
+    SourceObject,
+    SyntaxIssue,
+    repeated_objects,
+)
 
 _JSON_TOKEN = re.compile(r'"(?:[^"\\]|\\.)*"|[{}\[\]:,\n]|[^\s{}\[\]:,"]+')
 

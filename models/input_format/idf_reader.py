@@ -161,7 +161,7 @@ class _Reader:
         kinds = [kind.casefold() for kind in self._layout.kinds]
         if is_complete or ":" in word or get_close_matches(word.casefold(), kinds, 1, 0.75):
             return False
-        last = values[-1] if values else _Value(entry.line, "", False)
+        last = values[-1] if values else _Value(entry.line, "", is_split=False)
         path = layout.path(len(values) - 1) if values else "its type"
         text = (
             f"{entry.kind} {entry.name!r} ends with ';' after {path}, but line {line} goes on with {word!r}; "

@@ -13,9 +13,7 @@ _DECIMAL_COMMA = re.compile(r"(?<![\w.:])([+-]?\d+),(\d+)\s*[,;]\s*$")
 _DOUBLED_COMMA = re.compile(r"\S\s*,\s*,\s*$")
 
 
-def shift_hint(
-    layout: TypeLayout, values: Sequence[tuple[int, str]], lines: Sequence[str]
-) -> ShiftHint | None:
+def shift_hint(layout: TypeLayout, values: Sequence[tuple[int, str]], lines: Sequence[str]) -> ShiftHint | None:
     """Return the first line that has two values, in an object with one value in each of its other lines.
 
     Such a line is no error by itself: an IDF may have any number of values in a line.
@@ -38,6 +36,8 @@ def shift_hint(
             meant = f"if that is a decimal comma, write {match[1]}.{match[2]}"
             return ShiftHint(line, path, f"has '{match[1]},{match[2]}' in a line, which are two values; {meant}")
         if _DOUBLED_COMMA.search(code):
-            return ShiftHint(line, path, f"has ',,' in a line after {text!r}, so that the field after it is empty; remove a ','")
+            return ShiftHint(
+                line, path, f"has ',,' in a line after {text!r}, so that the field after it is empty; remove a ','"
+            )
         return None
     return None

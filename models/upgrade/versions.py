@@ -43,7 +43,9 @@ def steps_between(version: object, engine: str, name: str) -> tuple[VersionStep,
     if own == target:
         return ()
     if not _VERSION.fullmatch(str(version).strip()):
-        raise InvalidConfig(f"{name}: Version is {str(version)!r}, which is no version of EnergyPlus, such as {target!r}")
+        raise InvalidConfig(
+            f"{name}: Version is {str(version)!r}, which is no version of EnergyPlus, such as {target!r}"
+        )
     begins, ends = [step.before for step in STEPS], [step.after for step in STEPS]
     if own not in begins or target not in ends[begins.index(own) :]:
         raise InvalidConfig(f"{name} is for EnergyPlus {version}; {advice(engine)}")

@@ -95,11 +95,11 @@ def test_diagnose__implausible_model_has_one_finding_with_its_line(case: str) ->
     model = box_model()
     change(model)
     source = parse_idf(write_idf(model, engine_layout()), engine_layout())
-    (found,) = [each for each in diagnose(source.objects, source) if each.kind == kind]
-    assert (found.severity, found.field) == (severity, field)
-    assert words in found.text
-    assert found.line == source.line(kind, found.name, field)
-    assert (found.line is None) == (case == "no version")
+    (diagnostic,) = [each for each in diagnose(source.objects, source) if each.kind == kind]
+    assert (diagnostic.severity, diagnostic.field) == (severity, field)
+    assert words in diagnostic.text
+    assert diagnostic.line == source.line(kind, diagnostic.name, field)
+    assert (diagnostic.line is None) == (case == "no version")
 
 
 @pytest.mark.slow
@@ -147,9 +147,9 @@ def test_diagnose__shifted_fields_are_one_error_at_the_line_of_their_cause(case:
     changed = text.replace(before, after, 1)
     line = 1 + next(i for i, (a, b) in enumerate(zip(text.splitlines(), changed.splitlines(), strict=True)) if a != b)
     source = parse_idf(changed, engine_layout())
-    (found,) = diagnose(source.objects, source)
-    assert (found.severity, found.kind, found.line) == (ERROR, "Material", line)
-    assert words.format(next=line + 1) in found.text
+    (diagnostic,) = diagnose(source.objects, source)
+    assert (diagnostic.severity, diagnostic.kind, diagnostic.line) == (ERROR, "Material", line)
+    assert words.format(next=line + 1) in diagnostic.text
 
 
 def test_parse_idf__two_values_in_a_line_are_no_error() -> None:

@@ -192,19 +192,19 @@ def test_diagnose__fault_of_a_compact_schedule_has_its_field_and_line(case: str)
 @pytest.mark.parametrize("case", ACCEPTED)
 def test_schedule_findings__what_energyplus_accepts_is_no_error(case: str) -> None:
     fields, words = ACCEPTED[case]
-    found = list(schedule_findings(compact(fields)))
-    assert [each.is_fatal for each in found] == [False] * bool(words)
-    assert not words or words in found[0].text
+    findings = list(schedule_findings(compact(fields)))
+    assert [each.is_fatal for each in findings] == [False] * bool(words)
+    assert not words or words in findings[0].text
 
 
 @pytest.mark.parametrize("case", OTHERS)
 def test_schedule_findings__of_days_weeks_and_years(case: str) -> None:
     objects, path, words = OTHERS[case]
-    found = list(schedule_findings(objects))
-    assert [(each.name, each.field, each.is_fatal) for each in found] == (
-        [(found[0].name, path, True)] if words else []
+    findings = list(schedule_findings(objects))
+    assert [(each.name, each.field, each.is_fatal) for each in findings] == (
+        [(findings[0].name, path, True)] if words else []
     )
-    assert not words or words in found[0].text
+    assert not words or words in findings[0].text
 
 
 @pytest.mark.slow
