@@ -218,7 +218,7 @@ def test_env__killed_branch_harms_nobody(moment: str, office: BuildingEnv) -> No
     go(branch, mine[20:22])
     if moment == "computing":
         engine.suspend()
-        branch.link.send(branch._actions.command(mine[22], {})[0])
+        branch.link.send(branch._actions.values(mine[22]))
         name, bus = branch.manifest.node, branch.link.bus
         until(lambda: bus.status(name).state is State.RUNNING, "it computes")
         got += go(env, mine[20:25])
@@ -429,7 +429,7 @@ def test_env__nothing_is_left_of_forks_that_were_closed(scratch: Path) -> None:
             go(other, mine[5:])
             env.reset(options={"snapshot": snapshot})
             branch, engine = new_engine(env, env.branch)
-            branch.link.send(branch._actions.command(mine[5], {})[0])
+            branch.link.send(branch._actions.values(mine[5]))
             branch.close()
             branch, engine = new_engine(env, env.branch)
             kill(engine)
