@@ -7,7 +7,7 @@ exist, and nodes that nothing else is connected to. EnergyPlus itself ends with 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from itertools import chain
@@ -74,8 +74,9 @@ def diagnose(objects: Objects, source: SourceModel | None = None) -> list[Diagno
     """
     diagnostics = diagnose_format(objects, source)
     # Objects of an unknown type, or behind a missing semicolon, would be missed by all that refer to them.
+    invalid = {(each.kind, each.name) for each in diagnostics}
     if (source is None or not source.issues) and all(_is_known(kind, items) for kind, items in objects.items()):
-        diagnostics += [_located(each, source) for each in _rule_diagnostics(objects)]
+        diagnostics += [_located(each, source) for each in _rule_diagnostics(objects, invalid)]
     diagnostics = _with_hints(diagnostics, source)
     return sorted(diagnostics, key=lambda each: (each.severity is Severity.WARNING, each.line or 0))
 
@@ -116,7 +117,8 @@ def _is_known(kind: str, items: object) -> bool:
     return isinstance(items, Mapping) and schema.canonical_type(kind) == kind
 
 
-def _rule_diagnostics(objects: Objects) -> Iterator[Diagnostic]:
+def _rule_diagnostics(objects: Objects, invalid: Collection[tuple[str, str]]) -> Iterator[Diagnostic]:
+    """Yield the diagnostics of the rules; schedules that do not match the schema are left out."""
     valid = {
         kind: {name: fields for name, fields in items.items() if isinstance(fields, Mapping)}
         for kind, items in objects.items()
@@ -124,7 +126,6 @@ def _rule_diagnostics(objects: Objects) -> Iterator[Diagnostic]:
     for each in dangling_references(valid):
         severity = Severity.ERROR if each.is_fatal else Severity.WARNING
         yield Diagnostic(severity, each.kind, each.name, each.field, each.describe())
-    invalid = {(each.kind, each.name) for each in schema.find_errors(valid, complete=True)}
     sound = {
         kind: {name: fields for name, fields in items.items() if (kind, name) not in invalid}
         for kind, items in valid.items()
