@@ -101,7 +101,7 @@ def is_month_day(month: int, day: int) -> bool:
     """Return whether a month has this day, in a leap year."""
     try:
         date(LEAP_YEAR, month, day)
-    except ValueError:
+    except (ValueError, OverflowError):
         return False
     return True
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from calendar import monthrange
 from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass
@@ -25,7 +24,7 @@ from zenostat.models.scenario.run_period import Period, year_of
 from zenostat.models.upgrade.files import cached_upgrade
 from zenostat.models.upgrade.upgrade import UpgradedModel, upgrade_epjson
 from zenostat.models.upgrade.versions import short
-from zenostat.topics.calendar import LEAP_YEAR, parse_day
+from zenostat.topics.calendar import format_month_day, is_month_day, parse_day
 from zenostat.topics.errors import InvalidConfig
 
 Objects = dict[str, dict[str, Any]]
@@ -102,11 +101,11 @@ class Building:
         own = self.run_period
         for end, default in (("begin", (1, 1)), ("end", (12, 31))):
             month, day = int(own.get(f"{end}_month", default[0])), int(own.get(f"{end}_day_of_month", default[1]))
-            if not 1 <= month <= 12 or not 1 <= day <= monthrange(LEAP_YEAR, month)[1]:
+            if not is_month_day(month, day):
                 name = next(iter(self.objects.get("RunPeriod", {})))
                 place = self._place("RunPeriod", name, f"{end}_day_of_month")
                 raise InvalidConfig(
-                    f"RunPeriod {name!r} of {place} {end}s on {month:02}-{day:02}, which is no day; "
+                    f"RunPeriod {name!r} of {place} {end}s on {format_month_day(month, day)}, which is no day; "
                     "correct it, or choose begin and end"
                 )
 

@@ -9,9 +9,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from datetime import date, timedelta
 from math import isfinite
 from typing import Any
 
+from zenostat.topics.calendar import LEAP_YEAR, is_month_day
 from zenostat.topics.errors import did_you_mean
 
 DAY_TYPES = (
@@ -41,7 +43,7 @@ _GROUPS: dict[str, tuple[str, ...]] = {
 _REST = "ALLOTHERDAY"
 _DAY_WORDS = ("AllDays", "AllOtherDays", "Weekdays", "Weekends", "Holidays", *DAY_TYPES)
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
-_MONTH_ENDS = (0, 31, 60, 91, 121, 152, 182, 213, 244, 274, 305, 335, 366)
+_BEFORE = date(LEAP_YEAR, 1, 1) - timedelta(days=1)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 
 
@@ -84,10 +86,10 @@ def day_of_year(text: str) -> int:
         month, day = _month(parts[1]), int(numbers[0])
     else:
         raise FieldError("which is no date; expected month/day, such as '12/31'")
-    if not 1 <= month <= 12 or not 1 <= day <= _MONTH_ENDS[month] - _MONTH_ENDS[month - 1]:
+    if not is_month_day(month, day):
         swapped = "; the month is first" if month > 12 >= day else ""
         raise FieldError(f"which is no day of the year; expected month/day, such as '12/31'{swapped}")
-    return _MONTH_ENDS[month - 1] + day
+    return (date(LEAP_YEAR, month, day) - _BEFORE).days
 
 
 def _month(word: str) -> int:
@@ -96,8 +98,8 @@ def _month(word: str) -> int:
 
 def date_of(day: int) -> str:
     """Return the date of a day, from 1 to 366: `12/31`."""
-    month = next(i for i, end in enumerate(_MONTH_ENDS) if day <= end)
-    return f"{month}/{day - _MONTH_ENDS[month - 1]}"
+    moment = _BEFORE + timedelta(days=day)
+    return f"{moment.month}/{moment.day}"
 
 
 @dataclass
@@ -141,7 +143,7 @@ def unknown_day_words(text: str) -> Iterator[str]:
 
 @dataclass
 class DayTimes:
-    """The times of a day up to which values are given, in minutes.
+    """The ends of a day's intervals, each of which has one value, in minutes.
 
     Attributes:
         last: the last time.

@@ -74,6 +74,11 @@ def test_calendar__month_has_the_days_of_a_leap_year(month: int, day: int) -> No
     assert is_month_day(month, day) == (1 <= day <= lengths.get(month, 0))
 
 
+@pytest.mark.parametrize(("month", "day"), [(10**20, 1), (1, 10**20)])
+def test_calendar__number_beyond_any_date_is_no_day(month: int, day: int) -> None:
+    assert not is_month_day(month, day)
+
+
 # Moments
 
 
