@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+Objects = Mapping[str, Mapping[str, Any]]
+"""A model or a part of it: by type, the fields of each object by its name."""
 
 
 class FieldFinding(NamedTuple):

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from calendar import monthrange
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
-from zenostat.models.building.schedule_limits import schedule_values
-from zenostat.topics.calendar import LEAP_YEAR
-
-Objects = Mapping[str, Mapping[str, Any]]
+from zenostat.models.building.findings import FieldFinding, Objects, RuleFinding, finding
+from zenostat.models.building.schedule_limits import schedule_values, schedules
+from zenostat.topics.calendar import format_month_day, is_month_day
 
 _SURFACES = ("BuildingSurface", "Wall", "RoofCeiling", "Roof", "Ceiling", "Floor")
-
 
 _MOST_CONDUCTIVE = 500.0
 """W/(m K); silver has 429, diamond more."""
@@ -54,9 +50,10 @@ def _run_findings(objects: Objects) -> Iterator[RuleFinding]:
             yield finding("Timestep", name, FieldFinding("number_of_timesteps_per_hour", text, is_fatal=False))
     for name, fields in objects.get("RunPeriod", {}).items():
         for end in ("begin", "end"):
-            month, day = (int(_number(fields, f"{end}_{part}", 1)) for part in ("month", "day_of_month"))
-            if 1 <= month <= 12 and day > monthrange(LEAP_YEAR, month)[1]:
-                text = f": it {end}s on {month:02}-{day:02}, which is no day of the year"
+            month, day = (_number(fields, f"{end}_{part}", 1) for part in ("month", "day_of_month"))
+            # The schema refuses months and days beyond these.
+            if 1 <= month <= 12 and 1 <= day <= 31 and not is_month_day(int(month), int(day)):
+                text = f": it {end}s on {format_month_day(int(month), int(day))}, which is no day of the year"
                 yield finding("RunPeriod", name, FieldFinding(f"{end}_day_of_month", text, is_fatal=False))
 
 
@@ -101,14 +98,10 @@ def _zones_of(objects: Objects, types: tuple[str, ...]) -> set[str]:
 
 
 def _setpoint_findings(objects: Objects) -> Iterator[RuleFinding]:
-    schedules = {
-        name.casefold(): (kind, fields)
-        for kind in ("Schedule:Constant", "Schedule:Compact", "Schedule:Year")
-        for name, fields in objects.get(kind, {}).items()
-    }
+    by_name = {name.casefold(): (kind, fields) for kind, name, fields in schedules(objects)}
 
     def values(schedule: object) -> list[float]:
-        kind, fields = schedules.get(str(schedule).casefold(), ("", {}))
+        kind, fields = by_name.get(str(schedule).casefold(), ("", {}))
         return [value for _, value in schedule_values(objects, kind, fields)] if kind else []
 
     for name, fields in objects.get("ThermostatSetpoint:DualSetpoint", {}).items():

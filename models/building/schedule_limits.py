@@ -6,9 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from zenostat.models.building.compact_schedules import compact_values
-from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
-
-Objects = Mapping[str, Mapping[str, Any]]
+from zenostat.models.building.findings import FieldFinding, Objects, RuleFinding, finding
 
 _TOLERANCE = 1.2e-7
 """EnergyPlus's own, the resolution of a 32-bit float."""
@@ -30,7 +28,7 @@ def limit_findings(objects: Objects) -> Iterator[RuleFinding]:
             yield finding("ScheduleTypeLimits", name, FieldFinding("lower_limit_value", text))
         if not text:
             limits[name.casefold()] = (name, float(low), float(high))
-    for kind, name, fields in _limited(objects):
+    for kind, name, fields in schedules(objects):
         own = limits.get(str(fields.get("schedule_type_limits_name", "")).casefold())
         for path, value in schedule_values(objects, kind, fields) if own else ():
             if own and not own[1] - _TOLERANCE <= value <= own[2] + _TOLERANCE:
@@ -40,7 +38,8 @@ def limit_findings(objects: Objects) -> Iterator[RuleFinding]:
                 break
 
 
-def _limited(objects: Objects) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+def schedules(objects: Objects) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+    """Yield type, name and fields of the schedules whose values `schedule_values` knows."""
     for kind in ("Schedule:Constant", "Schedule:Compact", "Schedule:Year"):
         for name, fields in objects.get(kind, {}).items():
             yield kind, name, fields

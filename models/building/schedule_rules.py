@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from zenostat.models.building.compact_schedules import compact_findings
-from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
+from zenostat.models.building.findings import FieldFinding, Objects, RuleFinding, finding
 from zenostat.models.building.schedule_fields import (
     DAY_MIN,
     LAST_DAY,
@@ -17,8 +17,6 @@ from zenostat.models.building.schedule_fields import (
     day_of_year,
     unknown_day_words,
 )
-
-Objects = Mapping[str, Mapping[str, Any]]
 
 
 def schedule_findings(objects: Objects) -> Iterator[RuleFinding]:
