@@ -77,7 +77,8 @@ def reference_rewards(folder: Path) -> dict[str, float]:
     if (path := folder / REFERENCES).is_file():
         with path.open(newline="", encoding="utf-8") as file:
             for row in csv.DictReader(file):
-                rewards.setdefault(row["controller"], []).append(float(row["reward"]))
+                if row["reward"]:  # without a reward the first evaluation ends the training with the reason
+                    rewards.setdefault(row["controller"], []).append(float(row["reward"]))
     return {name: float(np.mean(values)) for name, values in rewards.items()}
 
 

@@ -195,7 +195,7 @@ class _Run:
         if checkpoint is not None:
             restore_environment(checkpoint, env, config.seed)
             restore_model(checkpoint, model)
-        if checkpoint is None:
+        else:
             evaluate_references(config, folder)
         if self._on_references is not None and (rewards := reference_rewards(folder)):
             self._on_references(rewards)

@@ -23,7 +23,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecMonitor, VecNormali
 
 from zenostat.agent_sdk.controllers import Agent, load_controller  # noqa: E402
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3  # noqa: E402
-from zenostat.lab.evaluate import run_episode  # noqa: E402
+from zenostat.lab.evaluate import evaluate, run_episode  # noqa: E402
 from zenostat.lab.training import ALGORITHMS, load_policy, read_training, resume_training, train  # noqa: E402
 from zenostat.lab.training.horizon import horizon_warning, scale_warning  # noqa: E402
 from zenostat.lab.training.parameters import make_model  # noqa: E402
@@ -271,3 +271,25 @@ def test_training__warns_once_of_rewards_that_are_too_large(tmp_path: Path) -> N
     with pytest.warns(UserWarning, match="discounted returns are about") as caught:
         train(read_training(training))
     assert sum("discounted returns" in str(warning.message) for warning in caught) == 1
+
+
+@pytest.mark.process
+def test_training__references_run_through_the_evaluation_episodes(tmp_path: Path) -> None:
+    scenario, day = "ref-small-office-USA_CO_Denver-continuous-v1", {"begin": "07-03", "end": "07-03"}
+    evaluation = {"every_steps": 24, "episodes": 2, "seed": 7, "references": ["baseline", "rbc"]}
+    arguments = {**day, "steps_per_hour": 1}
+    settings = {"scenario": scenario, "arguments": arguments, "evaluation": evaluation, "steps": 24}
+    reported: list[dict[str, float]] = []
+    train(read_training(fields("a2c", tmp_path, **settings)), on_references=reported.append)
+    expected = evaluate(scenario, ["baseline", "rbc"], episodes=2, seed=7, **arguments)
+    means = {name: metrics["reward"].mean for name, metrics in expected.summary().items()}
+    assert reported == [pytest.approx(means, rel=1e-12)]
+    with (tmp_path / "references.csv").open() as file:
+        rows = [(row["controller"], float(row["reward"])) for row in csv.DictReader(file)]
+    assert rows == [(row.controller, row.result.reward) for row in expected.rows]
+
+
+def test_training__reference_that_is_no_bundled_controller_is_refused(tmp_path: Path) -> None:
+    training = read_training(fields("a2c", tmp_path, evaluation={"references": ["baselin"]}))
+    with pytest.raises(UnknownName, match=r"evaluation\.references: .* 'baselin'; did you mean 'baseline'"):
+        check_training(training)
