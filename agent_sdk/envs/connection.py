@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, ExitStack, suppress
@@ -30,8 +29,6 @@ AGENT = "agent"
 """The environment's name in its own `info["value_source"]`; its name on the bus differs from run to run."""
 RENDER_MODES = ("rgb_array", "rerun")
 BUSY = "another thread is in step() or reset() of this environment; one thread at a time, or an environment for each"
-_EXIT_TIMEOUT_S = 1.0
-"""Time that a killed process may take to end after its last message."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +149,7 @@ class NodeConnection:
         try:
             sample: SampleView = self.link.reset(seed=seed)
         except BusError:
-            if self.local_node is None or not self._has_ended(self.local_node) or not self.restart_if_ended():
+            if self.local_node is None or not self.local_node.has_ended() or not self.restart_if_ended():
                 raise
             sample = self.link.reset(seed=seed)
         self.adopt(self.link.manifest)
@@ -183,12 +180,6 @@ class NodeConnection:
                 stacklevel=stacklevel + 1,
             )
 
-    def _has_ended(self, local_node: LocalNode) -> bool:
-        deadline = time.monotonic() + _EXIT_TIMEOUT_S
-        while not local_node.end and time.monotonic() < deadline:
-            time.sleep(0.01)
-        return bool(local_node.end)
-
     def restart_if_ended(self) -> bool:
         """Start a new local node if the former one has ended, and warn; return whether it did.
 
@@ -199,7 +190,7 @@ class NodeConnection:
         if local_node is None or self.closed:
             return False
         lost = isinstance(self._link, ControllerLink) and self._link.lost
-        if not local_node.end and not (lost and self._has_ended(local_node)):  # a killed process leaves the bus first
+        if not local_node.end and not (lost and local_node.has_ended()):
             return False
         cause, target = local_node.end, self._target
         self._close.close()

@@ -26,6 +26,7 @@ from zenostat.topics.messages import Manifest
 
 _EXIT_TIMEOUT_S = 5.0
 _POLL_S = 0.5
+_LATE_EXIT_S = 1.0  # that a killed process may take to end after its last message
 _OUTPUT_TIMEOUT_S = 40.0  # EnergyPlus may still be writing output files that are kept
 _SOCKET_PATH_MAX = 100  # sun_path has 108 bytes
 
@@ -120,6 +121,13 @@ class LocalNode:
         if code != -signal.SIGKILL:
             return f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit code {code}"
         return "killed by SIGKILL, which the system also sends when memory runs out"
+
+    def has_ended(self) -> bool:
+        """Return whether its process has ended, after waiting up to a second: a killed process leaves the bus first."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            if os.getpid() == self._owner:
+                self._processes[0].wait(_LATE_EXIT_S)
+        return bool(self.end)
 
     @property
     def is_suspended(self) -> bool:

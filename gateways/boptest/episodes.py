@@ -94,7 +94,7 @@ class Episodes:
 
     def _use_day(self, first_day: int) -> None:
         """Start another node if the run period has to begin on another day, or the node has ended."""
-        if first_day == self.building.first_day and not self.building.end:
+        if first_day == self.building.first_day and not self.building.has_ended:
             return
         self._kept.clear()
         self.building.close()

@@ -74,6 +74,11 @@ class Simulation:
         """Name of its controller on the bus."""
         return self._link.name
 
+    @property
+    def lost(self) -> bool:
+        """Whether its node has left the bus."""
+        return self._link.lost
+
     def reset(self, snapshot: str = "") -> None:
         """Start an episode, or return to a snapshot."""
         self.sample = self._link.reset(snapshot=snapshot)
@@ -194,9 +199,9 @@ class Building:
         return self._node.pid
 
     @property
-    def end(self) -> str:
-        """Description of how the node's process ended; empty while it runs."""
-        return self._node.end
+    def has_ended(self) -> bool:
+        """Whether the node's process has ended."""
+        return bool(self._node.end) or (self.main.lost and self._node.has_ended())
 
     def close(self) -> None:
         """End the node; idempotent."""

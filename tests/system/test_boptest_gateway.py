@@ -14,6 +14,8 @@ pytest.importorskip("httptools", reason="httptools is not installed")
 from support import data_packs as packs
 from support.boptest import DAY_S, Client, serving
 
+from zenostat.bridge.client.local_node import LocalNode
+
 START_S = 200 * DAY_S  # 20 July
 WARMUP_S = DAY_S // 2
 COOLING = "core_zn_cooling_setpoint"
@@ -329,6 +331,19 @@ def test_boptest_gateway__building_that_dies_fails_its_test_alone_until_it_is_in
     assert test.get("name") == {"name": "office-small"}
     assert test.put("initialize", start_time=START_S, warmup_period=WARMUP_S)["time"] == START_S
     assert test.advance()["time"] == START_S + 900
+
+
+def test_boptest_gateway__killed_building_that_left_the_bus_before_its_process_ended_is_replaced(test, monkeypatch):
+    building = test.service.manager.get(test.testid).episodes.building
+    os.kill(building.pid, signal.SIGKILL)
+    assert test.answer("POST", "advance", {}).status_code == 500
+    end, first_answer = LocalNode.end, [""]  # while the kernel is still taking the process down
+
+    def end_later(node):
+        return first_answer.pop() if first_answer else end.fget(node)
+
+    monkeypatch.setattr(LocalNode, "end", property(end_later))
+    assert test.put("initialize", start_time=START_S, warmup_period=WARMUP_S)["time"] == START_S
 
 
 def test_boptest_gateway__scenario_of_a_data_pack_is_a_test_case(running):
