@@ -12,12 +12,15 @@ import typer
 
 from zenostat.cli.console import out, print_error
 from zenostat.cli.tables import show, show_json
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, MissingExtra, ModelError, ZenostatError
 
 if TYPE_CHECKING:
     from zenostat.models.building.description import ModelDescription
+    from zenostat.models.building.diagnostics import Diagnostic
     from zenostat.models.building.systems import System
+    from zenostat.models.catalog import Entry
 
+_VERSION = "EnergyPlus version of the file"
 _ALIKE = 4
 """More components of one type on one level are shown as their number."""
 
@@ -40,28 +43,60 @@ def model(
     """Describe a building model: zones, systems, controls, schedules, actuators, errors. Simulates nothing.
 
     Example: `zenostat model office-medium --html office.html`
+
+    Exit codes: 0 without errors in the model, 1 with errors, 2 if the command cannot be run.
     """
     from zenostat.models import catalog
     from zenostat.models.building.description import describe_model, file_version
-    from zenostat.models.building.diagnostics import Severity
     from zenostat.models.building.model import read_building
 
     if html is not None and html.suffix.casefold() not in (".html", ".htm"):
         raise InvalidConfig(f"--html {html}: expected an .html file")
     entry = catalog.find_building(building)
-    description = describe_model(read_building(entry), file_version(entry.path))
+    try:
+        read = read_building(entry)
+    except MissingExtra:
+        raise
+    except (InvalidConfig, ModelError) as error:
+        _show_unreadable(entry, error, as_json=as_json)
+        raise typer.Exit(1) from None
+    description = describe_model(read, file_version(entry.path))
     if html is not None:
         _write_page(description, html)
     if as_json:
         show_json(_as_json(description))
     else:
         _show(description)
-    errors = [each for each in description.diagnostics if each.severity is Severity.ERROR]
-    if errors:
-        print_error(f"{description.file} has {len(errors)} error{'s' if len(errors) > 1 else ''}")
+    if _count_errors(description.file, description.diagnostics):
         raise typer.Exit(1)
     if probe is not None:
         _probe({"building": building, "weather": probe, "begin": begin, "end": end}, as_json=as_json)
+
+
+def _show_unreadable(entry: Entry, error: ZenostatError, *, as_json: bool) -> None:
+    """Show the errors of a file that cannot be read, in the form of a model's diagnostics."""
+    from zenostat.models.building.description import file_version
+    from zenostat.models.building.unreadable import diagnose_unreadable
+
+    diagnostics, version = diagnose_unreadable(entry.path, error), file_version(entry.path)
+    if as_json:
+        facts = {"name": entry.name, "file": str(entry.path), "version": version}
+        show_json({**facts, "diagnostics": [asdict(each) for each in diagnostics]})
+    else:
+        out.print(entry.name, style="bold", markup=False)
+        for term, text in (("File", str(entry.path)), (_VERSION, version or "none given")):
+            out.print(f"{term}: {text}", soft_wrap=True, markup=False, highlight=False)
+        for each in diagnostics:
+            out.print(f"{each.severity}: {each}", soft_wrap=True, markup=False, highlight=False)
+    _count_errors(str(entry.path), diagnostics)
+
+
+def _count_errors(file: str, diagnostics: Sequence[Diagnostic]) -> int:
+    """Return the number of errors, and report it if there are any."""
+    count = sum(each.severity == "error" for each in diagnostics)
+    if count:
+        print_error(f"{file} has {count} error{'s' if count > 1 else ''}")
+    return count
 
 
 def _probe(scenario: dict[str, str], *, as_json: bool) -> None:
@@ -90,7 +125,7 @@ def _facts(description: ModelDescription) -> list[tuple[str, str]]:
     summary = description.summary
     return [
         ("File", description.file),
-        ("EnergyPlus version of the file", description.version or "none given"),
+        (_VERSION, description.version or "none given"),
         ("Converted", "; ".join(description.notes)),
         ("Floor area", f"{summary.floor_area_m2:,.0f} m², {summary.conditioned_area_m2:,.0f} m² conditioned"),
         ("Zones", f"{summary.zones}, {summary.conditioned_zones} conditioned"),

@@ -4,6 +4,7 @@
     ├── UsageError              the caller's mistake; nothing was started
     │   ├── UnknownName         a building, weather, point or controller that does not exist
     │   ├── InvalidConfig       an invalid setting, or settings that exclude each other
+    │   │   ├── MissingExtra    an optional package that is not installed
     │   │   └── UnknownArgument a keyword argument that does not exist; also a TypeError
     │   ├── InvalidAction       an action of the wrong shape, out of bounds or not finite
     │   └── InvalidRecording    a file that is no recording, is damaged, or does not fit what is installed
@@ -60,6 +61,10 @@ class UnknownName(UsageError):
 
 class InvalidConfig(UsageError):
     """An invalid setting, or settings that exclude each other."""
+
+
+class MissingExtra(InvalidConfig):
+    """An optional package that is not installed; the text has the command that installs it."""
 
 
 class UnknownArgument(InvalidConfig, TypeError):

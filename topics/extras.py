@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import MissingExtra
 
 
 def install_command(extra: str) -> str:
@@ -49,12 +49,12 @@ def requires_extra(extra: str, feature: str, library: str) -> Iterator[None]:
         library: the name by which users know the library, for the error.
 
     Raises:
-        InvalidConfig: a module cannot be imported; the text has the reason and the command that installs the extra.
+        MissingExtra: a module cannot be imported; the text has the reason and the command that installs the extra.
     """
     try:
         yield
     except ImportError as error:
-        raise InvalidConfig(f"{feature} needs {library} ({error}): {install_command(extra)}") from None
+        raise MissingExtra(f"{feature} needs {library} ({error}): {install_command(extra)}") from None
 
 
 def import_extra(module: str, extra: str, feature: str) -> Any:

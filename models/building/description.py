@@ -138,7 +138,7 @@ def describe_model(building: Building, version: str) -> ModelDescription:
         schedules=schedules,
         actuators=tuple(_actuators(objects, schedules)),
         assumptions=tuple(assumptions(objects, has_dates=False)),
-        diagnostics=tuple(cached_diagnostics(objects, building.content, building.file)),
+        diagnostics=tuple(cached_diagnostics(building)),
         geometry=geometry,
     )
 

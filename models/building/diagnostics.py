@@ -12,21 +12,21 @@ from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
 from itertools import chain
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.nodes import unconnected_nodes
 from zenostat.models.building.plausibility import plausibility_findings
-from zenostat.models.building.references import dangling_references
 from zenostat.models.building.schedule_limits import limit_findings
 from zenostat.models.building.schedule_rules import schedule_findings
 from zenostat.models.building.source_lines import read_source
+from zenostat.models.building.template_references import is_template, traced_references
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.source_model import SourceModel
 from zenostat.topics.errors import list_errors
 
-FORMAT = "4"
+FORMAT = "5"
 """Version of the stored files."""
 
 REQUIRED = ("Building", "GlobalGeometryRules")
@@ -65,18 +65,36 @@ class Diagnostic:
         return self.text if self.line is None else f"line {self.line}: {self.text}"
 
 
-def diagnose(objects: Objects, source: SourceModel | None = None) -> list[Diagnostic]:
+class _Model(Protocol):
+    """The parts of a `Building` that `cached_diagnostics` needs."""
+
+    @property
+    def objects(self) -> Objects: ...
+    @property
+    def unexpanded(self) -> Objects: ...
+    @property
+    def content(self) -> str: ...
+    @property
+    def file(self) -> str: ...
+
+
+def diagnose(
+    objects: Objects, source: SourceModel | None = None, unexpanded: Objects | None = None
+) -> list[Diagnostic]:
     """Return the diagnostics of a model, errors first, each in the order of the file.
 
     Args:
         objects: the model as epJSON, in the format of the installed engine.
         source: the file that it was read from, for the lines and the errors of its syntax.
+        unexpanded: the model before its HVACTemplate objects were expanded.
     """
     diagnostics = diagnose_format(objects, source)
     # Objects of an unknown type, or behind a missing semicolon, would be missed by all that refer to them.
     invalid = {(each.kind, each.name) for each in diagnostics}
     if (source is None or not source.issues) and all(_is_known(kind, items) for kind, items in objects.items()):
-        diagnostics += [_located(each, source) for each in _rule_diagnostics(objects, invalid)]
+        fields = {(each.kind, each.name, each.field) for each in diagnostics}
+        rules = _rule_diagnostics(objects, invalid, unexpanded or {})
+        diagnostics += [_located(each, source) for each in rules if (each.kind, each.name, each.field) not in fields]
     diagnostics = _with_hints(diagnostics, source)
     return sorted(diagnostics, key=lambda each: (each.severity is Severity.WARNING, each.line or 0))
 
@@ -95,6 +113,18 @@ def diagnose_format(objects: Objects, source: SourceModel | None = None) -> list
     errors = [e for e in schema.find_errors(objects, complete=True) if (e.kind, e.name) not in damaged]
     diagnostics += [_located(Diagnostic(Severity.ERROR, e.kind, e.name, e.field, e.text), source) for e in errors]
     return sorted(diagnostics, key=lambda each: each.line or 0)
+
+
+def diagnose_unexpanded(objects: Objects, source: SourceModel) -> list[Diagnostic]:
+    """Return the errors of a model whose HVACTemplate objects could not be expanded; arguments as in `diagnose`.
+
+    Each reference of a template to a missing object counts, since nothing shows which of them ExpandObjects needs.
+    """
+    if errors := diagnose_format(objects, source):
+        return _with_hints(errors, source)
+    references = [each for each, _ in traced_references(objects, objects) if is_template(each.kind)]
+    errors = [Diagnostic(Severity.ERROR, e.kind, e.name, e.field, e.describe()) for e in references]
+    return sorted((_located(each, source) for each in errors), key=lambda each: each.line or 0)
 
 
 def _with_hints(diagnostics: list[Diagnostic], source: SourceModel | None) -> list[Diagnostic]:
@@ -117,14 +147,16 @@ def _is_known(kind: str, items: object) -> bool:
     return isinstance(items, Mapping) and schema.canonical_type(kind) == kind
 
 
-def _rule_diagnostics(objects: Objects, invalid: Collection[tuple[str, str]]) -> Iterator[Diagnostic]:
+def _rule_diagnostics(
+    objects: Objects, invalid: Collection[tuple[str, str]], unexpanded: Objects
+) -> Iterator[Diagnostic]:
     """Yield the diagnostics of the rules; schedules that do not match the schema are left out."""
     valid = {
         kind: {name: fields for name, fields in items.items() if isinstance(fields, Mapping)}
         for kind, items in objects.items()
     }
-    for each in dangling_references(valid):
-        severity = Severity.ERROR if each.is_fatal else Severity.WARNING
+    for each, is_fatal in traced_references(valid, unexpanded):
+        severity = Severity.ERROR if is_fatal else Severity.WARNING
         yield Diagnostic(severity, each.kind, each.name, each.field, each.describe())
     sound = {
         kind: {name: fields for name, fields in items.items() if (kind, name) not in invalid}
@@ -153,22 +185,16 @@ def describe(diagnostics: Iterable[Diagnostic], file: str, verdict: str) -> str:
     return list_errors(f"{file} {verdict}:", [str(each) for each in diagnostics])
 
 
-def cached_diagnostics(objects: Objects, content: str, file: str) -> list[Diagnostic]:
-    """Return the diagnostics of a model; cached, since a model is checked each time that it is used.
-
-    Args:
-        objects: the model as epJSON.
-        content: digest of its content, edits included.
-        file: the user's file, for line numbers; empty or missing: there are none.
-    """
+def cached_diagnostics(building: _Model) -> list[Diagnostic]:
+    """Return the diagnostics of a model; cached, since a model is checked each time that it is used."""
 
     def make(target: Path) -> None:
-        diagnostics = diagnose(objects)
-        if diagnostics or not file.lower().endswith(".idf"):
-            diagnostics = diagnose(objects, read_source(Path(file)))
+        diagnostics = diagnose(building.objects, unexpanded=building.unexpanded)
+        if building.file and (diagnostics or not building.file.lower().endswith(".idf")):
+            diagnostics = diagnose(building.objects, read_source(Path(building.file)), building.unexpanded)
         target.write_text(json.dumps([asdict(each) for each in diagnostics]))
 
-    name = f"diagnostics/{digest(content, energyplus.version(), FORMAT)}.json"
+    name = f"diagnostics/{digest(building.content, energyplus.version(), FORMAT)}.json"
     return [
         Diagnostic(**{**each, "severity": Severity(each["severity"])}) for each in json.loads(cached_bytes(name, make))
     ]

@@ -5,14 +5,20 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable
 from copy import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.building import idf, openstudio, output_objects, templates
-from zenostat.models.building.diagnostics import Severity, cached_diagnostics, describe, verdict
+from zenostat.models.building.diagnostics import (
+    Severity,
+    cached_diagnostics,
+    describe,
+    diagnose_unexpanded,
+    verdict,
+)
 from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.building.run_needs import simulation_control
 from zenostat.models.building.source_lines import read_source
@@ -49,7 +55,7 @@ class Building:
         content: digest of its content.
         notes: on its upgrade to the engine's version, and on its templates.
         file: path of the file, for error messages.
-        is_own_format: whether the file is in the engine's version, so that its lines are those of these objects.
+        unexpanded: the objects before the templates were expanded; empty without templates.
     """
 
     name: str
@@ -57,7 +63,7 @@ class Building:
     content: str
     notes: tuple[str, ...] = ()
     file: str = ""
-    is_own_format: bool = True
+    unexpanded: dict[str, Objects] = field(default_factory=dict)
 
     def find(self, kind: str, name: str) -> dict[str, Any]:
         """Return an object's fields by type and name, both in any case; empty if there is none."""
@@ -121,7 +127,7 @@ class Building:
 
     def _place(self, kind: str, name: str, field: str) -> str:
         """Return the model's file, with the line of a field if it is known."""
-        line = read_source(Path(self.file)).line(kind, name, field) if self.file and self.is_own_format else None
+        line = read_source(Path(self.file)).line(kind, name, field) if self.file else None
         return f"{self.file or self.name}, line {line}," if line else self.file or self.name
 
 
@@ -151,9 +157,24 @@ def read_building(entry: Entry) -> Building:
         upgraded = upgrade_epjson(_read_epjson(entry.path, raw), name=entry.path.name)
     if "Building" not in upgraded.objects:
         raise InvalidConfig(f"{entry.path} is not a building model: it has no 'Building' object")
-    expanded, notes = templates.expand(upgraded.objects, file=str(entry.path))
+    expanded, notes = _expand(upgraded.objects, entry.path)
     summary = (upgraded.summary,) if upgraded.summary else ()
-    return Building(entry.name, expanded, content, (*translation, *summary, *notes), str(entry.path), not summary)
+    unexpanded = upgraded.objects if notes else {}
+    return Building(entry.name, expanded, content, (*translation, *summary, *notes), str(entry.path), unexpanded)
+
+
+def _expand(objects: dict[str, Objects], path: Path) -> tuple[dict[str, Objects], tuple[str, ...]]:
+    """Return `templates.expand` of a file's objects; its errors begin with those of the templates' fields.
+
+    ExpandObjects itself names no field, and not every object.
+    """
+    try:
+        return templates.expand(objects, file=str(path))
+    except InvalidConfig as error:
+        if errors := diagnose_unexpanded(objects, read_source(path)):
+            reason = str(error).partition("\n")[2]
+            raise InvalidConfig(f"{describe(errors, str(path), verdict())}\n{reason}".rstrip()) from None
+        raise
 
 
 def _read_idf(path: Path, raw: bytes, content: str) -> UpgradedModel:
@@ -165,7 +186,7 @@ def _read_idf(path: Path, raw: bytes, content: str) -> UpgradedModel:
     text = raw.decode("latin-1")
     version = idf_version(text)
     is_own = version in (None, "") or short(version) == short(energyplus.version())
-    if not is_own or templates.PREFIX in text.casefold():
+    if not is_own or "hvactemplate:" in text.casefold():
         return cached_upgrade(text, name=path.name)
     converted = cached_bytes(f"models/{content}.epJSON", lambda target: idf.convert(path, target))
     return upgrade_epjson(_read_epjson(path, converted), name=path.name)
@@ -174,6 +195,9 @@ def _read_idf(path: Path, raw: bytes, content: str) -> UpgradedModel:
 def _read_epjson(path: Path, raw: bytes) -> dict[str, Any]:
     try:
         objects = json.loads(raw)
+    except json.JSONDecodeError as error:
+        place = f"line {error.lineno}, column {error.colno}"
+        raise InvalidConfig(f"{path} is not an epJSON file: {place}: {error.msg}") from None
     except (ValueError, RecursionError) as error:
         raise InvalidConfig(f"{path} is not an epJSON file: {error}") from None
     if not isinstance(objects, dict) or "Building" not in objects:
@@ -191,8 +215,7 @@ def check_runnable(building: Building) -> None:
         InvalidConfig: lists all errors, with object, field and line.
     """
     file = building.file or building.name
-    source = building.file if building.is_own_format else ""
-    diagnostics = cached_diagnostics(building.objects, building.content, source)
+    diagnostics = cached_diagnostics(building)
     errors = [each for each in diagnostics if each.severity is Severity.ERROR]
     if errors:
         raise InvalidConfig(describe(errors, file, verdict()))
@@ -224,7 +247,7 @@ def with_edits(building: Building, edits: Edits) -> Building:
         digest(building.content, json.dumps(edits, sort_keys=True)),
         building.notes,
         building.file,
-        building.is_own_format,
+        building.unexpanded,
     )
 
 

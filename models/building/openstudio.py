@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from zenostat.models import energyplus
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.energyplus import ISOLATED
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, MissingExtra
 
 SUFFIXES = (".osm", ".gbxml", ".xml")
 """Suffixes of the files that OpenStudio reads; `.xml` is a gbXML."""
@@ -36,12 +36,13 @@ def translate(path: Path) -> TranslatedModel:
     """Translate an OSM or gbXML file to IDF; cached by its content and OpenStudio's version.
 
     Raises:
-        InvalidConfig: OpenStudio is not installed (the text has the command), or it cannot read the file.
+        MissingExtra: OpenStudio is not installed.
+        InvalidConfig: OpenStudio cannot read the file.
     """
     try:
         installed = version("openstudio")
     except PackageNotFoundError:
-        raise InvalidConfig(
+        raise MissingExtra(
             f"{path} needs OpenStudio, which translates it to IDF: pip install openstudio (300 MB; the extra "
             "`openstudio`)"
         ) from None

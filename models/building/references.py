@@ -54,6 +54,13 @@ _NOUNS = {
     "OutFaceEnvNames": "surface, zone or boundary condition",
     "ControlSchemeList": "plant equipment operation scheme",
     "ControlTypeNames": "thermostat setpoint",
+    "CompactHVACThermostats": "HVACTemplate:Thermostat",
+    "CompactHVACSystemConstantVolume": "HVACTemplate:System:ConstantVolume",
+    "CompactHVACSystemDualDuct": "HVACTemplate:System:DualDuct",
+    "CompactHVACSystemUnitary": "unitary HVACTemplate:System",
+    "CompactHVACSystemVAV": "HVACTemplate:System of VAV",
+    "CompactHVACSystemVRF": "HVACTemplate:System:VRF",
+    "HVACTemplateDOASSystems": "HVACTemplate:System:DedicatedOutdoorAir",
 }
 
 

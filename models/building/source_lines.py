@@ -8,23 +8,32 @@ from functools import cache
 from pathlib import Path
 
 from zenostat.models.input_format.epjson_reader import read_epjson
-from zenostat.models.input_format.idf_reader import parse_idf
-from zenostat.models.input_format.layout import engine_layout
+from zenostat.models.input_format.idf_reader import idf_version, parse_idf
+from zenostat.models.input_format.layout import Layout, engine_layout
 from zenostat.models.input_format.source_model import SourceModel, SourceObject
-from zenostat.topics.errors import did_you_mean
+from zenostat.models.upgrade.versions import STEPS, layout_of, short
+from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 _WHOLE_WORD = r"(?<![\w:.-]){}(?![\w:.-])"
 _NOT_FOUND = re.compile(r"(\w+) ?= ?([^=]+?), item not found")
 
 
 def read_source(path: Path) -> SourceModel:
-    """Read an IDF of the engine's version or an epJSON; an unreadable file has no objects."""
+    """Read an IDF, in the format of its own version, or an epJSON; an unreadable file has no objects."""
     is_idf = path.suffix.lower() == ".idf"
     try:
         text = path.read_text(encoding="latin-1" if is_idf else "utf-8")
-    except (OSError, UnicodeDecodeError):
+        return parse_idf(text, _layout(text, path)) if is_idf else read_epjson(text)
+    except (OSError, UnicodeDecodeError, InvalidConfig):
         return SourceModel()
-    return parse_idf(text, engine_layout()) if is_idf else read_epjson(text)
+
+
+def _layout(text: str, path: Path) -> Layout:
+    """Return the input format of an IDF's version; the engine's if it names none that is known."""
+    version = idf_version(text)
+    if not version or short(version) not in {step.before for step in STEPS}:
+        return engine_layout()
+    return layout_of(short(version), name=path.name)
 
 
 def locator(path: str | Path) -> Callable[[str], str | None]:

@@ -16,6 +16,7 @@ from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
+from zenostat.models.building.template_references import templates_of
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.idd import dictionary
 from zenostat.models.input_format.idf_reader import read_idf
@@ -24,19 +25,12 @@ from zenostat.models.input_format.layout import engine_layout
 from zenostat.models.input_format.source_model import Objects, SourceModel
 from zenostat.topics.errors import InvalidConfig, ModelError, list_errors
 
-PREFIX = "hvactemplate:"
-
 _FORMAT = "1"
 _TIMEOUT_S = 60.0
 _NOT_PASSED = ("energymanagementsystem:", "output", "meter:", "pythonplugin:")
 """Prefixes of types that ExpandObjects does not use; their texts may contain what an IDF cannot."""
 
 _MESSAGE = "Output:PreprocessorMessage"
-
-
-def has_templates(objects: Mapping[str, Any]) -> bool:
-    """Whether a model has HVACTemplate objects."""
-    return any(kind.casefold().startswith(PREFIX) and items for kind, items in objects.items())
 
 
 def expand(objects: Objects, *, file: str) -> tuple[Objects, tuple[str, ...]]:
@@ -52,9 +46,9 @@ def expand(objects: Objects, *, file: str) -> tuple[Objects, tuple[str, ...]]:
         InvalidConfig: a template does not match the schema, or ExpandObjects rejects one.
         ModelError: ExpandObjects failed.
     """
-    if not has_templates(objects):
+    templates = templates_of(objects)
+    if not templates:
         return objects, ()
-    templates = {kind: items for kind, items in objects.items() if kind.casefold().startswith(PREFIX)}
     if errors := schema.schema_errors(templates, complete=True):
         _reject(file, errors)
     passed = {kind: items for kind, items in objects.items() if not kind.casefold().startswith(_NOT_PASSED)}

@@ -127,7 +127,7 @@ def discover(building: Building, weather: Path) -> PointCatalog:
 
 def _suspects(building: Building) -> Iterator[str]:
     """Yield a line with the warnings on a model that EnergyPlus cannot start, which may be the reason."""
-    warnings = cached_diagnostics(building.objects, building.content, building.file)
+    warnings = cached_diagnostics(building)
     if warnings:
         yield describe(warnings, building.file or building.name, "also has")
 

@@ -14,7 +14,7 @@ from zenostat.models import energyplus
 from zenostat.models.input_format.layout import Layout, engine_layout
 from zenostat.models.upgrade import from_9, from_22
 from zenostat.models.upgrade.step import VersionStep
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, MissingExtra
 from zenostat.topics.extras import install_command
 
 STEPS: tuple[VersionStep, ...] = (*from_9.STEPS, *from_22.STEPS)
@@ -69,12 +69,12 @@ def layout_of(version: str, *, name: str) -> Layout:
         name: of the file that needs it, for the error.
 
     Raises:
-        InvalidConfig: it is not the engine's version, and idfkit is not installed.
+        MissingExtra: it is not the engine's version, and idfkit is not installed.
     """
     if version == short(energyplus.version()):
         return engine_layout()
     if find_spec("idfkit") is None:
-        raise InvalidConfig(
+        raise MissingExtra(
             f"{name} is an IDF for EnergyPlus {version}, and reading it needs the input formats of earlier versions: "
             f"{install_command('models')}"
         )

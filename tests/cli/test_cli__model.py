@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -84,3 +85,51 @@ def test_model__errors_of_a_file_have_their_lines(tmp_path: Path) -> None:
     assert f"error: line {at + 1}: Lights " in result.stdout
     assert "Zone1 Office (Zone)" in result.stdout  # the rest is told all the same
     assert f"{path} has 1 error" in plain(result.stderr)
+
+
+def written(path: Path, change: Callable[[str], str]) -> Path:
+    """Write a changed copy of a bundled model; a replaced text is in it."""
+    own = find_building("ref-small-office").path.read_text("latin-1")
+    changed = change(own)
+    assert changed != own
+    path.write_text(changed, encoding="latin-1")
+    return path
+
+
+UNREADABLE: dict[str, tuple[str, Callable[[str], str], str]] = {
+    "unknown type": ("a.idf", lambda text: text.replace("  Zone,", "  Zonne,", 1), "no object type 'Zonne'"),
+    "number out of range": (
+        "b.idf",
+        lambda text: re.sub(r"(Timestep,\s*)6", r"\g<1>600", text),
+        "number_of_timesteps_per_hour is 600; expected an integer at least 1 and at most 60",
+    ),
+    "earlier version": (
+        "c.idf",
+        lambda text: re.sub(r"(Version,\s*)25\.2", r"\g<1>25.1", text).replace("  Zone,", "  Zonne,", 1),
+        "no object type 'Zonne'",
+    ),
+    "encoding": ("d.idf", lambda text: text.replace("Ref Bldg", "R\xe9f Bldg", 1), "the byte 0xE9 is not UTF-8"),
+    "JSON": ("e.epJSON", lambda _: '{"Version": {},\n"Building": ', "Expecting value"),
+}
+
+
+@pytest.mark.parametrize("case", UNREADABLE)
+def test_model__errors_of_a_file_that_cannot_be_read_are_shown_alike(case: str, tmp_path: Path) -> None:
+    name, change, reason = UNREADABLE[case]
+    path = written(tmp_path / name, change)
+    text = run_in_process("model", str(path), columns=500)
+    assert text.returncode == 1
+    shown = re.search(rf"^error: line (\d+): (.*{re.escape(reason)}.*)$", text.stdout, re.MULTILINE)
+    assert shown is not None, text.stdout
+    assert plain(text.stderr).strip() == f"error: {path} has 1 error"
+    result = run_in_process("model", str(path), "--json")
+    assert result.returncode == 1
+    data = json.loads(result.stdout)
+    assert data["file"] == str(path)
+    (each,) = data["diagnostics"]
+    assert (each["severity"], each["line"], each["text"]) == ("error", int(shown[1]), shown[2])
+
+
+def test_model__missing_file_is_an_error_of_the_command(tmp_path: Path) -> None:
+    result = run_in_process("model", str(tmp_path / "none.idf"), "--json")
+    assert (result.returncode, result.stdout) == (2, "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import json
 import re
 from collections.abc import Callable, Mapping
@@ -13,8 +14,11 @@ import numpy as np
 import pytest
 from support.variable_runs import run
 
+from zenostat.models import energyplus
 from zenostat.models.building import templates
+from zenostat.models.building.diagnostics import Severity, cached_diagnostics
 from zenostat.models.building.model import Building, check_runnable, read_building
+from zenostat.models.building.template_references import templates_of
 from zenostat.models.catalog import find_building
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
@@ -160,7 +164,7 @@ def temperatures(building: Building, folder: Path, day: str) -> np.ndarray[Any, 
 )
 def test_templates__expanded_systems_keep_the_setpoints(name: str, tmp_path: Path) -> None:
     building = office_with(SYSTEMS[name], tmp_path / "office.idf")
-    assert not templates.has_templates(building.objects)
+    assert not templates_of(building.objects)
     winter = temperatures(building, tmp_path, MILD.get(name, "01-15"))
     assert np.all(winter > HEATING_C - 0.6), winter.min(axis=0)
     if name != "hot-water baseboard":
@@ -190,16 +194,9 @@ def test_templates__model_without_templates_is_the_same_object() -> None:
 
 def test_templates__field_that_the_schema_rejects_is_named(tmp_path: Path) -> None:
     with pytest.raises(
-        InvalidConfig, match=r"outdoor_air_method is 'Nothing'; expected one of 'DetailedSpecification'"
+        InvalidConfig, match=r"line 1: .* outdoor_air_method is 'Nothing'; expected one of 'DetailedSpecification'"
     ):
         office_with(zone_templates("IdealLoadsAirSystem", outdoor_air_method="Nothing"), tmp_path / "office.epJSON")
-
-
-def test_templates__missing_system_is_refused_with_the_reason_of_expandobjects(tmp_path: Path) -> None:
-    with pytest.raises(InvalidConfig) as raised:
-        office_with(zone_templates("VAV", template_vav_system_name="nowhere"), tmp_path / "office.idf")
-    assert "office.idf" in str(raised.value)
-    assert "HVACTemplate:Zone:VAV" in str(raised.value)
 
 
 def mistyped_office(path: Path, change: Callable[[str], str]) -> str:
@@ -209,6 +206,77 @@ def mistyped_office(path: Path, change: Callable[[str], str]) -> str:
     with pytest.raises(InvalidConfig) as raised:
         check_runnable(read_building(find_building(str(path))))
     return str(raised.value)
+
+
+REFERENCES = {
+    "ideal loads": (
+        ("Zone:IdealLoadsAirSystem", "template_thermostat_name", "al"),
+        "the model has no HVACTemplate:Thermostat of that name; did you mean 'all'?",
+    ),
+    "VAV": (
+        ("Zone:VAV", "template_vav_system_name", "va"),
+        "the model has no HVACTemplate:System of VAV of that name; did you mean 'vav'?",
+    ),
+    "PTAC": (("Zone:PTAC", "zone_name", "Coree_ZN"), "the model has no zone of that name; did you mean 'Core_ZN'?"),
+    "fan coil": (
+        ("Plant:HotWaterLoop", "hot_water_setpoint_schedule_name", "Nowhere"),
+        "the model has no schedule of that name; ",
+    ),
+}
+
+
+def mistyped_template(system: str, path: Path) -> tuple[str, str]:
+    """The error of an IDF of which the first template of a type has another value in a field, and what it should be."""
+    (kind, field, value), reason = REFERENCES[system]
+    kind, changed = f"HVACTemplate:{kind}", copy.deepcopy(SYSTEMS[system])
+    next(iter(changed[kind].values()))[field] = value
+    path.write_text(write_idf(envelope() | THERMOSTAT | changed, engine_layout()))
+    with pytest.raises(InvalidConfig) as raised:
+        check_runnable(read_building(find_building(str(path))))
+    line = next(
+        i for i, text in enumerate(path.read_text().splitlines(), 1) if text.startswith((f"  {value},", f"  {value};"))
+    )
+    name = "hot water" if kind.endswith("Loop") else f"{kind} 1"
+    return str(raised.value), f"  line {line}: {kind} {name!r}: {field} is {value!r}, but {reason}"
+
+
+@pytest.mark.parametrize("system", REFERENCES)
+def test_templates__missing_object_is_named_with_the_line_of_the_template(system: str, tmp_path: Path) -> None:
+    error, expected = mistyped_template(system, tmp_path / "office.idf")
+    head, first, *rest = error.splitlines()
+    assert head == f"{tmp_path / 'office.idf'} is not a valid model for EnergyPlus {energyplus.version()}:"
+    assert first.startswith(expected)
+    reason = "  Could not find air handler name referenced in HVACTemplate:Zone:VAV object: Core_ZN"
+    assert rest == ([reason] if system == "VAV" else [])  # that of ExpandObjects, and not what follows in the result
+
+
+@pytest.mark.parametrize("suffix", [".idf", ".epJSON"])
+def test_templates__missing_object_of_an_optional_field_is_a_warning_about_the_template(
+    suffix: str, tmp_path: Path
+) -> None:
+    system = zone_templates("IdealLoadsAirSystem", heating_availability_schedule_name="Nowhere")
+    path = tmp_path / f"office{suffix}"
+    diagnostics = cached_diagnostics(office_with(system, path))
+    lines = path.read_text().splitlines() if suffix == ".idf" else []
+    expected = [i for i, text in enumerate(lines, 1) if text.startswith("  Nowhere")]
+    named = [each for each in diagnostics if "'Nowhere'" in each.text]
+    assert [each.kind for each in named] == ["HVACTemplate:Zone:IdealLoadsAirSystem"] * len(ZONES)
+    assert {each.severity for each in named} == {Severity.WARNING}
+    assert not lines or [each.line for each in named] == expected
+
+
+def test_templates__own_object_with_the_same_missing_name_is_named_as_well(tmp_path: Path) -> None:
+    objects = envelope() | SYSTEMS["ideal loads"]
+    setpoints = {"heating_setpoint_schedule_name": "Nowhere", "constant_cooling_setpoint": COOLING_C}
+    lights = next(iter(objects["Lights"]))
+    changed = objects["Lights"] | {lights: objects["Lights"][lights] | {"schedule_name": "Nowhere"}}
+    path = tmp_path / "office.epJSON"
+    path.write_text(json.dumps(objects | {"HVACTemplate:Thermostat": {"all": setpoints}, "Lights": changed}))
+    with pytest.raises(InvalidConfig) as raised:
+        check_runnable(read_building(find_building(str(path))))
+    first, second = sorted(str(raised.value).splitlines()[1:])
+    assert "HVACTemplate:Thermostat 'all': heating_setpoint_schedule_name is 'Nowhere'" in first
+    assert f"Lights {lights!r}: schedule_name is 'Nowhere'" in second
 
 
 def test_templates__dangling_reference_is_named_with_the_line_of_the_users_file(tmp_path: Path) -> None:

@@ -60,6 +60,21 @@ def test_read_building__upgrades_and_says_so(office: dict[str, dict[str, dict[st
     assert building.file == str(path)
 
 
+@pytest.mark.parametrize("suffix", [".idf", ".epJSON"])
+def test_read_building__dangling_reference_of_an_earlier_version_has_its_line(
+    office: dict[str, dict[str, dict[str, object]]], suffix: str, tmp_path: Path
+) -> None:
+    name, fields = next(iter(office["Lights"].items()))
+    office["Lights"] = {name: fields | {"schedule_name": "Nowhere"}}
+    path = tmp_path / f"old{suffix}"
+    old = json.dumps(taken_back(office, "9.2"), indent=1)
+    path.write_text(as_idf(office, "9.2") if suffix == ".idf" else old)
+    with pytest.raises(InvalidConfig) as raised:
+        check_runnable(read_building(find_building(str(path))))
+    line = next(i for i, text in enumerate(path.read_text().splitlines(), 1) if "Nowhere" in text)
+    assert f"  line {line}: Lights {name!r}: schedule_name is 'Nowhere'" in str(raised.value)
+
+
 def test_models_upgrade__writes_a_model_of_the_engines_version(
     office: dict[str, dict[str, dict[str, object]]], tmp_path: Path
 ) -> None:
