@@ -54,7 +54,7 @@ def _measure(scene: str, steps: int, count: int) -> dict[str, Any]:
 def _file(path: Path) -> dict[str, Any]:
     """Return the size of a recording for a year, and microseconds per step of its verification."""
     from zenostat.bridge.recording.reader import RecordingReader
-    from zenostat.eplus_node.verification import verify
+    from zenostat.eplus_node.verify_recording import verify
 
     with RecordingReader(path) as reader:
         samples = sum(1 for _ in reader.messages({"Sample"}))

@@ -15,7 +15,7 @@ from zenostat.topics.errors import InvalidConfig
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from zenostat.metrics.tariffs import Rate
+    from zenostat.metrics.fuel_rates import Rate
     from zenostat.views.report import Comparison
 
 

@@ -68,7 +68,7 @@ def run(
     outputs = ReportOutputs(report, figures)
     from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
     from zenostat.metrics.episode_metrics import MetricsAccumulator
-    from zenostat.metrics.tariffs import read_emissions, read_prices
+    from zenostat.metrics.fuel_rates import read_emissions, read_prices
 
     rates = read_prices(read_rates("--price", prices)), read_emissions(read_rates("--emissions", emissions))
     factory = load_controller(controller)

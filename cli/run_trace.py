@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from zenostat import Bus, ControllerLink, SampleView
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.episode_weather import EpisodeWeather, query_weather
-from zenostat.metrics.tariffs import Rate
+from zenostat.metrics.fuel_rates import Rate
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.points import value_index
 from zenostat.views.report import Comparison, Run

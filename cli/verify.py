@@ -53,7 +53,7 @@ def verify(
     from zenostat.topics.extras import requires_extra
 
     with requires_extra("recording", "a recording", "mcap and zstandard"):
-        from zenostat.eplus_node.verification import verify as verify_recording
+        from zenostat.eplus_node.verify_recording import verify as verify_recording
     if tolerance is not None and not tolerance < float("inf"):
         raise InvalidConfig(f"--tolerance {tolerance}: expected a finite number of at least 0")
     with ExitStack() as stack:

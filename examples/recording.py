@@ -15,7 +15,7 @@ import gymnasium as gym
 import numpy as np
 
 from zenostat import recording
-from zenostat.eplus_node.verification import verify
+from zenostat.eplus_node.verify_recording import verify
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--days", type=int, default=1)

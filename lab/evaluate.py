@@ -27,8 +27,8 @@ from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.episode_weather import EpisodeWeather, query_weather
+from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices
 from zenostat.metrics.statistics import MetricSummary, summarize
-from zenostat.metrics.tariffs import Rate, read_emissions, read_prices
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.rewards import Reward
 from zenostat.bridge.client.sample import SampleView
 from zenostat.metrics.energy_meters import facility_sources, hvac_sources
+from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices
 from zenostat.metrics.kpis import KPIS, KpiAccumulator
 from zenostat.metrics.reward_comfort import comfort
-from zenostat.metrics.tariffs import Rate, read_emissions, read_prices
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.unmet_hours import UnmetHours
 from zenostat.topics.messages import Manifest
@@ -112,7 +112,7 @@ class MetricsAccumulator:
     Args:
         manifest: manifest of the node.
         reward: reward with the comfort band; None, or a reward without a band: that of the scenario.
-        prices, emissions: prices and emission factors by fuel for these KPIs; see `zenostat.metrics.tariffs`.
+        prices, emissions: prices and emission factors by fuel for these KPIs; see `zenostat.metrics.fuel_rates`.
 
     Attributes:
         sources: by metric, the point or reward that it is derived from.

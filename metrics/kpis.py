@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from zenostat.metrics.comfort import Comfort
 from zenostat.metrics.energy_meters import FUELS, EnergySource, facility_sources, hvac_sources
-from zenostat.metrics.tariffs import FuelRate
+from zenostat.metrics.fuel_rates import FuelRate
 from zenostat.topics.messages import Aggregation, Manifest
 
 Floats = NDArray[np.float64]

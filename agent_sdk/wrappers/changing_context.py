@@ -11,7 +11,7 @@ import numpy as np
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
-from zenostat.agent_sdk.wrappers.rng import SlotRandomStreams
+from zenostat.agent_sdk.wrappers.random_streams import SlotRandomStreams
 from zenostat.topics.calendar import parse_clock_time
 from zenostat.topics.errors import InvalidConfig
 

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBatch, StepBatch, Values, append
 from zenostat.agent_sdk.wrappers.names import indices_of
-from zenostat.agent_sdk.wrappers.rng import SlotRandomStreams
+from zenostat.agent_sdk.wrappers.random_streams import SlotRandomStreams
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import WeatherSeries
 

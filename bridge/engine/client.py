@@ -18,10 +18,10 @@ from typing import Any
 
 import psutil
 
-from zenostat.bridge.engine.forked_process import ForkedProcess, Process
 from zenostat.bridge.engine.frame import Frame
 from zenostat.bridge.engine.launch import describe_exit, launch
 from zenostat.bridge.engine.lists import close_all
+from zenostat.bridge.engine.process_handle import ForkedProcess, Process
 from zenostat.bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
 from zenostat.bridge.engine.registry import EngineRegistry
 from zenostat.bridge.engine.sockets import SocketPair, fill, read_process_id, send_all, socket_pairs

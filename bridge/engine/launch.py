@@ -6,7 +6,7 @@ import os
 import signal
 import subprocess
 
-from zenostat.bridge.engine.forked_process import Process
+from zenostat.bridge.engine.process_handle import Process
 from zenostat.bridge.engine.sockets import SocketPair, socket_pairs
 from zenostat.bridge.engine.spec import EngineSpec
 

@@ -27,7 +27,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from zenostat.bridge.exchange.actuator_commands import CommandSnapshot
-from zenostat.bridge.exchange.disconnection import FallbackRules
+from zenostat.bridge.exchange.fallback import FallbackRules
 from zenostat.bridge.exchange.intake import MAX_MESSAGES_PER_STEP, Intake
 from zenostat.bridge.exchange.state import MAX_SOURCE_NAME, ExchangeState
 from zenostat.bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger

@@ -11,7 +11,7 @@ import sys
 from typing import NoReturn
 
 from zenostat.bridge.engine.system_calls import receive_spec
-from zenostat.eplus_node.engine.energyplus_process import Engine
+from zenostat.eplus_node.engine.timestep_exchange import Engine
 
 
 def main(orders_descriptor: int, frames_descriptor: int, parent: int) -> NoReturn:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.gateways.boptest.simulation import moment
-from zenostat.metrics.tariffs import FuelRate, Rate, read_emissions, read_prices
+from zenostat.metrics.fuel_rates import FuelRate, Rate, read_emissions, read_prices
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 Floats = NDArray[np.float64]

@@ -20,7 +20,7 @@ from support.nodes import SMALL, NodeProgram
 import zenostat
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.runtime.affinity import Affinity
-from zenostat.eplus_node.verification import verify
+from zenostat.eplus_node.verify_recording import verify
 from zenostat.topics import codec
 from zenostat.topics.errors import InvalidRecording, ZenostatError
 from zenostat.topics.messages import Sample

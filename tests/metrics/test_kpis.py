@@ -18,8 +18,8 @@ from zenostat.agent_sdk.testing import FakeBuilding, FakeLink
 from zenostat.lab.evaluate import evaluate
 from zenostat.metrics.energy_meters import WITH_PLANT, WITHOUT_PLANT, hvac_sources
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.metrics.fuel_rates import read_emissions, read_prices
 from zenostat.metrics.kpis import CO2_LIMIT_PPM, KPIS, PeakPower
-from zenostat.metrics.tariffs import read_emissions, read_prices
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Aggregation, Manifest, Task
 

@@ -128,7 +128,7 @@ if sys.orig_argv[-2:] == ["-m", "zenostat.eplus_node"]:
 
 _ENGINE = """
 import errno, os, signal, sys
-from zenostat.eplus_node.engine import energyplus_process as engine
+from zenostat.eplus_node.engine import timestep_exchange as engine
 from zenostat.eplus_node.engine.__main__ import main
 
 def fault():

@@ -11,7 +11,7 @@ from bacpypes3.apdu import SubscribeCOVRequest
 from support.bacnet import PAUSED, STEP, Client, client, served
 
 from zenostat import Bus
-from zenostat.gateways.bacnet import requests, transactions
+from zenostat.gateways.bacnet import services, transactions
 
 COOLING = "core_zn_cooling_setpoint"
 OUTPUT = 1  # number of the object type analog-output
@@ -186,7 +186,7 @@ async def test_bacnet_gateway__client_that_dies_amid_a_segmented_request_or_with
 
 
 async def test_bacnet_gateway__subscriptions_are_limited(episode_bus: Bus, monkeypatch) -> None:
-    monkeypatch.setattr(requests, "MAX_SUBSCRIPTIONS", 5)
+    monkeypatch.setattr(services, "MAX_SUBSCRIPTIONS", 5)
     async with served(episode_bus.endpoint) as (_, reader, _):
         replies = [
             await reader.request(

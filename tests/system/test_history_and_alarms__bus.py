@@ -15,7 +15,7 @@ from support.run_cli import run_in_process as run
 import zenostat
 from zenostat import recording
 from zenostat.bridge.transport.access_control import Permission, may
-from zenostat.eplus_node.verification import verify
+from zenostat.eplus_node.verify_recording import verify
 from zenostat.topics import keys
 from zenostat.topics.errors import EpisodeChanged, InvalidConfig, RequestRejected, UnknownName
 from zenostat.topics.keys import Role

@@ -14,7 +14,7 @@ from support.nodes import SMALL, until
 
 import zenostat
 from zenostat.bridge.recording.reader import RecordingReader
-from zenostat.eplus_node.verification import verify
+from zenostat.eplus_node.verify_recording import verify
 from zenostat.topics.errors import EpisodeChanged, InvalidConfig, InvalidRecording, NodeLost, NodeNotFound
 from zenostat.topics.messages import RecordingState
 

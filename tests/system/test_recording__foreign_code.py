@@ -13,7 +13,7 @@ from support.run_cli import run_in_process as run
 from zenostat.agent_sdk.testing import fake_plant
 from zenostat.bridge.python_plant.class_file import class_file
 from zenostat.bridge.recording.reader import RecordingReader
-from zenostat.eplus_node.verification import verify
+from zenostat.eplus_node.verify_recording import verify
 from zenostat.topics.errors import InvalidConfig, InvalidRecording, UsageError
 from zenostat.topics.recording import RecordedSnapshot
 

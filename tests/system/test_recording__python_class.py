@@ -13,7 +13,7 @@ from support.run_cli import run_in_process as run
 
 from zenostat import recording
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
-from zenostat.eplus_node.verification import verify
+from zenostat.eplus_node.verify_recording import verify
 from zenostat.lab.evaluate import evaluate
 from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.messages import Flag

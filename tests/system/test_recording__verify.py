@@ -13,7 +13,7 @@ from support.run_cli import run_in_process as run
 
 import zenostat
 from zenostat.bridge.recording.reader import RecordingReader
-from zenostat.eplus_node.verification import verify
+from zenostat.eplus_node.verify_recording import verify
 from zenostat.metrics.recording import load
 from zenostat.models.catalog import find_building
 from zenostat.topics import codec

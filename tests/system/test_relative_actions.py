@@ -12,7 +12,7 @@ import zenostat
 from zenostat.agent_sdk.controllers.agent import Agent
 from zenostat.agent_sdk.controllers.random_control import RandomController
 from zenostat.envs import BuildingEnv, BuildingVectorEnv
-from zenostat.eplus_node.verification import verify
+from zenostat.eplus_node.verify_recording import verify
 from zenostat.topics.errors import InvalidConfig, ZenostatError
 from zenostat.topics.scenario_ids import BUILDINGS
 

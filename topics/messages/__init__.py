@@ -104,20 +104,20 @@ from zenostat.topics.messages.requests import (
     WeatherQuery,
     WeatherSeries,
 )
-from zenostat.topics.messages.sample import (
-    Batch,
-    Command,
-    PointValue,
-    Sample,
-    StreamedMessage,
-    Write,
-)
 from zenostat.topics.messages.status import (
     ControllerStatus,
     ForkStatus,
     LatencySummary,
     Statistics,
     Status,
+)
+from zenostat.topics.messages.timestep import (
+    Batch,
+    Command,
+    PointValue,
+    Sample,
+    StreamedMessage,
+    Write,
 )
 
 __all__ = [

@@ -18,8 +18,8 @@ from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
 from zenostat.agent_sdk.rewards.read import CUSTOM
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.episode_weather import EpisodeWeather
+from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices
 from zenostat.metrics.recording.load import read_trajectories
-from zenostat.metrics.tariffs import Rate, read_emissions, read_prices
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.extras import requires_extra
