@@ -54,10 +54,14 @@ def tune(
         bar = bars.add_task(config.study, total=config.trials, rate="")
 
         def show_trial(trial: Any) -> None:
-            bars.advance(bar)
-            out.print(_line(trial), soft_wrap=True, markup=False)
+            bars.update(bar, completed=tuning.ended())
+            count = f"[{tuning.ended()}/{tuning.total()}] " if bars.disable else ""
+            out.print(f"{count}{_line(trial)}", soft_wrap=True, markup=False)
 
         tuning = Tuning(config, show_trial)
+        bars.update(bar, completed=tuning.ended(), total=tuning.total())
+        if bars.disable:
+            out.print(f"{config.study}: {tuning.ended()} of {tuning.total()} trials have ended", markup=False)
         is_finished = tuning.run(stop)
     _show(config, tuning.study)
     best = tuning.write_best()
@@ -69,7 +73,10 @@ def tune(
 
 
 def _line(trial: Any) -> str:
-    outcome = trial.user_attrs.get("reason", "") if trial.state.name == "FAIL" else _number(trial.value)
+    from zenostat.lab.tuning.study import reason_of
+
+    value = "" if trial.state.name == "FAIL" else _number(trial.value)
+    outcome = ", ".join(text for text in (value, reason_of(trial)) if text)
     values = ", ".join(f"{name.rpartition('.')[2]} {_number(value)}" for name, value in trial.params.items())
     values = values or _DEFAULT
     return f"trial {trial.number}: {trial.state.name.lower()} {outcome} ({values})"
@@ -88,6 +95,8 @@ def _show(config: StudyConfig, study: Any) -> None:
     for trial in study.trials:
         counts[trial.state.name.lower()] = counts.get(trial.state.name.lower(), 0) + 1
     title = f"{config.study}: {', '.join(f'{count} {state}' for state, count in counts.items())}"
+    if not out.is_terminal:  # where tables have no titles
+        out.print(title, markup=False)
     headings = [name.removeprefix("parameters.") for name in names]
     show(title, ("trial", config.metric, *headings), rows, right=("trial", config.metric, *headings))
 

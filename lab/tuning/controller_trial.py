@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.lab.tuning.controller_episodes import ControllerEpisodes
-from zenostat.lab.tuning.trial import Pruned, TrialReport, run_request
+from zenostat.lab.tuning.trial import Pruned, TrialReport, pruned_result, run_request
 
 
 class TrialRunner:
@@ -30,7 +30,7 @@ class TrialRunner:
                 lambda number, mean: report.add(mean, number, is_last=number == episodes.count),
             )  # fmt: skip
         except Pruned:
-            return {"state": "pruned", "value": report.values[-1]}
+            return pruned_result(report)
         except BaseException:
             self.close()  # the next trial gets a new one
             raise

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,6 +37,7 @@ with requires_extra("tune", "tuning", "Optuna"):
 
     from zenostat.lab.tuning.study_sampler import RETRY_OF, make_sampler
 
+_REASON = "reason"
 _IDENTITY = "zenostat"
 _POLL_S = 0.2
 _INVALID_TRIALS = 3
@@ -44,7 +45,16 @@ _INVALID_TRIALS = 3
 _END_S = 20.0
 """Time for a trial's process to write its checkpoint, after which it is killed."""
 
+_LONGEST_ERROR = 200
+_PRUNED = {"median": "worse than the median of the trials before", "halving": "not among the best of the trials before"}
+
 OnTrial = Callable[[FrozenTrial], None]
+
+
+def reason_of(trial: FrozenTrial) -> str:
+    """Return why a trial failed or was pruned; empty for one that did neither."""
+    is_lost = trial.state is TrialState.FAIL  # by `fail_stale_trials`, which gives no reason
+    return str(trial.user_attrs.get(_REASON, "the machine that ran it was lost" if is_lost else ""))
 
 
 def _without_nulls(value: Any) -> Any:
@@ -154,13 +164,22 @@ class Tuning:
                     self._finish(worker, interrupted=True)
         return False
 
+    def ended(self) -> int:
+        """Return the number of trials that have ended, on all machines; repeated ones count once."""
+        trials = self.study.get_trials(deepcopy=False)
+        return sum(trial.state.is_finished() for trial in trials) - _repeated(trials)
+
+    def total(self) -> int:
+        """Return the number of trials that the study will have; a grid has all from the beginning."""
+        trials = self.study.get_trials(deepcopy=False)
+        return len(trials) - _repeated(trials) if self._config.sampler == "grid" else self._config.trials or 0
+
     def _is_open(self) -> bool:
         """Whether the study needs another trial."""
         trials = self.study.get_trials(deepcopy=False)
         if any(trial.state is TrialState.WAITING for trial in trials):
             return True
-        repeated: int = sum(RETRY_OF in trial.user_attrs for trial in trials)
-        return self._config.sampler != "grid" and len(trials) - repeated < (self._config.trials or 0)
+        return self._config.sampler != "grid" and len(trials) - _repeated(trials) < (self._config.trials or 0)
 
     def _start(self) -> None:
         config = self._config
@@ -213,11 +232,13 @@ class Tuning:
             result = json.loads((worker.folder / RESULT).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             code = worker.process.returncode
-            result = {"state": "fail", "reason": f"its process ended with {code}; see {worker.log}"}
+            result = {"state": "fail", "reason": f"its process ended with {code}{_error_in(worker)}; see {worker.log}"}
             result["again"] = interrupted or self._may_retry(worker.trial)
         states = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "fail": TrialState.FAIL}
         if result["state"] == "fail":
-            worker.trial.set_user_attr("reason", "interrupted" if interrupted else result["reason"])
+            worker.trial.set_user_attr(_REASON, "interrupted" if interrupted else result["reason"])
+        elif result["state"] == "pruned" and self._config.pruner:
+            worker.trial.set_user_attr(_REASON, f"{_PRUNED[self._config.pruner.kind]} at step {result['step']}")
         reason = result["reason"] if result.get("invalid") else None
         # A pruned trial's value is that of its last report.
         value = result["value"] if result["state"] == "complete" else None
@@ -287,6 +308,21 @@ class Tuning:
         with atomic_file(path) as temporary:
             temporary.write_text(yaml12.dump(fields), encoding="utf-8")
         return path
+
+
+def _repeated(trials: Iterable[FrozenTrial]) -> int:
+    """Return the number of trials that repeat another."""
+    return sum(RETRY_OF in trial.user_attrs for trial in trials)
+
+
+def _error_in(worker: _Worker) -> str:
+    """Return the error with which a process ended: the last line that it printed."""
+    if (worker.process.returncode or 0) <= 0:  # a signal: what it printed is not about that
+        return ""
+    with suppress(OSError):
+        lines = worker.log.read_text(encoding="utf-8", errors="replace").strip().splitlines()
+        return f": {lines[-1][:_LONGEST_ERROR]}" if lines else ""
+    return ""
 
 
 def _close_input(process: subprocess.Popen[bytes]) -> None:

@@ -14,6 +14,7 @@ import optuna
 from optuna.trial import FrozenTrial, TrialState
 
 from zenostat.lab.tuning.search_space import DEFAULT, encode
+from zenostat.lab.tuning.study import reason_of
 from zenostat.lab.tuning.study_config import StudyConfig
 from zenostat.topics.atomic_file import atomic_file
 
@@ -36,7 +37,7 @@ def write_results(study: optuna.Study, config: StudyConfig) -> list[Path]:
         for trial in trials:
             seconds = "" if trial.duration is None else f"{trial.duration.total_seconds():.1f}"
             values = [trial.params.get(name, "") for name in names]
-            reason = trial.user_attrs.get("reason", "")
+            reason = reason_of(trial)
             value = "" if trial.value is None else trial.value
             writer.writerow([trial.number, trial.state.name, value, trial.last_step or "", seconds, *values, reason])
     finished = [trial for trial in trials if trial.state is TrialState.COMPLETE]

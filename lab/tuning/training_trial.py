@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from zenostat.lab.tuning.trial import Pruned, TrialReport, mean_metric, run_request
+from zenostat.lab.tuning.trial import Pruned, TrialReport, mean_metric, pruned_result, run_request
 from zenostat.topics.errors import InvalidConfig
 
 
@@ -35,7 +35,7 @@ def _run(request: dict[str, Any]) -> dict[str, Any]:
             on_evaluation=lambda step, results: report.add(mean_metric(results, request["metric"]), step),
         )
     except Pruned:
-        return {"state": "pruned", "value": report.values[-1]}
+        return pruned_result(report)
     if not report.values:
         raise InvalidConfig("the training ended before its first evaluation: set evaluation.every_steps below steps")
     return {"state": "complete", "value": report.values[-1]}

@@ -20,6 +20,10 @@ class Pruned(Exception):  # an outcome
 class TrialReport:
     """Intermediate values of the trial that a request describes, in the database of its study.
 
+    Attributes:
+        values: those reported so far.
+        step: that of the last one.
+
     Args:
         request: the study's URL and name, the trial's id, and the pruner.
 
@@ -40,6 +44,7 @@ class TrialReport:
             study = optuna.load_study(study_name=request["study"], storage=storage, pruner=make_pruner(settings))
             self._trial = optuna.trial.Trial(study, request["trial_id"])
         self.values: list[float] = []
+        self.step = 0
 
     def add(self, value: float, step: int, *, is_last: bool = False) -> None:
         """Report a value; after the last one there is nothing to end.
@@ -50,10 +55,16 @@ class TrialReport:
         from zenostat.lab.tuning.study_storage import database_errors
 
         self.values.append(value)
+        self.step = step
         with database_errors(self._url):
             self._trial.report(value, step)
             if not is_last and self._trial.should_prune():
                 raise Pruned
+
+
+def pruned_result(report: TrialReport) -> dict[str, Any]:
+    """Return the result of a trial that the pruner has ended."""
+    return {"state": "pruned", "value": report.values[-1], "step": report.step}
 
 
 def mean_metric(results: Sequence[Any], metric: str) -> float:
@@ -77,6 +88,10 @@ def run_request(folder: Path, run: Callable[[dict[str, Any]], dict[str, Any]]) -
     try:
         result = run(request)
     except ZenostatError as error:
-        result = {"state": "fail", "reason": str(error), "invalid": isinstance(error, UsageError)}
+        result = {
+            "state": "fail",
+            "reason": str(error) or type(error).__name__,
+            "invalid": isinstance(error, UsageError),
+        }
     with atomic_file(folder / RESULT) as temporary:
         temporary.write_text(json.dumps(result), encoding="utf-8")
