@@ -552,6 +552,7 @@ def compared(fields: dict[str, Any]) -> dict[str, Any]:
 
 @needs_schemas
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("name", [entry.name for entry in catalog.bundled_buildings()])
 def test_upgrade__model_of_9_0_runs_equal_to_the_bit_after_its_return(name: str, tmp_path: Path) -> None:
     building, upgraded = there_and_back("9.0", name)
