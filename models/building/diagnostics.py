@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
+from zenostat.models.building.external_files import versions_of_files
 from zenostat.models.building.nodes import unconnected_nodes
 from zenostat.models.building.plausibility import plausibility_findings
 from zenostat.models.building.schedule_limits import limit_findings
@@ -194,7 +195,8 @@ def cached_diagnostics(building: _Model) -> list[Diagnostic]:
             diagnostics = diagnose(building.objects, read_source(Path(building.file)), building.unexpanded)
         target.write_text(json.dumps([asdict(each) for each in diagnostics]))
 
-    name = f"diagnostics/{digest(building.content, energyplus.version(), FORMAT)}.json"
+    files = versions_of_files(building.objects)
+    name = f"diagnostics/{digest(building.content, energyplus.version(), FORMAT, *files)}.json"
     return [
         Diagnostic(**{**each, "severity": Severity(each["severity"])}) for each in json.loads(cached_bytes(name, make))
     ]

@@ -20,6 +20,7 @@ from zenostat.models.building.diagnostics import (
     verdict,
 )
 from zenostat.models.building.edits import Edits, apply_edits
+from zenostat.models.building.external_files import with_absolute_paths
 from zenostat.models.building.run_needs import simulation_control
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.cache import cached_bytes, digest
@@ -135,7 +136,8 @@ def read_building(entry: Entry) -> Building:
     """Read the model of a catalog entry for the installed engine.
 
     An IDF is converted once per content and engine version. A model of an earlier version is upgraded, and templates
-    are expanded. OpenStudio translates its own models and gbXML to IDF.
+    are expanded. OpenStudio translates its own models and gbXML to IDF. Files that its objects name are those in the
+    folder of the model.
 
     Raises:
         InvalidConfig: the file has errors (the text lists them with their lines), the model cannot be upgraded, a
@@ -160,7 +162,8 @@ def read_building(entry: Entry) -> Building:
     expanded, notes = _expand(upgraded.objects, entry.path)
     summary = (upgraded.summary,) if upgraded.summary else ()
     unexpanded = upgraded.objects if notes else {}
-    return Building(entry.name, expanded, content, (*translation, *summary, *notes), str(entry.path), unexpanded)
+    objects = with_absolute_paths(expanded, entry.path.parent)
+    return Building(entry.name, objects, content, (*translation, *summary, *notes), str(entry.path), unexpanded)
 
 
 def _expand(objects: dict[str, Objects], path: Path) -> tuple[dict[str, Objects], tuple[str, ...]]:

@@ -17,6 +17,7 @@ from zenostat.models.building.schedule_fields import (
     day_of_year,
     unknown_day_words,
 )
+from zenostat.models.building.schedule_files import file_findings
 
 
 def schedule_findings(objects: Objects) -> Iterator[RuleFinding]:
@@ -109,6 +110,7 @@ _CHECKS: dict[str, Callable[[Mapping[str, Any]], Iterator[FieldFinding]]] = {
     "Schedule:Compact": compact_findings,
     "Schedule:Day:Interval": _interval_findings,
     "Schedule:Day:List": _list_findings,
+    "Schedule:File": file_findings,
     "Schedule:Week:Compact": _week_findings,
     "Schedule:Year": _year_findings,
 }

@@ -1,0 +1,53 @@
+"""Files that a model's objects name: found in the folder of the model, wherever EnergyPlus runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+Objects = dict[str, dict[str, dict[str, Any]]]
+
+FILE_FIELDS = {
+    "Chiller:Electric:ASHRAE205": "representation_file_name",
+    "Coil:DX:ASHRAE205:Performance": "representation_file_name",
+    "Construction:WindowDataFile": "file_name",
+    "Schedule:File": "file_name",
+    "Schedule:File:Shading": "file_name",
+    "Table:IndependentVariable": "external_file_name",
+    "Table:Lookup": "external_file_name",
+}
+"""The fields that name a file, by object type."""
+
+
+def with_absolute_paths(objects: Objects, folder: Path) -> Objects:
+    """Return a model whose files are named by absolute paths; it is the same object if it names no relative one.
+
+    EnergyPlus looks in the folder of its input file, which is a copy in another folder. A file that does not exist
+    keeps its name, except for that of a schedule, whose error then names the folder.
+    """
+    changed: Objects = {}
+    for kind, field in FILE_FIELDS.items():
+        for name, fields in objects.get(kind, {}).items():
+            path = fields.get(field)
+            if not isinstance(path, str) or not path.strip() or Path(path).is_absolute():
+                continue
+            target = (folder / path.strip().replace("\\", "/")).absolute()
+            if target.is_file() or kind == "Schedule:File":
+                items = changed.setdefault(kind, dict(objects[kind]))
+                items[name] = dict(fields) | {field: str(target)}
+    return {**objects, **changed} if changed else objects
+
+
+def versions_of_files(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+    """Yield a text for each file that a model names: its path, size and time of the last change."""
+    for kind, field in FILE_FIELDS.items():
+        for fields in objects.get(kind, {}).values():
+            path = fields.get(field) if isinstance(fields, Mapping) else None
+            if isinstance(path, str) and path:
+                try:
+                    status = Path(path).stat()
+                except OSError:
+                    yield f"{path}: none"
+                else:
+                    yield f"{path}: {status.st_size} bytes of {status.st_mtime_ns}"
