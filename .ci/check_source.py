@@ -20,6 +20,7 @@ LAYERS = {
     "models": {"topics"},
     "bridge": {"topics"},
     "eplus_node": {"topics", "models", "bridge"},
+    "plants": {"topics", "models", "bridge"},
     "agent_sdk": {"topics", "bridge"},
     "metrics": {"topics", "bridge", "agent_sdk"},
     "views": {"topics", "bridge", "agent_sdk", "metrics"},

@@ -10,6 +10,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from zenostat.bridge.python_plant.shipped import PLANT_SETTINGS
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import default_endpoint, exposure
 from zenostat.cli import node_options as options
@@ -65,6 +66,9 @@ def node(
     keep_last: options.KeepLast = None,
     affinity: options.Affinity = Affinity.SEPARATE_CORES,
     plant: options.Plant = None,
+    fmu: options.Fmu = None,
+    grid: options.Grid = None,
+    set_value: options.SetValue = None,
     plant_argument: options.PlantArgument = None,
 ) -> None:
     """Simulate a building, or a plant of your own, and put it on the bus, until Ctrl-C or `zenostat stop`.
@@ -72,6 +76,8 @@ def node(
     Example: `zenostat node --building office-medium --weather USA_CO_Denver --begin 07-01 --end 07-07 --name office`
 
     Example: `zenostat node --plant tank.py:Tank --name tank`
+
+    Example: `zenostat node --fmu tank.fmu --set tank.T0=293.15 --name tank`
     """
     settings = dict(locals())
     if no_listen and listen:
@@ -82,6 +88,7 @@ def node(
         raise InvalidConfig("--overwrite needs --record FILE.mcap")
     settings["record_overwrite"] = settings.pop("overwrite")
     del settings["no_listen"], settings["no_monitoring"], settings["no_shrink_caches"], settings["plant_argument"]
+    del settings["set_value"]
     if speed is None:
         del settings["speed"]
     settings |= {
@@ -91,12 +98,16 @@ def node(
         "monitoring": not no_monitoring,
         "shrink_caches": not no_shrink_caches,
     }
-    if plant is None:
+    if set_value and fmu is None:
+        raise InvalidConfig("--set needs --fmu FILE.fmu")
+    if plant is None and fmu is None and grid is None:
         if plant_argument:
-            raise InvalidConfig("--plant-argument needs --plant FILE.py:CLASS")
-        del settings["plant"]
+            raise InvalidConfig("--plant-argument needs --plant FILE.py:CLASS, --fmu FILE.fmu or --grid FILE.yaml")
+        del settings["plant"], settings["fmu"], settings["grid"]
     else:
         settings["plant_arguments"] = options.parse_arguments(plant_argument or [])
+        if set_value:
+            settings["plant_arguments"]["set"] = options.parse_start_values(set_value)
         settings["shrink_caches"] = False if no_shrink_caches else None
     _run(settings, is_endpoint_explicit=listen is not None)
 
@@ -125,7 +136,7 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
 
 def _read(settings: dict[str, Any]) -> tuple[NodeSettings, Callable[..., Node]]:
     """Validate settings; return them and the function that creates the node."""
-    if "plant" in settings:
+    if PLANT_SETTINGS & settings.keys():
         from zenostat.bridge.python_plant.node import plant_node, read_settings
 
         return read_settings(settings), plant_node

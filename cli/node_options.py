@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import ast
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -76,6 +76,12 @@ OutputDir = Annotated[Path | None, argument("output_dir")]
 KeepLast = Annotated[int | None, argument("keep_last", min=1, note=" Default: all.")]
 Affinity = Annotated[affinity.Affinity, typer.Option(help="Assignment to CPU cores; see docs/architecture.md.")]
 Plant = Annotated[str | None, argument("plant")]
+Fmu = Annotated[str | None, argument("fmu")]
+Grid = Annotated[str | None, argument("grid")]
+SetValue = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="NAME=VALUE", help="Start value of a variable of the FMU; repeatable."),
+]
 PlantArgument = Annotated[
     list[str] | None,
     typer.Option("--plant-argument", metavar="NAME=VALUE", help="Argument of the plant's class; repeatable."),
@@ -88,13 +94,19 @@ def parse_arguments(pairs: Sequence[str]) -> dict[str, Any]:
     Raises:
         InvalidConfig: a text has another form.
     """
-    arguments = {}
-    for pair in pairs:
-        name, separator, text = pair.partition("=")
-        if not separator or not name.isidentifier():
-            raise InvalidConfig(f"--plant-argument {pair!r}: write it as NAME=VALUE, for example power_w=2000")
-        try:
-            arguments[name] = ast.literal_eval(text)
-        except (ValueError, SyntaxError):
-            arguments[name] = text
-    return arguments
+    return dict(_parse(pair, "--plant-argument", "power_w=2000", str.isidentifier) for pair in pairs)
+
+
+def parse_start_values(pairs: Sequence[str]) -> dict[str, Any]:
+    """Return start values of an FMU's variables from `name=value` texts, as `parse_arguments` does."""
+    return dict(_parse(pair, "--set", "tank.T0=293.15", bool) for pair in pairs)
+
+
+def _parse(pair: str, option: str, example: str, is_name: Callable[[str], bool]) -> tuple[str, Any]:
+    name, separator, text = pair.rpartition("=") if option == "--set" else pair.partition("=")
+    if not separator or not is_name(name):
+        raise InvalidConfig(f"{option} {pair!r}: write it as NAME=VALUE, for example {example}")
+    try:
+        return name, ast.literal_eval(text)
+    except (ValueError, SyntaxError):
+        return name, text

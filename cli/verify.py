@@ -30,6 +30,10 @@ def verify(
             "Code that a recording names is never run.",
         ),
     ] = None,
+    fmu: Annotated[str | None, typer.Option(metavar="FILE.fmu", help="For the recording of an FMU: its file.")] = None,
+    grid: Annotated[
+        str | None, typer.Option(metavar="FILE.yaml", help="For the recording of an electric grid: its file.")
+    ] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
@@ -49,6 +53,8 @@ def verify(
     Example: `zenostat verify run.mcap --tolerance 0.01`
 
     Example: `zenostat verify tank.mcap --plant tank.py:Tank`
+
+    Example: `zenostat verify tank.mcap --fmu tank.fmu`
     """
     from zenostat.topics.extras import requires_extra
 
@@ -57,7 +63,9 @@ def verify(
     if tolerance is not None and not tolerance < float("inf"):
         raise InvalidConfig(f"--tolerance {tolerance}: expected a finite number of at least 0")
     with ExitStack() as stack:
-        result = verify_recording(file, plant=plant, tolerance=tolerance, progress=_bar(stack, file))
+        result = verify_recording(
+            file, plant=plant, fmu=fmu, grid=grid, tolerance=tolerance, progress=_bar(stack, file)
+        )
     if as_json:
         show_json(_json(result))
     else:

@@ -6,7 +6,7 @@ EnergyPlus, and a Python class is the one that the user names. Digests are compa
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
@@ -31,7 +31,13 @@ from zenostat.topics.messages import Lines
 
 
 def verify(
-    path: str | Path, *, plant: str | None = None, tolerance: float | None = None, progress: Progress | None = None
+    path: str | Path,
+    *,
+    plant: str | None = None,
+    fmu: str | Path | None = None,
+    grid: str | Path | None = None,
+    tolerance: float | None = None,
+    progress: Progress | None = None,
 ) -> Verification:
     """Simulate a recording again with its orders, and compare all fault-free values, effective values and times.
 
@@ -40,6 +46,8 @@ def verify(
         plant: for the recording of a Python class: the class, as `FILE.py:CLASS` or `MODULE:CLASS`. The one that the
             recording names is never imported. It is defined in that file, which has the recorded digest (with a
             tolerance, a note says that it differs); it receives the recorded arguments.
+        fmu: for the recording of an FMU: its file, which has the recorded digest.
+        grid: for the recording of an electric grid: its file.
         tolerance: greatest absolute difference that is accepted, in each point's unit, also where the model, the
             weather or EnergyPlus has changed; None: all have to be the same, and the values equal to the bit.
         progress: called with the number of timesteps so far and in total.
@@ -49,12 +57,12 @@ def verify(
 
     Raises:
         InvalidRecording: the file is not a recording, or what it recorded is not installed or has changed.
-        InvalidConfig: `plant` names no class, or one that another file defines.
+        InvalidConfig: `plant` names no class, or one that another file defines; or two plants are named.
         SimulatorError: the simulator failed.
     """
     with ExitStack() as stack:
         reader = stack.enter_context(RecordingReader(path))
-        factory, changes = _RecordedPlant(reader, exact=tolerance is None).factory(plant)
+        factory, changes = _RecordedPlant(reader, exact=tolerance is None).factory(plant, {"fmu": fmu, "grid": grid})
         sweep()
         scratch = Scratch()
         stack.callback(scratch.remove)
@@ -105,13 +113,21 @@ class _RecordedPlant:
                 f"{self._path} is damaged: its provenance: {describe_validation_errors(error)}"
             ) from None
 
-    def factory(self, plant: str | None) -> tuple[PlantFactory, list[str]]:
-        """Return what creates the plant, and what has changed since; nothing of it has run. `plant`: as in `verify`."""
+    def factory(self, plant: str | None, sources: Mapping[str, str | Path | None]) -> tuple[PlantFactory, list[str]]:
+        """Return what creates the plant, and what has changed since; nothing of it has run.
+
+        Args:
+            plant: as in `verify`.
+            sources: the files of plants that come with Zenostat, by their option.
+        """
         kind = self._provenance.kind
+        named = {option: str(source) for option, source in {"plant": plant, **sources}.items() if source is not None}
+        if len(named) > 1:
+            raise InvalidConfig(f"--{' and --'.join(named)} both name the plant; use the one that was recorded")
         if kind == "python":
-            return self._python_class(plant)
-        if plant is not None:
-            raise InvalidConfig(f"--plant {plant}: {self._path} did not record a Python class; leave --plant out")
+            return self._python_class(named)
+        for option, source in named.items():
+            raise InvalidConfig(f"--{option} {source}: {self._path} recorded a building; leave --{option} out")
         if kind == "energyplus":
             try:
                 return self._building()
@@ -134,29 +150,56 @@ class _RecordedPlant:
         if foreign := [name for name in settings if name not in known]:
             raise InvalidRecording(f"{self._path} is damaged: no recording has the setting {', '.join(foreign)}")
 
-    def _python_class(self, plant: str | None) -> tuple[PlantFactory, list[str]]:
+    def _python_class(self, named: Mapping[str, str]) -> tuple[PlantFactory, list[str]]:
         from zenostat.bridge.python_plant.class_file import class_file
         from zenostat.bridge.python_plant.class_plan import plan_class
         from zenostat.bridge.python_plant.plant import PythonPlant
+        from zenostat.bridge.python_plant.shipped import SHIPPED, shipped_option, shipped_plant
 
         recorded, arguments = self._provenance.settings.get("plant"), self._provenance.settings.get("plant_arguments")
         if not isinstance(recorded, str) or not isinstance(arguments, dict):
             raise InvalidRecording(f"{self._path} is damaged: its provenance names no class and arguments")
-        if plant is None:
+        option = shipped_option(recorded)
+        if option is not None:
+            if option not in named:
+                raise InvalidRecording(
+                    f"{self._path} recorded the {option} {arguments.get('file')!r}; nothing that a recording names is "
+                    f"run: name it yourself, as in --{option} FILE (verify(..., {option}=...))"
+                )
+            plant, arguments = shipped_plant(option, named[option], _without_file(arguments))
+        elif "plant" not in named:
             raise InvalidRecording(
                 f"{self._path} recorded the Python class {recorded!r}; no code that a recording names is run: name the "
                 f"class yourself, as in --plant tank.py:Tank (verify(..., plant=...))"
             )
+        else:
+            plant = named["plant"]
         file, name = class_file(plant), recorded.rpartition(":")[2]
+        if option is None and file in {class_file(shipped) for shipped in SHIPPED.values()}:
+            raise InvalidConfig(f"--plant {plant}: {self._path} recorded the Python class {recorded!r}")
         renamed = [] if plant.endswith(f":{name}") else [f"the class {plant} is not the recorded {name}"]
-        changes = self._changes({"class": file}, renamed)
-        return partial(PythonPlant, plan_class(plant, arguments, UNRESPONSIVE_S, own_class=True)), changes
+        code = {"class": file, **({"fmu": Path(arguments["file"])} if option == "fmu" else {})}
+        changes = self._changes(code, renamed, roles=code)  # before anything of it runs
+        class_plan = plan_class(plant, arguments, UNRESPONSIVE_S, own_class=True)
+        rest = {role: path for role, path in class_plan.description.provenance.files.items() if role not in code}
+        changes += self._changes(rest, roles={*self._provenance.files, *rest} - code.keys())
+        return partial(PythonPlant, class_plan), changes
 
-    def _changes(self, present: Mapping[str, Path], changes: Sequence[str] = ()) -> list[str]:
-        """Return a text for each file whose content is not the recorded one, after `changes`; raise if exact."""
+    def _changes(
+        self, present: Mapping[str, Path], changes: Sequence[str] = (), *, roles: Collection[str] | None = None
+    ) -> list[str]:
+        """Return a text for each file whose content is not the recorded one, after `changes`; raise if exact.
+
+        Args:
+            present: files by their role.
+            changes: further texts.
+            roles: those that are compared; by default all.
+        """
         recorded = self._provenance.files
         texts = [*changes]
         for role in dict.fromkeys((*recorded, *present)):
+            if roles is not None and role not in roles:
+                continue
             if role not in present:
                 texts.append(f"the {role} {recorded[role].path} is missing")
             elif role not in recorded:
@@ -168,3 +211,7 @@ class _RecordedPlant:
                 f"{self._path} cannot be verified to the bit: {'; '.join(texts)}; a tolerance compares it nevertheless"
             )
         return texts
+
+
+def _without_file(arguments: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in arguments.items() if name != "file"}

@@ -166,13 +166,18 @@ class ScenarioArguments(TypedDict, total=False):
 
 
 class PlantArguments(TypedDict, total=False):
-    """A plant that is a Python class, in place of a building."""
+    """A plant in place of a building: a Python class, an FMU or an electric grid."""
 
     plant: Annotated[
         str | None,
         Doc("Python class in place of a building, `FILE.py:CLASS` or `MODULE:CLASS`; see docs/own-plants.md."),
     ]
-    plant_arguments: Annotated[Mapping[str, Any] | None, Doc("Arguments of that class, by name.")]
+    fmu: Annotated[str | Path | None, Doc("FMU in place of a building (FMI 2.0 or 3.0); see docs/fmi.md.")]
+    grid: Annotated[
+        str | Path | None,
+        Doc("Electric grid in place of a building, a file (YAML) or `pandapower:NAME`; see docs/grid.md."),
+    ]
+    plant_arguments: Annotated[Mapping[str, Any] | None, Doc("Arguments of the plant's class, by name.")]
 
 
 class OtherArguments(ScenarioArguments, PlantArguments, total=False):

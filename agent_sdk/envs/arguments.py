@@ -12,6 +12,7 @@ import numpy as np
 
 from zenostat.agent_sdk.rewards import AnyReward, read_reward
 from zenostat.bridge.client.local_node import LocalNode
+from zenostat.bridge.python_plant.shipped import PLANT_SETTINGS, SHIPPED, absolute_source
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics import yaml12
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownArgument, did_you_mean
@@ -51,14 +52,7 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
     for key in ("scenario", "file"):
         if not isinstance(settings.get(key, ""), str):
             raise InvalidConfig(f"{key} = {arguments[key]!r}; the name of a scenario or the path of its file expected")
-    sources = [key for key in ("scenario", "file", "config", "plant") if key in settings]
-    if len(sources) > 1:
-        raise InvalidConfig(f"{' and '.join(sources)} both define the simulation; use only one of them")
-    if not sources and not {"building", "weather"} <= set(settings):
-        raise InvalidConfig(
-            "name a building and a weather, a scenario, a file (file=), a class of your own (plant=), or the bus "
-            "(connect=) and node of a running one"
-        )
+    _check_sources(settings)
     _check_points(settings, arguments)
     _check_plant_arguments(settings.get("plant_arguments"))
     if "file" in settings:
@@ -68,11 +62,23 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
     for key in (*files, "building", "scenario", "weather"):
         if key in settings:
             settings[key] = _absolute(settings[key], always=key in files)
-    if "plant_arguments" in settings and "plant" not in settings:
-        raise InvalidConfig("plant_arguments needs a class: plant='FILE.py:CLASS'")
+    if "plant_arguments" in settings and not PLANT_SETTINGS & settings.keys():
+        raise InvalidConfig("plant_arguments needs a plant: plant='FILE.py:CLASS', fmu='FILE.fmu' or grid='FILE.yaml'")
     if "plant" in settings:
         settings["plant"] = _absolute_class(str(settings["plant"]))
+    settings |= {option: absolute_source(str(settings[option])) for option in SHIPPED if option in settings}
     return settings | {"name": name} | ({"slots": slots} if slots > 1 else {})
+
+
+def _check_sources(settings: Mapping[str, Any]) -> None:
+    sources = [key for key in ("scenario", "file", "config", "plant", *SHIPPED) if key in settings]
+    if len(sources) > 1:
+        raise InvalidConfig(f"{' and '.join(sources)} both define the simulation; use only one of them")
+    if not sources and not {"building", "weather"} <= set(settings):
+        raise InvalidConfig(
+            "name a building and a weather, a scenario, a file (file=), a class of your own (plant=), an FMU (fmu=), a "
+            "grid (grid=), or the bus (connect=) and node of a running one"
+        )
 
 
 def _check_points(settings: Mapping[str, Any], arguments: Mapping[str, Any]) -> None:

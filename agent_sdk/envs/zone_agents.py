@@ -20,6 +20,7 @@ from zenostat.agent_sdk.envs.zone_rewards import SharedReward
 from zenostat.agent_sdk.rewards import AnyReward, read_reward
 from zenostat.agent_sdk.rewards.custom import NamedValues
 from zenostat.bridge.client.thread_guard import one_thread
+from zenostat.bridge.python_plant.shipped import PLANT_SETTINGS
 from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, did_you_mean
 from zenostat.topics.extras import requires_extra
 
@@ -78,7 +79,7 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
     ) -> None:
         if not callable(reward) and reward not in ("shared", "own"):
             raise InvalidConfig(f"reward = {reward!r}; 'shared', 'own' or a function of (values, begin) expected")
-        if env_arguments.get("plant") is not None:
+        if any(env_arguments.get(name) is not None for name in PLANT_SETTINGS):
             raise InvalidConfig("a plant of your own has no zones, so it has a single agent: zenostat/Plant-v1")
         if control is None and not {"connect", "link"} & set(env_arguments):
             control = "zone"

@@ -17,6 +17,7 @@ from typing import Any
 
 import psutil
 
+from zenostat.bridge.python_plant.shipped import PLANT_SETTINGS
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.scratch import Scratch
@@ -35,7 +36,7 @@ class LocalNode:
     """A node process that ends on `close()`, or when this process ends for any reason.
 
     Args:
-        settings: Fields of `zenostat.eplus_node.config.NodeConfig`, or with `plant` those of
+        settings: Fields of `zenostat.eplus_node.config.NodeConfig`, or with `plant`, `fmu` or `grid` those of
             `zenostat.bridge.python_plant.node.PlantSettings`, without endpoint, folder and core.
         placement: See `zenostat.bridge.runtime.affinity`.
         on_process: Called with this object when its process exists, before it is ready; another thread can then end
@@ -79,7 +80,7 @@ class LocalNode:
                         sys.executable,
                         "-P",
                         "-m",
-                        "zenostat.bridge.python_plant" if "plant" in settings else "zenostat.eplus_node",
+                        "zenostat.bridge.python_plant" if PLANT_SETTINGS & settings.keys() else "zenostat.eplus_node",
                     ],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,

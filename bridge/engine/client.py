@@ -34,7 +34,7 @@ _MAX_ORDERED_FORKS = 8
 """Forks ordered at a time: their sockets are in transit until the engine receives them."""
 _FINISH_TIMEOUT_S = 30.0
 _EXIT_TIMEOUT_S = 5.0
-_FAILED, _LAST = float(FrameKind.FAILED), float(FrameKind.LAST)
+_FAILED, _LAST, _WARNING = float(FrameKind.FAILED), float(FrameKind.LAST), float(FrameKind.WARNING)
 
 
 class EngineClient:
@@ -48,6 +48,7 @@ class EngineClient:
     Attributes:
         frame: its latest frame.
         last: whether that is its last sample.
+        warnings: texts of warnings that arrived with its samples and were not drained yet.
     """
 
     def __init__(
@@ -60,6 +61,7 @@ class EngineClient:
         self._order_bytes = 8 * spec.actuators
         self._step = struct.pack("=dd", OrderKind.STEP, 0.0)
         self.last = False
+        self.warnings: list[str] = []
         self._interrupted = ""
         self._closing_until_s = 0.0
         if forked is None:
@@ -285,7 +287,16 @@ class EngineClient:
         kind = self.frame.kind
         if kind == _FAILED:
             raise self._failure(self.frame.number)
+        if kind == _WARNING:
+            self.warnings.append(self._receive_text(self.frame.number))
+            self.receive()
+            return
         self.last = kind == _LAST
+
+    def _receive_text(self, length: int) -> str:
+        raw = bytearray(length)
+        fill(self._frames, memoryview(raw), self._watchdog())
+        return raw.decode(errors="replace")
 
     def _try_read(self) -> int | None:
         try:
@@ -386,9 +397,7 @@ class EngineClient:
             return self._process.wait()
 
     def _failure(self, length: int) -> SimulatorError:
-        raw = bytearray(length)
-        fill(self._frames, memoryview(raw), self._watchdog())
-        text = raw.decode(errors="replace")
+        text = self._receive_text(length)
         self._exit_code()
         return self._spec.program.failure(text, self._spec.folder)
 

@@ -24,6 +24,9 @@ order.
 A `REPEAT` order makes the engine send its present sample again. Its reply proves that it is alive: the frame of one
 that has died may still wait in the socket, and the system reports a killed process as running for some milliseconds.
 
+A `WARNING` frame contains the length of a UTF-8 text in place of the step, and the text follows; then comes the sample
+to which the warning belongs. EnergyPlus sends none.
+
 A `FAILED` frame contains the length of a UTF-8 text in place of the step, and the text follows.
 
 Sample 0 is the state after warm-up. EnergyPlus's last sample is sent once it has ended the run without an error.
@@ -44,6 +47,7 @@ class FrameKind(IntEnum):
     SAMPLE = 1
     LAST = 2
     FAILED = 3
+    WARNING = 4
 
 
 class OrderKind(IntEnum):

@@ -194,6 +194,7 @@ class EpisodeManager:
         begins = f"episode {self._exchange.episode[0]} of {self._server.manifest.building} begins"
         text = "; ".join([begins, *self._plant.notes(0)])
         self._server.event(self._exchange.event(EventKind.STARTED, text, source))
+        self._server.publish_warnings()
 
     # Snapshots and branches
 

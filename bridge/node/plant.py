@@ -350,6 +350,14 @@ class ForecastPlant(RunningPlant, Protocol):
 
 
 @runtime_checkable
+class WarningPlant(Protocol):
+    """A plant that warns of what happened in a timestep, such as a calculation that did not converge."""
+
+    def drain_step_warnings(self) -> list[str]:
+        """Return the warnings of the timesteps since the last call, for events."""
+
+
+@runtime_checkable
 class AbandonablePlant(Protocol):
     """A plant whose running `step` or `start` can be given up while the node goes on; else `interrupt` is called."""
 

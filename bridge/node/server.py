@@ -20,7 +20,7 @@ from zenostat.bridge.exchange.step_exchange import StepExchange, Trigger
 from zenostat.bridge.node.fault_injection import FaultInjection
 from zenostat.bridge.node.history import History
 from zenostat.bridge.node.pacing import Pacing
-from zenostat.bridge.node.plant import RunningPlant
+from zenostat.bridge.node.plant import RunningPlant, WarningPlant
 from zenostat.bridge.node.publications import Publications
 from zenostat.bridge.node.request_handlers import RequestHandlers
 from zenostat.bridge.node.sample_encoding import SampleEncoder
@@ -76,6 +76,7 @@ class NodeServer:
         alarms: AlarmMonitor | None = None,
     ) -> None:
         self.session, self.plant, self.manifest = session, plant, manifest
+        self._warnings = plant if isinstance(plant, WarningPlant) else None
         self.exchange, self.history, self.alarms = exchange, history, alarms
         self._observer = observer
         self._close = ExitStack()
@@ -221,6 +222,7 @@ class NodeServer:
             return
         exchange.finish_step(last, monotonic())
         self.publish()
+        self.publish_warnings()
         self._step_latency.add(self._sampled_s - began_s)
         self.pacing.record_sample(self._sampled_s)
         self._announce_end()
@@ -229,7 +231,14 @@ class NodeServer:
         """Publish the present sample after several timesteps, of which these were the last commands."""
         self._last_commands = commands
         self.publish()
+        self.publish_warnings()
         self._announce_end()
+
+    def publish_warnings(self) -> None:
+        """Publish the plant's warnings of the last timesteps as events."""
+        if self._warnings is not None:
+            for text in self._warnings.drain_step_warnings():
+                self.event(self.exchange.event(EventKind.WARNING, text))
 
     def _announce_end(self) -> None:
         """Publish the event of the end, once the episodes of all slots are over."""

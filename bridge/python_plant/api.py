@@ -19,6 +19,13 @@ class Plant(Protocol):
     - `duration_s`: length of an episode in seconds, a multiple of `step_s`; by default a day.
     - `time`: time features of the observation, such as `("hour",)`; see `zenostat.topics.messages.TimeField`.
     - `reward`: the reward of `gym.make`, a kind with its parameters.
+    - `model_name`: name of what is simulated, in the manifest; by default that of the class.
+    - `files`: paths of the files that define what is simulated, by role; a recording keeps their digests.
+    - `warnings`: texts for the manifest, which users see once.
+    - `begins_alike`: True if all episodes begin alike, whatever their seed. With `forkable`, each reset is then a fork
+      of the first sample 0 in place of a call of `reset`.
+    - `drain_warnings()`: returns the warnings of the timestep as a list of texts, for events; called after each `reset`
+      and `step`.
     - `forkable`: True if the process may be forked while it waits (no threads, no connections); snapshots and branches
       then take milliseconds.
     - `save()`, which returns a state that can be pickled, and `restore(state)`: for snapshots and branches of plants

@@ -57,6 +57,7 @@ class ClassPlan:
         arguments: of the class, JSON built-ins.
         forkable, has_state: whether it can be copied by a fork, or by its state.
         has_close: whether it has something to release at its end.
+        begins_alike: whether all episodes begin alike.
     """
 
     plant: str
@@ -65,6 +66,7 @@ class ClassPlan:
     forkable: bool
     has_state: bool
     has_close: bool = False
+    begins_alike: bool = False
 
 
 def plan_class(
@@ -106,17 +108,19 @@ def plan_class(
         raise EngineDied(f"plant {plant!r} could not be created: its process {_end(process.returncode)}") from None
     if "error" in fields:
         raise errors.from_wire(fields)
-    description = replace(_describe(fields), provenance=_provenance(plant, arguments, fields["file"]))
-    return ClassPlan(plant, dict(arguments), description, fields["forkable"], fields["has_state"], fields["has_close"])
+    description = replace(_describe(fields), provenance=_provenance(plant, arguments, fields["file"], fields["files"]))
+    flags = {name: fields[name] for name in ("forkable", "has_state", "has_close", "begins_alike")}
+    return ClassPlan(plant, dict(arguments), description, **flags)
 
 
-def _provenance(plant: str, arguments: Mapping[str, Any], source: str) -> Provenance:
-    """Name the class and the file that defines it, `source`; modules that it imports are not among the files."""
+def _provenance(plant: str, arguments: Mapping[str, Any], source: str, inputs: Mapping[str, str]) -> Provenance:
+    """Name the class, the file that defines it, `source`, and its `inputs`; modules that it imports are not named."""
     place, name = split_name(plant)
     is_file = place.endswith(".py")
     file = Path(place if is_file else source).absolute()
     files = {"class": file} if is_file or source.endswith(".py") else {}
     path = f"{file}:{name}" if is_file else plant
+    files |= {role: Path(name) for role, name in inputs.items()}
     return Provenance("python", {"plant": path, "plant_arguments": dict(arguments)}, files)
 
 
@@ -151,6 +155,7 @@ def _describe(fields: Mapping[str, Any]) -> PlantDescription:
         meters=tuple(Meter(**point) for point in measured(fields["meters"])),
         actuators=actuators,
         versions=Versions(zenostat=VERSION),
+        warnings=tuple(fields["warnings"]),
         task=Task(
             scenario=fields["name"],
             time=tuple(TimeField(field) for field in fields["time"]),

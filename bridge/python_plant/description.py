@@ -9,7 +9,7 @@ import json
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from math import inf, isfinite
 from numbers import Real
@@ -47,6 +47,9 @@ class ClassDescription:
 
     Attributes:
         file: that defines the class; empty if it is not known.
+        files: further files that define what is simulated, by role.
+        warnings: texts for the manifest.
+        begins_alike: whether all episodes begin alike.
         forkable, has_state: whether it can be copied by a fork, or by its state.
         has_close: whether it has something to release at its end.
     """
@@ -64,6 +67,9 @@ class ClassDescription:
     forkable: bool
     has_state: bool
     has_close: bool
+    files: dict[str, str] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    begins_alike: bool = False
 
 
 def split_name(plant: str) -> tuple[str, str]:
@@ -164,14 +170,14 @@ def describe(plant: Any) -> ClassDescription:
         errors.append(f"measures nothing: at least one sensor or meter expected, {_EXAMPLE}")
     both = sorted({point.name for point in sensors} & {point.name for point in meters})
     errors += [f"{point!r} is both a sensor and a meter" for point in both]
-    time, reward, forkable = _time(plant, errors), _reward(plant, errors), getattr(plant, "forkable", False)
-    if not isinstance(forkable, bool):
-        errors.append(f"forkable = {forkable!r}: True or False expected")
+    time, reward = _time(plant, errors), _reward(plant, errors)
+    forkable, begins_alike = _flag(plant, "forkable", errors), _flag(plant, "begins_alike", errors)
+    model_name, warnings, files = _model_name(plant, errors), _warnings(plant, errors), _files(plant, errors)
     has_state = _check_methods(plant, errors)
     if errors:
         raise InvalidConfig("\n".join(f"plant {name}: {error}" for error in errors))
     return ClassDescription(
-        name=re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", name).lower(),
+        name=model_name or re.sub(r"(?<=[a-z0-9])(?=[A-Z])", "-", name).lower(),
         file=str(getattr(sys.modules.get(type(plant).__module__), "__file__", None) or ""),
         step_s=step_s,
         steps=steps,
@@ -184,7 +190,47 @@ def describe(plant: Any) -> ClassDescription:
         forkable=forkable,
         has_state=has_state,
         has_close=_has(plant, "close"),
+        files=files,
+        warnings=warnings,
+        begins_alike=begins_alike,
     )
+
+
+def _flag(plant: Any, name: str, errors: list[str]) -> bool:
+    value = getattr(plant, name, False)
+    if not isinstance(value, bool):
+        errors.append(f"{name} = {value!r}: True or False expected")
+    return value is True
+
+
+def _model_name(plant: Any, errors: list[str]) -> str:
+    name = getattr(plant, "model_name", "")
+    if not isinstance(name, str):
+        errors.append(f"model_name = {name!r}: a text expected")
+        return ""
+    return name
+
+
+def _warnings(plant: Any, errors: list[str]) -> tuple[str, ...]:
+    texts = getattr(plant, "warnings", ())
+    if not isinstance(texts, list | tuple) or not all(isinstance(text, str) for text in texts):
+        errors.append(f"warnings = {texts!r}: a list of texts expected")
+        return ()
+    return tuple(texts)
+
+
+def _files(plant: Any, errors: list[str]) -> dict[str, str]:
+    """Return the files of a plant, of which each must exist: a recording has their digests."""
+    files = getattr(plant, "files", {})
+    if not isinstance(files, Mapping) or not all(isinstance(part, str) for pair in files.items() for part in pair):
+        errors.append(
+            f"files = {files!r}: a mapping from roles to paths expected, for example {{'prices': 'prices.csv'}}"
+        )
+        return {}
+    errors += [f"files[{role!r}]: no file {path}" for role, path in files.items() if not Path(path).is_file()]
+    if "class" in files:
+        errors.append("files: 'class' is the role of the class's own file; choose another one")
+    return {role: str(Path(path).absolute()) for role, path in files.items()}
 
 
 def _run_period(plant: Any, errors: list[str]) -> tuple[float, int, datetime]:
@@ -280,7 +326,7 @@ def _check_methods(plant: Any, errors: list[str]) -> bool:
     has_save, has_restore = _has(plant, "save"), _has(plant, "restore")
     if has_save is not has_restore:
         errors.append(f"has {'save' if has_save else 'restore'}() without {'restore(state)' if has_save else 'save()'}")
-    for method, argument in (*required, ("save", ""), ("restore", "state"), ("close", "")):
+    for method, argument in (*required, ("save", ""), ("restore", "state"), ("close", ""), ("drain_warnings", "")):
         if _has(plant, method) and not _takes(getattr(plant, method), 1 if argument else 0):
             errors.append(f"{method}{_signature(getattr(plant, method))}: {method}({argument}) expected")
     return has_save and has_restore

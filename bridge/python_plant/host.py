@@ -83,6 +83,7 @@ class PlantHost:
         self._step = 0
         self._use(orders, frames, poll=spec["poll"])
         self._plant: Any = None
+        self._warns = False
 
     def _use(self, orders: socket.socket, frames: socket.socket, *, poll: bool) -> None:
         self._orders, self._frames = orders, frames
@@ -92,6 +93,7 @@ class PlantHost:
         """Serve the node until it closes the sockets."""
         try:
             self._plant = self._call("__init__", create, self._spec["plant"], self._spec["arguments"])
+            self._warns = callable(getattr(self._plant, "drain_warnings", None))
             if self._spec.get("state"):
                 self._restore(Path(self._spec["state"]))
             else:
@@ -151,9 +153,21 @@ class PlantHost:
         )
 
     def _send(self) -> None:
+        if self._warns:
+            self._send_warnings()
         self._out[0] = _LAST if self._step >= self._spec["steps"] else _SAMPLE
         self._out[1] = self._step
         self._frames.sendall(self._out)
+
+    def _send_warnings(self) -> None:
+        texts = self._call("drain_warnings", self._plant.drain_warnings)
+        if not isinstance(texts, list | tuple) or not all(isinstance(text, str) for text in texts):
+            raise PlantError(f"{self._name}.drain_warnings() returned {texts!r}; a list of texts expected")
+        for text in texts:
+            raw = text.encode(errors="backslashreplace")
+            self._out[0], self._out[1] = FrameKind.WARNING, len(raw)
+            self._frames.sendall(self._out)
+            self._frames.sendall(raw)
 
     def _handle_order(self) -> None:
         received = self._polling.wait(self._try_receive, self._receive)

@@ -1,4 +1,4 @@
-"""A node whose plant is a Python class."""
+"""A node whose plant is a Python class: one of the user's, or one that comes with Zenostat."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from zenostat.bridge.alarms.rules import point_alarms, read_rules
 from zenostat.bridge.faults import read_plan
@@ -17,6 +17,7 @@ from zenostat.bridge.node.server import Observer
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.bridge.python_plant.class_plan import plan_class
 from zenostat.bridge.python_plant.plant import PythonPlant
+from zenostat.bridge.python_plant.shipped import SHIPPED, shipped_plant
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.scenario_fields import NODE_ARGUMENTS
@@ -29,12 +30,34 @@ class PlantSettings(NodeSettings):
 
     Attributes:
         plant: `FILE.py:CLASS` or `MODULE:CLASS`.
+        fmu: an FMU, in place of a class.
+        grid: the file of an electric grid, or `pandapower:NAME`, in place of a class.
         plant_arguments: arguments of the class.
     """
 
     name: str = "plant"
-    plant: str
+    plant: str = ""
+    fmu: str | None = None
+    grid: str | None = None
     plant_arguments: dict[str, Any] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _check_plant(self) -> PlantSettings:
+        sources = [name for name in ("plant", *SHIPPED) if getattr(self, name)]
+        if len(sources) != 1:
+            several = f"{' and '.join(sources)} define the plant; use only one of them"
+            raise ValueError(
+                several if sources else "needs a plant: plant='FILE.py:CLASS', fmu='FILE.fmu' or grid='FILE'"
+            )
+        return self
+
+    @property
+    def plant_class(self) -> tuple[str, dict[str, Any]]:
+        """The class, and its arguments."""
+        for option in SHIPPED:
+            if source := getattr(self, option):
+                return shipped_plant(option, source, self.plant_arguments)
+        return self.plant, self.plant_arguments
 
 
 def read_settings(settings: Mapping[str, Any]) -> PlantSettings:
@@ -67,7 +90,7 @@ def plant_node(settings: PlantSettings, observer: Observer | None = None, *, pro
     """
 
     def prepare() -> PlantFactory:
-        plan = plan_class(settings.plant, settings.plant_arguments, settings.unresponsive_s)
+        plan = plan_class(*settings.plant_class, settings.unresponsive_s)
         if settings.faults is not None:  # so that its errors are reported before anything starts
             FaultInjection(read_plan(settings.faults), plan.description, settings.slots)
         if settings.alarms is not None:

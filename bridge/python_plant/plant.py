@@ -61,6 +61,16 @@ class PythonEngines(EngineGroup):
         """Raise `RequestRejected`."""
         raise without_weather()
 
+    def drain_step_warnings(self) -> list[str]:
+        """Return the warnings of the last timesteps; see `WarningPlant`."""
+        texts = []
+        for slot, client in enumerate(self.clients):
+            if client.warnings:
+                prefix = f"slot {slot}: " if len(self.clients) > 1 else ""
+                texts += [f"{prefix}{text}" for text in client.warnings]
+                client.warnings.clear()
+        return texts
+
     def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> PythonEngines:
         """Copy the processes of some slots; see `RunningPlant.fork`."""
         copies = self._copy_all(self.members(slots, baseline=baseline), folder)
@@ -76,12 +86,13 @@ class PythonEngines(EngineGroup):
             )
         return start_all(clients, lambda client: self._copy(client, folder / str(next(self._numbers))))
 
-    def _copy(self, client: EngineClient, folder: Path) -> EngineClient:
+    def _copy(self, client: EngineClient, folder: Path, placement: SlotPlacement | None = None) -> EngineClient:
         try:
             folder.mkdir(parents=True)
         except OSError as error:
             raise ForkFailed(f"the node has no room for a copy's files: {error}") from None
-        spec = replace(client.spec, folder=folder, cpus=self._copy_cpus, poll=False)
+        cpus, poll = (self._copy_cpus, False) if placement is None else (placement.cpus, placement.poll)
+        spec = replace(client.spec, folder=folder, cpus=cpus, poll=poll)
         if self._plan.forkable:
             copy = client.fork(replace(spec, close_s=0.0))  # what is to be released belongs to the original
         else:
@@ -114,6 +125,7 @@ class PythonPlant(PythonEngines):
         self._random = [np.random.default_rng() for _ in context.placement]
         self._seeds = [self._draw(slot, None) for slot in range(context.slots)]
         self._replaced: list[EngineClient] = []
+        self._first: EngineClient | None = None
         self._warnings: list[str] = []
 
     def _draw(self, slot: int, seed: int | None) -> int:
@@ -133,9 +145,9 @@ class PythonPlant(PythonEngines):
         """Draw the seed of the next episode of some slots; see `Plant.next_episode`."""
         for slot, seed in zip(slots, seeds, strict=True):
             self._seeds[slot] = self._draw(slot, seed)
+        again = EngineStart.RESET if self._first is None else EngineStart.FORKED
         return [
-            EpisodeStart(engine_start=EngineStart.RESET if self._runs(slot) else EngineStart.STARTED, weather="")
-            for slot in slots
+            EpisodeStart(engine_start=again if self._runs(slot) else EngineStart.STARTED, weather="") for slot in slots
         ]
 
     def episode_inputs(self, slot: int) -> dict[str, Any]:
@@ -166,10 +178,38 @@ class PythonPlant(PythonEngines):
                 self.baselines = start_all(slots, self._start)
             for client in self.all:
                 client.receive()
+            self._keep_first()
+        elif self._plan.begins_alike and self._plan.forkable:
+            for clients in (self.clients, self.baselines):
+                for slot in slots if clients else ():
+                    self._begin_alike(clients, slot)
         else:
             for clients in (self.clients, self.baselines):
                 self._restart(clients, slots)
         self.begin(slots)
+
+    def _keep_first(self) -> None:
+        """Keep a fork at sample 0, of which later episodes are forks; without one, they have new processes."""
+        if not self._plan.begins_alike or not self._plan.forkable:
+            return
+        with suppress(ForkFailed):
+            self._first = self._copy(self.clients[0], self._context.folder / f"first-{next(self._numbers)}")
+
+    def _begin_alike(self, clients: list[EngineClient], slot: int) -> None:
+        clients[slot].close()
+        if self._first is not None:
+            try:
+                folder = self._context.folder / f"plant-{next(self._numbers)}"
+                clients[slot] = self._copy(self._first, folder, self._context.placement[slot])
+                return
+            except (EngineDied, ForkFailed) as error:
+                if self._context.registry.closing:
+                    raise
+                self._warnings.append(f"the process that waits at sample 0 is given up: {error}")
+                self._first.close()
+                self._first = None
+        clients[slot] = self._start(slot)
+        clients[slot].receive()
 
     def _restart(self, clients: list[EngineClient], slots: Sequence[int]) -> None:
         slots = [slot for slot in slots if slot < len(clients)]
@@ -259,4 +299,6 @@ class PythonPlant(PythonEngines):
     def close(self) -> None:
         """End all processes; idempotent."""
         self.clean_up()
+        if self._first is not None:
+            self._first.close()
         self.end()

@@ -51,7 +51,7 @@ def test_env__file_of_a_plant_is_made_absolute_and_a_module_stays(user_folder: P
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({**BASE, "plant_arguments": {}}, r"plant_arguments needs a class: plant='FILE.py:CLASS'"),
+        ({**BASE, "plant_arguments": {}}, r"plant_arguments needs a plant: plant='FILE.py:CLASS', fmu"),
         ({}, "name a building and a weather, a scenario, a file"),
         ({"building": "office-small"}, "name a building and a weather, a scenario, a file"),
         ({"weather": "USA_CO_Denver"}, "name a building and a weather, a scenario, a file"),
@@ -209,7 +209,7 @@ def test_env__numpys_numbers_are_numbers() -> None:
 
 
 def test_env__node_knows_every_setting_that_is_handed_on() -> None:
-    named = dict.fromkeys(set(NODE_ARGUMENTS) - {"file", "plant", "plant_arguments"}, None)
+    named = dict.fromkeys(set(NODE_ARGUMENTS) - {"file", "plant", "fmu", "grid", "plant_arguments"}, None)
     with pytest.raises(InvalidConfig, match="no setting 'colour'") as raised:
         read_config({**named, "colour": "red"})
     assert str(raised.value).count("no setting") == 1

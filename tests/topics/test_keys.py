@@ -20,7 +20,8 @@ from zenostat.topics.messages import Ack, ErrorReply, Message
 
 ROOT = Path(__file__).parents[2]
 PACKAGES = (
-    "agent_sdk", "bench", "bridge", "cli", "eplus_node", "examples", "gateways", "lab", "metrics", "models", "views",
+    "agent_sdk", "bench", "bridge", "cli", "eplus_node", "examples", "gateways", "lab", "metrics", "models", "plants",
+    "views",
 )  # fmt: skip
 
 rows = pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)

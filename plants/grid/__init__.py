@@ -1,0 +1,1 @@
+"""Electric grids as plants, calculated with power-grid-model."""

@@ -1,0 +1,1 @@
+"""District heating networks as plants."""
