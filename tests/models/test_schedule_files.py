@@ -102,17 +102,17 @@ def test_check_runnable__fault_of_a_file_is_named_with_object_field_and_line(cas
 @pytest.mark.parametrize("case", FAULTS)
 def test_schedule_findings__fault_of_a_file(case: str, tmp_path: Path) -> None:
     text, fields, field, words = FAULTS[case]
-    (found,) = schedule_findings(absolute(schedule(text, fields, tmp_path), tmp_path))
-    assert (found.field, found.is_fatal) == (field, True)
-    assert words in found.text
+    (fault,) = schedule_findings(absolute(schedule(text, fields, tmp_path), tmp_path))
+    assert (fault.field, fault.is_fatal) == (field, True)
+    assert words in fault.text
 
 
 @pytest.mark.parametrize("case", ACCEPTED)
 def test_schedule_findings__file_that_energyplus_accepts_is_no_error(case: str, tmp_path: Path) -> None:
     text, fields, words = ACCEPTED[case]
-    found = list(schedule_findings(absolute(schedule(text, fields, tmp_path), tmp_path)))
-    assert [each.is_fatal for each in found] == [False] * bool(words)
-    assert not words or words in found[0].text
+    faults = list(schedule_findings(absolute(schedule(text, fields, tmp_path), tmp_path)))
+    assert [each.is_fatal for each in faults] == [False] * bool(words)
+    assert not words or words in faults[0].text
 
 
 def absolute(objects: dict[str, Any], folder: Path) -> dict[str, Any]:

@@ -14,7 +14,7 @@ from support.run_cli import run_in_process
 
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.bridge.python_plant.node import read_settings
-from zenostat.eplus_node.verification import verify
+from zenostat.eplus_node.verify_recording import verify
 from zenostat.topics.errors import (
     EngineDied,
     EngineUnresponsive,
