@@ -1,4 +1,4 @@
-"""Part `branches`: time of a snapshot, of a reset to it and of a branch within an episode, and memory of a branch."""
+"""Part `branches`: time of a snapshot, a reset to it, a branch and trials within an episode, and memory of a branch."""
 
 from __future__ import annotations
 
@@ -17,6 +17,8 @@ from bench import pace, programs, scenes
 
 SCENES = ("five-zone", "office-medium")
 MID_EPISODE = 2000
+TRIALS = (1, 8)
+"""Numbers of alternatives in a request."""
 MEMORY_AFTER = (0, 100, 3000)
 SEASONS = (10_000, 19_000, 28_000)
 """Steps after 1 July: in October, January and April."""
@@ -70,7 +72,14 @@ class _Episode:
             for _ in range(count):
                 self.env.step(self.action)
                 _timed(reset, lambda: self.env.reset(options={"snapshot": kept}))
+        trials: dict[int, list[float]] = {number: [] for number in TRIALS}
+        for _ in range(count):
+            self.env.step(self.action)
+            for number, figures in trials.items():
+                alternatives = np.repeat(self.action[None], number, axis=0)
+                _timed(figures, partial(self.inner.try_step, alternatives))
         times = {"branch": branch, "first step of a branch": first_step, "snapshot": snapshot, "reset to it": reset}
+        times |= {f"{number} trial{'s' * (number > 1)}": figures for number, figures in trials.items()}
         return {title: pace.spread(figures) for title, figures in times.items()}
 
     def memory_mb(self) -> dict[str, float]:

@@ -48,9 +48,11 @@ from zenostat.topics.messages import (
     StartRecording,
     Status,
     StepRequest,
+    StepsTried,
     Stop,
     StopRecording,
     TakeSnapshot,
+    TrySteps,
     Unshelve,
     WeatherQuery,
     WeatherSeries,
@@ -114,6 +116,7 @@ SNAPSHOT = Topic("rpc/snapshot", Role.CONTROLLER, TakeSnapshot, Delivery.QUERY, 
 DROP = Topic("rpc/drop", Role.CONTROLLER, DropSnapshot, Delivery.QUERY, reply=Ack)
 BRANCH = Topic("rpc/branch", Role.CONTROLLER, CreateBranch, Delivery.QUERY, reply=BranchCreated)
 PLAN = Topic("rpc/plan", Role.CONTROLLER, SimulatePlan, Delivery.QUERY, reply=PlanSimulated)
+TRY = Topic("rpc/try/{name}", Role.CONTROLLER, TrySteps, Delivery.QUERY, reply=StepsTried)
 STOP = Topic("rpc/stop", Role.CONTROLLER, Stop, Delivery.QUERY, reply=Ack)
 PACE = Topic("rpc/pace", Role.CONTROLLER, SetPace, Delivery.QUERY, reply=Ack)
 PAUSE = Topic("rpc/pause", Role.CONTROLLER, Pause, Delivery.QUERY, reply=Ack)
@@ -155,6 +158,7 @@ TOPICS = (
     DROP,
     BRANCH,
     PLAN,
+    TRY,
     STOP,
     PACE,
     PAUSE,

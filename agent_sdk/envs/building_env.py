@@ -23,6 +23,7 @@ from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
 from zenostat.agent_sdk.envs.snapshot import Snapshot, from_options, take
 from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.envs.time_features import time_features
+from zenostat.agent_sdk.envs.trial_actions import trial_of_actions
 from zenostat.agent_sdk.envs.vector_infos import Infos
 from zenostat.agent_sdk.envs.vector_sample import Link
 from zenostat.agent_sdk.rewards import AnyReward, Reward
@@ -278,6 +279,34 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         count = len(as_array(actions, None))
         with self.branch(slots=count, snapshot=snapshot, forecast_error=forecast_error) as branches:
             return branches.plan(actions)
+
+    def try_step(self, actions: ArrayLike) -> list[SampleView]:
+        """Return the sample that would follow each of several alternative actions; the episode stays where it is.
+
+        `step` with the same action gives the same sample, to the bit.
+
+        Args:
+            actions: 1 to 256 elements of the action space, shape (alternatives, *action shape).
+
+        Raises:
+            InvalidAction: Wrong shape, or an action that `step` would reject; nothing was simulated.
+            SimulatorError: A copy of the building failed, under one of the actions; the episode can continue.
+            EpisodeChanged, RequestRejected, ForkFailed: As for `branch`.
+        """
+        alternatives = as_array(actions, None)
+        return [sample for (sample,) in self.try_steps(alternatives[:, None] if alternatives.ndim else alternatives)]
+
+    def try_steps(self, actions: ArrayLike) -> list[list[SampleView]]:
+        """Return the samples that would follow each of several sequences of actions; see `try_step`.
+
+        Args:
+            actions: Shape (alternatives, timesteps, *action shape); at most 2,000 timesteps in all.
+
+        Returns:
+            Of each alternative, a sample for each timestep, at most until the end of the run period.
+        """
+        link, sample = self._forkable_link(), self._running_sample()
+        return link.trial(trial_of_actions(self._actions, actions, sample, self._state.context))
 
     @classmethod
     def _continue_at(

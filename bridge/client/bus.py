@@ -17,6 +17,7 @@ from zenostat.bridge.client.controller_link import ControllerLink, open_link
 from zenostat.bridge.client.history import History, first_step, join_replies, last_step, row_count
 from zenostat.bridge.client.listener import listen
 from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.client.trials import CommandValues, trial_request, tried_samples
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, open_session
@@ -114,6 +115,48 @@ class Bus(Connection):
             RequestRejected: Another controller holds one of the actuators at that priority.
         """
         return open_link(self, node, name=name, priority=priority, actuators=actuators, required=required)
+
+    # Trials
+
+    def try_step(
+        self, node: str, alternatives: Sequence[CommandValues], *, name: str = "trial", priority: int = 10
+    ) -> list[SampleView]:
+        """Return the next sample under each of several alternative commands, while the node stays at its sample.
+
+        Args:
+            node: The node's name.
+            alternatives: 1 to 256 commands, each as in `ControllerLink.send`.
+            name: Name of the sender. That of a controller, such as `ControllerLink.name`, tries that controller's
+                commands; any other name tries commands of all actuators at `priority`.
+            priority: 1 (highest) to 16; of a name without a claim.
+
+        Raises:
+            NodeNotFound: No such node.
+            InvalidAction, InvalidConfig: A command that does not fit the node, or too many; nothing was sent.
+            RequestRejected: No episode is running, or a value is out of bounds; nothing was simulated.
+            ForkFailed: The plant cannot be copied.
+            SimulatorError: A copy failed; the node continues.
+        """
+        sequences = [[values] for values in alternatives]
+        return [sample for (sample,) in self.try_steps(node, sequences, name=name, priority=priority)]
+
+    def try_steps(
+        self, node: str, alternatives: Sequence[Sequence[CommandValues]], *, name: str = "trial", priority: int = 10
+    ) -> list[list[SampleView]]:
+        """Return the next samples under each of several sequences of commands; see `try_step`.
+
+        Args:
+            node: The node's name.
+            alternatives: The commands of each timestep, for each alternative; equally many for all.
+            name: As of `try_step`.
+            priority: As of `try_step`.
+
+        Returns:
+            Of each alternative, a sample for each timestep, at most until the episode ends.
+        """
+        manifest = self.manifest(node)
+        reply = self.trial(node, trial_request(manifest, alternatives, priority=priority), name)
+        return tried_samples(reply, len(alternatives), manifest)
 
     # History
 

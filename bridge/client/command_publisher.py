@@ -20,6 +20,36 @@ from zenostat.topics.points import actuator_index
 _KEEP, _SET, _RELINQUISH = int(CommandOp.KEEP), int(CommandOp.SET), int(CommandOp.RELINQUISH)
 
 
+class CommandArrays:
+    """Converts the values of commands to a node to raw arrays.
+
+    Args:
+        manifest: The node's manifest.
+    """
+
+    def __init__(self, manifest: Manifest) -> None:
+        self._slots = manifest.slots
+        self._index = actuator_index(manifest.actuators, InvalidAction)
+        count = len(manifest.actuators)
+        self._shape = (manifest.slots, count) if manifest.slots > 1 else (count,)
+
+    def of(
+        self, values: Mapping[str, float | None] | NDArray[np.float64] | None, operations: bytes | None
+    ) -> tuple[bytes, bytes | None]:
+        """Return raw values and operations; arguments and errors as of `ControllerLink.send`."""
+        if isinstance(values, np.ndarray):
+            if values.shape != self._shape:
+                raise InvalidAction(f"values of shape {values.shape}; {self._shape} expected: one for each actuator")
+            return values.astype(codec.FLOAT, copy=False).tobytes(), operations
+        row, codes = np.zeros(len(self._index)), np.full(len(self._index), _KEEP, np.uint8)
+        for name, value in (values or {}).items():
+            index = self._index[name]
+            if value is not None and not np.isfinite(value):
+                raise InvalidAction(f"{name} = {value}; a finite number or None (relinquish) expected")
+            row[index], codes[index] = (0.0, _RELINQUISH) if value is None else (value, _SET)
+        return row.tobytes() * self._slots, codes.tobytes() * self._slots
+
+
 class CommandPublisher:
     """Encodes and publishes the commands of one controller to one node.
 
@@ -39,10 +69,7 @@ class CommandPublisher:
             congestion_control=CongestionControl.BLOCK,
         )
         self.put = self._publisher.put
-        self._slots = manifest.slots
-        self._index = actuator_index(manifest.actuators, InvalidAction)
-        count = len(manifest.actuators)
-        self._shape = (manifest.slots, count) if manifest.slots > 1 else (count,)
+        self._arrays = CommandArrays(manifest)
 
     def close(self) -> None:
         """Undeclare the publisher."""
@@ -56,22 +83,6 @@ class CommandPublisher:
         still: Collection[int],
     ) -> bytes:
         """Return the command that answers a sample; other arguments and errors as of `ControllerLink.send`."""
-        raw, operations = self._arrays(values, operations)
+        raw, operations = self._arrays.of(values, operations)
         steps = [None if slot in still else step for slot, step in enumerate(sample.step)] if still else sample.step
         return codec.pack(episode=sample.episode, step=steps, operations=operations, values=raw)
-
-    def _arrays(
-        self, values: Mapping[str, float | None] | NDArray[np.float64] | None, operations: bytes | None
-    ) -> tuple[bytes, bytes | None]:
-        """Return raw values and operations."""
-        if isinstance(values, np.ndarray):
-            if values.shape != self._shape:
-                raise InvalidAction(f"values of shape {values.shape}; {self._shape} expected: one for each actuator")
-            return values.astype(codec.FLOAT, copy=False).tobytes(), operations
-        row, codes = np.zeros(len(self._index)), np.full(len(self._index), _KEEP, np.uint8)
-        for name, value in (values or {}).items():
-            index = self._index[name]
-            if value is not None and not np.isfinite(value):
-                raise InvalidAction(f"{name} = {value}; a finite number or None (relinquish) expected")
-            row[index], codes[index] = (0.0, _RELINQUISH) if value is None else (value, _SET)
-        return row.tobytes() * self._slots, codes.tobytes() * self._slots

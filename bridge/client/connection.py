@@ -56,8 +56,10 @@ from zenostat.topics.messages import (
     SnapshotTaken,
     Status,
     StepRequest,
+    StepsTried,
     Stop,
     TakeSnapshot,
+    TrySteps,
     WeatherQuery,
     WeatherSeries,
     Write,
@@ -368,6 +370,17 @@ class Connection:
             SimulatorError: The simulator failed.
         """
         return self.ask(keys.PLAN, branch, plan, PlanSimulated)
+
+    def trial(self, node: str, request: TrySteps, sender: str) -> StepsTried:
+        """Let a node simulate timesteps under alternative commands, and return the samples; see `Bus.try_steps`.
+
+        Raises:
+            NodeLost: It left the bus before it replied.
+        """
+        try:
+            return self.ask(keys.TRY, node, request, StepsTried, name=keys.check_name(sender, "a sender's name"))
+        except NodeNotFound:
+            raise NodeLost(f"node {node!r} is gone") from None
 
 
 def build(message_type: type[M], **fields: Any) -> M:

@@ -20,6 +20,7 @@ from zenostat.bridge.client.presence import NodeWatch, check_interface, undeclar
 from zenostat.bridge.client.receive_watchdog import ReceiveWatchdog, query_sample
 from zenostat.bridge.client.sample import SampleView, is_after
 from zenostat.bridge.client.thread_guard import one_thread
+from zenostat.bridge.client.trials import CommandValues, trial_request, tried_samples
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.polling import Polling
@@ -43,6 +44,7 @@ from zenostat.topics.messages import (
     Reset,
     Sample,
     State,
+    TrySteps,
     WeatherSeries,
 )
 from zenostat.topics.points import value_index
@@ -360,6 +362,34 @@ class ControllerLink:
             if self._ended is None:
                 raise
             raise self._ended from None
+
+    def try_step(self, alternatives: Sequence[CommandValues]) -> list[SampleView]:
+        """Return the sample that would follow each of several alternative answers to the current sample.
+
+        Nothing is answered; the node stays at its sample.
+
+        Args:
+            alternatives: 1 to 256 commands, each as in `send`.
+
+        Raises:
+            RequestRejected: The node has another sample by now, or a value is out of bounds.
+            InvalidAction, InvalidConfig, ForkFailed, SimulatorError: As for `Bus.try_step`.
+        """
+        return [sample for (sample,) in self.try_steps([[values] for values in alternatives])]
+
+    def try_steps(self, alternatives: Sequence[Sequence[CommandValues]]) -> list[list[SampleView]]:
+        """Return the samples that would follow each of several sequences of commands; see `Bus.try_steps`."""
+        if self._latest is None:
+            raise PeerError("there is no sample to try from yet; call receive() or reset() first")
+        request = trial_request(self.manifest, alternatives, at=self._latest.message)
+        return self.trial(request)
+
+    def trial(self, request: TrySteps) -> list[list[SampleView]]:
+        """Send the request for a trial; return the samples of each alternative."""
+        if self._ended is not None:
+            raise self._ended
+        reply = self.bus.trial(self.manifest.node, request, self.name)
+        return tried_samples(reply, request.alternatives, self.manifest)
 
     def __iter__(self) -> Iterator[SampleView]:
         """Yield samples from the current one to the episode's last; without an answer all values are kept."""

@@ -173,6 +173,17 @@ class EngineGroup:
             for client in self.all:
                 client.interrupt(reason)
 
+    def order_close(self) -> None:
+        """Let all engines end, all at once; see `ClosingPlant`."""
+        for client in self.all:
+            if not client.order_close():
+                client.interrupt("its run is over")
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether all processes have ended."""
+        return not any(client.alive for client in self.all)
+
     def end(self, *, failed: bool = False) -> None:
         """End all engines; where output is kept, the simulator may finish its files. Idempotent."""
         for client in self.all:

@@ -7,7 +7,7 @@ that a controller has set are relinquished when its claim ends.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,6 +120,11 @@ class Claims:
         )
         self._list_required()
         return holder, replaced
+
+    def restore(self, other: Claims) -> None:
+        """Copy the claims of another node with the same actuators, without their statistics."""
+        self.by_name = {name: replace(claimant, stats=ControllerStats()) for name, claimant in other.by_name.items()}
+        self._list_required()
 
     @property
     def sources(self) -> list[int]:

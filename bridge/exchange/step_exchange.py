@@ -132,6 +132,19 @@ class StepExchange(ExchangeState):
         """Return the commands in effect at the current sample."""
         return replace(self.commands.capture(), commanded=self.commanded, source_index=self.source_index)
 
+    def copy(self) -> StepExchange:
+        """Return an exchange at the same sample that changes independently; it counts no accepted messages."""
+        copy = StepExchange(self.actuators, self.slots, self.mode, self.policy, self.deadline_s, self.state,
+                            [*self.episode], [*self.step], replace(self.counts))  # fmt: skip
+        copy.commands.restore(self.commands.capture())
+        copy.claims.restore(self.claims)
+        copy.commanded, copy.source_index = self.commanded, self.source_index
+        copy.modified, copy.done, copy.fallback_active = [*self.modified], [*self.done], self.fallback_active
+        copy.answers.needs_fallback = self.answers.needs_fallback
+        copy.answers.controllers = {*self.answers.controllers}
+        copy._heads = self._heads
+        return copy
+
     def ready_to_step(self) -> bool:
         """Return whether the next timestep may be simulated now."""
         if self.state is not _WAITING:

@@ -202,7 +202,7 @@ class BranchManager:
             origin = snapshot.plant if snapshot is not None else parent.plant
             plant = _fork(origin, request, folder)
             undo.callback(plant.close)
-            server = self._branch_server(full_name, plant, request, snapshot)
+            server = self._branch_server(full_name, plant, request, snapshot, folder)
             branch = self._start(Branch(server, request.controller, folder, self._cpus, self._on_end))
             undo.pop_all()
         return branch
@@ -238,7 +238,7 @@ class BranchManager:
         )
 
     def _branch_server(
-        self, name: str, plant: RunningPlant, request: CreateBranch, snapshot: Snapshot | None
+        self, name: str, plant: RunningPlant, request: CreateBranch, snapshot: Snapshot | None, folder: Path
     ) -> NodeServer:
         parent, slots = self._server, request.slots
         origin = snapshot or parent.exchange
@@ -255,7 +255,7 @@ class BranchManager:
         alarms = None
         if parent.alarms is not None:
             alarms = parent.alarms.of_branch(request.slot, slots, snapshot.alarms if snapshot is not None else None)
-        server = NodeServer(parent.session, plant, manifest, exchange, alarms=alarms)
+        server = NodeServer(parent.session, plant, manifest, exchange, alarms=alarms, folder=folder)
         present = parent.injection.state() if parent.injection is not None else None
         faults = (snapshot.faults if snapshot is not None else present) or NO_FAULTS
         try:

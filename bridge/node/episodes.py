@@ -106,7 +106,10 @@ class EpisodeManager:
     def _abandon(self) -> None:
         """Give up the timestep, or the start, behind which a reset is still waiting."""
         state = self._server.exchange.state
-        if self._server.stopping or state not in (State.RUNNING, State.STARTING):
+        if self._server.stopping:
+            return
+        self._server.trials.interrupt(f"a reset had waited for {self._patience_s:g} s for the end of a trial")
+        if state not in (State.RUNNING, State.STARTING):
             return
         if not isinstance(self._plant, AbandonablePlant):
             self._plant.interrupt()

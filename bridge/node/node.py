@@ -193,7 +193,9 @@ class Node:
         history = History(plant.description, settings.slots, int(settings.history_mb * 1e6))
         kept = history if history.samples else None
         manifest = node_manifest(settings, plant, kept, instance=self.instance, cpu=self.cpu)
-        self.server = NodeServer(self.session, plant, manifest, exchange, self._observer, kept, self._alarms())
+        self.server = NodeServer(
+            self.session, plant, manifest, exchange, self._observer, kept, self._alarms(), folder=self._folder
+        )
         self.server.on_stop = self._on_stop_request
         self._recordings = RecordingManager(self.server, plant, cpus=self._cpus)
         self._close.callback(self._recordings.close)

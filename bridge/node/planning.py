@@ -133,7 +133,7 @@ class PlanSimulation:
             orders.append(exchange.begin_step(monotonic()))
         samples: list[bytes] = []
         try:
-            for number, last in enumerate(_simulate(server.plant, orders, exchange.active_slots)):
+            for number, last in enumerate(simulate(server.plant, orders, exchange.active_slots)):
                 if number < len(heads):
                     if any(last):
                         raise PlantFailed(f"the plant ended before the {len(plan)} timesteps of its run period")
@@ -147,7 +147,8 @@ class PlanSimulation:
         return [*samples, server.latest_sample]
 
 
-def _simulate(plant: RunningPlant, orders: Sequence[bytes], active_slots: Sequence[int]) -> Iterator[list[bool]]:
+def simulate(plant: RunningPlant, orders: Sequence[bytes], active_slots: Sequence[int]) -> Iterator[list[bool]]:
+    """Simulate several timesteps at once, if the plant can; see `PlanningPlant.run`."""
     if isinstance(plant, PlanningPlant):
         yield from plant.run(orders, active_slots)
         return

@@ -368,6 +368,18 @@ class AbandonablePlant(Protocol):
         """
 
 
+@runtime_checkable
+class ClosingPlant(Protocol):
+    """A plant that takes a while to end, in processes that need nobody to wait for them."""
+
+    def order_close(self) -> None:
+        """Let all simulators end, without waiting for that; only `close` may follow, which waits."""
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether all simulators have ended."""
+
+
 PlantFactory = Callable[[PlantContext], Plant]
 """Creates a plant; does not start a simulator.
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime, timedelta
+from typing import Protocol
 
 from zenostat.bridge.exchange.step_exchange import StepExchange
-from zenostat.bridge.node.plant import RunningPlant
+from zenostat.bridge.node.plant import PlantDescription
 from zenostat.topics import codec
 from zenostat.topics.messages import Flag
 
@@ -35,6 +36,28 @@ class SampleHead:
         )  # fmt: skip
 
 
+class SampleSource(Protocol):
+    """The part of a plant from which its samples are encoded; see `RunningPlant`."""
+
+    @property
+    def description(self) -> PlantDescription:
+        """Description of the plant."""
+
+    @property
+    def effective(self) -> bytes:
+        """Effective values in the latest timestep."""
+
+    @property
+    def has_baseline(self) -> bool:
+        """Whether there are values of a baseline."""
+
+    def baseline_values(self) -> bytes:
+        """Return the latest values of the copies without commands."""
+
+    def baseline_effective(self) -> bytes:
+        """Return their effective values."""
+
+
 class SampleEncoder:
     """Encodes the samples of one node.
 
@@ -43,7 +66,7 @@ class SampleEncoder:
         exchange: at the plant's samples.
     """
 
-    def __init__(self, plant: RunningPlant, exchange: StepExchange) -> None:
+    def __init__(self, plant: SampleSource, exchange: StepExchange) -> None:
         self._plant, self._counts = plant, exchange.counts
         run_period = plant.description.run_period
         self._begin_time, self._timestep = run_period.begin, timedelta(seconds=run_period.step_s)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
+from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
@@ -25,6 +26,7 @@ from zenostat.bridge.node.publications import Publications
 from zenostat.bridge.node.request_handlers import RequestHandlers
 from zenostat.bridge.node.sample_encoding import SampleEncoder
 from zenostat.bridge.node.subscriptions import COMMAND_QUEUE, Subscriptions
+from zenostat.bridge.node.trials import TrialSteps
 from zenostat.bridge.recording.channels import SAMPLES
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.topics import errors, keys
@@ -57,11 +59,13 @@ class NodeServer:
         observer: called after each sample and event.
         history: keeps each published sample; None keeps none.
         alarms: evaluated at each sample; None has none.
+        folder: for the files of trials; the caller removes it.
 
     Attributes:
         stopping: whether the server is about to end; errors of engines are then expected.
         on_stop: called by the thread that receives a stop request.
         samples: encodes samples.
+        trials: answers the requests for trials.
         latest_sample: the encoded latest sample.
     """
 
@@ -74,6 +78,8 @@ class NodeServer:
         observer: Observer | None = None,
         history: History | None = None,
         alarms: AlarmMonitor | None = None,
+        *,
+        folder: Path,
     ) -> None:
         self.session, self.plant, self.manifest = session, plant, manifest
         self._warnings = plant if isinstance(plant, WarningPlant) else None
@@ -84,7 +90,7 @@ class NodeServer:
         self.injection: FaultInjection | None = None
         self._recorder: Recorder | None = None
         self.pacing = Pacing(self)
-        self.requests = RequestHandlers(self)
+        self.requests, self.trials = RequestHandlers(self), TrialSteps(self, folder / "trials")
         self._last_commands = b""
         self._step_latency, self._cycle = LatencyWindow(), LatencyWindow()
         self._sampled_s = 0.0
@@ -101,6 +107,7 @@ class NodeServer:
         """Declare subscribers, queryables and publishers; `status` replaces the server's own."""
         self.subscriptions = self._close.enter_context(Subscriptions(self.session, self.manifest.node))
         self.requests.declare(status)
+        self.trials.declare()
         self.pacing.declare()
         self._close.callback(self.timer.close)
         self.publications = self._close.enter_context(Publications(self.session, self.manifest, self.timer))
@@ -116,6 +123,7 @@ class NodeServer:
 
     def close(self) -> None:
         """End the plant's simulators, leave the bus and close the plant; idempotent."""
+        self.trials.collect(wait=True)
         self.plant.end(failed=self.exchange.state is State.FAILED)
         self._close.close()
         self.plant.close()
@@ -194,6 +202,7 @@ class NodeServer:
 
     def _run_tasks(self) -> None:
         self.subscriptions.run_pending()
+        self.trials.collect()
         if self.exchange.state is _WAITING and not self.stopping:
             try:
                 self.plant.check()
@@ -358,6 +367,7 @@ class NodeServer:
         self.stopping = True
         if self.exchange.state in (State.RUNNING, State.STARTING):
             self.plant.interrupt()
+        self.trials.interrupt("the node ends")
 
     @property
     def elapsed_s(self) -> float:

@@ -7,7 +7,7 @@ from typing import TypeVar
 import zenoh
 
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import PeerError, from_wire
+from zenostat.topics.errors import BadMessage, PeerError, from_wire
 from zenostat.topics.messages import ErrorReply, Message
 from zenostat.topics.printable import replace_controls
 
@@ -38,12 +38,17 @@ def ask(
     Raises:
         ZenostatError: the error that the node replied with.
         PeerError: the node did not answer.
-        BadMessage: the reply is not valid.
+        BadMessage: the request is too large and was not sent, or the reply is not valid.
         zenoh.ZError: the session is closed.
     """
+    payload = codec.encode(request) if request else None
+    if payload is not None and len(payload) > codec.MAX_BYTES:  # Zenoh would drop it, if it is much larger
+        raise BadMessage(
+            f"the request {topic.key} has {len(payload)} bytes; at most {codec.MAX_BYTES} are sent, in several requests"
+        )
     replies = session.get(
         topic.at(node, name=name),
-        payload=codec.encode(request) if request else None,
+        payload=payload,
         encoding=zenoh.Encoding(codec.encoding(type(request))) if request else None,
         timeout=timeout_s,
     )

@@ -99,6 +99,33 @@ class PlanSimulated(Message):
     samples: list[bytes]
 
 
+class TrySteps(Message):
+    """Simulate timesteps from the current sample under alternative commands, on copies of the plant.
+
+    The node stays at its sample, and nothing of a trial is published or recorded. `episode`, `step`: those of the
+    current sample; None is the present ones. `values`: float64, shape (alternatives, timesteps, slots, actuators).
+    `operations`: as those of a `Command`, in the shape of `values`; None sets all. The sender's claim determines its
+    priority and its actuators; `priority` is that of a sender without a claim, which may command all actuators.
+    """
+
+    episode: list[Count] | None = None
+    step: list[Count] | None = None
+    alternatives: Annotated[int, Field(ge=1, le=256, strict=True)]
+    timesteps: Annotated[int, Field(ge=1, le=2000, strict=True)] = 1
+    priority: Priority = 10
+    operations: Raw | None = None
+    values: Raw
+
+
+class StepsTried(Message):
+    """The samples of a trial: the payload of each timestep's `Sample`, those of the first alternative first.
+
+    Each alternative has equally many: fewer than requested if an episode ends.
+    """
+
+    samples: list[bytes]
+
+
 class SetPace(Message):
     """Change the mode, or the speed in paced mode (simulated seconds per second of wall time), from now on."""
 
