@@ -90,6 +90,18 @@ def test_fmu__snapshot_and_branch_continue_to_the_bit(env: BuildingEnv) -> None:
         assert trajectory(env, 4) == onward
 
 
+def test_fmu__trial_is_a_fork_and_fails_alone(env: BuildingEnv) -> None:
+    env.reset()
+    trajectory(env, 2)
+    alternatives = [action(heat=100.0), action(heat=700.0)]
+    tried = env.try_step(alternatives)
+    with pytest.raises(EngineDied, match=r"^trial from step \[2\]: .* SIGSEGV"):
+        env.try_step([action(deed=CRASH)])
+    env.step(alternatives[1])
+    assert env.sample.message == tried[1].message
+    assert tried[0].message != tried[1].message
+
+
 @pytest.mark.parametrize(
     ("deed", "error", "text"),
     [
