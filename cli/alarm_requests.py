@@ -10,6 +10,7 @@ import typer
 from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.write import Node, Source, person, seconds
+from zenostat.topics.keys import Role
 
 if TYPE_CHECKING:
     from zenostat import Bus
@@ -132,7 +133,7 @@ def return_to_service(
 
 def _send(node: str, options: BusOptions, request: Callable[[Bus], Ack]) -> None:
     """Send a request and print what it changed, a line for each alarm."""
-    with options.open_bus() as bus:
+    with options.open_bus(Role.OPERATOR) as bus:
         ack = request(bus)
     for text in ack.text.splitlines():
         out.print(f"{node}: {text}", markup=False, soft_wrap=True)

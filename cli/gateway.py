@@ -18,6 +18,7 @@ from zenostat.cli.console import err, out
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
 from zenostat.topics.extras import install_command
+from zenostat.topics.keys import Role, check_name
 
 if TYPE_CHECKING:
     import zenoh
@@ -57,7 +58,7 @@ def zeromq(
     wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
 ) -> None:
-    """Run a ZeroMQ gateway until Ctrl-C. With keys, it uses the controller role.
+    """Run a ZeroMQ gateway until Ctrl-C. With keys, it uses the gateway role.
 
     Example: `zenostat gateway zeromq --node office`
     """
@@ -70,9 +71,18 @@ def zeromq(
     waiting = _Waiting(wait)
     while True:
         try:
+            opened = options.open_session(Role.GATEWAY)
             with (
-                options.open_session() as session,
-                Gateway(session, node, publish=publish, command=command, lease_s=lease, expose=expose) as running,
+                opened as session,
+                Gateway(
+                    session,
+                    node,
+                    publish=publish,
+                    command=command,
+                    lease_s=lease,
+                    expose=expose,
+                    identity=opened.name,
+                ) as running,
                 override_signals(lambda *_: running.stop(), *TERMINATION_SIGNALS),
             ):
                 addresses = f"samples on {running.publish}, requests on {running.command}"
@@ -132,20 +142,17 @@ def serve(
         node: name of the node.
         gateway: creates the gateway in the running loop.
         source: name of the gateway among the sources of values and events.
-        options: the bus; with keys, the gateway uses the controller role.
+        options: the bus; with keys, it uses the gateway role.
         wait: wait for the bus and the node instead of failing.
         exclusive: further names that no other gateway of the node may have, with what to do if one has.
 
     Raises:
-        InvalidConfig: a source that is empty or too long.
+        InvalidConfig: a source that is not valid in a topic.
         NodeNotFound: nobody listens at the endpoint, or the node is not on the bus, and `wait` is false.
         NameInUse: another gateway of the node has the source, or another of the names.
         SystemExit: a signal arrived before the gateway was ready.
     """
-    from zenostat.bridge.exchange.state import MAX_SOURCE_NAME
-
-    if not 0 < len(source) <= MAX_SOURCE_NAME:
-        raise InvalidConfig(f"--source has {len(source)} characters; expected 1 to {MAX_SOURCE_NAME}")
+    check_name(source, "--source")
     names = {source: "choose another name with --source", **(exclusive or {})}
     attempt = partial(
         _serve,
@@ -192,9 +199,10 @@ async def _serve(
     options: BusOptions,
 ) -> int:
     """Return the number of the signal that arrived before the gateway was ready; 0 if it was ready."""
-    with options.open_session() as session:
+    opened = options.open_session(Role.GATEWAY)
+    with opened as session:
         async with AsyncExitStack() as stack:
-            starting = asyncio.create_task(_start(stack, session, node, gateway, source, names))
+            starting = asyncio.create_task(_start(stack, session, node, gateway, source, names, opened.name))
             if not await _ends_before(starting, stopped):
                 return stopped.result()
             client, running = await starting
@@ -217,12 +225,13 @@ async def _start(
     gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
     source: str,
     names: Mapping[str, str],
+    identity: str,
 ) -> tuple[NodeClient, NodeGateway]:
     """Enter the contexts of a gateway."""
     from zenostat.gateways.exclusive_names import reserved_names
     from zenostat.gateways.node_client import NodeClient
 
-    client = await stack.enter_async_context(NodeClient(session, node, source=source))
+    client = await stack.enter_async_context(NodeClient(session, node, source=source, identity=identity))
     await stack.enter_async_context(reserved_names(session, node, names))
     stack.push_async_callback(_relinquish, client)
     return client, await stack.enter_async_context(gateway(client))

@@ -14,6 +14,7 @@ from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.gateways.addresses import parse_address
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
+from zenostat.topics.keys import Role
 
 _MAX_INSTANCE = 4_194_302
 _MAX_SOURCE = 100  # a source has at most 128 characters, with the client's address
@@ -37,7 +38,7 @@ def bacnet(
     ] = None,
     expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
 ) -> None:
-    """Run a BACnet/IP device for a node until Ctrl-C. With keys, it uses the controller role.
+    """Run a BACnet/IP device for a node until Ctrl-C. With keys, it uses the gateway role.
 
     Example: `zenostat gateway bacnet office --address 127.0.0.1:47808`
     """
@@ -82,7 +83,7 @@ def _write_objects(node: str, number: int, file: Path, options: BusOptions) -> N
     from zenostat.gateways.bacnet.points import point_specs
     from zenostat.gateways.bacnet.units import bacnet_unit
 
-    with options.open_bus() as bus:
+    with options.open_bus(Role.GATEWAY) as bus:
         manifest = bus.manifest(node)
     fixed, points = fixed_objects(manifest, number), point_specs(manifest)
     try:

@@ -11,6 +11,7 @@ from zenostat.cli.console import err, out
 from zenostat.cli.gateway import serve
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import Role
 
 DEFAULT_PORT = 1502
 
@@ -36,7 +37,7 @@ def modbus(
     wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
 ) -> None:
-    """Run a Modbus TCP gateway of a node until Ctrl-C. With keys, it uses the controller role.
+    """Run a Modbus TCP gateway of a node until Ctrl-C. With keys, it uses the gateway role.
 
     Example: `zenostat gateway modbus office --address 127.0.0.1:1502`
     """
@@ -75,7 +76,7 @@ def _write_map(node: str, file: Path, options: BusOptions) -> None:
 
     if file.suffix not in (".csv", ".md"):
         raise InvalidConfig(f"--map {file}: expected a file with the suffix .csv or .md")
-    with options.open_bus() as bus:
+    with options.open_bus(Role.GATEWAY) as bus:
         registers = RegisterMap(bus.manifest(node))
     try:
         file.write_text(registers.csv() if file.suffix == ".csv" else registers.markdown(), encoding="utf-8")

@@ -50,7 +50,7 @@ def mqtt(
     wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow a broker on another machine without --tls.")] = False,
 ) -> None:
-    """Run an MQTT gateway of a node until Ctrl-C. With keys, it uses the controller role.
+    """Run an MQTT gateway of a node until Ctrl-C. With keys, it uses the gateway role.
 
     Example: `zenostat gateway mqtt office --broker 127.0.0.1:1883 --home-assistant`
     """

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 app = typer.Typer(
     no_args_is_help=True,
     rich_markup_mode="markdown",
-    help="Create and list certificates for a secured bus, each with a role. See docs/security.md.",
+    help="Create and list certificates for a secured bus, each with a name and roles. See docs/security.md.",
 )
 
 FOLDER = Path("zenostat-keys")
@@ -38,7 +38,7 @@ def init(
     days: Days = 365,
     force: Force = False,
 ) -> None:
-    """Create a certificate authority, and certificates for a node, a controller and a monitor.
+    """Create a certificate authority, and a certificate for each role, with the role as its name.
 
     Example: `zenostat keys init --host lab.example.org --host 192.168.1.20`
     """
@@ -46,7 +46,8 @@ def init(
 
     out.print(_table(make(folder, hosts=host or (), days=days, force=force)))
     out.print(
-        f"Written to {folder}. Each program needs {AUTHORITY}.pem and its own .pem and .key. "
+        f"Written to {folder}. Each program needs {AUTHORITY}.pem and its own .pem and .key; nodes and routers also "
+        "names.json, the list of names and roles. "
         f"Keep {AUTHORITY}.key private: it can sign new certificates.",
         markup=False,
     )
@@ -54,8 +55,10 @@ def init(
 
 @app.command()
 def add(
-    role: Annotated[str, typer.Argument(help="node, controller or monitor.")],
-    name: Annotated[str, typer.Argument(help="Name of the program or person, also used for the files.")],
+    name: Annotated[str, typer.Argument(help="Name of the program or person, also of its files.")],
+    role: Annotated[
+        list[str], typer.Option("--role", help="controller, operator, monitor, gateway or node; repeatable.")
+    ],
     folder: Annotated[Path, typer.Option(help="Folder of the certificate authority.")] = FOLDER,
     host: Hosts = None,
     days: Days = 365,
@@ -63,19 +66,25 @@ def add(
 ) -> None:
     """Create another certificate of the same authority, for example for a second controller or a router.
 
-    Example: `zenostat keys add controller annex`
-    """
-    from zenostat.bridge.transport.access_control import ROLES
-    from zenostat.bridge.transport.certificates import add
+    The program sends under this name, or a name below it (`NAME.part`). Nodes and routers accept it once they have the
+    new `names.json` and are started again.
 
-    if role not in tuple(ROLES):
-        raise UnknownName(f"no role {role!r}; {did_you_mean(role, ROLES)}")
-    out.print(_table([add(folder, Role(role), name, hosts=host or (), days=days, force=force)]))
+    Example: `zenostat keys add trainer --role controller --role operator`
+    """
+    from zenostat.bridge.transport.certificates import add
+    from zenostat.bridge.transport.name_list import CERTIFIED, NAMES
+
+    for text in role:
+        if text not in tuple(CERTIFIED):
+            raise UnknownName(f"no role {text!r}; {did_you_mean(text, CERTIFIED)}")
+    roles = [Role(text) for text in role]
+    out.print(_table([add(folder, roles, name, hosts=host or (), days=days, force=force)]))
+    out.print(f"Copy {folder / NAMES} to all nodes and routers, and start them again.", markup=False, soft_wrap=True)
 
 
 @app.command()
 def show(folder: Annotated[Path, typer.Argument(help="Folder of the certificates.")] = FOLDER) -> None:
-    """List certificates with role, name, expiry, hosts and state.
+    """List certificates with roles, name, expiry, hosts and state.
 
     Example: `zenostat keys show`
     """
@@ -89,7 +98,7 @@ def _table(certificates: list[Certificate]) -> Table:
     for certificate in certificates:
         expires = f"{certificate.expires:%Y-%m-%d %H:%M}"
         table.add_row(
-            certificate.role or "authority",
+            ", ".join(certificate.roles) or "authority",
             certificate.name,
             expires,
             ", ".join(certificate.hosts),

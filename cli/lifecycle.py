@@ -10,6 +10,7 @@ from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.write import Node, person
 from zenostat.topics.errors import NodeLost
+from zenostat.topics.keys import Role
 
 
 @on_bus
@@ -24,7 +25,7 @@ def reset(
     """
     from zenostat.topics.messages import Reset
 
-    with options.open_bus() as bus:
+    with options.open_bus(Role.OPERATOR) as bus:
         steps = bus.manifest(node).steps
         ack = bus.reset(node, Reset(controller=person(), seed=seed))
     weathers = dict.fromkeys(start.weather for start in ack.episode_starts if start.weather)
@@ -39,10 +40,10 @@ def stop(node: Node, options: BusOptions = DEFAULTS) -> None:
     Example: `zenostat stop office`
     """
     with (
-        options.open_bus() as bus,
+        options.open_bus(Role.OPERATOR) as bus,
         bus.listen(node) as samples,
     ):
-        bus.stop(node)
+        bus.stop(node, source=person())
         try:
             for _ in samples:
                 pass

@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 
 Connect = Annotated[str | None, typer.Option(help="Endpoint of the bus.", show_default=DEFAULT_ENDPOINT)]
 Keys = Annotated[
-    Path | None, typer.Option(help="Folder created by `zenostat keys init`: use TLS, with access rules per role.")
+    Path | None, typer.Option(help="Folder created by `zenostat keys init`: use TLS, with access rules per name.")
 ]
-CertificateName = Annotated[str | None, typer.Option(help="Certificate name, if it differs from the role's.")]
+CertificateName = Annotated[str | None, typer.Option(help="Name of the certificate. [default: that of the role]")]
 Wait = Annotated[
     bool, typer.Option("--wait", help="Wait for the bus and the node if they are not there yet, instead of ending.")
 ]

@@ -13,6 +13,7 @@ from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.write import Node, person
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import Role
 from zenostat.topics.messages import Mode, State, Status
 
 if TYPE_CHECKING:
@@ -110,7 +111,7 @@ def read_pace(text: str) -> tuple[Mode, float | None]:
 
 def _ask(node: str, options: BusOptions, request: Callable[[Bus], str | None]) -> None:
     """Send a request to a node, and print the node's status afterwards."""
-    with options.open_bus() as bus:
+    with options.open_bus(Role.OPERATOR) as bus:
         note = request(bus)
         now = bus.status(node)
     pace = f"paced, {now.speed:g} times the wall clock" if now.mode is Mode.PACED else str(now.mode)

@@ -13,6 +13,7 @@ from zenostat.cli.node_options import RecordOnFull
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.write import Node, person
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import Role
 from zenostat.topics.messages import OnFull, RecordingState, RecordingStatus
 
 
@@ -37,7 +38,7 @@ def record(
     """
     if (file is not None) is stop:
         raise InvalidConfig("expected either --out FILE.mcap, or --stop")
-    with options.open_bus() as bus:
+    with options.open_bus(Role.OPERATOR) as bus:
         if file is None:
             status = bus.stop_recording(node, source=person())
         else:

@@ -12,6 +12,7 @@ import typer
 from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import Role, safe_name
 
 _UNIT_S = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
 _DURATION = re.compile(rf"(\d+(?:\.\d+)?)({'|'.join(_UNIT_S)})")
@@ -21,7 +22,10 @@ Point = Annotated[str, typer.Argument(help="Name of the actuator; `zenostat read
 Priority = Annotated[
     int, typer.Option(min=1, max=16, help="Priority; 1 is the highest, 8 is for manual operation (BACnet).")
 ]
-Source = Annotated[str | None, typer.Option(help="Value source. Default: user@host.")]
+Source = Annotated[
+    str | None,
+    typer.Option(help="Name of the sender. Default: user.host; with keys, below the name of the certificate."),
+]
 
 
 @on_bus
@@ -41,7 +45,7 @@ def write(
     Example: `zenostat write office core_zn_cooling_setpoint 26 --priority 8 --duration 2h`
     """
     duration_s = None if duration is None else seconds(duration)
-    with options.open_bus() as bus:
+    with options.open_bus(Role.OPERATOR) as bus:
         ack = bus.write(node, point, value, priority=priority, duration_s=duration_s, source=source or person())
     out.print(f"{node}: {ack.text}" + (f" for {duration}" if duration else ""), markup=False, soft_wrap=True)
 
@@ -58,7 +62,7 @@ def relinquish(
 
     Example: `zenostat relinquish office core_zn_cooling_setpoint --priority 8`
     """
-    with options.open_bus() as bus:
+    with options.open_bus(Role.OPERATOR) as bus:
         ack = bus.write(node, point, None, priority=priority, source=source or person())
     out.print(f"{node}: {ack.text}", markup=False, soft_wrap=True)
 
@@ -78,9 +82,9 @@ def seconds(text: str) -> float:
 
 
 def person() -> str:
-    """Return `user@host`."""
+    """Return `user.host`, as a sender's name."""
     try:
         user = getpass.getuser()
     except (KeyError, OSError):  # a container's user may have no name
         user = "somebody"
-    return f"{user}@{socket.gethostname()}"
+    return safe_name(f"{user}.{socket.gethostname()}")

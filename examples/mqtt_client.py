@@ -42,7 +42,7 @@ def main() -> None:
         if is_night != was_night:
             was_night = is_night
             print(f"{content['time']}: {'night' if is_night else 'day'}")
-            command = json.dumps({"value": NIGHT_DEGC, "source": "night setback"}) if is_night else ""
+            command = json.dumps({"value": NIGHT_DEGC, "source": "night_setback"}) if is_night else ""
             client.publish(f"{ROOT}/actuator/{SETPOINT}/set", command, qos=1)
         if content["last"]:
             client.disconnect()

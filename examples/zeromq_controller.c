@@ -181,7 +181,7 @@ int main(int argc, char **argv) {
     const byte *at;
     byte *end;
 
-    snprintf(root, sizeof root, "zenostat/v2/%s", argc > 3 ? argv[3] : "office");
+    snprintf(root, sizeof root, "zenostat/v3/%s", argc > 3 ? argv[3] : "office");
     requests = zmq_socket(context, ZMQ_REQ);
     published = zmq_socket(context, ZMQ_SUB);
     if (zmq_connect(published, argc > 2 ? argv[1] : "tcp://127.0.0.1:5556")) fail("PUBLISH is not an endpoint");
@@ -204,7 +204,7 @@ int main(int argc, char **argv) {
     end = put_text(end, "actuators");
     *end++ = 0x91;
     end = put_text(end, SETPOINT);
-    ask("rpc/claim", request, (size_t)(end - request));
+    ask("rpc/claim/" ME, request, (size_t)(end - request));
 
     while (!(number(sample, "flags") & 2)) { /* 2: the run period is over */
         episode = number(sample, "episode");

@@ -19,7 +19,7 @@ parser.add_argument("--publish", default="tcp://127.0.0.1:5556")
 parser.add_argument("--command", default="tcp://127.0.0.1:5557")
 parser.add_argument("--node", default="office")
 arguments = parser.parse_args()
-root, controller, context = f"zenostat/v2/{arguments.node}", "drift", zmq.Context()
+root, controller, context = f"zenostat/v3/{arguments.node}", "drift", zmq.Context()
 
 published, requests = context.socket(zmq.SUB), context.socket(zmq.REQ)
 published.connect(arguments.publish)
@@ -52,7 +52,7 @@ def next_sample() -> dict:
 actuators = [actuator["name"] for actuator in request("manifest")["actuators"]]
 setpoint = actuators.index("core_zn_cooling_setpoint")
 sample = next_sample()  # a new subscriber receives the latest sample
-request("rpc/claim", controller=controller, actuators=[actuators[setpoint]])
+request(f"rpc/claim/{controller}", controller=controller, actuators=[actuators[setpoint]])
 while not sample["flags"][0] & 2:  # 2: the run period is over
     values = array.array("d", [0.0] * len(actuators))
     operations = bytearray(len(actuators))  # 0: keep, 1: set, 2: relinquish

@@ -118,10 +118,11 @@ class BusSide:
         then: ReplyCallback,
         *,
         name: str = "",
+        sender: str = "",
         timeout_s: float = _QUERY_S,
     ) -> None:
         """Query a node; `then` is called once, in the gateway's thread."""
-        key, answered = topic.at(node, name=name), False
+        key, answered = topic.at(node, name=name, sender=sender), False
 
         def on_reply(reply: zenoh.Reply) -> None:
             nonlocal answered
@@ -153,7 +154,7 @@ class BusSide:
 
         `then` is called once, in the gateway's thread.
         """
-        key, replies = keys.CONTROLLER_TOKEN.at(node, name=controller), list[bool]()
+        key, replies = keys.CONTROLLER_TOKEN.at(node, sender=controller), list[bool]()
         is_own = self._holders[key] > 0
 
         def on_reply(reply: zenoh.Reply) -> None:
@@ -166,7 +167,7 @@ class BusSide:
 
     def token(self, node: str, controller: str) -> Callable[[], None]:
         """Declare a controller's token until each returned function has been called."""
-        key = keys.CONTROLLER_TOKEN.at(node, name=controller)
+        key = keys.CONTROLLER_TOKEN.at(node, sender=controller)
         if self._holders[key] == 0:
             self._tokens[key] = self._session.liveliness().declare_token(key)
         self._holders[key] += 1

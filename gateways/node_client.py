@@ -69,12 +69,14 @@ class NodeClient:
         session: an open Zenoh session, which the caller closes.
         name: the node's name.
         source: default name of the writer, which samples and events show.
+        identity: the name in the gateway's certificate, below which all sources are; empty without keys.
 
     Raises:
         NodeNotFound: on entering the context, no node of that name is on the bus.
 
     Attributes:
-        name, source: as given.
+        name: as given.
+        source: the default name of the writer, below the identity.
         manifest: the node's latest manifest.
         sample: slot 0 of its latest sample; None before the first one.
         is_online: whether it is on the bus.
@@ -84,8 +86,9 @@ class NodeClient:
 
     manifest: Manifest
 
-    def __init__(self, session: zenoh.Session, name: str, *, source: str = "gateway") -> None:
-        self.name, self.source = name, source
+    def __init__(self, session: zenoh.Session, name: str, *, source: str = "gateway", identity: str = "") -> None:
+        self._identity = identity
+        self.name, self.source = name, keys.own_name(identity, source)
         self.sample: SampleView | None = None
         self.is_online = False
         self.listeners, self.counts = Listeners(), Counts()
@@ -134,7 +137,7 @@ class NodeClient:
             value: in the actuator's unit; None relinquishes it at this priority.
             priority: 1 (highest) to 16; 8 is a manual operator's.
             duration_s: simulated seconds after which the value is relinquished.
-            source: name of the writer; None for the gateway's own.
+            source: name of the writer; None for the gateway's own. With keys, it is placed below the gateway's name.
 
         Raises:
             UnknownName: no such actuator; the text lists similar names.
@@ -144,7 +147,7 @@ class NodeClient:
         """
         try:
             actuator_index(self.manifest.actuators).require([actuator])
-            source = self.source if source is None else source
+            source = keys.own_name(self._identity, source or self.source)
             try:
                 message = Write(value=value, priority=priority, duration_s=duration_s, source=source)
             except ValidationError as error:
@@ -264,8 +267,13 @@ class NodeClient:
             if not future.done():
                 future.set_result(message)
 
+        sender = ""
+        if topic.has_sender and request is not None:
+            field = keys.sender_field(type(request))
+            sender = keys.own_name(self._identity, (getattr(request, field) if field else "") or self.source)
+            request = request.model_copy(update={field: sender}) if field else request
         payload = None if request is None else codec.encode(request)
-        self._bus.ask(topic, self.name, payload, then, name=name, timeout_s=timeout_s)
+        self._bus.ask(topic, self.name, payload, then, name=name, sender=sender, timeout_s=timeout_s)
         reply = await future
         if reply is None:  # nobody answers to this key
             if self._instance:

@@ -95,13 +95,16 @@ def _server(transport: str, description: str, security: tuple[str, ...]) -> dict
 
 def _security() -> dict[str, Any]:
     roles = ", ".join(f"`{role}`" for role in Role if role is not Role.ANYONE)
-    text = f"A certificate of the node's own authority. Its common name is a role, which limits the topics: {roles}."
+    text = (
+        "A certificate of the node's own authority. Its common name is the sender's name, which its messages have in "
+        f"their keys; its roles limit the topics: {roles}."
+    )
     return {_CERTIFICATE: {"type": "X509", "description": text}}
 
 
 def channel_name(topic: Topic) -> str:
     """Return a topic's channel name: `sample`, `sensor`, `rpc.claim`, `live.node`."""
-    return topic.key.removeprefix("@").removesuffix("/{name}").replace("/", ".")
+    return topic.key.removeprefix("@").removesuffix("/{name}").removesuffix("/{sender}").replace("/", ".")
 
 
 def payload_classes() -> list[type[Message]]:
@@ -114,7 +117,11 @@ def _channel(topic: Topic) -> dict[str, Any]:
     names = dict.fromkeys([*_sent(topic), *_queries(topic), *_replies(topic)])
     parameters = {"node": {"description": "The node's name."}}
     if "{name}" in topic.key:
-        parameters["name"] = {"description": "The name of the point, the controller or the node's instance."}
+        parameters["name"] = {"description": "The name of the point or the node's instance."}
+    if topic.has_sender:
+        parameters["sender"] = {
+            "description": "The sender's name: with keys, that of its certificate, or one below it (`name.part`)."
+        }
     return {
         "address": f"{PREFIX}/{{node}}/{topic.key}",
         "messages": {name: {"$ref": f"#/components/messages/{name}"} for name in names},
@@ -139,7 +146,7 @@ def _replies(topic: Topic) -> list[str]:
 
 def _operations(topic: Topic) -> Iterator[tuple[str, dict[str, Any]]]:
     name = channel_name(topic)
-    summary = f"From: {topic.sender}."
+    summary = f"From: {' or '.join(topic.senders)}."
     if topic.delivery is Delivery.QUERY:
         yield name, _operation(topic, "receive", _sent(topic), summary, has_reply=True)
         return

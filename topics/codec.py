@@ -69,7 +69,7 @@ _UNNAMED = frozenset(("", "zenoh/bytes", "application/octet-stream", _MEDIA, "ap
 
 @cache
 def encoding(message: type[Message]) -> str:
-    """Return the encoding of a message class: `application/msgpack;zenostat/2.Sample`."""
+    """Return the encoding of a message class: `application/msgpack;zenostat/3.Sample`."""
     return f"{_MEDIA}{_SCHEMA_MARK}{SCHEMA_VERSION}.{message.__name__}"
 
 
@@ -136,21 +136,6 @@ def decode(message: type[M], payload: bytes, declared: str = "") -> M:
         return message.__pydantic_validator__.validate_python(fields)  # type: ignore[no-any-return]
     except ValidationError as error:
         raise BadMessage(replace_controls(f"{message.__name__}: {describe_validation_errors(error)}")) from None
-
-
-def text_field(payload: bytes, name: str, limit: int) -> str:
-    """Return up to `limit` characters of one string in a map that need not be valid, without control characters.
-
-    It is empty if it cannot be read.
-    """
-    if len(payload) > MAX_BYTES:
-        return ""
-    try:
-        fields = _unpacked(payload, MAX_ENTRIES)
-    except Exception:  # msgpack raises a dozen unrelated classes on malformed input
-        return ""
-    text = fields.get(name) if isinstance(fields, dict) else None
-    return replace_controls(text[:limit]) if isinstance(text, str) else ""
 
 
 def _unpacked(payload: bytes, limit: int) -> Any:

@@ -11,6 +11,7 @@
     ├── PeerError               the mistake of a peer on the bus
     │   ├── BadMessage          malformed, oversized, or of another schema version
     │   ├── RequestRejected     a request or command that the node rejected
+    │   │   └── AccessDenied    under another's name, or not permitted to its sender
     │   ├── EpisodeChanged      somebody else reset or stopped the episode
     │   └── EpisodeAborted      the fallback policy ended the episode: a controller sent no command
     ├── SimulatorError          EnergyPlus, or another plant, failed
@@ -89,6 +90,10 @@ class BadMessage(PeerError):
 
 class RequestRejected(PeerError):
     """A request or command that the node rejected, with the reason."""
+
+
+class AccessDenied(RequestRejected):
+    """A message under another's name, or one that the sender's role does not permit."""
 
 
 class EpisodeChanged(PeerError):

@@ -1,6 +1,9 @@
 """The table of topics: all key expressions of the bus, each defined once.
 
-Root: `zenostat/v2/{node}`. Wildcards do not match chunks that begin with `@`.
+Root: `zenostat/v3/{node}`. Wildcards do not match chunks that begin with `@`.
+
+Each message that changes something names its sender in its key, so that an access rule can bind it: `{sender}` is the
+name in the sender's certificate (`ppo-7`), or a name below it (`ppo-7.agent`).
 """
 
 from __future__ import annotations
@@ -12,6 +15,7 @@ from enum import StrEnum
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import (
+    ANONYMOUS,
     SCHEMA_VERSION,
     Ack,
     Acknowledge,
@@ -61,6 +65,9 @@ from zenostat.topics.messages import (
 from zenostat.topics.printable import replace_controls
 
 PREFIX = f"zenostat/v{SCHEMA_VERSION}"
+SENDER, NAME = "{sender}", "{name}"
+"""Placeholders in a topic's key."""
+
 NODE_CHUNK = 2
 """Index of the node's name among a key's chunks."""
 
@@ -70,11 +77,18 @@ DEFAULT_PORT = 7447
 
 
 class Role(StrEnum):
-    """Role of a program on the bus: sender of a topic, and common name of its certificate."""
+    """Role of a program or a person on the bus: who may send on a topic, and what a certificate permits.
+
+    `NODE` is trusted with all messages. `CONTROLLER` claims, commands, simulates copies. `OPERATOR` writes, resets,
+    stops, and sets pace, faults, alarms and recordings. `MONITOR` reads. `GATEWAY` sends what a controller and an
+    operator may, for clients of other protocols. `ANYONE`, any of them, is no role of a certificate.
+    """
 
     NODE = "node"
     CONTROLLER = "controller"
+    OPERATOR = "operator"
     MONITOR = "monitor"
+    GATEWAY = "gateway"
     ANYONE = "anyone"
 
 
@@ -89,59 +103,97 @@ class Delivery(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Topic:
-    """A row of the table: key below the root, sender's role, classes of the message and of the reply, delivery."""
+    """A row of the table: key below the root, sender's role, classes of the message and of the reply, delivery.
+
+    Attributes:
+        key: `{sender}` stands for the sender's name, `{name}` for that of a point or an instance.
+        sender: the role that may send the message, or query.
+        message, delivery, reply: of the topic.
+        also: a further role that may send it.
+    """
 
     key: str
     sender: Role
     message: type[Message] | None
     delivery: Delivery
     reply: type[Message] | None = None
+    also: Role | None = None
 
-    def at(self, node: str, *, name: str = "") -> str:
-        """Return the full key expression; the name `*` matches all names."""
-        return f"{PREFIX}/{node}/{self.key.replace('{name}', name)}"
+    @property
+    def has_sender(self) -> bool:
+        """Whether a message changes something, and its key has the sender's name."""
+        return SENDER in self.key
+
+    @property
+    def senders(self) -> tuple[Role, ...]:
+        """The roles that may send it."""
+        return (self.sender,) if self.also is None else (self.sender, self.also)
+
+    def below(self, *, name: str = "", sender: str = "") -> str:
+        """Return the key below the node's root."""
+        return self.key.replace(SENDER, sender).replace(NAME, name)
+
+    def at(self, node: str, *, name: str = "", sender: str = "") -> str:
+        """Return the full key expression; the name or the sender `*` matches all of them."""
+        return f"{PREFIX}/{node}/{self.below(name=name, sender=sender)}"
+
+    def everywhere(self, node: str = "*") -> str:
+        """Return the key expression of all names and all senders, by default on all nodes."""
+        return self.at(node, name="*", sender="*")
+
+    def names_in(self, key: str) -> tuple[str, str]:
+        """Return sender and name in a full key of this topic, without control characters; empty where it has none."""
+        *_, before, last = replace_controls(key).split("/")
+        if self.key.endswith(NAME):
+            return (before if self.has_sender else ""), last
+        return (last if self.has_sender else ""), ""
 
 
 MANIFEST = Topic("manifest", Role.NODE, Manifest, Delivery.BLOCK, reply=Manifest)
 SAMPLE = Topic("sample", Role.NODE, Sample, Delivery.DROP, reply=Sample)
 SENSOR = Topic("sensor/{name}", Role.NODE, PointValue, Delivery.DROP)
 METER = Topic("meter/{name}", Role.NODE, PointValue, Delivery.DROP)
-COMMAND = Topic("command/{name}", Role.CONTROLLER, Command, Delivery.BLOCK)
-ACTUATOR = Topic("actuator/{name}", Role.ANYONE, Write, Delivery.BLOCK)
+COMMAND = Topic("command/{sender}", Role.CONTROLLER, Command, Delivery.BLOCK)
+ACTUATOR = Topic("actuator/{sender}/{name}", Role.OPERATOR, Write, Delivery.BLOCK)
 EVENT = Topic("event", Role.NODE, Event, Delivery.DROP)
 BATCH = Topic("batch/stream", Role.NODE, Batch, Delivery.DROP)
-CLAIM = Topic("rpc/claim", Role.CONTROLLER, Claim, Delivery.QUERY, reply=Ack)
-RESET = Topic("rpc/reset", Role.CONTROLLER, Reset, Delivery.QUERY, reply=Ack)
-SNAPSHOT = Topic("rpc/snapshot", Role.CONTROLLER, TakeSnapshot, Delivery.QUERY, reply=SnapshotTaken)
-DROP = Topic("rpc/drop", Role.CONTROLLER, DropSnapshot, Delivery.QUERY, reply=Ack)
-BRANCH = Topic("rpc/branch", Role.CONTROLLER, CreateBranch, Delivery.QUERY, reply=BranchCreated)
-PLAN = Topic("rpc/plan", Role.CONTROLLER, SimulatePlan, Delivery.QUERY, reply=PlanSimulated)
-TRY = Topic("rpc/try/{name}", Role.CONTROLLER, TrySteps, Delivery.QUERY, reply=StepsTried)
-STOP = Topic("rpc/stop", Role.CONTROLLER, Stop, Delivery.QUERY, reply=Ack)
-PACE = Topic("rpc/pace", Role.CONTROLLER, SetPace, Delivery.QUERY, reply=Ack)
-PAUSE = Topic("rpc/pause", Role.CONTROLLER, Pause, Delivery.QUERY, reply=Ack)
-RESUME = Topic("rpc/resume", Role.CONTROLLER, Resume, Delivery.QUERY, reply=Ack)
-STEP = Topic("rpc/step", Role.CONTROLLER, StepRequest, Delivery.QUERY, reply=Ack)
-COMMAND_REQUEST = Topic("rpc/command/{name}", Role.CONTROLLER, Command, Delivery.QUERY, reply=Ack)
-WRITE_REQUEST = Topic("rpc/write/{name}", Role.CONTROLLER, Write, Delivery.QUERY, reply=Ack)
-FAULTS = Topic("rpc/faults", Role.CONTROLLER, FaultPlan, Delivery.QUERY, reply=Ack)
-RECORD = Topic("rpc/record", Role.CONTROLLER, StartRecording, Delivery.QUERY, reply=RecordingStatus)
-STOP_RECORDING = Topic("rpc/stop_recording", Role.CONTROLLER, StopRecording, Delivery.QUERY, reply=RecordingStatus)
+CLAIM = Topic("rpc/claim/{sender}", Role.CONTROLLER, Claim, Delivery.QUERY, reply=Ack)
+RESET = Topic("rpc/reset/{sender}", Role.OPERATOR, Reset, Delivery.QUERY, reply=Ack)
+SNAPSHOT = Topic("rpc/snapshot/{sender}", Role.CONTROLLER, TakeSnapshot, Delivery.QUERY, reply=SnapshotTaken)
+DROP = Topic("rpc/drop/{sender}", Role.CONTROLLER, DropSnapshot, Delivery.QUERY, reply=Ack)
+BRANCH = Topic("rpc/branch/{sender}", Role.CONTROLLER, CreateBranch, Delivery.QUERY, reply=BranchCreated)
+PLAN = Topic("rpc/plan/{sender}", Role.CONTROLLER, SimulatePlan, Delivery.QUERY, reply=PlanSimulated)
+TRY = Topic("rpc/try/{sender}", Role.CONTROLLER, TrySteps, Delivery.QUERY, reply=StepsTried)
+STOP = Topic("rpc/stop/{sender}", Role.OPERATOR, Stop, Delivery.QUERY, reply=Ack, also=Role.CONTROLLER)
+"""Controllers end their own branches with it."""
+PACE = Topic("rpc/pace/{sender}", Role.OPERATOR, SetPace, Delivery.QUERY, reply=Ack)
+PAUSE = Topic("rpc/pause/{sender}", Role.OPERATOR, Pause, Delivery.QUERY, reply=Ack)
+RESUME = Topic("rpc/resume/{sender}", Role.OPERATOR, Resume, Delivery.QUERY, reply=Ack)
+STEP = Topic("rpc/step/{sender}", Role.OPERATOR, StepRequest, Delivery.QUERY, reply=Ack)
+COMMAND_REQUEST = Topic("rpc/command/{sender}", Role.CONTROLLER, Command, Delivery.QUERY, reply=Ack)
+WRITE_REQUEST = Topic("rpc/write/{sender}/{name}", Role.OPERATOR, Write, Delivery.QUERY, reply=Ack)
+FAULTS = Topic("rpc/faults/{sender}", Role.OPERATOR, FaultPlan, Delivery.QUERY, reply=Ack)
+RECORD = Topic("rpc/record/{sender}", Role.OPERATOR, StartRecording, Delivery.QUERY, reply=RecordingStatus)
+STOP_RECORDING = Topic(
+    "rpc/stop_recording/{sender}", Role.OPERATOR, StopRecording, Delivery.QUERY, reply=RecordingStatus
+)
 STATUS = Topic("rpc/status", Role.ANYONE, Query, Delivery.QUERY, reply=Status)
 SCENARIO = Topic("rpc/scenario", Role.ANYONE, Query, Delivery.QUERY, reply=ScenarioText)
 WEATHER = Topic("rpc/weather", Role.ANYONE, WeatherQuery, Delivery.QUERY, reply=WeatherSeries)
 ALARMS = Topic("rpc/alarms", Role.ANYONE, AlarmQuery, Delivery.QUERY, reply=AlarmList)
-ACKNOWLEDGE = Topic("rpc/acknowledge", Role.CONTROLLER, Acknowledge, Delivery.QUERY, reply=Ack)
-SHELVE = Topic("rpc/shelve", Role.CONTROLLER, Shelve, Delivery.QUERY, reply=Ack)
-UNSHELVE = Topic("rpc/unshelve", Role.CONTROLLER, Unshelve, Delivery.QUERY, reply=Ack)
-REMOVE_FROM_SERVICE = Topic("rpc/remove_from_service", Role.CONTROLLER, RemoveFromService, Delivery.QUERY, reply=Ack)
-RETURN_TO_SERVICE = Topic("rpc/return_to_service", Role.CONTROLLER, ReturnToService, Delivery.QUERY, reply=Ack)
+ACKNOWLEDGE = Topic("rpc/acknowledge/{sender}", Role.OPERATOR, Acknowledge, Delivery.QUERY, reply=Ack)
+SHELVE = Topic("rpc/shelve/{sender}", Role.OPERATOR, Shelve, Delivery.QUERY, reply=Ack)
+UNSHELVE = Topic("rpc/unshelve/{sender}", Role.OPERATOR, Unshelve, Delivery.QUERY, reply=Ack)
+REMOVE_FROM_SERVICE = Topic(
+    "rpc/remove_from_service/{sender}", Role.OPERATOR, RemoveFromService, Delivery.QUERY, reply=Ack
+)
+RETURN_TO_SERVICE = Topic("rpc/return_to_service/{sender}", Role.OPERATOR, ReturnToService, Delivery.QUERY, reply=Ack)
 HISTORY = Topic("rpc/history", Role.ANYONE, HistoryQuery, Delivery.QUERY, reply=HistorySeries)
 GEOMETRY = Topic("rpc/geometry", Role.ANYONE, Query, Delivery.QUERY, reply=Geometry)
 PRIORITIES = Topic("rpc/priorities", Role.ANYONE, Query, Delivery.QUERY, reply=PriorityArrays)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
-CONTROLLER_TOKEN = Topic("@live/controller/{name}", Role.CONTROLLER, None, Delivery.TOKEN)
-GATEWAY_TOKEN = Topic("@live/gateway/{name}", Role.CONTROLLER, None, Delivery.TOKEN)
+CONTROLLER_TOKEN = Topic("@live/controller/{sender}", Role.CONTROLLER, None, Delivery.TOKEN)
+GATEWAY_TOKEN = Topic("@live/gateway/{name}", Role.GATEWAY, None, Delivery.TOKEN)
 
 TOPICS = (
     MANIFEST,
@@ -209,7 +261,7 @@ def wake(node: str, receiver: int) -> str:
 
 
 def root(node: str) -> str:
-    """Return a node's root: `zenostat/v2/{node}`."""
+    """Return a node's root: `zenostat/v3/{node}`."""
     return f"{PREFIX}/{node}"
 
 
@@ -230,6 +282,33 @@ _SAFE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}")
 def safe_name(text: str) -> str:
     """Convert a text to a valid chunk of a key: in lower case, with `_` for characters that are not allowed."""
     return _UNSAFE.sub("_", text).strip("_.-").lower()[:128] or "x"
+
+
+def is_name(name: str) -> bool:
+    """Return whether a name is valid as a chunk of a key."""
+    return _SAFE.fullmatch(name) is not None
+
+
+def is_own(identity: str, name: str) -> bool:
+    """Return whether the holder of a certificate may send under a name: the certificate's, or one below it."""
+    return name == identity or name.startswith(f"{identity}.")
+
+
+def own_name(identity: str, name: str) -> str:
+    """Return a sender's name: below the certificate's name where there is a certificate, else as it is chosen.
+
+    Args:
+        identity: the name in the certificate; empty without one.
+        name: the name that the program chose; empty if it chose none.
+    """
+    if not identity:
+        return name or ANONYMOUS
+    return name if is_own(identity, name) else f"{identity}.{name}" if name else identity
+
+
+def sender_field(kind: type[Message]) -> str:
+    """Return the field of a message that has its sender's name; empty if it has none."""
+    return next((field for field in ("controller", "source") if field in kind.model_fields), "")
 
 
 def check_name(name: str, what: str) -> str:

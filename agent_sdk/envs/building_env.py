@@ -60,7 +60,8 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         reward: An object of `zenostat.rewards`, a kind, a kind with its parameters, or a function or class of your
             own (`zenostat.rewards.from_function`). None gives 0.0; left out, the scenario's reward.
         connect: Endpoint of a bus.
-        keys: For a bus over TLS, the folder of certificates created by `zenostat keys init`.
+        keys: For a bus over TLS, the folder of certificates created by `zenostat keys init`, whose certificate
+            `trainer` is used, or another certificate of a controller and operator (`FOLDER/NAME.pem`).
         node: The node's name on that bus.
         priority: Priority of this agent's commands, 1 (highest) to 16.
         affinity: See `zenostat.bridge.runtime.affinity`.

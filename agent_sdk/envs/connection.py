@@ -21,6 +21,7 @@ from zenostat.bridge.client.local_node import LocalNode, Monitor, ignore_interru
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.recording.file import next_recording
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.transport.session import certificate_file, keys_folder
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected
 from zenostat.topics.messages import Manifest, RecordingState, RecordingStatus
 
@@ -236,14 +237,16 @@ class NodeConnection:
     def _connected_bus(self) -> Bus:
         if self._bus is None:
             target = self._target
-            bus = connect_bus(target.endpoint, affinity=target.placement, core=target.core, keys=self._keys)
+            bus = connect_bus(
+                target.endpoint, affinity=target.placement, core=target.core, keys=certificate_file(self._keys)
+            )
             self._bus = self._close.enter_context(bus)
         return self._bus
 
     def open_monitor(self) -> None:
         """Open a live view of the bus, which closes with the connection."""
         self._has_monitor = True
-        self._close.callback(Monitor(self._target.endpoint, self._keys).close)
+        self._close.callback(Monitor(self._target.endpoint, keys_folder(self._keys)).close)
 
     def warn(self, stacklevel: int) -> None:
         """Warn of what the node reports, and of a plant that pays nothing; `stacklevel` is the caller's."""

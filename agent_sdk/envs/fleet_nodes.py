@@ -14,7 +14,7 @@ from zenostat.agent_sdk.envs import spaces
 from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.bus import connect as connect_bus
-from zenostat.bridge.transport.session import check_endpoint
+from zenostat.bridge.transport.session import certificate_file, check_endpoint
 from zenostat.topics.errors import BusError, ErrorCollector, InvalidConfig, PeerError, SimulatorError, ZenostatError
 from zenostat.topics.keys import check_name
 from zenostat.topics.messages import Manifest
@@ -201,7 +201,9 @@ def connect_all(
         InvalidConfig: The keys cannot be used.
     """
     endpoints = list(dict.fromkeys(address.endpoint for address in addresses))
-    buses = dict(zip(endpoints, attempt_all(lambda at: connect_bus(at, keys=keys), endpoints), strict=True))
+    buses = dict(
+        zip(endpoints, attempt_all(lambda at: connect_bus(at, keys=certificate_file(keys)), endpoints), strict=True)
+    )
     for bus in buses.values():
         if isinstance(bus, Bus):
             close.enter_context(bus)

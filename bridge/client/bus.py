@@ -49,7 +49,7 @@ def connect(
     affinity: Affinity = Affinity.SEPARATE_CORES,
     core: int | None = None,
     keys: Path | None = None,
-    role: Role = Role.CONTROLLER,
+    role: Role | None = None,
     certificate: str | None = None,
 ) -> Bus:
     """Connect to the bus at `endpoint`; use the result in a `with` statement.
@@ -59,24 +59,28 @@ def connect(
         wait: Keep trying in the background instead of failing.
         affinity: Placement of this process's bus threads; see `zenostat.bridge.runtime.affinity`.
         core: The node's core, if it is already known.
-        keys: A folder created by `zenostat keys init`.
-        role: Which certificate to use: a controller's, or a monitor's, which may only read.
-        certificate: Name of another certificate of that role.
+        keys: A folder created by `zenostat keys init`, or a certificate in it (`FOLDER/NAME.pem`).
+        role: A role that the certificate must have: `controller`, the default, or `operator`, `monitor`, `gateway`.
+        certificate: Name of the certificate; by default that of the role.
 
     Raises:
         NodeNotFound: No process listens at the endpoint, or the TLS session failed.
         InvalidConfig: The endpoint is malformed, or the keys cannot be used.
     """
     with _thread_placement(Affinity(affinity), core):
+        if role is None and certificate is None and (keys is None or keys.suffix != ".pem"):
+            role = Role.CONTROLLER
         session = open_session(connect=[endpoint], wait=wait, keys=keys, role=role, certificate=certificate)
-    return Bus(endpoint, session, Affinity(affinity), role if keys else None)
+    return Bus(endpoint, session, Affinity(affinity))
 
 
 class Bus(Connection):
     """A connection to all nodes that are reachable through one endpoint.
 
     Attributes:
-        endpoint, role: Its endpoint, and the role of its certificate (None without TLS).
+        endpoint: Its endpoint.
+        identity: The name in its certificate; empty without keys.
+        roles: The roles of its certificate; none without keys.
         session: The Zenoh session.
         timer: For the checks of controllers that have waited for long; its thread starts with the first controller.
     """
@@ -155,7 +159,8 @@ class Bus(Connection):
             Of each alternative, a sample for each timestep, at most until the episode ends.
         """
         manifest = self.manifest(node)
-        reply = self.trial(node, trial_request(manifest, alternatives, priority=priority), name)
+        request = trial_request(manifest, alternatives, priority=priority)
+        reply = self.trial(node, request.model_copy(update={"controller": keys.check_name(name, "a sender's name")}))
         return tried_samples(reply, len(alternatives), manifest)
 
     # History

@@ -64,7 +64,7 @@ class CommandPublisher:
 
     def __init__(self, session: zenoh.Session, manifest: Manifest, controller: str) -> None:
         self._publisher = session.declare_publisher(
-            keys.COMMAND.at(manifest.node, name=controller),
+            keys.COMMAND.at(manifest.node, sender=controller),
             encoding=zenoh.Encoding(codec.encoding(Command)),
             congestion_control=CongestionControl.BLOCK,
         )

@@ -31,9 +31,7 @@ from zenostat.topics.errors import (
     did_you_mean,
 )
 from zenostat.topics.fault_plan import FaultPlan
-from zenostat.topics.keys import Role
 from zenostat.topics.messages import (
-    ANONYMOUS,
     Ack,
     BranchCreated,
     Claim,
@@ -84,15 +82,17 @@ class Connection:
     """Requests to all nodes that are reachable through one endpoint.
 
     Attributes:
-        endpoint, role: Its endpoint, and the role of its certificate (None without TLS).
+        endpoint: Its endpoint.
+        identity: The name in its certificate; empty without keys.
+        roles: The roles of its certificate; none without keys.
         session: The Zenoh session.
         affinity: Placement of its threads.
         timer: For the checks of controllers that have waited for long; its thread starts with the first controller.
     """
 
-    def __init__(self, endpoint: str, session: OpenSession, affinity: Affinity, role: Role | None = None) -> None:
+    def __init__(self, endpoint: str, session: OpenSession, affinity: Affinity) -> None:
         self.endpoint = endpoint
-        self.role = role
+        self.identity, self.roles = session.name, session.roles
         self._close, self._closed = ExitStack(), False
         self.affinity = affinity
         self._links: set[Link] = set()
@@ -144,16 +144,22 @@ class Connection:
 
         Raises:
             NodeNotFound: No such node, or it does not know the topic.
-            InvalidConfig: The role of this connection may not query the topic.
+            InvalidConfig: The roles of this connection may not query the topic.
             BusError: This connection is closed.
             ZenostatError: The error that the node replied with.
         """
-        if self.role is not None and Permission.ASK not in may(self.role, topic):
+        if self.roles and not any(Permission.ASK in may(role, topic) for role in self.roles):
             raise InvalidConfig(
-                f"a {self.role} may not query {topic.key}; connect with the certificate of another role"
+                f"{' and '.join(self.roles)} {self.identity!r} may not query {topic.key}; connect with the certificate "
+                f"of another role: {' or '.join(topic.senders)}"
             )
+        sender = ""
+        if topic.has_sender and request is not None:
+            request, sender = self._signed(request)
         try:
-            reply = ask(self.session, topic, node, request, reply_type, name=name, timeout_s=_REQUEST_TIMEOUT_S)
+            reply = ask(
+                self.session, topic, node, request, reply_type, name=name, sender=sender, timeout_s=_REQUEST_TIMEOUT_S
+            )
         except zenoh.ZError:
             if not self._closed:
                 raise
@@ -164,6 +170,17 @@ class Connection:
             raise BusError(_CLOSED)
         raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, self.nodes())}")
 
+    def _signed(self, request: Message) -> tuple[Message, str]:
+        """Return a request with its sender's name, and that name: below the one in the certificate."""
+        field = keys.sender_field(type(request))
+        named = getattr(request, field) if field else ""
+        sender = self.sender(named)
+        return (request.model_copy(update={field: sender}) if named not in ("", sender) else request), sender
+
+    def sender(self, name: str = "") -> str:
+        """Return the name under which this connection sends what `name` stands for; see `topics.keys.own_name`."""
+        return keys.own_name(self.identity, name)
+
     def nodes(self) -> list[str]:
         """Return the names of all nodes on the bus, sorted."""
         # Not through liveliness tokens: one time in ten, Zenoh 1.10 omits those that this session is subscribed to.
@@ -172,7 +189,7 @@ class Connection:
 
     def controllers(self) -> list[tuple[str, str]]:
         """Return pairs (node, controller) of all controllers on the bus, sorted."""
-        replies = self.session.liveliness().get(keys.CONTROLLER_TOKEN.at("*", name="*"))
+        replies = self.session.liveliness().get(keys.CONTROLLER_TOKEN.everywhere())
         tokens = [str(r.ok.key_expr) for r in replies if r.ok]
         return sorted({(keys.node_of(token), keys.last_chunk(token)) for token in tokens})
 
@@ -189,9 +206,9 @@ class Connection:
         """
         return self.ask(keys.STATUS, node, Query(memory=memory), Status)
 
-    def stop(self, node: str) -> None:
+    def stop(self, node: str, *, source: str = "") -> None:
         """Stop a node."""
-        self.ask(keys.STOP, node, Stop(), Ack)
+        self.ask(keys.STOP, node, build(Stop, source=source), Ack)
 
     def faults(self, node: str, plan: FaultPlan | Mapping[str, Any] | Path | None) -> None:
         """Replace the faults that a node injects; None stops all injection.
@@ -262,7 +279,7 @@ class Connection:
         *,
         priority: int = 8,
         duration_s: float | None = None,
-        source: str = ANONYMOUS,
+        source: str = "",
     ) -> Ack:
         """Write one actuator as a person or a device, and return the node's reply; effective from the next timestep.
 
@@ -272,7 +289,8 @@ class Connection:
             value: In the actuator's unit; None relinquishes it at this priority.
             priority: 1 (highest) to 16; 8 is a manual operator's.
             duration_s: Simulated seconds after which the value is relinquished; None keeps it until it is relinquished.
-            source: Name of the writer, which samples and events show; at most 128 characters.
+            source: Name of the writer, which samples and events show; empty for `anonymous`, or with keys the
+                certificate's name.
 
         Raises:
             NodeNotFound: No such node.
@@ -371,14 +389,14 @@ class Connection:
         """
         return self.ask(keys.PLAN, branch, plan, PlanSimulated)
 
-    def trial(self, node: str, request: TrySteps, sender: str) -> StepsTried:
+    def trial(self, node: str, request: TrySteps) -> StepsTried:
         """Let a node simulate timesteps under alternative commands, and return the samples; see `Bus.try_steps`.
 
         Raises:
             NodeLost: It left the bus before it replied.
         """
         try:
-            return self.ask(keys.TRY, node, request, StepsTried, name=keys.check_name(sender, "a sender's name"))
+            return self.ask(keys.TRY, node, request, StepsTried)
         except NodeNotFound:
             raise NodeLost(f"node {node!r} is gone") from None
 

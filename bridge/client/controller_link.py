@@ -108,7 +108,7 @@ class ControllerLink:
         self._node = NodeWatch(session, manifest.node, self._on_loss)
         self._close.callback(self._node.close)
         self._node.watch(manifest.instance)
-        declare(session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, name=claim.controller)))
+        declare(session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, sender=claim.controller)))
         commands = CommandPublisher(session, manifest, claim.controller)
         self._close.callback(commands.close)
         self._encode_command, self._put_command = commands.encode, commands.put
@@ -388,7 +388,7 @@ class ControllerLink:
         """Send the request for a trial; return the samples of each alternative."""
         if self._ended is not None:
             raise self._ended
-        reply = self.bus.trial(self.manifest.node, request, self.name)
+        reply = self.bus.trial(self.manifest.node, request.model_copy(update={"controller": self.name}))
         return tried_samples(reply, request.alternatives, self.manifest)
 
     def __iter__(self) -> Iterator[SampleView]:
@@ -413,8 +413,8 @@ def open_link(
     required: bool = True,
 ) -> ControllerLink:
     """Connect a controller to a node; see `Bus.controller`."""
-    identity = f"{keys.check_name(name, 'the controller')}-{os.getpid()}-{next(_numbers)}"
-    claim = Claim(controller=identity, priority=priority, actuators=actuators, required=required)
+    unique = f"{keys.check_name(name, 'the controller')}-{os.getpid()}-{next(_numbers)}"
+    claim = Claim(controller=bus.sender(unique), priority=priority, actuators=actuators, required=required)
     link = ControllerLink(bus, node, claim, bus.affinity)
     bus.adopt(link)
     return link

@@ -10,16 +10,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 import psutil
 
-from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, MAX_SOURCE_NAME
+from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP
 from zenostat.bridge.node.manifest import located_geometry
 from zenostat.bridge.node.planning import PlanSimulation
 from zenostat.bridge.node.served_node import ServedNode
 from zenostat.bridge.node.subscriptions import Request
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import BadMessage, BusError, RequestRejected, UnknownName
+from zenostat.topics.errors import AccessDenied, BadMessage, BusError, RequestRejected, UnknownName
 from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import (
-    ANONYMOUS,
     REJECTIONS,
     Ack,
     Acknowledge,
@@ -101,11 +100,11 @@ class RequestHandlers:
     # Commands and writes
 
     def _request_command(self, request: Request) -> None:
-        if not self._server.deliver(request.name, lambda: request.answer(lambda: self._command(request))):
+        if not self._server.deliver(request.sender, lambda: request.answer(lambda: self._command(request))):
             request.answer(_lost)
 
     def _command(self, request: Request) -> Ack:
-        server, exchange, controller, now_s = self._server, self._server.exchange, request.name, monotonic()
+        server, exchange, controller, now_s = self._server, self._server.exchange, request.sender, monotonic()
         event = None
         if not exchange.intake.accept_fast(controller, request.payload, now_s, request.encoding):
             if exchange.intake.is_rate_limited(controller):
@@ -132,28 +131,29 @@ class RequestHandlers:
         text = event.text if event is not None and event.kind is EventKind.WRITTEN else ""
         return Ack(episode=exchange.episode, step=exchange.step, text=text)
 
-    def _write(self, name: str, payload: bytes, encoding: str) -> None:
-        with suppress(BadMessage):  # it is reported by an event
-            self._server.event(self._decode_and_write(name, payload, encoding))
+    def _write(self, sender: str, name: str, payload: bytes, encoding: str) -> None:
+        with suppress(BadMessage, AccessDenied):  # it is reported by an event
+            self._server.event(self._decode_and_write(keys.ACTUATOR, sender, name, payload, encoding))
 
     def _request_write(self, request: Request) -> None:
-        name, payload, encoding = request.name, request.payload, request.encoding
-        request.answer(lambda: self._ack(self._decode_and_write(name, payload, encoding)))
+        names, payload, encoding = (request.sender, request.name), request.payload, request.encoding
+        request.answer(lambda: self._ack(self._decode_and_write(keys.WRITE_REQUEST, *names, payload, encoding)))
 
-    def _decode_and_write(self, name: str, payload: bytes, encoding: str) -> Event:
+    def _decode_and_write(self, topic: keys.Topic, sender: str, name: str, payload: bytes, encoding: str) -> Event:
         """Write an actuator; return the event, which is not published yet.
 
         Raises:
             BadMessage: the payload is not a write; its event is published.
+            AccessDenied: its sender may not send it; its event is published.
         """
         server = self._server
         try:
             write = codec.decode(Write, payload, encoding)
         except BadMessage as error:
-            source = codec.text_field(payload, "source", MAX_SOURCE_NAME) or ANONYMOUS
-            rejected = server.exchange.rejected(f"{name}: {error}", source)
+            rejected = server.exchange.rejected(f"{name}: {error}", sender)
             server.event(rejected)
             raise BadMessage(rejected.text) from None
+        write = server.subscriptions.checked(topic, sender, write)
         return server.exchange.intake.write(name, write, server.elapsed_s)
 
     # Other requests

@@ -106,6 +106,7 @@ class NodeServer:
     def declare(self, status: Callable[[Query], bytes] | None = None) -> None:
         """Declare subscribers, queryables and publishers; `status` replaces the server's own."""
         self.subscriptions = self._close.enter_context(Subscriptions(self.session, self.manifest.node))
+        self.subscriptions.on_denied = lambda text, sender: self.event(self.exchange.rejected(text, sender))
         self.requests.declare(status)
         self.trials.declare()
         self.pacing.declare()
@@ -167,7 +168,7 @@ class NodeServer:
         controller, message = received
         payload, encoding = message.payload.to_bytes(), str(message.encoding)
         if self._recorder is not None:
-            self._recorder.received(keys.COMMAND, controller, payload, encoding)
+            self._recorder.received(keys.COMMAND, keys.COMMAND.below(sender=controller), payload, encoding)
         if self.injection is not None and self.injection.link.disturbs_commands:
             self.deliver(controller, lambda: self._receive_command(controller, payload, encoding))
         elif not self.exchange.intake.accept_fast(controller, payload, monotonic(), encoding):

@@ -14,18 +14,20 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
 from zenoh.handlers import Callback, FifoChannel
 
 from zenostat.bridge.transport.wakeup import Wake
 from zenostat.topics import codec, errors, keys
-from zenostat.topics.errors import BadMessage, NodeLost, RequestRejected, ZenostatError
+from zenostat.topics.errors import AccessDenied, BadMessage, NodeLost, RequestRejected, ZenostatError
 from zenostat.topics.messages import ErrorReply, Message, Query
 
 if TYPE_CHECKING:
     from zenostat.bridge.recording.recorder import Recorder
+
+M = TypeVar("M", bound=Message)
 
 COMMAND_QUEUE = 256
 """Commands that may wait for the server's thread; beyond it, their senders are blocked."""
@@ -59,17 +61,17 @@ class Request:
         subscriptions: of the server.
 
     Attributes:
-        name: the last chunk of its key: a controller or an actuator, if the topic has a name.
+        sender, name: those in its key; empty if the topic has none.
         payload, encoding: its message.
     """
 
-    __slots__ = ("_key", "_query", "_subscriptions", "_topic", "encoding", "name", "payload")
+    __slots__ = ("_key", "_query", "_subscriptions", "_topic", "encoding", "name", "payload", "sender")
 
     def __init__(self, query: zenoh.Query, topic: keys.Topic, subscriptions: Subscriptions) -> None:
         self._query: zenoh.Query | None = query
-        self.name = keys.last_chunk(str(query.key_expr))
+        self.sender, self.name = topic.names_in(str(query.key_expr))
         self._topic, self._subscriptions = topic, subscriptions
-        self._key = topic.at(subscriptions.node, name=self.name)
+        self._key = topic.at(subscriptions.node, name=self.name, sender=self.sender)
         self.payload, self.encoding = _content(query)
 
     def answer(self, handler: Callable[[], Message], *, is_recorded: bool = True) -> None:
@@ -85,25 +87,27 @@ class Request:
         payload, encoding = codec.encode(reply), codec.encoding(type(reply))
         recorder = self._subscriptions.recorder
         if recorder is not None and is_recorded and self._topic.sender is not keys.Role.ANYONE:  # those only read
-            recorder.request(self._topic, self.name, self.payload, self.encoding, payload, encoding)
+            key = self._topic.below(name=self.name, sender=self.sender)
+            recorder.request(key, self.payload, self.encoding, payload, encoding)
         with query:
             query.reply(self._key, payload, encoding=zenoh.Encoding(encoding))
 
 
-def _is_valid(request: Request, kind: type[Any]) -> bool:
-    try:
-        codec.decode(kind, request.payload, request.encoding)
-    except BadMessage:
-        return False
-    return True
+def _denial(sender: str, named: str) -> str:
+    """Return why a message is denied, from the sender in its key and the one that it names; empty if it is not."""
+    if not keys.is_name(sender):
+        return f"{sender!r} is not a sender's name: up to 128 letters, digits, '_', '.' and '-' expected in the key"
+    if named not in ("", sender):
+        return f"its key names {sender!r} as the sender, and the message {named!r}; send it under one name"
+    return ""
 
 
 def _reject() -> Message:
     raise RequestRejected(f"the node has {MAX_PENDING} pending requests; try again later")
 
 
-Handler = Callable[[str, bytes, str], None]
-"""Handles a message: the last chunk of its key, its payload, its encoding."""
+Handler = Callable[[str, str, bytes, str], None]
+"""Handles a message: the sender and the name in its key, its payload, its encoding."""
 
 
 class Subscriptions:
@@ -112,6 +116,7 @@ class Subscriptions:
     Attributes:
         node: name of the node.
         recorder: records requests with their replies, and the messages of `listen`.
+        on_denied: called in the server's thread with the reason and the sender of each message that is denied.
         rate_limited: number of messages dropped and requests rejected because too many were waiting.
     """
 
@@ -119,6 +124,7 @@ class Subscriptions:
         self._session = session
         self.node = node
         self.recorder: Recorder | None = None
+        self.on_denied: Callable[[str, str], None] = lambda _text, _sender: None
         self._tasks: deque[Callable[[], None]] = deque()
         self._queues = [self._tasks]
         self._before_commands: list[deque[Callable[[], None]]] = []
@@ -128,11 +134,10 @@ class Subscriptions:
         self._is_waiting = False
         self._is_command_next = self._has_ended = False
         self._turn = 0
-        self._wake = Wake(session, keys.COMMAND.at(node, name=_WAKE))
-        commands = session.declare_subscriber(keys.COMMAND.at(node, name="*"), FifoChannel(COMMAND_QUEUE))
+        self._wake = Wake(session, keys.COMMAND.at(node, sender=_WAKE))
+        commands = session.declare_subscriber(keys.COMMAND.everywhere(node), FifoChannel(COMMAND_QUEUE))
         self._commands = self._close.enter_context(commands)
         self._recv, self._try_recv = commands.recv, commands.try_recv
-        self._prefix = len(keys.COMMAND.at(node))
 
     def __enter__(self) -> Subscriptions:
         return self
@@ -188,7 +193,7 @@ class Subscriptions:
             message = self._try_recv() if self._is_command_next else None
         if message is None:
             return None
-        controller = str(message.key_expr)[self._prefix :]
+        controller = str(message.key_expr).rpartition("/")[2]  # the node's name in it may be a wildcard
         if controller == _WAKE:
             return None
         for waiting in self._before_commands:
@@ -249,6 +254,36 @@ class Subscriptions:
         else:
             self._wake()
 
+    # Senders
+
+    def checked(self, topic: keys.Topic, sender: str, message: M) -> M:
+        """Return a message that has its sender's name, if its class has a field for it; for the server's thread.
+
+        Args:
+            topic: of the message.
+            sender: the name in its key, which access rules bind to a certificate.
+            message: without a sender's name, or with the same one.
+
+        Raises:
+            AccessDenied: the message names another sender; it has been reported.
+        """
+        if not topic.has_sender:
+            return message
+        field = keys.sender_field(type(message))
+        if reason := _denial(sender, getattr(message, field) if field else ""):
+            self.on_denied(f"{topic.key}: {reason}", sender)
+            raise AccessDenied(reason)
+        return message.model_copy(update={field: sender}) if field else message
+
+    def _is_accepted(self, topic: keys.Topic, kind: type[Any], request: Request) -> bool:
+        """Return whether a request is valid and its sender may send it; for any thread."""
+        try:
+            message = codec.decode(kind, request.payload, request.encoding)
+        except BadMessage:
+            return False
+        field = keys.sender_field(kind)
+        return not topic.has_sender or not _denial(request.sender, getattr(message, field) if field else "")
+
     # Subscribers and queryables besides commands
 
     def _queue(self, topic: keys.Topic) -> deque[Callable[[], None]]:
@@ -266,23 +301,21 @@ class Subscriptions:
         """Subscribe to a topic; the server's thread handles its messages."""
         waiting = self._queue(topic)
 
-        def receive(name: str, payload: bytes, encoding: str) -> None:
+        def receive(sender: str, name: str, payload: bytes, encoding: str) -> None:
             if self.recorder is not None:
-                self.recorder.received(topic, name, payload, encoding)
-            handler(name, payload, encoding)
+                self.recorder.received(topic, topic.below(name=name, sender=sender), payload, encoding)
+            handler(sender, name, payload, encoding)
 
         def on_message(message: zenoh.Sample) -> None:
             if len(waiting) >= MAX_PENDING:
                 self.rate_limited += 1
                 return
-            name = keys.last_chunk(str(message.key_expr))
+            sender, name = topic.names_in(str(message.key_expr))
             payload, encoding = message.payload.to_bytes(), str(message.encoding)
-            waiting.append(lambda: None if self._has_ended else receive(name, payload, encoding))
+            waiting.append(lambda: None if self._has_ended else receive(sender, name, payload, encoding))
             self._post_next(waiting)
 
-        subscriber = self._session.declare_subscriber(
-            topic.at(self.node, name="*"), Callback(on_message, indirect=False)
-        )
+        subscriber = self._session.declare_subscriber(topic.everywhere(self.node), Callback(on_message, indirect=False))
         self._close.callback(subscriber.undeclare)
 
     def watch_presence(self, topic: keys.Topic, on_disconnect: Callable[[str], None]) -> None:
@@ -293,7 +326,7 @@ class Subscriptions:
                 name = keys.last_chunk(str(token.key_expr))
                 self.post(lambda: on_disconnect(name))
 
-        tokens = topic.at(self.node, name="*")
+        tokens = topic.everywhere(self.node)
         subscriber = self._session.liveliness().declare_subscriber(tokens, Callback(on_token, indirect=False))
         self._close.callback(subscriber.undeclare)
 
@@ -344,10 +377,14 @@ class Subscriptions:
         """
 
         def on_request(request: Request) -> None:
-            request.answer(lambda: handler(codec.decode(kind, request.payload, request.encoding)))
+            request.answer(
+                lambda: handler(
+                    self.checked(topic, request.sender, codec.decode(kind, request.payload, request.encoding))
+                )
+            )
 
         def receipt(request: Request) -> None:
-            if on_receipt is not None and _is_valid(request, kind):
+            if on_receipt is not None and self._is_accepted(topic, kind, request):
                 on_receipt()
 
         self.request_undecoded(topic, on_request, on_receipt=receipt)
@@ -362,7 +399,7 @@ class Subscriptions:
         """Handle requests in the server's thread; `handler` decodes and answers them, at once or later.
 
         Args:
-            topic: of the requests; with a name, those of all names.
+            topic: of the requests; those of all senders and names.
             handler: is called with each request.
             on_receipt: called first for each request, in the thread that receives it.
         """
@@ -378,6 +415,6 @@ class Subscriptions:
             waiting.append(lambda: request.answer(self._reject_ending) if self._is_refused(topic) else handler(request))
             self._post_next(waiting)
 
-        key = topic.at(self.node, name="*")
+        key = topic.everywhere(self.node)
         queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
         self._close.callback(queryable.undeclare)

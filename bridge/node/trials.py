@@ -55,7 +55,8 @@ class TrialSteps:
 
     def _on_request(self, request: Request) -> None:
         def answer() -> StepsTried:
-            return self.simulate(request.name, codec.decode(TrySteps, request.payload, request.encoding))
+            trial = codec.decode(TrySteps, request.payload, request.encoding)
+            return self.simulate(self._server.subscriptions.checked(keys.TRY, request.sender, trial))
 
         request.answer(answer, is_recorded=False)
 
@@ -67,8 +68,8 @@ class TrialSteps:
         elif copy is not None:
             copy.interrupt()
 
-    def simulate(self, sender: str, request: TrySteps) -> StepsTried:
-        """Simulate all alternatives, at most until the episode of a slot ends.
+    def simulate(self, request: TrySteps) -> StepsTried:
+        """Simulate all alternatives of a controller, at most until the episode of a slot ends.
 
         Raises:
             RequestRejected: no episode is running, it is not the present sample, or a command is not valid; nothing was
@@ -78,7 +79,7 @@ class TrialSteps:
         """
         self._check(request)
         timesteps = min(request.timesteps, self._steps_left())
-        alternatives = self._alternatives(keys.check_name(sender, "a sender's name"), request)
+        alternatives = self._alternatives(request)
         self.collect()
         together = max(1, MAX_COPIES // self._server.exchange.slots)
         for first in range(0, len(alternatives), together):
@@ -113,12 +114,12 @@ class TrialSteps:
         server = self._server
         return server.plant.description.run_period.steps - max(server.exchange.step)
 
-    def _alternatives(self, sender: str, request: TrySteps) -> list[_Alternative]:
+    def _alternatives(self, request: TrySteps) -> list[_Alternative]:
         """Return the alternatives; `RequestRejected` if the exchange would not accept one of their commands."""
         size, timesteps = self._server.exchange.commands.size, request.timesteps
         alternatives = []
         for number in range(request.alternatives):
-            alternative = _Alternative(self._server, sender, request.priority)
+            alternative = _Alternative(self._server, request.controller, request.priority)
             for timestep, row in enumerate(range(number * timesteps, (number + 1) * timesteps)):
                 values, codes = request.values[row * size : (row + 1) * size], request.operations
                 operations = None if codes is None else codes[row * size // 8 : (row + 1) * size // 8]

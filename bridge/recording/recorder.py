@@ -130,9 +130,8 @@ class Recorder:
                 self._order_heads[key] = head
         self.add(ORDERS, head + values)
 
-    def received(self, topic: keys.Topic, name: str, payload: bytes, encoding: str) -> None:
-        """Record a command or a write that the node received."""
-        key = topic.key.replace("{name}", name)
+    def received(self, topic: keys.Topic, key: str, payload: bytes, encoding: str) -> None:
+        """Record a command or a write that the node received; `key` is below the node's root."""
         if topic.message is not None and encoding == codec.encoding(topic.message):
             channel = self._channel(key, topic.message)
             if channel != OTHERS:
@@ -140,12 +139,10 @@ class Recorder:
                 return
         self.add(OTHERS, codec.encode(RecordedMessage(topic=key, encoding=encoding, payload=payload)))
 
-    def request(
-        self, topic: keys.Topic, name: str, payload: bytes, encoding: str, reply: bytes, reply_encoding: str
-    ) -> None:
-        """Record a request and its reply."""
+    def request(self, key: str, payload: bytes, encoding: str, reply: bytes, reply_encoding: str) -> None:
+        """Record a request and its reply; `key` is below the node's root."""
         record = RecordedRequest(payload=payload, encoding=encoding, reply=reply, reply_encoding=reply_encoding)
-        key, raw = topic.key.replace("{name}", name), codec.encode(record)
+        raw = codec.encode(record)
         channel = self._channel(key, RecordedRequest)
         if channel == OTHERS:
             raw = codec.encode(RecordedMessage(topic=key, encoding=codec.encoding(RecordedRequest), payload=raw))

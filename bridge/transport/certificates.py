@@ -1,9 +1,8 @@
 """Certificates of a secured bus.
 
-A folder of keys contains an authority (`ca.pem`, `ca.key`) and, for each program, `NAME.pem` and `NAME.key`. A
-certificate's common name is the role, such as `zenostat-controller`, which Zenoh's access control uses; its
-organizational unit is the program's name. Only node certificates are valid for TLS servers, so no other program can
-listen.
+A folder of keys contains an authority (`ca.pem`, `ca.key`), its list of names (`names.json`) and, for each program or
+person, `NAME.pem` and `NAME.key`. A certificate's common name is that name, which Zenoh's access control uses; its
+organizational units are the roles. Only node certificates are valid for TLS servers, so no other program can listen.
 """
 
 from __future__ import annotations
@@ -28,14 +27,26 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
-from zenostat.bridge.transport.access_control import ROLES, common_name
+from zenostat.bridge.transport.access_control import TRAINER
+from zenostat.bridge.transport.name_list import (
+    CERTIFIED,
+    NAMES,
+    Names,
+    check_new_name,
+    check_roles,
+    read_names,
+    sign_names,
+)
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
-from zenostat.topics.keys import Role, check_name
+from zenostat.topics.keys import Role
 
 AUTHORITY = "ca"
 DAYS = 365
 MAX_DAYS = 3650
 """Validity of an authority, and so the longest validity of its certificates."""
+
+_FIRST: Names = {**{role.value: (role,) for role in CERTIFIED}, TRAINER: (Role.CONTROLLER, Role.OPERATOR)}
+"""The names for which `make` creates certificates."""
 
 _LOCAL = ("localhost", "127.0.0.1", "::1")
 _BACKDATED = timedelta(hours=1)  # the clocks of machines differ
@@ -47,14 +58,14 @@ class Certificate:
 
     Attributes:
         name: of its files.
-        role: None for the authority itself.
+        roles: none for the authority itself.
         expires: end of its validity, UTC.
         hosts: names and addresses of a node's machine.
         fault: why it cannot be used; empty if it can.
     """
 
     name: str
-    role: Role | None
+    roles: tuple[Role, ...]
     expires: datetime
     hosts: tuple[str, ...] = ()
     fault: str = ""
@@ -62,15 +73,29 @@ class Certificate:
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Validated files that a program presents on the bus."""
+    """Validated files that a program presents on the bus, and what its certificate states.
+
+    Attributes:
+        authority, certificate, key: the files.
+        name: the certificate's common name.
+        roles: its roles.
+        expires: end of its validity, UTC.
+    """
 
     authority: Path
     certificate: Path
     key: Path
+    name: str
+    roles: tuple[Role, ...]
+    expires: datetime
+
+    def names(self) -> dict[str, tuple[Role, ...]]:
+        """Return the names of the authority, with the roles of each; `InvalidConfig` if the list cannot be used."""
+        return read_names(self.authority.parent, _read(self.authority))
 
 
 def make(folder: Path, *, hosts: Sequence[str] = (), days: int = DAYS, force: bool = False) -> list[Certificate]:
-    """Create an authority and a certificate for each role.
+    """Create an authority, a certificate for each role, with the role as its name, and that of environments.
 
     Args:
         folder: the folder, which is created if it does not exist.
@@ -85,47 +110,57 @@ def make(folder: Path, *, hosts: Sequence[str] = (), days: int = DAYS, force: bo
     names = errors.collect(lambda: _hosts(hosts))
     errors.collect(lambda: _check_days(days, MAX_DAYS))
     if not force:
-        errors.collect(lambda: _refuse_existing(folder, [AUTHORITY, *ROLES]))
+        errors.collect(lambda: _refuse_existing(folder, [AUTHORITY, *_FIRST]))
     errors.raise_if_any()
     authority_key = ec.generate_private_key(ec.SECP256R1())
     authority = _authority(authority_key)
     created = [(AUTHORITY, authority, authority_key)]
-    for role in ROLES:
+    for name, roles in _FIRST.items():
         key = ec.generate_private_key(ec.SECP256R1())
-        created.append((role, _issued(authority, authority_key, key, role, role, names or (), days), key))
+        created.append((name, _issued(authority, authority_key, key, roles, name, names or (), days), key))
     _in_folder(folder, lambda: folder.mkdir(mode=0o700, parents=True, exist_ok=True))
     for name, certificate, key in created:
         _write(folder, name, certificate, key)
+    _write_names(folder, _FIRST, authority_key)
     return show(folder)
 
 
 def add(
-    folder: Path, role: Role, name: str, *, hosts: Sequence[str] = (), days: int = DAYS, force: bool = False
+    folder: Path,
+    roles: Role | Sequence[Role],
+    name: str,
+    *,
+    hosts: Sequence[str] = (),
+    days: int = DAYS,
+    force: bool = False,
 ) -> Certificate:
-    """Create another certificate of the folder's authority.
+    """Create another certificate of the folder's authority, and add its name to the list.
 
     Raises:
-        InvalidConfig: no authority, or one whose key other users can read, a name that is in use, hosts for a role that
-            does not listen, days beyond the authority's validity.
+        InvalidConfig: no authority, or one whose key other users can read, a name that is in use or is the beginning of
+            another, hosts for a role that does not listen, days beyond the authority's validity.
     """
     authority = _read(folder / f"{AUTHORITY}.pem")
     authority_key = _read_key(folder / f"{AUTHORITY}.key")
     max_days = (authority.not_valid_after_utc - datetime.now(UTC)).days
     errors = ErrorCollector()
     errors.collect(lambda: _check_private(folder / f"{AUTHORITY}.key"))
-    errors.collect(lambda: _check_name(name))
-    names = errors.collect(lambda: _hosts(hosts)) if role is Role.NODE else ()
+    listed = errors.collect(lambda: read_names(folder, authority))
+    errors.collect(lambda: _check_name(name, listed or {}))
     errors.collect(lambda: _check_days(days, max_days))
-    if role not in ROLES:
-        errors.errors.append(InvalidConfig(f"there are no certificates for {role!r}; name one of {', '.join(ROLES)}"))
-    elif hosts and role is not Role.NODE:
-        errors.errors.append(InvalidConfig(f"a {role} does not listen; hosts are for a node's certificate"))
+    chosen = errors.collect(lambda: check_roles((roles,) if isinstance(roles, Role) else roles)) or ()
+    names = errors.collect(lambda: _hosts(hosts)) if Role.NODE in chosen else ()
+    if hosts and chosen and Role.NODE not in chosen:
+        errors.errors.append(
+            InvalidConfig(f"a {' and '.join(chosen)} does not listen; hosts are for a node's certificate")
+        )
     if not force:
         errors.collect(lambda: _refuse_existing(folder, [name]))
     errors.raise_if_any()
     key = ec.generate_private_key(ec.SECP256R1())
-    certificate = _issued(authority, authority_key, key, role, name, names or (), days)
+    certificate = _issued(authority, authority_key, key, chosen, name, names or (), days)
     _write(folder, name, certificate, key)
+    _write_names(folder, {**(listed or {}), name: chosen}, authority_key)
     return _described(name, certificate, authority)
 
 
@@ -133,7 +168,7 @@ def show(folder: Path) -> list[Certificate]:
     """Return the certificates of a folder: authority first, then by role and name."""
     authority = _read(folder / f"{AUTHORITY}.pem")
     certificates = [_shown(path, authority) for path in sorted(folder.glob("*.pem"))]
-    return sorted(certificates, key=lambda c: (-1 if c.role is None else ROLES.index(c.role), c.name))
+    return sorted(certificates, key=lambda c: (CERTIFIED.index(c.roles[0]) if c.roles else -1, c.name))
 
 
 def _shown(path: Path, authority: x509.Certificate) -> Certificate:
@@ -142,33 +177,42 @@ def _shown(path: Path, authority: x509.Certificate) -> Certificate:
     return described if described.fault or not fault else replace(described, fault=f"{key.name} {fault}")
 
 
-def identity(folder: Path, role: Role, name: str | None = None) -> Identity:
-    """Validate the role's certificate, or the one called `name`, and return its files.
+def identity(folder: Path, role: Role | None, name: str | None = None) -> Identity:
+    """Validate a certificate, and return its files.
+
+    Args:
+        folder: of the keys.
+        role: that it must have; None is any, except a node's.
+        name: of the certificate; None is that of the role.
 
     Raises:
-        InvalidConfig: no such folder or file, an expired certificate, one of another authority or role, a key that does
-            not match or that other users can read; the text lists all errors.
+        InvalidConfig: neither role nor name, no such folder or file, an expired certificate, one of another authority
+            or role, a key that does not match or that other users can read; the text lists all errors.
         UnknownName: there is no certificate of that name.
     """
-    name = name or role.value
+    if name is None and role is None:
+        raise InvalidConfig(f"name a certificate or a role: {', '.join(CERTIFIED)}")
+    name = name or str(role)
     authority = _read(folder / f"{AUTHORITY}.pem")
     path, key = folder / f"{name}.pem", folder / f"{name}.key"
     if not path.exists():
-        known = [certificate.name for certificate in show(folder) if certificate.role is role]
+        known = [certificate.name for certificate in show(folder) if role in (None, *certificate.roles)]
         raise UnknownName(
             f"no certificate {name!r} in {folder}; {did_you_mean(name, known)}. "
-            f"Create it with: zenostat keys add {role} {name}"
+            f"Create it with: zenostat keys add {name} --role {role or Role.CONTROLLER}"
         )
     certificate = _read(path)
     errors = ErrorCollector()
     described = _described(name, certificate, authority)
     if described.fault:
         errors.errors.append(InvalidConfig(f"{path}: {described.fault}"))
-    if described.role is not role:
-        errors.errors.append(InvalidConfig(f"{path} is of the role {described.role or 'authority'}; {role} expected"))
+    if role not in (None, *described.roles):
+        having = " and ".join(described.roles) or "authority"
+        errors.errors.append(InvalidConfig(f"{path} is of the role {having}; {role} expected"))
     errors.collect(lambda: _check_key(key, certificate))
     errors.raise_if_any()
-    return Identity(folder / f"{AUTHORITY}.pem", path, key)
+    holder = str(certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value)
+    return Identity(folder / f"{AUTHORITY}.pem", path, key, holder, described.roles, described.expires)
 
 
 # Creation
@@ -189,18 +233,18 @@ def _issued(
     authority: x509.Certificate,
     authority_key: ec.EllipticCurvePrivateKey,
     key: ec.EllipticCurvePrivateKey,
-    role: Role,
+    roles: Sequence[Role],
     name: str,
     hosts: Sequence[x509.GeneralName],
     days: int,
 ) -> x509.Certificate:
     subject = x509.Name(
         [
-            x509.NameAttribute(NameOID.COMMON_NAME, common_name(role)),
-            x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, name[:64]),  # the maximum of X.509
+            x509.NameAttribute(NameOID.COMMON_NAME, name),
+            *(x509.NameAttribute(NameOID.ORGANIZATIONAL_UNIT_NAME, role.value) for role in roles),
         ]
     )
-    listens = role is Role.NODE
+    listens = Role.NODE in roles
     uses = [ExtendedKeyUsageOID.CLIENT_AUTH] + [ExtendedKeyUsageOID.SERVER_AUTH] * listens
     builder = (
         _builder(subject, authority.subject, key.public_key(), days)
@@ -275,8 +319,8 @@ def _check_days(days: int, max_days: int) -> None:
         raise InvalidConfig(f"{days} days of validity; 1 to {max_days} expected, the validity of the authority")
 
 
-def _check_name(name: str) -> None:
-    check_name(name, "the certificate's name")
+def _check_name(name: str, listed: Names) -> None:
+    check_new_name(name, listed)
     if name == AUTHORITY:
         raise InvalidConfig(f"{name!r} is the name of the authority; choose another name")
 
@@ -300,6 +344,10 @@ def _write(folder: Path, name: str, certificate: x509.Certificate, key: ec.Ellip
         (folder / f"{name}.pem", certificate.public_bytes(Encoding.PEM), 0o644),
     ):
         _in_folder(folder, lambda path=path, data=data, mode=mode: _write_file(path, data, mode))  # type: ignore[misc]
+
+
+def _write_names(folder: Path, names: Names, key: ec.EllipticCurvePrivateKey) -> None:
+    _in_folder(folder, lambda: _write_file(folder / NAMES, sign_names(names, key), 0o644))
 
 
 def _write_file(path: Path, data: bytes, mode: int) -> None:
@@ -362,14 +410,14 @@ def _open_to_others(key: Path) -> str:
 
 
 def _described(name: str, certificate: x509.Certificate, authority: x509.Certificate) -> Certificate:
-    common_names = [str(name.value) for name in certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)]
-    role = next((role for role in ROLES if common_names == [common_name(role)]), None)
+    units = {str(unit.value) for unit in certificate.subject.get_attributes_for_oid(NameOID.ORGANIZATIONAL_UNIT_NAME)}
+    roles = tuple(role for role in CERTIFIED if role.value in units)
     try:
         alternative = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
         hosts = tuple(str(name.value) for name in alternative)
     except x509.ExtensionNotFound:
         hosts = ()
-    return Certificate(name, role, certificate.not_valid_after_utc, hosts, _fault(certificate, authority))
+    return Certificate(name, roles, certificate.not_valid_after_utc, hosts, _fault(certificate, authority))
 
 
 def _fault(certificate: x509.Certificate, authority: x509.Certificate) -> str:

@@ -22,6 +22,7 @@ def ask(
     reply_type: type[M],
     *,
     name: str = "",
+    sender: str = "",
     timeout_s: float,
 ) -> M | None:
     """Return a node's reply; None, at once, if no node of that name is on the bus or if it does not know the topic.
@@ -32,7 +33,8 @@ def ask(
         node: the node's name.
         request: None for a query without a payload.
         reply_type: class of the reply.
-        name: the topic's name, if it has one.
+        name: the one in the topic's key, if it has one.
+        sender: the sender's name in the topic's key, if it has one.
         timeout_s: time after which a node that is present but does not answer raises an error.
 
     Raises:
@@ -47,7 +49,7 @@ def ask(
             f"the request {topic.key} has {len(payload)} bytes; at most {codec.MAX_BYTES} are sent, in several requests"
         )
     replies = session.get(
-        topic.at(node, name=name),
+        topic.at(node, name=name, sender=sender),
         payload=payload,
         encoding=zenoh.Encoding(codec.encoding(type(request))) if request else None,
         timeout=timeout_s,

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from zenostat.bridge.runtime.exhaustion import describe_exhaustion
-from zenostat.bridge.transport.access_control import ROLES, acl_config
+from zenostat.bridge.transport.access_control import TRAINER, acl_config
 from zenostat.topics import codec
 from zenostat.topics.errors import AddressInUse, BusError, ErrorCollector, InvalidConfig, NodeNotFound
 from zenostat.topics.keys import DEFAULT_HOST, DEFAULT_PORT, Role
@@ -87,10 +87,16 @@ class OpenSession(AbstractContextManager[zenoh.Session]):
     """An open session, to be entered: one that is not closed can block the interpreter's exit.
 
     Zenoh gives up closing a session after 10 s if the other side is frozen; it then ends with its process.
+
+    Attributes:
+        name: the name in the certificate that it presents; empty without keys.
+        roles: the roles of that certificate; none without keys.
     """
 
-    def __init__(self, session: zenoh.Session) -> None:
+    def __init__(self, session: zenoh.Session, identity: Identity | None = None) -> None:
         self._session = session
+        self.name = identity.name if identity else ""
+        self.roles = identity.roles if identity else ()
 
     def __enter__(self) -> zenoh.Session:
         return self._session
@@ -118,10 +124,11 @@ def open_session(
         connect: endpoints to connect to.
         wait: keep trying to connect in the background instead of failing.
         expose: allow listening on addresses that other machines can reach.
-        keys: a folder created by `zenostat keys init`; then all endpoints must be `tls/` ones, both sides present their
-            certificates, and the listening side applies the rules of `zenostat.bridge.transport.access_control`.
-        role: role of the certificate to present; required with `keys`.
-        certificate: name of another certificate of that role, created by `zenostat keys add`.
+        keys: a folder created by `zenostat keys init`, or a certificate in it (`FOLDER/NAME.pem`). All endpoints must
+            then be `tls/` ones, both sides present their certificates, and the listening side applies the rules of
+            `zenostat.bridge.transport.access_control`.
+        role: a role that the certificate to present must have; required with `keys`, except with `certificate`.
+        certificate: name of the certificate, created by `zenostat keys add`; None is that of the role.
         mode: by default peer if the session listens, otherwise client.
 
     Raises:
@@ -142,18 +149,32 @@ def open_session(
     identity = errors.collect(lambda: _identity(keys, role, certificate, listens=bool(listen)))
     errors.raise_if_any()
     _check_socket_paths(listen)
-    settings = _settings(listen, connect, wait=wait, mode=mode) | (_tls_settings(identity) if identity else {})
+    settings = _settings(listen, connect, wait=wait, mode=mode)
+    if identity is not None:
+        settings |= _tls_settings(identity)
+        if listen:
+            settings["access_control"] = acl_config(identity.names())
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
     try:
-        return OpenSession(zenoh.open(config))
+        return OpenSession(zenoh.open(config), identity)
     except zenoh.ZError as error:
         raise _bus_error(error, listen, connect, identity) from None
     except BaseException as error:  # a panic in Zenoh is no `Exception`
         if (text := describe_exhaustion(error)) is None:
             raise
         raise BusError(text) from None
+
+
+def keys_folder(keys: Path | None) -> Path | None:
+    """Return the folder of keys, which may be given as a certificate in it."""
+    return keys.parent if keys is not None and keys.suffix == ".pem" else keys
+
+
+def certificate_file(keys: Path | None) -> Path | None:
+    """Return the certificate with which an environment connects: in a folder of keys, that of the trainer."""
+    return keys if keys is None or keys.suffix == ".pem" else keys / f"{TRAINER}.pem"
 
 
 def exposure(listen: Sequence[str], keys: Path | None) -> str:
@@ -201,12 +222,16 @@ def _identity(keys: Path | None, role: Role | None, certificate: str | None, *, 
         if certificate is not None:
             raise InvalidConfig(f"certificate {certificate!r} needs the folder of its keys: keys=FOLDER (--keys)")
         return None
-    if role not in ROLES:
-        raise InvalidConfig(f"keys need a role: {', '.join(ROLES)}")
+    if role is Role.ANYONE or (role is None and certificate is None and keys.suffix != ".pem"):
+        raise InvalidConfig(f"keys need a role: {', '.join(role for role in Role if role is not Role.ANYONE)}")
     if listens and role is not Role.NODE:
-        raise InvalidConfig(f"a {role} does not listen; connect to a node or router, or listen as a node")
+        raise InvalidConfig(
+            f"a {role or 'certificate of any role'} does not listen; connect to a node or router, or listen as a node"
+        )
     from zenostat.bridge.transport.certificates import identity  # slow to import, and rarely needed
 
+    if keys.suffix == ".pem":
+        keys, certificate = keys.parent, keys.stem
     return identity(keys, role, certificate)
 
 
@@ -225,7 +250,7 @@ def _settings(listen: Sequence[str], connect: Sequence[str], *, wait: bool, mode
 
 
 def _tls_settings(identity: Identity) -> dict[str, Any]:
-    """Settings for mutual TLS and access control."""
+    """Settings for mutual TLS."""
     return {
         "transport/link/protocols": ["tls"],
         "transport/link/tls": {
@@ -238,7 +263,6 @@ def _tls_settings(identity: Identity) -> dict[str, Any]:
             "verify_name_on_connect": True,
             "close_link_on_expiration": True,
         },
-        "access_control": acl_config(),
     }
 
 

@@ -36,6 +36,7 @@ from zenostat.gateways.bacnet.network import Interface, NodeLink, host_and_port
 from zenostat.gateways.bacnet.node_state import BacnetRequest, current_request
 from zenostat.gateways.bacnet.transactions import TransactionServer
 from zenostat.gateways.notices import Notices
+from zenostat.topics import keys
 from zenostat.topics.errors import (
     InvalidAction,
     NodeLost,
@@ -106,7 +107,7 @@ class NodeApplication(Application):
     async def indication(self, apdu: Any) -> None:
         """Process a request; what it does on the bus has the client's address as its source."""
         now = asyncio.get_running_loop().time()
-        current_request.set(BacnetRequest(f"{self._source} {address_text(apdu.pduSource)}", now))
+        current_request.set(BacnetRequest(f"{self._source}.{keys.safe_name(address_text(apdu.pduSource))}", now))
         await super().indication(apdu)
 
     # Reading

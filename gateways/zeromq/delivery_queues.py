@@ -70,7 +70,7 @@ class DeliveryQueues:
 
     def take(self, request: Request) -> None:
         """Queue a claim or a command."""
-        name = request.message.controller if isinstance(request.message, Claim) else request.name
+        name = request.sender
         queue = self._queues.setdefault((request.node, name), deque())
         queue.append(request)
         if len(queue) == 1:
@@ -98,7 +98,9 @@ class DeliveryQueues:
         if isinstance(request.message, Claim):
             return None if owner is None else _is_connected(name)
         how = "has claimed nothing" if owner is None else "is connected through another connection"
-        return RequestRejected(f"{name!r} {how}; claim first, through this connection: {keys.CLAIM.at(node.name)}")
+        return RequestRejected(
+            f"{name!r} {how}; claim first, through this connection: {keys.CLAIM.at(node.name, sender=name)}"
+        )
 
     def _send(self, node: NodeView, request: Request, name: str) -> None:
         def then(reply: BusMessage | None) -> None:
@@ -107,7 +109,7 @@ class DeliveryQueues:
         if isinstance(request.message, Claim):
             self._claim(node, request, name)
         else:
-            self._bus.ask(request.row, node.name, request.payload, then, name=request.name)
+            self._bus.ask(request.row, node.name, request.payload, then, sender=name)
 
     def _finish(self, node: NodeView, name: str, reply: Message | BusMessage) -> None:
         """Answer the request in progress of a controller, and send the next one."""
@@ -136,7 +138,7 @@ class DeliveryQueues:
                 reason = _node_lost(node.name)
             if reason is None:
                 owner.leave = self._bus.token(node.name, name)
-                self._bus.ask(request.row, node.name, request.payload, on_reply)
+                self._bus.ask(request.row, node.name, request.payload, on_reply, sender=name)
             else:
                 self._end_claim(node, owner, is_accepted=False)
                 self._finish(node, name, denied(reason))

@@ -18,17 +18,16 @@ from zenostat.topics.messages import ErrorReply, Message, Query
 _ENVELOPE = 8
 _SHOWN = 300
 
-_NAME = "{name}"
+QUERIES = {row.key: row for row in keys.TOPICS if row.reply is not None and not row.has_sender}
+"""Topics that are queried without a sender's name, by their key below the node's root."""
 
-QUERIES = {row.key: row for row in keys.TOPICS if row.reply is not None and not row.key.endswith(_NAME)}
-"""Topics that can be queried, by their key below the node's root."""
-
-NAMED = {
-    key.removesuffix(_NAME): request
-    for put, request in ((keys.COMMAND, keys.COMMAND_REQUEST), (keys.ACTUATOR, keys.WRITE_REQUEST))
-    for key in (put.key, request.key)
+SENT = {row.key: row for row in keys.TOPICS if row.reply is not None and row.has_sender} | {
+    keys.COMMAND.key: keys.COMMAND_REQUEST,
+    keys.ACTUATOR.key: keys.WRITE_REQUEST,
 }
-"""Topics with a name, which are queried as well: commands and writes; by what stands before the name."""
+"""Topics of messages that change something, by their key; commands and writes are queried as well."""
+
+_BY_PREFIX = {key[: key.index("{")]: row for key, row in SENT.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,12 +41,13 @@ class Peer:
 
 @dataclass(frozen=True, slots=True)
 class Request:
-    """A valid request: the row that is queried, the node, the name (of a command or write) and the message."""
+    """A valid request: the row that is queried, the node, the sender, the name (of a write) and the message."""
 
     peer: Peer
     topic: bytes
     row: Topic
     node: str
+    sender: str
     name: str
     payload: bytes
     message: Message
@@ -71,14 +71,14 @@ def read(peer: Peer, frames: Sequence[bytes]) -> Request:
     if not 1 <= len(frames) <= 2:
         raise BadMessage(f"{len(frames)} frames; a request has a topic and, where it needs one, a payload")
     topic, payload = frames[0], frames[1] if len(frames) == 2 else b""
-    row, node, name = _row(topic)
+    row, node, sender, name = _row(topic)
     if len(payload) > codec.MAX_BYTES:
         raise BadMessage(f"{len(payload)} bytes; a request has at most {codec.MAX_BYTES}")
-    return Request(peer, topic, row, node, name, payload, _message(row, payload))
+    return Request(peer, topic, row, node, sender, name, payload, _message(row, payload))
 
 
-def _row(topic: bytes) -> tuple[Topic, str, str]:
-    """The row of a topic, its node and its name."""
+def _row(topic: bytes) -> tuple[Topic, str, str, str]:
+    """The row of a topic, its node, its sender and its name."""
     try:
         chunks = topic.decode().split("/")
     except UnicodeDecodeError:
@@ -88,11 +88,15 @@ def _row(topic: bytes) -> tuple[Topic, str, str]:
         raise BadMessage(f"topic {_short(topic)}; {keys.PREFIX}/NODE/… expected, for example {keys.STATUS.at('NODE')}")
     node, rest = _checked(chunks[keys.NODE_CHUNK], "the node"), "/".join(chunks[keys.NODE_CHUNK + 1 :])
     if rest in QUERIES:
-        return QUERIES[rest], node, ""
-    for prefix, row in NAMED.items():
+        return QUERIES[rest], node, "", ""
+    for prefix, row in _BY_PREFIX.items():
         if rest.startswith(prefix):
-            return row, node, _checked(rest.removeprefix(prefix), f"the name after {prefix}")
-    known = [*QUERIES, *(prefix + _NAME for prefix in NAMED)]
+            sender, *names = rest.removeprefix(prefix).split("/", 1 if row.key.endswith(keys.NAME) else 0)
+            sender = _checked(sender, f"the sender after {prefix}")
+            if row.key.endswith(keys.NAME):
+                return row, node, sender, _checked(names[0] if names else "", f"the name after {prefix}{sender}/")
+            return row, node, sender, ""
+    known = [*QUERIES, *SENT]
     raise BadMessage(f"no request {_short(rest.encode())}; {did_you_mean(rest[:_SHOWN], known, limit=len(known))}")
 
 

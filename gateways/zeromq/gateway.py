@@ -18,6 +18,7 @@ from zenostat.gateways.zeromq.frames import Peer, Request, answer, denied, read,
 from zenostat.gateways.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
 from zenostat.topics import codec, errors, keys
 from zenostat.topics.errors import (
+    AccessDenied,
     BadMessage,
     InvalidConfig,
     NodeLost,
@@ -68,6 +69,7 @@ class Gateway:
         command: endpoint for requests.
         lease_s: a peer that answers no heartbeat for this time is disconnected; 0.1 to 3600.
         expose: allow endpoints that other machines can reach.
+        identity: the name in the gateway's certificate; its clients send under that name, or names below it.
 
     Raises:
         InvalidConfig: an invalid endpoint or lease.
@@ -88,6 +90,7 @@ class Gateway:
         command: str = DEFAULT_COMMAND,
         lease_s: float = LEASE_S,
         expose: bool = False,
+        identity: str = "",
     ) -> None:
         if not 0.1 <= lease_s <= 3600:
             raise InvalidConfig(f"a lease of {lease_s} s; 0.1 to 3600 expected")
@@ -95,6 +98,7 @@ class Gateway:
         for endpoint in (publish, command):
             check_endpoint(endpoint, expose=expose)
         self.counts = Counts()
+        self._identity = identity
         self._stopped = False
         self._nodes: dict[str, NodeView] = {}
         self._announced: dict[str, _Announced] = {}
@@ -261,6 +265,11 @@ class Gateway:
             request = read(peer, rest)
             if self.node not in ("*", request.node):
                 raise NodeNotFound(f"this gateway is for node {self.node!r} alone, not for {request.node!r}")
+            if self._identity and request.sender and not keys.is_own(self._identity, request.sender):
+                raise AccessDenied(
+                    f"this gateway sends as {self._identity!r}, and for its clients under names below it; send as "
+                    f"{keys.own_name(self._identity, request.sender)!r}"
+                )
         except ZenostatError as error:
             self._send(peer, rest[0][:_ECHO] if rest else b"", denied(error))
             return
@@ -293,7 +302,7 @@ class Gateway:
         def then(reply: BusMessage | None) -> None:
             self._answer(request, reply or denied(lost))
 
-        self._bus.ask(request.row, request.node, question, then, name=request.name)
+        self._bus.ask(request.row, request.node, question, then, name=request.name, sender=request.sender)
 
     def _answer(self, request: Request, answered: Message | BusMessage) -> None:
         """Reply to a request; called once for each."""

@@ -11,14 +11,14 @@ import msgpack
 
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage
-from zenostat.topics.messages import ANONYMOUS, REJECTIONS, AlarmTransition, ErrorReply, Event, EventKind
+from zenostat.topics.messages import REJECTIONS, AlarmTransition, ErrorReply, Event, EventKind
 from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import RecordedMessage, RecordedRequest
 
 if TYPE_CHECKING:
     from zenostat.bridge.recording.reader import RecordedItem
 
-_COMMAND, _ACTUATOR = (topic.key.removesuffix("{name}") for topic in (keys.COMMAND, keys.ACTUATOR))
+_COMMAND, _ACTUATOR = (topic.key.partition("{")[0] for topic in (keys.COMMAND, keys.ACTUATOR))
 _ACCEPTED, _ALARM = "accepted", "alarm"
 _OUTCOMES = (*REJECTIONS, EventKind.WRITTEN, EventKind.ACCEPTED_LATE)
 _REQUESTED = (
@@ -39,7 +39,7 @@ class LogEntry:
     Attributes:
         time: UTC at which the node received it.
         simulated: Simulated time of the node's latest sample; empty before the first one.
-        source: Name of the sender; empty if the message has none.
+        source: Name of the sender, as in the key of its message; empty for an alarm.
         kind: `command`, `write`, or the request: `claim`, `reset`, `pause`; or `alarm`.
         subject: The point that was written, what was requested, or what the alarm reports.
         result: `accepted`, or the reason why not; of an alarm, its new state.
@@ -107,13 +107,12 @@ class LogBuilder:
             self._add_message(topic, payload, item.time_ns, simulated)
 
     def _add_message(self, topic: str, payload: bytes, time_ns: int, simulated: str) -> None:
-        name = topic.partition("/")[2]
+        sender, _, name = topic.partition("/")[2].partition("/")
         if topic.startswith(_COMMAND):
-            self._add_command(name, payload, time_ns, simulated)
-            self._awaiting = self._commands[name]
+            self._add_command(sender, payload, time_ns, simulated)
+            self._awaiting = self._commands[sender]
             return
-        fields = _fields(payload)
-        entry = LogEntry(_utc(time_ns), simulated, _source(fields) or ANONYMOUS, "write", _write_text(name, fields))
+        entry = LogEntry(_utc(time_ns), simulated, sender, "write", _write_text(name, _fields(payload)))
         self._entries.append(entry)
         self._awaiting = entry
 
@@ -138,11 +137,10 @@ class LogBuilder:
 
     def _add_request(self, topic: str, request: RecordedRequest, time_ns: int, simulated: str) -> None:
         _, kind, *names = topic.split("/")
-        name = "".join(names)
+        source = names[0] if names else ""
         fields = _fields(request.payload)
-        source = name if kind == "command" else _source(fields)
         if kind == "write":
-            subject, source = _write_text(name, fields), source or ANONYMOUS
+            subject = _write_text("".join(names[1:]), fields)
         elif kind == "command":
             subject = _answer_text(fields)
         else:
@@ -168,10 +166,6 @@ def _fields(payload: bytes) -> Mapping[str, Any]:
     except Exception:  # msgpack raises a dozen unrelated classes on malformed input
         return {}
     return fields if isinstance(fields, dict) else {}
-
-
-def _source(fields: Mapping[str, Any]) -> str:
-    return replace_controls(str(fields.get("controller") or fields.get("source") or ""))
 
 
 def _is_shown(key: str, value: Any) -> bool:

@@ -107,10 +107,10 @@ def test_info__has_what_a_person_sets(scratch: Path) -> None:
     env = make()
     env.reset(seed=0)
     with zenostat.connect(env.local_node.endpoint) as bus:
-        bus.write("building", "core_zn_cooling_setpoint", 29.0, priority=8, source="facility manager")
+        bus.write("building", "core_zn_cooling_setpoint", 29.0, priority=8, source="facility_manager")
     at = [a.name for a in env.manifest.actuators].index("core_zn_cooling_setpoint")
     info = env.step([20.0, 25.0])[4]
-    assert info["value_source"][at] == "facility manager"
+    assert info["value_source"][at] == "facility_manager"
     assert (info["effective"][at], info["action"][at]) == (29.0, 25.0)
     env.close()
 

@@ -1,9 +1,12 @@
 """Folders of keys: what is made, what is refused, and what OpenSSL thinks of it."""
 
+import re
 import shutil
 import subprocess
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.certificates import expire
@@ -14,7 +17,8 @@ from zenostat.bridge.transport.certificates import add, identity, make, show
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.keys import Role
 
-ROLES = ("node", "controller", "monitor")
+ROLES = ("node", "controller", "operator", "monitor", "gateway")
+TRAINER = (Role.CONTROLLER, Role.OPERATOR)
 
 
 @pytest.fixture
@@ -30,11 +34,14 @@ def openssl(*arguments: object) -> subprocess.CompletedProcess[str]:
 
 
 def test_certificates__folder_has_an_authority_and_a_certificate_for_each_role(pki: Path) -> None:
-    names = {"ca", *ROLES}
-    assert {path.name for path in pki.iterdir()} == {f"{name}.{kind}" for name in names for kind in ("pem", "key")}
-    assert [(one.name, one.role, one.fault) for one in show(pki)] == [
-        ("ca", None, ""), *((role, Role(role), "") for role in ROLES),
+    names = {"ca", *ROLES, "trainer"}
+    files = {f"{name}.{kind}" for name in names for kind in ("pem", "key")}
+    assert {path.name for path in pki.iterdir()} == {*files, "names.json"}
+    assert [(one.name, one.roles, one.fault) for one in show(pki)] == [
+        ("ca", (), ""), ("node", (Role.NODE,), ""), ("controller", (Role.CONTROLLER,), ""), ("trainer", TRAINER, ""),
+        *((role, (Role(role),), "") for role in ROLES[2:]),
     ]  # fmt: skip
+    assert identity(pki, Role.NODE).names() == {"trainer": TRAINER, **{role: (Role(role),) for role in ROLES}}
 
 
 def test_certificates__keys_can_be_read_by_their_owner_alone(pki: Path) -> None:
@@ -62,7 +69,7 @@ def test_certificates__openssl_finds_the_chain_and_only_a_node_may_listen(pki: P
 def test_certificates__openssl_reads_the_role_the_name_and_the_hosts(pki: Path) -> None:
     add(pki, Role.NODE, "annex", hosts=["lab.example.org", "192.168.1.20", "fe80::1"])
     text = openssl("x509", "-in", pki / "annex.pem", "-noout", "-text").stdout
-    assert "CN = zenostat-node, OU = annex" in text or "CN=zenostat-node, OU=annex" in text
+    assert "CN = annex, OU = node" in text or "CN=annex, OU=node" in text
     for host in ("DNS:localhost", "IP Address:127.0.0.1", "DNS:lab.example.org", "IP Address:192.168.1.20"):
         assert host in text
     for host, answer in (("lab.example.org", "does match"), ("other.example.org", "does NOT match")):
@@ -70,7 +77,7 @@ def test_certificates__openssl_reads_the_role_the_name_and_the_hosts(pki: Path) 
 
 
 def test_certificates__each_certificate_has_a_key_of_its_own(pki: Path) -> None:
-    assert len({path.read_bytes() for path in pki.glob("*.key")}) == 4
+    assert len({path.read_bytes() for path in pki.glob("*.key")}) == len(ROLES) + 2
 
 
 def test_certificates__nothing_is_overwritten_unless_it_is_forced(pki: Path) -> None:
@@ -113,12 +120,16 @@ def test_make__reports_all_errors_of_a_call_at_once(tmp_path: Path) -> None:
         (Role.CONTROLLER, "ca", {}, "is the name of the authority"),
         (Role.CONTROLLER, "../x", {}, "is not valid in a topic"),
         (Role.CONTROLLER, "x", {"hosts": ["h.org"]}, "does not listen"),
-        (Role.ANYONE, "x", {}, "name one of node, controller, monitor"),
+        (Role.CONTROLLER, "x" * 65, {}, "at most 64"),
+        (Role.CONTROLLER, "operator.x", {}, "a holder of the shorter name may send under the longer one"),
+        ((), "x", {}, "no certificates for no role"),
+        ((Role.NODE, Role.OPERATOR), "x", {}, "a node has no further role"),
+        (Role.ANYONE, "x", {}, "name one of node, controller, operator, monitor, gateway"),
         (Role.NODE, "x", {"days": 4000}, "days of validity"),
     ],
 )
 def test_certificates__what_cannot_be_added_is_refused(
-    pki: Path, role: Role, name: str, arguments: dict, message: str
+    pki: Path, role: Any, name: str, arguments: dict, message: str
 ) -> None:
     before = sorted(pki.parent.rglob("*"))
     with pytest.raises(InvalidConfig, match=message):
@@ -132,18 +143,61 @@ def test_certificates__adding_needs_the_authority_s_key(pki: Path) -> None:
         add(pki, Role.CONTROLLER, "second")
 
 
+# The list of names
+
+
+def test_name_list__has_each_name_with_its_roles(pki: Path) -> None:
+    add(pki, TRAINER, "ppo-7")
+    names = identity(pki, Role.NODE).names()
+    assert names["ppo-7"] == identity(pki, None, "ppo-7").roles == TRAINER
+    add(pki, Role.MONITOR, "ppo-7", force=True)
+    assert identity(pki, Role.NODE).names() == names | {"ppo-7": (Role.MONITOR,)}
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: text.replace("monitor", "operator"), "is not signed by the authority"),
+        (lambda text: re.sub(r'"monitor"(?!:)', '"owner"', text), "is not a list of names"),
+        (lambda _: "[]", "is not a list of names"),
+        (lambda _: "{", "is not a list of names"),
+    ],
+    ids=["changed", "unknown role", "no list", "no JSON"],
+)
+def test_name_list__change_by_anyone_but_the_authority_is_refused(
+    pki: Path, change: Callable[[str], str], message: str
+) -> None:
+    (pki / "names.json").write_text(change((pki / "names.json").read_text()))
+    with pytest.raises(InvalidConfig, match=message):
+        identity(pki, Role.NODE).names()
+    with pytest.raises(InvalidConfig, match=message):
+        add(pki, Role.OPERATOR, "panel")
+
+
+def test_name_list__of_another_authority_or_none_is_refused(pki: Path, tmp_path: Path) -> None:
+    make(tmp_path / "other")
+    shutil.copy(tmp_path / "other" / "names.json", pki / "names.json")
+    with pytest.raises(InvalidConfig, match="is not signed by the authority"):
+        identity(pki, Role.NODE).names()
+    (pki / "names.json").unlink()
+    with pytest.raises(InvalidConfig, match="copy it from the folder where the keys were created"):
+        identity(pki, Role.NODE).names()
+
+
 # What a program shows on the bus
 
 
 def test_certificates__program_needs_only_the_authority_s_certificate_and_its_own_files(pki: Path) -> None:
-    for other in ("ca.key", "node.pem", "node.key"):
+    for other in ("ca.key", "node.pem", "node.key", "names.json"):
         (pki / other).unlink()
     files = identity(pki, Role.CONTROLLER)
     assert (files.authority, files.certificate) == (pki / "ca.pem", pki / "controller.pem")
 
 
 def test_certificates__certificate_that_is_not_there(pki: Path) -> None:
-    with pytest.raises(UnknownName, match=r"no certificate 'contoller'.*'controller'.*zenostat keys add controller"):
+    with pytest.raises(
+        UnknownName, match=r"no certificate 'contoller'.*'controller'.*zenostat keys add contoller --role controller"
+    ):
         identity(pki, Role.CONTROLLER, "contoller")
     with pytest.raises(InvalidConfig, match="zenostat keys init"):
         identity(pki / "nowhere", Role.NODE)
@@ -213,12 +267,23 @@ def test_certificates__command_makes_adds_and_shows(tmp_path: Path) -> None:
 
     first = run_zenostat("init", "--host", "lab.example.org", "--days", "30")
     assert first.returncode == 0, first.stderr
-    assert run_zenostat("add", "controller", "annex").returncode == 0
+    assert run_zenostat("add", "annex", "--role", "controller", "--role", "operator").returncode == 0
     shown = run_zenostat("show").stdout
     rows = [tuple(cell.strip() for cell in line.split("│")[1:3]) for line in shown.splitlines() if "│" in line]
-    expected = [("authority", "ca"), ("node", "node"), ("controller", "annex"), ("controller", "controller")]
-    assert [row for row in rows if row[1]] == [*expected, ("monitor", "monitor")]
+    expected = [
+        ("authority", "ca"),
+        ("node", "node"),
+        ("controller,", "annex"),
+        ("operator", ""),
+        ("controller", "controller"),
+    ]
+    assert [row for row in rows if any(row)] == [
+        *expected,
+        ("operator", "operator"),
+        ("monitor", "monitor"),
+        ("gateway", "gateway"),
+    ]
     again = run_zenostat("init")
     assert again.returncode == 2
     assert "--force" in again.stderr
-    assert run_zenostat("add", "owner", "x").returncode == 2
+    assert run_zenostat("add", "x", "--role", "owner").returncode == 2

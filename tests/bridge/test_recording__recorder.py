@@ -51,8 +51,8 @@ def test_recording__file_is_what_other_readers_expect(tmp_path: Path) -> None:
 
 def test_recording__commands_with_an_encoding_of_their_own_have_a_channel_each_others_share_one(tmp_path: Path) -> None:
     recorder = new_recorder(tmp_path / "a.mcap")
-    recorder.received(keys.COMMAND, "rbc", b"\x80", codec.encoding(Command))
-    recorder.received(keys.COMMAND, "rbc", b"\x81", "text/plain")
+    recorder.received(keys.COMMAND, "command/rbc", b"\x80", codec.encoding(Command))
+    recorder.received(keys.COMMAND, "command/rbc", b"\x81", "text/plain")
     recorder.order(b"12345678", range(1))
     recorder.close()
     with RecordingReader(tmp_path / "a.mcap") as reader:

@@ -275,7 +275,7 @@ def test_step_exchange__command_of_another_version_is_rejected_by_name() -> None
     payload, other = wire(command([20.0, 25.0], step=2)), "application/msgpack;zenostat/1.Command"
     assert unchanged(at, lambda: at.intake.accept_fast("agent", payload, 0.0, other), count="") is False
     event = unchanged(at, lambda: at.intake.receive_command("agent", payload, 0.0, other), count="rejected")
-    check_event(event, EventKind.REJECTED, "zenostat/1.Command", "zenostat/2.Command")
+    check_event(event, EventKind.REJECTED, "zenostat/1.Command", "zenostat/3.Command")
 
 
 def test_step_exchange__every_message_is_counted_once() -> None:

@@ -37,7 +37,7 @@ def test_close__answers_requests_that_were_not_handled(
 
             def ask() -> None:
                 payload = codec.encode(request_sent)
-                for answer in client.get(topic.at("office"), payload=payload, timeout=1e6):
+                for answer in client.get(topic.at("office", sender="panel"), payload=payload, timeout=1e6):
                     replies.append(codec.decode(type(reply), answer.ok.payload.to_bytes()))
 
             asking = threading.Thread(target=ask, daemon=True)
@@ -46,11 +46,11 @@ def test_close__answers_requests_that_were_not_handled(
         asking.join(PATIENCE_S)
         assert not asking.is_alive()
     assert replies == [reply]
-    assert handled == ([request_sent] if topic is keys.STOP else [])
+    assert handled == ([Stop(source="panel")] if topic is keys.STOP else [])
 
 
 def _has_queryable(client: object, topic: keys.Topic) -> bool:
-    querier = client.declare_querier(topic.at("office"))  # type: ignore[attr-defined]
+    querier = client.declare_querier(topic.at("office", sender="panel"))  # type: ignore[attr-defined]
     try:
         return bool(querier.matching_status.matching)
     finally:

@@ -78,7 +78,7 @@ class Flooder:
             self._bus.session.put(key, payload, encoding=how, congestion_control=CongestionControl.BLOCK)
 
     def _command_key(self, name: str) -> str:
-        return keys.COMMAND.at(self._node, name=name)
+        return keys.COMMAND.at(self._node, sender=name)
 
     def _source(self, rng: random.Random, names: list[str]) -> str:
         return self._command_key(rng.choice([*names, "nobody"]))
@@ -117,7 +117,7 @@ class Flooder:
         duration_s = None if free or rng.random() < 0.2 else float(rng.randrange(900, 14400))
         source = f"person-{rng.randrange(PERSONS)}"
         write = Write(value=None if free else value, duration_s=duration_s, priority=PERSON_LEVEL, source=source)
-        return keys.ACTUATOR.at(self._node, name=actuator.name), codec.encode(write)
+        return keys.ACTUATOR.at(self._node, name=actuator.name, sender=source), codec.encode(write)
 
     def _bad_write(self, rng: random.Random) -> tuple[str, bytes]:
         actuator = rng.choice(self._manifest.actuators)
@@ -130,7 +130,7 @@ class Flooder:
                 (actuator.name, codec.pack(value=float("nan"))),
             ]
         )
-        return keys.ACTUATOR.at(self._node, name=point), payload
+        return keys.ACTUATOR.at(self._node, name=point, sender="flooder"), payload
 
     def _refused_request(self, rng: random.Random) -> int:
         """1 if the node refused a request that it should refuse, and said why."""
@@ -146,7 +146,7 @@ class Flooder:
                 (keys.PACE, b"\x91" * 1000),
             ]
         )
-        replies = list(self._bus.session.get(topic.at(self._node), payload=payload, timeout=30.0))
+        replies = list(self._bus.session.get(topic.at(self._node, sender="thief"), payload=payload, timeout=30.0))
         return sum(r.ok is not None and str(r.ok.encoding) == codec.encoding(ErrorReply) for r in replies)
 
 

@@ -73,7 +73,9 @@ def _keys() -> str:
     for topic in TOPICS:
         message = f"`{topic.message.__name__}`" if topic.message else "none"
         reply = f"`{topic.reply.__name__}`" if topic.reply else ""
-        rows.append(f"| `{PREFIX}/{{node}}/{topic.key}` | {topic.sender} | {_how(topic)} | {message} | {reply} |")
+        rows.append(
+            f"| `{PREFIX}/{{node}}/{topic.key}` | {' or '.join(topic.senders)} | {_how(topic)} | {message} | {reply} |"
+        )
     return "\n".join(rows)
 
 

@@ -130,13 +130,13 @@ class Player:
         if not self.trials or self._is_over():
             return
         values = np.full((self.main.manifest.slots, len(self.actuators)), 1e6)
-        fields = {"alternatives": 1, "values": values.tobytes()}
+        fields = {"controller": "main", "alternatives": 1, "values": values.tobytes()}
         if what == "step":
             fields["step"] = [step + 1 for step in self.sample.message.step]
         if what == "size":
             fields["values"] = values.tobytes()[1:]
         with pytest.raises(RequestRejected):
-            self.bus.ask(keys.TRY, self.node, TrySteps(**fields), StepsTried, name="main")
+            self.bus.ask(keys.TRY, self.node, TrySteps(**fields), StepsTried)
 
     def _write(self, index: int, share: float | None, priority: int, timesteps: int) -> None:
         actuator = self.actuators[index]

@@ -27,7 +27,7 @@ KILLED = """
 import sys, msgpack, zmq
 requests = zmq.Context().socket(zmq.REQ)
 requests.connect(sys.argv[1])
-requests.send_multipart([b"zenostat/v2/office/rpc/claim", msgpack.packb({"controller": "doomed"})])
+requests.send_multipart([b"zenostat/v3/office/rpc/claim/doomed", msgpack.packb({"controller": "doomed"})])
 print(requests.recv_multipart()[1].decode(), flush=True)
 sys.stdin.read()
 """
@@ -63,7 +63,7 @@ class Peer:
     """A ZeroMQ program's two sockets."""
 
     def __init__(self, gateway: GatewayProgram, kind: int = 0, node: str = "office") -> None:
-        self.root = f"zenostat/v2/{node}"
+        self.root = f"zenostat/v3/{node}"
         self.context = zmq.Context()
         self.req = kind == zmq.REQ
         self.requests = self.context.socket(kind or zmq.DEALER)

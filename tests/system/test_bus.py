@@ -28,7 +28,7 @@ config = zenoh.Config()
 config.insert_json5("mode", '"client"')
 config.insert_json5("connect/endpoints", json.dumps([sys.argv[1]]))
 config.insert_json5("scouting/multicast/enabled", "false")
-root = "zenostat/v2/office"
+root = "zenostat/v3/office"
 
 
 def say(**what):
@@ -49,7 +49,7 @@ with zenoh.open(config) as session:
     which = [a["name"] for a in manifest["actuators"]].index("core_zn_cooling_setpoint")
     for written in (26.0, None):
         payload = msgpack.packb({"value": written})
-        session.put(root + "/actuator/core_zn_cooling_setpoint", payload)
+        session.put(root + "/actuator/panel/core_zn_cooling_setpoint", payload)
         while (event := unpacked(events.recv()))["kind"] != "written":
             pass
         say(written=event["text"])
@@ -77,7 +77,7 @@ import zenoh
 from zenostat.bridge.transport.session import open_session
 with open_session(connect=[sys.argv[1]]) as session:
     with session.declare_subscriber("zenostat/**") as subscriber:
-        next(iter(session.get("zenostat/v2/office/manifest")))
+        next(iter(session.get("zenostat/v3/office/manifest")))
         print("listens", flush=True)
         while True:
             subscriber.recv()
@@ -133,7 +133,7 @@ def test_bus__stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: z
             next(a for a in link.manifest.actuators if a.name == "core_zn_cooling_setpoint")
         )
         for text, source_index in (
-            ("core_zn_cooling_setpoint = 26 degC at priority 8", "anonymous"),
+            ("core_zn_cooling_setpoint = 26 degC at priority 8", "panel"),
             ("core_zn_cooling_setpoint relinquished at priority 8", ""),
         ):
             assert stranger.json() == {"written": text}
@@ -151,8 +151,8 @@ def test_bus__stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: z
 def _check_points(values: dict[str, dict[str, object]], sample: SampleView) -> None:
     """Each point came under its own key, equal to the sample to the bit."""
     manifest = sample.manifest
-    points = {f"zenostat/v2/office/sensor/{s.name}": s for s in manifest.sensors}
-    points |= {f"zenostat/v2/office/meter/{m.name}": m for m in manifest.meters}
+    points = {f"zenostat/v3/office/sensor/{s.name}": s for s in manifest.sensors}
+    points |= {f"zenostat/v3/office/meter/{m.name}": m for m in manifest.meters}
     assert set(values) == set(points)
     for key, point in points.items():
         assert values[key] == {
@@ -179,7 +179,7 @@ def test_bus__strangers_faulty_write_changes_nothing_and_is_named(bus: zenostat.
             "core_zn_heating_setpoint": "core_zn_heating_setpoint: not msgpack",
         }
         for name, payload in writes.items():
-            bus.session.put(keys.ACTUATOR.at("office", name=name), payload)
+            bus.session.put(keys.ACTUATOR.at("office", name=name, sender="panel"), payload)
             assert expected[name] in next_event(events, EventKind.REJECTED).text
         sample.send()
         after = link.receive()
@@ -190,7 +190,7 @@ def test_bus__strangers_faulty_write_changes_nothing_and_is_named(bus: zenostat.
 def test_bus__message_that_is_too_large_is_refused_by_name_and_a_larger_one_not_taken_in(bus: zenostat.Bus) -> None:
     with events_of(bus) as events:
         before = bus.status("office").rejected
-        key = keys.COMMAND.at("office", name="huge")
+        key = keys.COMMAND.at("office", sender="huge")
         for size in (MAX_MESSAGE_BYTES + 1, MAX_MESSAGE_BYTES // 2):
             bus.session.put(key, bytes(size), congestion_control=zenoh.CongestionControl.BLOCK)
         assert f"at most {codec.MAX_BYTES}" in next_event(events, EventKind.REJECTED).text

@@ -11,7 +11,19 @@ from zenoh.handlers import RingChannel
 import zenostat
 from zenostat.topics import codec, keys
 from zenostat.topics.keys import Topic
-from zenostat.topics.messages import ErrorReply, Event, EventKind, Write
+from zenostat.topics.messages import (
+    Acknowledge,
+    Claim,
+    ErrorReply,
+    Event,
+    EventKind,
+    Message,
+    Reset,
+    SetPace,
+    Stop,
+    TakeSnapshot,
+    Write,
+)
 
 POINT = "core_zn_cooling_setpoint"
 OWN = codec.encoding(Write)
@@ -41,16 +53,72 @@ def test_bus__node_answers_each_malformed_write_to_its_source(episode_bus: zenos
             return until(rejection, "the write is rejected")
 
         for name, (fields, encoding, words) in BAD_WRITES.items():
-            payload = msgpack.packb({**fields, "source": f"panel {name}"})
-            bus.session.put(keys.ACTUATOR.at("office", name=POINT), payload, encoding=zenoh.Encoding(encoding))
+            sender = keys.safe_name(f"panel {name}")
+            payload, key = msgpack.packb(fields), keys.ACTUATOR.at("office", name=POINT, sender=sender)
+            bus.session.put(key, payload, encoding=zenoh.Encoding(encoding))
             event = next_rejection()
-            assert event.source == f"panel {name}"
+            assert event.source == sender
             assert words in event.text
         for payload in (b"\xc1", msgpack.packb([1]), msgpack.packb({"value": "x", "source": 5})):
-            bus.session.put(keys.ACTUATOR.at("office", name=POINT), payload)
-            assert next_rejection().source == "anonymous"
-        bus.session.put(keys.ACTUATOR.at("office", name=POINT), msgpack.packb({"value": "x", "source": "p" * 999}))
-        assert next_rejection().source == "p" * 128
+            bus.session.put(keys.ACTUATOR.at("office", name=POINT, sender="panel"), payload)
+            assert next_rejection().source == "panel"
+        key = keys.ACTUATOR.at("office", name=POINT, sender="p" * 999)
+        bus.session.put(key, msgpack.packb({"value": None}))
+        event = next_rejection()
+        assert event.source == "p" * 128
+        assert "is not a sender's name" in event.text
+
+
+SETS = Write(value=26.0, source="panel")
+
+
+@pytest.mark.parametrize(
+    ("topic", "message"),
+    [
+        (keys.WRITE_REQUEST, SETS),
+        (keys.CLAIM, Claim(controller="panel", required=False)),
+        (keys.RESET, Reset(controller="panel")),
+        (keys.STOP, Stop(source="panel")),
+        (keys.PACE, SetPace(source="panel", mode="free")),
+        (keys.SNAPSHOT, TakeSnapshot(controller="panel")),
+        (keys.ACKNOWLEDGE, Acknowledge(source="panel", alarm="*")),
+    ],
+    ids=lambda part: getattr(part, "key", ""),
+)
+def test_bus__message_under_two_names_is_denied_counted_and_reported(
+    episode_bus: zenostat.Bus, topic: Topic, message: Message
+) -> None:
+    bus = episode_bus
+    before, manifest, priorities = bus.status("office"), bus.manifest("office"), bus.priorities("office")
+    with bus.session.declare_subscriber(keys.EVENT.at("office"), RingChannel(1000)) as events:
+        key = topic.at("office", name=POINT, sender="thief")
+        replies = list(bus.session.get(key, payload=codec.encode(message), timeout=30))
+        reply = codec.decode(ErrorReply, replies[0].ok.payload.to_bytes())
+        assert reply.error == "AccessDenied"
+        assert "its key names 'thief' as the sender, and the message 'panel'" in reply.message
+        sent = until(events.try_recv, "it is reported")
+        event = codec.decode(Event, sent.payload.to_bytes())
+    assert (event.kind, event.source) == (EventKind.REJECTED, "thief")
+    assert event.text == f"{topic.key}: {reply.message}"
+    after = bus.status("office")
+    assert (after.rejected, after.controllers) == (before.rejected + 1, before.controllers)
+    assert (after.episode, after.step, after.mode) == (before.episode, before.step, before.mode)
+    assert bus.manifest("office").mode == manifest.mode
+    assert bus.priorities("office") == priorities
+
+
+def test_bus__put_for_all_nodes_is_under_the_name_of_its_sender(episode_bus: zenostat.Bus) -> None:
+    """The node's name in a key may be a wildcard, which is shorter: the sender's name must not be cut for that."""
+    bus = episode_bus
+    with bus.controller("office", name="victim", required=False) as link:
+        link.current()
+        spoofed = "x" * (len("office") - len("*")) + link.name
+        before = bus.status("office")
+        with bus.session.declare_subscriber(keys.EVENT.at("office"), RingChannel(1000)) as events:
+            bus.session.put(keys.COMMAND.at("*", sender=spoofed), b"\x80")
+            sent = until(events.try_recv, "it is reported")
+        assert codec.decode(Event, sent.payload.to_bytes()).source == spoofed
+        assert bus.status("office").controllers[0].rejected == before.controllers[0].rejected
 
 
 BIG = msgpack.packb({"memory": b"\0" * (codec.MAX_BYTES + 1)})

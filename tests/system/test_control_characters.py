@@ -50,19 +50,21 @@ def recorded(module_scratch: Path) -> tuple[Path, list[bytes]]:
         subscriber = session.declare_subscriber(keys.EVENT.at("room"), lambda m: events.append(m.payload.to_bytes()))
         actuator = bus.manifest("room").actuators[0]
         encoding = zenoh.Encoding(codec.encoding(Write))
-        key = keys.ACTUATOR.at("room", name=actuator.name)
+        key = keys.ACTUATOR.at("room", name=actuator.name, sender="panel")
         with bus.controller("room", name="plain") as link:
             session.put(key, codec.pack(value=actuator.low, source=EVIL), encoding=encoding)
             session.put(key, codec.pack(value=[EVIL], source=EVIL), encoding=encoding)
             session.put(
-                keys.ACTUATOR.at("room", name="x\x1b[2J"), codec.pack(value=1.0, source=EVIL), encoding=encoding
+                keys.ACTUATOR.at("room", name="x\x1b[2J", sender="panel\x1b[2J"),
+                codec.pack(value=1.0, source=EVIL),
+                encoding=encoding,
             )
-            session.put(keys.COMMAND.at("room", name="x\x1b[2J"), codec.pack(**{EVIL: 1}))
-            until(lambda: sum(HARMLESS.encode() in event for event in events) >= 3, "events of all writes")
+            session.put(keys.COMMAND.at("room", sender="x\x1b[2J"), codec.pack(**{EVIL: 1}))
+            until(lambda: len(events) >= 4 and "x␛[2J".encode() in events[-1], "events of all messages")
             link.reset(seed=1).send(None)
             link.receive()
             with pytest.raises(UnknownName) as caught:
-                bus.acknowledge("room", EVIL, source=EVIL, comment=EVIL)
+                bus.acknowledge("room", EVIL, comment=EVIL)
             assert is_plain(str(caught.value))
         subscriber.undeclare()
         status = run("status", "--connect", program.endpoint)
@@ -113,7 +115,7 @@ def test_control_characters__no_command_prints_a_control_character_of_a_file(
 def test_control_characters__loaded_recording_has_none(hostile: Path) -> None:
     loaded = load(hostile)
     assert all(is_plain(f"{entry.source} {entry.subject} {entry.result}") for entry in loaded.log)
-    assert any(HARMLESS in entry.source for entry in loaded.log)
+    assert any("x␛[2J" in entry.source for entry in loaded.log)
     assert {event.text for _, event in loaded.events} == {replace_controls(EVIL, keep="\n")}
 
 

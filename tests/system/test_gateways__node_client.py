@@ -30,7 +30,7 @@ async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(e
     episode_bus.pause("office")
     episode_bus.pace("office", mode="free")
     events: list[Event] = []
-    async with _client(episode_bus.endpoint, source="device 7") as node:
+    async with _client(episode_bus.endpoint, source="device-7") as node:
         node.listeners.events.append(events.append)
         begin = node.sample
         assert begin.step == 0
@@ -41,7 +41,7 @@ async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(e
         assert "26.5" in ack.text
         arrays = await node.priorities()
         assert [(p, *entry) for p, entry in enumerate(arrays[COOLING], 1) if entry.value is not None] == [
-            (8, 26.5, "device 7")
+            (8, 26.5, "device-7")
         ]
         effective = (await node.step()).effective
         assert effective[[a.name for a in node.manifest.actuators].index(COOLING)] == 26.5
@@ -60,7 +60,7 @@ async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(e
         await node.resume()
         with pytest.raises(RequestRejected, match="not paused"):
             await node.step()
-    assert [event.source for event in events if event.kind is EventKind.WRITTEN] == ["device 7"] * 2
+    assert [event.source for event in events if event.kind is EventKind.WRITTEN] == ["device-7"] * 2
 
 
 async def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(episode_bus: Bus) -> None:

@@ -29,7 +29,7 @@ with open_session(connect=[sys.argv[1]]) as session:
     print("floods", flush=True)
     while True:
         priority = getattr(zenoh.Priority, sys.argv[2])
-        session.put("zenostat/v2/office/nothing", bytes(codec.MAX_BYTES), priority=priority)
+        session.put("zenostat/v3/office/nothing", bytes(codec.MAX_BYTES), priority=priority)
         time.sleep(float(sys.argv[3]))
 """
 
@@ -199,8 +199,8 @@ def test_lost_messages__refusals_of_strangers_leave_room_for_those_of_a_controll
     with episode_bus.controller("office") as link, open_session(connect=[episode_bus.endpoint]) as session:
         link.reset()
         for _ in range(60):
-            session.put(keys.ACTUATOR.at("office", name=POINT), msgpack.packb({"value": "x"}))
-            session.put(keys.COMMAND.at("office", name="stranger"), b"\xc1")
+            session.put(keys.ACTUATOR.at("office", name=POINT, sender="panel"), msgpack.packb({"value": "x"}))
+            session.put(keys.COMMAND.at("office", sender="stranger"), b"\xc1")
         until(lambda: episode_bus.status("office").rejected >= 120, "all of them are refused")
         link.send(np.full(len(link.manifest.actuators), 99.0))
         with pytest.raises(RequestRejected, match="= 99; its bounds are"):

@@ -129,7 +129,7 @@ def test_modbus_gateway__write_is_a_command_until_its_coil_is_cleared(bus: Bus, 
     assert sample.effective[index] == 26.5
     assert sample.value_source[COOLING] == "modbus"
     assert client.read_discrete_inputs(16 + index, count=1, device_id=UNIT).bits[0]
-    bus.write("office", COOLING, 24.0, priority=3, source="fire panel")
+    bus.write("office", COOLING, 24.0, priority=3, source="fire_panel")
     _step(bus, client)
     assert not client.read_discrete_inputs(16 + index, count=1, device_id=UNIT).bits[0]  # a higher priority is
     assert client.read_coils(index, count=1, device_id=UNIT).bits[0]

@@ -30,15 +30,17 @@ from zenostat.topics import codec
 
 endpoint, seed, tame, own = sys.argv[1], int(sys.argv[2]), sys.argv[3] == "tame", sys.argv[4]
 draw = random.Random(seed)
-root = "zenostat/v2/office"
+root = "zenostat/v3/office"
 nodes_own = ["sample", "manifest", "event", "sensor/outdoor_temperature", "wake", "nothing", "a/b/c", "@live/x"]
 verbs = ["claim", "reset", "snapshot", "drop", "branch", "stop", "pace", "pause", "resume", "step", "faults", "weather"]
-verbs += ["command/x", "write/x", "write/core_zn_cooling_setpoint", *([] if tame else [f"command/{own}"])]
-reading = ["rpc/status", "rpc/scenario", "rpc/weather", "manifest", "sample", "rpc/unknown", "command/x", "actuator/y"]
+verbs = [f"{verb}/x" for verb in verbs] + ["claim", "weather", "write/x"]
+verbs += ["command/x", "write/x/x", "write/x/core_zn_cooling_setpoint", *([] if tame else [f"command/{own}"])]
+reading = ["rpc/status", "rpc/scenario", "rpc/weather", "manifest", "sample", "rpc/unknown", "command/x"]
+reading += ["actuator/x/y"]
 names = ["x", "é", "名", "with space", "-", "a" * 3000, "'quoted'", "..", "%2F", "\t", "@at", "~"]
 points = ["core_zn_cooling_setpoint", "core_zn_heating_setpoint", "core_zn_coling_setpoint"]
 encodings = ["", "application/msgpack", "zenoh/bytes", "application/msgpack;zenostat/1.Command", ";zenostat/",
-             "application/msgpack;zenostat/2.Write", "text/plain"]
+             "application/msgpack;zenostat/3.Write", "text/plain"]
 
 
 def anything(depth=0):
@@ -72,14 +74,16 @@ def payload():
 
 def valid():
     return draw.choice([
-        ("claim", {"controller": "fuzz", "priority": draw.randrange(1, 17), "required": False}),
-        ("claim", {"controller": "fuzz", "priority": 1, "actuators": ["nowhere"]}),
-        ("reset", {}), ("snapshot", {"controller": "fuzz"}), ("drop", {"snapshot": f"s{draw.randrange(9)}"}),
-        ("branch", {"controller": "fuzz"}), ("pace", {"mode": "free"}), ("pace", {"mode": "lockstep"}),
-        ("pace", {"mode": "paced", "speed": 3600.0}), ("pause", {}), ("resume", {}), ("step", {"steps": 3}),
-        ("faults", {"faults": []}), ("faults", {"faults": [{"kind": "bias", "points": "*", "offset": 1.0}]}),
+        ("claim/fuzz", {"controller": "fuzz", "priority": draw.randrange(1, 17), "required": False}),
+        ("claim/fuzz", {"controller": "fuzz", "priority": 1, "actuators": ["nowhere"]}),
+        ("reset/fuzz", {}), ("snapshot/fuzz", {"controller": "fuzz"}),
+        ("drop/fuzz", {"snapshot": f"s{draw.randrange(9)}"}),
+        ("branch/fuzz", {"controller": "fuzz"}), ("pace/fuzz", {"mode": "free"}), ("pace/fuzz", {"mode": "lockstep"}),
+        ("pace/fuzz", {"mode": "paced", "speed": 3600.0}), ("pause/fuzz", {}), ("resume/fuzz", {}),
+        ("step/fuzz", {"steps": 3}),
+        ("faults/fuzz", {"faults": []}), ("faults/fuzz", {"faults": [{"kind": "bias", "points": "*", "offset": 1.0}]}),
         ("weather", {"columns": ["dry_bulb_temperature"]}),
-        ("write/core_zn_cooling_setpoint", {"value": draw.choice([None, 25.0, 99.0]), "source": "fuzz"}),
+        ("write/fuzz/core_zn_cooling_setpoint", {"value": draw.choice([None, 25.0, 99.0]), "source": "fuzz"}),
         ("command/fuzz", {"episode": [draw.randrange(9)], "step": [draw.randrange(9)], "values": bytes(80)}),
     ])
 
@@ -103,14 +107,15 @@ with open_session(connect=[endpoint]) as session:
                 elif what == 1:
                     session.put(f"{root}/command/{draw.choice(names)}", payload(), encoding=said)
                 elif what == 2:
-                    session.put(f"{root}/actuator/{draw.choice(points + names)}", payload(), encoding=said)
+                    key = f"{root}/actuator/{draw.choice(names)}/{draw.choice(points + names)}"
+                    session.put(key, payload(), encoding=said)
                 elif what == 3:
                     get(f"{root}/rpc/{draw.choice(verbs)}", payload())
                 elif what == 4:
                     get(f"{root}/{draw.choice(reading)}", draw.choice([b"", payload()]))
                 elif what == 5:
                     session.put(f"{root}/rpc/{draw.choice(verbs)}", payload())
-                    session.delete(f"{root}/{draw.choice(['command/x', 'rpc/reset', 'actuator/' + points[0]])}")
+                    session.delete(f"{root}/{draw.choice(['command/x', 'rpc/reset/x', 'actuator/x/' + points[0]])}")
                 elif what == 6:
                     tokens.append(session.liveliness().declare_token(f"{root}/@live/controller/{draw.choice(names)}"))
                     if len(tokens) > 5:
@@ -119,7 +124,7 @@ with open_session(connect=[endpoint]) as session:
                     verb, fields = valid()
                     get(f"{root}/rpc/{verb}", msgpack.packb(fields))
                     write = {"value": draw.choice([None, 25.0, 24.0]), "priority": draw.randrange(1, 17)}
-                    session.put(f"{root}/actuator/{points[0]}", msgpack.packb(write))
+                    session.put(f"{root}/actuator/fuzz/{points[0]}", msgpack.packb(write))
                     session.put(f"{root}/command/{own}", payload())
                 sent += 1
             except zenoh.ZError:
@@ -138,19 +143,21 @@ from zenoh.handlers import Callback
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics import codec, keys
 kind, endpoint, own = sys.argv[1:]
-point = keys.ACTUATOR.at("office", name="core_zn_cooling_setpoint")
+point = keys.ACTUATOR.at("office", name="core_zn_cooling_setpoint", sender="flood")
 what = {
-    "malformed": (keys.COMMAND.at("office", name="stranger"), b"\\xc1"),
+    "malformed": (keys.COMMAND.at("office", sender="stranger"), b"\\xc1"),
     "duplicates": (
-        keys.COMMAND.at("office", name=own), codec.pack(episode=[0], step=[0], operations=None, values=bytes(80))
+        keys.COMMAND.at("office", sender=own), codec.pack(episode=[0], step=[0], operations=None, values=bytes(80))
     ),
     "writes": (point, codec.pack(value=80.0)),
-    "requests": (keys.PACE.at("office"), b"\\xc1"),
+    "requests": (keys.PACE.at("office", sender="flood"), b"\\xc1"),
     "command requests": (
-        keys.COMMAND_REQUEST.at("office", name=own),
+        keys.COMMAND_REQUEST.at("office", sender=own),
         codec.pack(episode=[0], step=[0], operations=None, values=bytes(80)),
     ),
-    "write requests": (keys.WRITE_REQUEST.at("office", name="core_zn_cooling_setpoint"), codec.pack(value=80.0)),
+    "write requests": (
+        keys.WRITE_REQUEST.at("office", name="core_zn_cooling_setpoint", sender="flood"), codec.pack(value=80.0)
+    ),
 }
 key, payload = what[kind]
 with open_session(connect=[endpoint]) as session:
@@ -223,8 +230,10 @@ def test_valid_messages__leave_the_node_in_order(scratch: Path) -> None:
             for verb, fields in (
                 (keys.FAULTS, {"faults": []}), (keys.RESUME, {}), (keys.PACE, {"mode": "lockstep"}), (keys.RESET, {}),
             ):  # fmt: skip
-                for reply in bus.session.get(verb.at("office"), payload=msgpack.packb(fields), timeout=60):
-                    assert str(reply.ok.encoding) == "application/msgpack;zenostat/2.Ack"
+                for reply in bus.session.get(
+                    verb.at("office", sender="mender"), payload=msgpack.packb(fields), timeout=60
+                ):
+                    assert str(reply.ok.encoding) == "application/msgpack;zenostat/3.Ack"
             until(lambda: bus.status("office").state is State.WAITING, "the node waits again")
             until_quiet(bus.session)
         taken = {controller.priority for controller in bus.status("office").controllers}  # the fuzzer's last claim

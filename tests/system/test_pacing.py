@@ -533,7 +533,7 @@ def test_pacing__gateways_command_in_a_pause_is_answered_though_no_sample_comes(
     with GatewayProgram(bus.endpoint) as gateway, Peer(gateway) as peer:
         peer.listen("sample")
         sample = peer.hear(Sample)
-        assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
+        assert peer.ask("rpc/claim/c", controller="c")[0] == "Ack"
         for steps in range(3):
             assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
             assert bus.status("office").step == [steps]

@@ -109,7 +109,7 @@ def request(bus: zenostat.Bus, topic: keys.Topic, message: Message) -> SimpleQue
     """Send a request and do not wait for its reply."""
     replies: SimpleQueue[Any] = SimpleQueue()
     bus.session.get(
-        topic.at("office"),
+        topic.at("office", sender=getattr(message, "controller", "") or "panel"),
         Callback(replies.put, lambda: replies.put(None), indirect=False),
         payload=codec.encode(message),
     )

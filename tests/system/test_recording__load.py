@@ -58,13 +58,19 @@ def seen(module_scratch: Path) -> Any:
                     with pytest.raises(RequestRejected, match="is claimed by"):
                         bus.write("office", SETPOINT, 26.0, priority=10, source="plc8")
                 if (seed, step) == (1, 20):
-                    put(bus, keys.ACTUATOR.at("office", name=SETPOINT), Write(value=25.0, priority=5, source="plc7"))
-                    put(bus, keys.ACTUATOR.at("office", name="nothing"), Write(value=25.0, source="plc7"))
+                    put(
+                        bus,
+                        keys.ACTUATOR.at("office", name=SETPOINT, sender="plc7"),
+                        Write(value=25.0, priority=5, source="plc7"),
+                    )
+                    put(
+                        bus, keys.ACTUATOR.at("office", name="nothing", sender="plc7"), Write(value=25.0, source="plc7")
+                    )
                     until(lambda: bus.status("office").rejected == 2, "both writes are handled")
                 sample.send({SETPOINT: 24.0 + step % 3})
                 if (seed, step) == (1, 10):
                     answer = Command(episode=[1], step=[3], values=bytes(8 * len(link.manifest.actuators)))
-                    put(bus, keys.COMMAND.at("office", name=name), answer)
+                    put(bus, keys.COMMAND.at("office", sender=name), answer)
                 sample = link.receive()
             samples.append(sample.message)
             sources.append(sample.value_source[SETPOINT])

@@ -101,7 +101,7 @@ def test_reset__python_class_whose_process_died_is_started_again(scratch: Path) 
 def test_reset__engine_that_hangs_at_sample_0_is_replaced_and_named(scratch: Path) -> None:
     with (
         controlled(scratch, **SMALL, unresponsive_s=1.0) as (node, bus, link),
-        bus.session.declare_subscriber("zenostat/v2/office/event") as events,
+        bus.session.declare_subscriber("zenostat/v3/office/event") as events,
     ):
         link.reset(seed=3)
         engines_of(node.pid)[-1].suspend()

@@ -40,7 +40,7 @@ def say(**what):
 
 
 keys = Path(sys.argv[2]) if sys.argv[2:] else None
-with zenostat.connect(sys.argv[1], keys=keys, affinity="off") as bus:
+with zenostat.connect(sys.argv[1], keys=keys, certificate=keys and "trainer", affinity="off") as bus:
     say(nodes=bus.nodes())
     say(state=bus.status("office").state, step=bus.latest("office").step)
     with bus.controller("office", name="far") as link:
@@ -255,7 +255,7 @@ def test_router__two_routers(folder: Path, scratch: Path, closed: bool) -> None:
         router(Place(near, near, pki)),
         router(Place(far, far, pki), "--connect", near),
         FarNode(scratch / "node", Place(near, near, pki)),
-        zenostat.connect(far, keys=pki, affinity="off") as bus,
+        zenostat.connect(far, keys=pki, certificate="trainer", affinity="off") as bus,
     ):
         until(lambda: bus.nodes() == ["office"], "the routers have met")
         link = bus.controller("office")
@@ -270,16 +270,18 @@ def test_router__two_routers(folder: Path, scratch: Path, closed: bool) -> None:
 def test_router__router_keeps_the_rules(folder: Path, scratch: Path) -> None:
     endpoint = f"tls/127.0.0.1:{free_port()}"
     place = Place(endpoint, endpoint, router_keys(folder))
-    claim = codec.encode(Claim(controller="x", required=False))
 
-    def answers(role: Role) -> int:
+    def answers(role: Role, name: str) -> int:
+        claim = codec.encode(Claim(controller=name, required=False))
         with open_session(connect=[endpoint], keys=place.keys, role=role) as session:
-            replies = session.get(keys.CLAIM.at("office"), payload=claim, timeout=30)
+            replies = session.get(keys.CLAIM.at("office", sender=name), payload=claim, timeout=30)
             return len([reply for reply in replies if reply.ok])
 
     with router(place), FarNode(scratch / "node", place):
-        assert answers(Role.MONITOR) == 0
-        assert answers(Role.CONTROLLER) == 1
+        assert answers(Role.MONITOR, "monitor") == 0
+        assert answers(Role.CONTROLLER, "second") == 0
+        assert answers(Role.CONTROLLER, "controller") == 1
+        assert answers(Role.CONTROLLER, "controller.x") == 1
 
 
 def test_router__router_that_all_can_reach_without_keys_is_warned_of() -> None:

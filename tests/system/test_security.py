@@ -8,6 +8,7 @@ import json
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import zenoh
-from support.certificates import expire
+from support import security_page
+from support.certificates import expire, house_keys
 from support.nodes import SMALL, NodeProgram, free_port, until
 from support.run_cli import run_program
 from zenoh.handlers import FifoChannel
@@ -24,8 +26,9 @@ from zenoh.handlers import FifoChannel
 import zenostat
 from zenostat import Bus, ControllerLink
 from zenostat.bridge.client.sample import SampleView
-from zenostat.bridge.transport.access_control import ALL_MESSAGES, ROLES, Permission, acl_config, may, rules
-from zenostat.bridge.transport.certificates import Identity, add, make
+from zenostat.bridge.transport.access_control import ALL_MESSAGES, Permission, acl_config, may, name_rules, rules
+from zenostat.bridge.transport.certificates import add, identity, make
+from zenostat.bridge.transport.name_list import CERTIFIED
 from zenostat.bridge.transport.session import check_endpoint, exposure, open_session
 from zenostat.bridge.transport.tls_diagnosis import diagnose_tls
 from zenostat.topics import codec, keys
@@ -41,9 +44,7 @@ _numbers = count()
 @pytest.fixture(scope="module")
 def pki(module_folder: Path) -> Path:
     """The keys of the house, with a second controller's."""
-    make(module_folder / "keys")
-    add(module_folder / "keys", Role.CONTROLLER, "second")
-    return module_folder / "keys"
+    return house_keys(module_folder / "keys")
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +64,7 @@ def node(module_folder: Path, pki: Path) -> Iterator[NodeProgram]:
 
 @pytest.fixture
 def bus(node: NodeProgram, pki: Path) -> Iterator[Bus]:
-    with zenostat.connect(node.endpoint, keys=pki, affinity="off") as connected:
+    with zenostat.connect(node.endpoint, keys=pki, certificate="trainer", affinity="off") as connected:
         yield connected
 
 
@@ -104,97 +105,112 @@ def hearing(session: zenoh.Session, key: str) -> Iterator[zenoh.Subscriber]:
             pass
 
 
-def before_fence(bus: Bus, inbox: zenoh.Subscriber, session: zenoh.Session | None = None) -> list[bytes]:
-    """Return what `inbox` received until the event of a write by `session` (the controller's by default)."""
-    source = f"fence-{next(_numbers)}"
-    write = codec.encode(Write(value=None, source=source))
-    (session or bus.session).put(keys.ACTUATOR.at("office", name=POINT), write)
+def before_fence(
+    bus: Bus, inbox: zenoh.Subscriber, session: zenoh.Session | None = None, name: str = "trainer"
+) -> list[bytes]:
+    """Return what `inbox` received until the event of a claim of nothing by `session`, whose certificate has a name."""
+    source = f"{name}.fence-{next(_numbers)}"
+    claim = Claim(controller=source, actuators=[], required=False)
+    assert ask(session or bus.session, keys.CLAIM, claim, sender=source)
     payloads: list[bytes] = []
     while True:
         message = inbox.recv()
         payload = message.payload.to_bytes()
-        if str(message.key_expr) == keys.EVENT.at("office") and payload != FORGED:
-            event = codec.decode(Event, payload)
-            if event.kind in (EventKind.WRITTEN, EventKind.REJECTED) and event.source == source:
-                return payloads  # once the day is over, it is refused
+        is_event = str(message.key_expr) == keys.EVENT.at("office") and payload != FORGED
+        if is_event and codec.decode(Event, payload).source == source:
+            return payloads
         payloads.append(payload)
 
 
-def ask(session: zenoh.Session, topic: keys.Topic, question: Any = None, name: str = "") -> list[bytes]:
-    replies = session.get(
-        topic.at("office", name=name), payload=codec.encode(question) if question else None, timeout=30
-    )
+def ask(
+    session: zenoh.Session, topic: keys.Topic, question: Any = None, name: str = "", sender: str = ""
+) -> list[bytes]:
+    payload = codec.encode(question) if question else None
+    replies = session.get(topic.at("office", name=name, sender=sender), payload=payload, timeout=30)
     return [reply.ok.payload.to_bytes() for reply in replies if reply.ok]
 
 
 # The rules, without Zenoh
 
 SEND, HEAR, ASK, SHOW, SEE = Permission.SEND, Permission.HEAR, Permission.ASK, Permission.SHOW, Permission.SEE
-RIGHTS = {  # topic: (controller, monitor)
-    "manifest": ({HEAR, ASK}, {HEAR, ASK}),
-    "sample": ({HEAR, ASK}, {HEAR, ASK}),
-    "sensor/{name}": ({HEAR}, {HEAR}),
-    "meter/{name}": ({HEAR}, {HEAR}),
-    "event": ({HEAR}, {HEAR}),
-    "command/{name}": ({SEND}, set()),
-    "actuator/{name}": ({SEND}, set()),
-    "rpc/claim": ({ASK}, set()),
-    "rpc/command/{name}": ({ASK}, set()),
-    "rpc/write/{name}": ({ASK}, set()),
-    "rpc/reset": ({ASK}, set()),
-    "rpc/stop": ({ASK}, set()),
-    "rpc/snapshot": ({ASK}, set()),
-    "rpc/drop": ({ASK}, set()),
-    "rpc/branch": ({ASK}, set()),
-    "rpc/status": ({ASK}, {ASK}),
-    "rpc/scenario": ({ASK}, {ASK}),
-    "rpc/weather": ({ASK}, {ASK}),
-    "@live/node/{name}": ({SEE}, {SEE}),
-    "@live/controller/{name}": ({SHOW, SEE}, {SEE}),
-    "@live/gateway/{name}": ({SHOW, SEE}, {SEE}),
+CONTROLS, OPERATES = {Role.CONTROLLER, Role.GATEWAY}, {Role.OPERATOR, Role.GATEWAY}
+SENDERS = {  # topic: roles that send it, or query, under their own names
+    "command/{sender}": CONTROLS,
+    "actuator/{sender}/{name}": OPERATES,
+    "rpc/claim/{sender}": CONTROLS,
+    "rpc/command/{sender}": CONTROLS,
+    "rpc/write/{sender}/{name}": OPERATES,
+    "rpc/reset/{sender}": OPERATES,
+    "rpc/pace/{sender}": OPERATES,
+    "rpc/faults/{sender}": OPERATES,
+    "rpc/record/{sender}": OPERATES,
+    "rpc/acknowledge/{sender}": OPERATES,
+    "rpc/stop/{sender}": CONTROLS | OPERATES,  # controllers end their branches
+    "rpc/snapshot/{sender}": CONTROLS,
+    "rpc/drop/{sender}": CONTROLS,
+    "rpc/branch/{sender}": CONTROLS,
+    "rpc/plan/{sender}": CONTROLS,
+    "@live/controller/{sender}": CONTROLS,
+    "@live/gateway/{name}": {Role.GATEWAY},
+    "@live/node/{name}": set(),
 }
+CLIENTS = tuple(role for role in CERTIFIED if role is not Role.NODE)
 
 
 @pytest.mark.parametrize("topic", TOPICS, ids=lambda t: t.key)
 def test_security__what_a_role_may_do(topic: keys.Topic) -> None:
-    expected = RIGHTS.get(topic.key)
-    if expected is None:  # a row that was added: whatever it is, who does not send it must not
-        allowed = {ASK} if topic.delivery is keys.Delivery.QUERY else {HEAR, ASK, SEE}
-        assert set(may(Role.MONITOR, topic)) <= allowed
-        return
-    assert (set(may(Role.CONTROLLER, topic)), set(may(Role.MONITOR, topic))) == expected
+    senders = SENDERS.get(topic.key, OPERATES if topic.has_sender else set())
+    for role in CLIENTS:
+        permitted = set(may(role, topic))
+        assert permitted <= {HEAR, ASK, SEE} if role not in senders else permitted & {SEND, ASK, SHOW}
+        if topic.has_sender and role not in senders:
+            assert permitted <= {SEE}
+        if topic.sender is Role.ANYONE:
+            assert permitted == {ASK}
+        if topic.sender is Role.NODE and topic.delivery is not keys.Delivery.TOKEN:
+            assert permitted == ({HEAR, ASK} if topic.reply else {HEAR})
 
 
-def test_security__page_tells_what_a_role_may_do() -> None:
-    lines = (Path(__file__).parents[2] / "docs" / "security.md").read_text().splitlines()
-    rows = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines if line.startswith("| `")]
-    assert rows == [
-        [f"`{topic.key}`", *(", ".join(may(role, topic)) or "nothing" for role in ROLES)] for topic in TOPICS
-    ]
+def test_security__page_has_the_table_of_permissions() -> None:
+    text = security_page.PAGE.read_text(encoding="utf-8")
+    assert security_page.BEGIN in text
+    assert security_page.page(text) == text, "python tests/support/security_page.py writes it again"
 
 
 def test_security__monitor_only_reads_and_nobody_but_a_node_answers() -> None:
     incoming = {
-        role: {message for rule in rules(role) if rule.flow == "ingress" for message in rule.messages} for role in ROLES
+        role: {
+            message
+            for rule in (*rules(role), *(name_rules("x", [role]) if role is not Role.NODE else ()))
+            if rule.flow == "ingress"
+            for message in rule.messages
+        }
+        for role in CERTIFIED
     }
     aggregation = {"declare_subscriber", "query", "declare_liveliness_subscriber", "liveliness_query"}
     assert incoming[Role.MONITOR] == aggregation
-    assert incoming[Role.CONTROLLER] == aggregation | {"put", "liveliness_token"}
+    assert incoming[Role.OPERATOR] == aggregation | {"put"}
+    assert incoming[Role.CONTROLLER] == incoming[Role.GATEWAY] == aggregation | {"put", "liveliness_token"}
     assert incoming[Role.NODE] == set(ALL_MESSAGES)
 
 
 def test_security__no_key_lies_outside_of_the_table() -> None:
-    allowed = {str(zenoh.KeyExpr(topic.at("*", name="*"))) for topic in TOPICS} | {keys.stream("*")}
-    assert {key for role in ROLES for rule in rules(role) for key in rule.keys} <= allowed
+    allowed = {str(zenoh.KeyExpr(topic.everywhere())) for topic in TOPICS} | {keys.stream("*")}
+    assert {key for role in CERTIFIED for rule in rules(role) for key in rule.keys} <= allowed
+    for rule in name_rules("ppo-7", CLIENTS):
+        for key in rule.keys:
+            assert "/ppo-7/" in f"{key}/" or "/ppo-7.$*/" in f"{key}/"
+            assert any(zenoh.KeyExpr(other).includes(zenoh.KeyExpr(key)) for other in allowed)
 
 
 def test_security__zenoh_denies_what_no_rule_allows() -> None:
-    config = acl_config()
+    names = {"office": (Role.NODE,), "ppo-7": (Role.CONTROLLER,), "panel": (Role.OPERATOR, Role.CONTROLLER)}
+    config = acl_config(names)
     assert (config["enabled"], config["default_permission"]) == (True, "deny")
     assert {rule["permission"] for rule in config["rules"]} == {"allow"}
-    assert {one["id"]: one["cert_common_names"] for one in config["subjects"]} == {
-        role: [f"zenostat-{role}"] for role in ("node", "controller", "monitor")
-    }
+    assert {one["id"]: one["cert_common_names"] for one in config["subjects"]} == {name: [name] for name in names}
+    assert all(policy["subjects"] and policy["rules"] for policy in config["policies"])
+    assert len({rule["id"] for rule in config["rules"]}) == len(config["rules"])
 
 
 # What may be done
@@ -224,15 +240,17 @@ def test_security__monitor_s_attacks_leave_the_day_as_it_is(
         def attack(sample: SampleView) -> None:
             extreme = np.full(len(link.manifest.actuators), 22.5).astype("<f8").tobytes()
             command = Command(episode=sample.message.episode, step=sample.message.step, values=extreme)
-            attacker.put(keys.COMMAND.at("office", name=link.name), codec.encode(command))
-            attacker.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, priority=1)))
-            attacker.delete(keys.ACTUATOR.at("office", name=POINT))
-            if sample.step % 24 == 0:
-                replies.extend(ask(attacker, keys.CLAIM, Claim(controller="thief", priority=1)))
-                replies.extend(ask(attacker, keys.RESET, Reset(controller="thief")))
-                replies.extend(ask(attacker, keys.STOP, Stop(source="thief")))
-                replies.extend(ask(attacker, keys.WRITE_REQUEST, Write(value=29.0, priority=1), POINT))
-                replies.extend(ask(attacker, keys.COMMAND_REQUEST, command, link.name))
+            for sender in (link.name, "monitor"):
+                at = {"name": POINT, "sender": sender}
+                attacker.put(keys.COMMAND.at("office", sender=sender), codec.encode(command))
+                attacker.put(keys.ACTUATOR.at("office", **at), codec.encode(Write(value=29.0, priority=1)))
+                attacker.delete(keys.ACTUATOR.at("office", **at))
+                if sample.step % 24 == 0:
+                    replies.extend(ask(attacker, keys.CLAIM, Claim(controller=sender, priority=1), sender=sender))
+                    replies.extend(ask(attacker, keys.RESET, Reset(controller=sender), sender=sender))
+                    replies.extend(ask(attacker, keys.STOP, Stop(source=sender), sender=sender))
+                    replies.extend(ask(attacker, keys.WRITE_REQUEST, Write(value=29.0, priority=1), **at))
+                    replies.extend(ask(attacker, keys.COMMAND_REQUEST, command, sender=sender))
             assert ask(attacker, keys.STATUS), "the attacker is there, and what it sent before has been dropped"
 
         before = watcher.status("office")
@@ -242,38 +260,42 @@ def test_security__monitor_s_attacks_leave_the_day_as_it_is(
             received = [codec.decode(Event, payload) for payload in before_fence(bus, events)]
         after = bus.status("office")
         assert replies == []
-        fence = 1  # after the day's end
-        assert (after.rejected - fence, after.late, after.duplicate) == (before.rejected, before.late, before.duplicate)
+        assert (after.rejected, after.late, after.duplicate) == (before.rejected, before.late, before.duplicate)
         assert {event.kind for event in received} == {EventKind.STARTED, EventKind.ENDED}
-        assert [c.controller for c in after.controllers if c.state.is_connected] == [link.name]
+        controllers = [c.controller for c in after.controllers if c.state.is_connected]
+        assert [name for name in controllers if ".fence-" not in name] == [link.name]
 
 
-def test_security__same_attacks_work_with_a_controller_s_certificate(node: NodeProgram, pki: Path, bus: Bus) -> None:
-    with raw(node.endpoint, pki, "second") as session, hearing(bus.session, keys.EVENT.at("office")) as events:
+def test_security__same_attacks_work_under_the_own_name_of_an_operator_who_controls(
+    node: NodeProgram, pki: Path, bus: Bus
+) -> None:
+    with raw(node.endpoint, pki, "trainer") as session, hearing(bus.session, keys.EVENT.at("office")) as events:
         assert ask(bus.session, keys.STATUS), "the node knows of the subscription"
-        codec.decode(Ack, ask(session, keys.CLAIM, Claim(controller="thief", priority=1, required=False))[0])
-        episode = codec.decode(Ack, ask(session, keys.RESET, Reset(controller="thief"))[0]).episode
-        session.put(keys.ACTUATOR.at("office", name=POINT), codec.encode(Write(value=29.0, source="thief")))
-        codec.decode(Ack, ask(session, keys.WRITE_REQUEST, Write(value=28.0, source="thief"), POINT)[0])
-        session.put(keys.COMMAND.at("office", name="thief"), b"not msgpack")
+        own = "trainer.thief"
+        claim = Claim(controller=own, priority=1, required=False)
+        codec.decode(Ack, ask(session, keys.CLAIM, claim, sender=own)[0])
+        episode = codec.decode(Ack, ask(session, keys.RESET, Reset(controller=own), sender=own)[0]).episode
+        session.put(keys.ACTUATOR.at("office", name=POINT, sender=own), codec.encode(Write(value=29.0)))
+        codec.decode(Ack, ask(session, keys.WRITE_REQUEST, Write(value=28.0, source=own), POINT, own)[0])
+        session.put(keys.COMMAND.at("office", sender=own), b"not msgpack")
         received = [codec.decode(Event, payload) for payload in before_fence(bus, events, session)]
-        assert EventKind.WRITTEN in {event.kind for event in received if event.source == "thief"}
+        assert EventKind.WRITTEN in {event.kind for event in received if event.source == own}
         while EventKind.REJECTED not in {event.kind for event in received}:  # commands have a way of their own
             received.append(codec.decode(Event, events.recv().payload.to_bytes()))
         assert bus.status("office").episode == episode
 
 
-def test_security__controller_may_stop_a_node_and_a_monitor_not(scratch: Path, pki: Path) -> None:
+def test_security__operator_may_stop_a_node_and_a_monitor_not(scratch: Path, pki: Path) -> None:
     listen = [f"tls/127.0.0.1:{free_port()}"]
     with NodeProgram(scratch / "own", **SMALL, listen=listen, keys=str(pki), name="own") as running:
         with zenostat.connect(listen[0], keys=pki, role=Role.MONITOR, affinity="off") as watching:
-            with pytest.raises(InvalidConfig, match="a monitor may not query rpc/stop"):
+            with pytest.raises(InvalidConfig, match="monitor 'monitor' may not query rpc/stop"):
                 watching.stop("own")
-            with pytest.raises(InvalidConfig, match="a monitor may not query rpc/claim"):
+            with pytest.raises(InvalidConfig, match=r"may not query rpc/claim.* of another role: controller"):
                 watching.controller("own")
             assert watching.status("own").state is State.WAITING
-        with zenostat.connect(listen[0], keys=pki, affinity="off") as controlling:
-            controlling.stop("own")
+        with zenostat.connect(listen[0], keys=pki, role=Role.OPERATOR, affinity="off") as operating:
+            operating.stop("own")
         assert running.process.wait() == 0
 
 
@@ -296,7 +318,7 @@ def test_security__monitor_hears_no_commands(node: NodeProgram, pki: Path, bus: 
         with raw(node.endpoint, pki, name) as session, bus.controller("office") as link:
             link.reset()
             with (
-                hearing(session, keys.COMMAND.at("office", name="*")) as commands,
+                hearing(session, keys.COMMAND.everywhere("office")) as commands,
                 session.declare_subscriber(keys.SAMPLE.at("office"), FifoChannel(16)) as samples,
             ):
                 assert ask(session, keys.STATUS), "the node knows of the subscriptions"
@@ -334,9 +356,9 @@ def test_security__nobody_hears_what_a_controller_states_in_a_node_s_name(
     ):
         assert ask(watcher.session, keys.STATUS), "the node knows of the subscriptions"
         for topic in (keys.SAMPLE, keys.EVENT, keys.MANIFEST):
-            forger.put(topic.at("office"), FORGED)
-        forger.put(point, FORGED)
-        payloads = before_fence(bus, inbox, forger)
+            forger.put(topic.at("office"), FORGED, priority=zenoh.Priority.INTERACTIVE_HIGH)  # that of the fence
+        forger.put(point, FORGED, priority=zenoh.Priority.INTERACTIVE_HIGH)
+        payloads = before_fence(bus, inbox, forger, name)
         assert payloads.count(FORGED) == (3 if passes else 0)
         assert (points.try_recv() is not None) == passes
     assert watcher.manifest("office").node == "office"
@@ -352,11 +374,14 @@ def test_security__forged_presence_is_not_seen(
             for key in (
                 keys.NODE_TOKEN.at("ghost", name="1f"),
                 keys.NODE_TOKEN.at("office", name="1f"),
-                keys.CONTROLLER_TOKEN.at("office", name="fence"),
+                keys.CONTROLLER_TOKEN.at("office", sender="second" if name == "controller" else "ghost"),
+                keys.CONTROLLER_TOKEN.at("office", sender=f"{name}.fence"),
             )
         ]
         assert ask(forger, keys.STATUS)
-        assert ("office", "fence") in watcher.controllers()
+        controllers = {controller for _, controller in watcher.controllers()}
+        assert f"{name}.fence" in controllers
+        assert not controllers & {"second"}
         seen = watcher.session.liveliness().get(keys.NODE_TOKEN.at("*", name="*"))
         instances = {(keys.node_of(key), keys.last_chunk(key)) for key in (str(reply.ok.key_expr) for reply in seen)}
         forged = {("ghost", "1f"), ("office", "1f")}
@@ -464,9 +489,9 @@ def test_security__why_there_is_no_session(node: NodeProgram, pki: Path, strange
 
 
 def test_diagnose_tls__reports_a_refusal_by_the_peer(node: NodeProgram, pki: Path, strange_pki: Path) -> None:
-    shown = Identity(pki / "ca.pem", strange_pki / "controller.pem", strange_pki / "controller.key")
+    shown = replace(identity(strange_pki, Role.CONTROLLER), authority=pki / "ca.pem")
     assert f"{node.endpoint} refused the session over TLS: " in diagnose_tls(node.endpoint, shown)
-    good = Identity(pki / "ca.pem", pki / "controller.pem", pki / "controller.key")
+    good = identity(pki, Role.CONTROLLER)
     assert "refused" not in diagnose_tls(node.endpoint, good)
 
 
@@ -492,7 +517,7 @@ def test_security__taken_port(node: NodeProgram, pki: Path) -> None:
     [
         ({"connect": ["tcp/127.0.0.1:1"], "role": Role.NODE}, "tcp/127.0.0.1:1 takes no keys.*write tls/127.0.0.1:1"),
         ({"listen": ["unixsock-stream/x"], "role": Role.NODE}, "takes no keys, only TLS"),
-        ({"connect": ["tls/127.0.0.1:1"]}, "keys need a role: node, controller, monitor"),
+        ({"connect": ["tls/127.0.0.1:1"]}, "keys need a role: node, controller, operator, monitor, gateway"),
         ({"connect": ["tls/127.0.0.1:1"], "role": Role.ANYONE}, "keys need a role"),
         ({"listen": ["tls/127.0.0.1:1"], "role": Role.CONTROLLER}, "a controller does not listen"),
         ({"listen": ["tls/0.0.0.0:1"], "role": Role.NODE}, r"tls/0\.0\.0\.0:1 can be reached.*--expose"),
@@ -538,7 +563,7 @@ def test_security__commands_take_keys(node: NodeProgram, pki: Path) -> None:
     def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
         return run_program(*arguments, "--connect", node.endpoint, "--keys", str(pki))
 
-    ran = run_zenostat("run", "--node", "office", "--controller", "rbc", "--reset", "--certificate", "second")
+    ran = run_zenostat("run", "--node", "office", "--controller", "rbc", "--reset", "--certificate", "trainer")
     assert ran.returncode == 0, ran.stderr
     status = run_zenostat("status")
     assert status.returncode == 0, status.stderr

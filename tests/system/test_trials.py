@@ -193,7 +193,7 @@ def test_trial__bad_requests(office: BuildingEnv) -> None:
         ({"values": row, "episode": [99]}, r"tries from episode \[99\]"),
     ):
         with pytest.raises(RequestRejected, match=text):
-            bus.ask(keys.TRY, "building", TrySteps(alternatives=1, **fields), StepsTried, name="guest")
+            bus.ask(keys.TRY, "building", TrySteps(controller="guest", alternatives=1, **fields), StepsTried)
     assert bus.latest("building") == before
     assert bus.status("building").rejected == 0
 
@@ -219,7 +219,7 @@ def test_request__larger_than_a_message_is_refused_at_once(office: BuildingEnv) 
     for size in (codec.MAX_BYTES, 5 * codec.MAX_BYTES):
         request = TrySteps(alternatives=1, values=bytes(size))
         with pytest.raises(BadMessage, match=f"rpc/try/.* bytes; at most {codec.MAX_BYTES} are sent"):
-            bus.trial("building", request, "guest")
+            bus.trial("building", request)
 
 
 # Failures

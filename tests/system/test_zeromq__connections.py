@@ -37,7 +37,7 @@ def test_zeromq__controller_that_starts_again_takes_its_identity_from_a_connecti
         kind, denied = new.ask("command/doomed", **keeping(sample))
         assert (kind, denied["error"]) == ("ErrorReply", "RequestRejected")
         assert denied["message"].startswith("'doomed' has claimed nothing; claim first, through this connection")
-        assert new.ask("rpc/claim", controller="doomed")[0] == "Ack"
+        assert new.ask("rpc/claim/doomed", controller="doomed")[0] == "Ack"
         assert new.ask("command/doomed", **keeping(sample))[0] == "Ack"
         program.process.kill()
         program.process.wait()
@@ -86,7 +86,7 @@ def test_zeromq__message_without_an_end_ends_its_connection(gateway: GatewayProg
 
 
 def test_zeromq__message_that_is_large_or_long_in_coming_is_read(gateway: GatewayProgram) -> None:
-    topic = b"zenostat/v2/office/rpc/status"
+    topic = b"zenostat/v3/office/rpc/status"
     with bare(gateway.command, b"DEALER") as connection, Peer(gateway) as peer:
         connection.sendall(bytes([1, len(topic)]) + topic + b"\x02" + struct.pack(">Q", 8 * MIB) + bytes(4 * MIB))
         for _ in range(10):

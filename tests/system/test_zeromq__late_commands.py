@@ -26,7 +26,7 @@ def test_zeromq__command_that_is_taken_after_the_deadline_is_accepted(scratch):
         watcher.listen("manifest")
         watcher.hear(Manifest)  # the gateway knows of both subscriptions
         peer.listen("sample")
-        assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
+        assert peer.ask("rpc/claim/c", controller="c")[0] == "Ack"
         sample: Sample | None = None
         for _ in range(90):
             sample = peer.after(sample)

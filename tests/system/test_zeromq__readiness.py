@@ -40,7 +40,7 @@ def test_sockets_older_than_the_gateway__receive_samples_and_answers(episode_bus
                 assert gateway.first_line.startswith("ready: all nodes of ")
                 assert early.answer()[0] == "Status"
                 assert early.hear(Sample).step == [0]
-                assert early.ask("rpc/claim", controller="c")[0] == "Ack"
+                assert early.ask("rpc/claim/c", controller="c")[0] == "Ack"
                 if end == "interrupted":
                     assert gateway.interrupt()[0] == 0
             assert lost.poll(60_000), "its socket knows that the gateway has gone, and keeps what is sent from now on"

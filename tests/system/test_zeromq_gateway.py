@@ -64,8 +64,8 @@ def test_zeromq_gateway__episode_gives_the_same_samples_as_over_zenoh_to_the_bit
         while (last := peer.hear(Sample)).step != [96]:
             pass  # the gateway hears by itself
         manifest = Manifest(**peer.ask("manifest")[1])
-        assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
-        (episode,) = peer.ask("rpc/reset", controller="c")[1]["episode"]
+        assert peer.ask("rpc/claim/c", controller="c")[0] == "Ack"
+        (episode,) = peer.ask("rpc/reset/c", controller="c")[1]["episode"]
         assert episode == last.episode[0] + 1
         sample = peer.after(last)
         while True:
@@ -96,7 +96,7 @@ def test_zeromq_gateway__two_controllers_in_lockstep_each_answered_although_the_
         names = [a["name"] for a in one.ask("manifest")[1]["actuators"]]
         before = messages.Status(**one.ask("rpc/status")[1])
         for peer, name, mine in ((one, "one", names[::2]), (two, "two", names[1::2])):
-            assert peer.ask("rpc/claim", controller=name, actuators=mine)[0] == "Ack"
+            assert peer.ask(f"rpc/claim/{name}", controller=name, actuators=mine)[0] == "Ack"
         for step in range(20):
             first, second = ((one, "one"), (two, "two"))[:: 1 if step % 2 else -1]
             for peer, name in (first, second):
@@ -112,7 +112,7 @@ def test_zeromq_gateway__two_controllers_in_lockstep_each_answered_although_the_
 def test_zeromq_gateway__commands_sent_without_waiting_are_answered_in_order(gateway):
     with Peer(gateway) as peer:
         sample = peer.first_sample()
-        peer.say("rpc/claim", controller="c")
+        peer.say("rpc/claim/c", controller="c")
         peer.say("command/c", **keeping(sample))
         peer.say("command/c", **keeping(sample))  # again
         peer.say("command/c", **keeping(sample, step=[1]))
@@ -130,7 +130,7 @@ def test_zeromq_gateway__command_to_a_node_that_runs_freely(scratch):
         Peer(gateway) as peer,
     ):
         peer.listen("sample")
-        assert peer.ask("rpc/claim", controller="c") == ("Ack", peer_accepted(0))
+        assert peer.ask("rpc/claim/c", controller="c") == ("Ack", peer_accepted(0))
         kinds = [peer.ask("command/c", **keeping(peer.hear(Sample)))[0] for _ in range(20)]
         status = messages.Status(**peer.ask("rpc/status")[1])
     assert set(kinds) <= {"Ack", "ErrorReply"}
@@ -147,9 +147,9 @@ def test_refusals__carry_the_reason_of_the_node(gateway):
         sample = peer.first_sample()
         count = len(sample.effective) // 8
         assert peer.ask("command/c", **keeping(sample))[1]["message"].startswith("'c' has claimed nothing")
-        assert peer.ask("rpc/claim", controller="c", actuators=["chair"])[1]["error"] == "RequestRejected"
-        assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
-        assert "is claimed by 'c'" in refusal(other.ask("rpc/claim", controller="d"))
+        assert peer.ask("rpc/claim/c", controller="c", actuators=["chair"])[1]["error"] == "RequestRejected"
+        assert peer.ask("rpc/claim/c", controller="c")[0] == "Ack"
+        assert "is claimed by 'c'" in refusal(other.ask("rpc/claim/d", controller="d"))
         assert other.ask("command/c", **keeping(sample))[1]["message"].startswith(
             "'c' is connected through another connection; claim first"
         )
@@ -163,11 +163,11 @@ def test_refusals__carry_the_reason_of_the_node(gateway):
 def test_zeromq_gateway__writes_are_answered(gateway):
     with Peer(gateway) as peer:
         sample = peer.first_sample()
-        assert peer.ask(f"actuator/{SETPOINT}", value=26.5, source="panel")[0] == "Ack"
-        denied = peer.ask(f"actuator/{SETPOINT}", value=99.0, source="panel")[1]
+        assert peer.ask(f"actuator/panel/{SETPOINT}", value=26.5, source="panel")[0] == "Ack"
+        denied = peer.ask(f"actuator/panel/{SETPOINT}", value=99.0, source="panel")[1]
         assert "its bounds are" in denied["message"]
-        assert "no actuator 'chair'" in peer.ask("actuator/chair", value=1.0)[1]["message"]
-        peer.ask("rpc/claim", controller="c")
+        assert "no actuator 'chair'" in peer.ask("actuator/peer/chair", value=1.0)[1]["message"]
+        peer.ask("rpc/claim/c", controller="c")
         peer.ask("command/c", **keeping(sample))
         sample = peer.after(sample)
         names = [a["name"] for a in peer.ask("manifest")[1]["actuators"]]
@@ -178,13 +178,14 @@ def test_subscriber__gets_the_latest_of_its_topics_at_once(gateway):
     with Peer(gateway) as peer, Peer(gateway) as other:
         peer.listen("sample")
         topic, encoding, payload = peer.published.recv_multipart()
-        assert (topic, encoding) == (b"zenostat/v2/office/sample", b"application/msgpack;zenostat/2.Sample")
+        assert (topic, encoding) == (b"zenostat/v3/office/sample", b"application/msgpack;zenostat/3.Sample")
         assert msgpack.unpackb(payload)["step"] == [0]
         peer.listen("manifest")
         assert peer.hear(Manifest).node == "office"
         other.listen("event")
         until(
-            lambda: other.ask("rpc/status") and other.ask("actuator/x", value=1.0) and other.published.poll(0), "heard"
+            lambda: other.ask("rpc/status") and other.ask("actuator/peer/x", value=1.0) and other.published.poll(0),
+            "heard",
         )
         assert other.hear(Event).kind is EventKind.REJECTED
 
@@ -201,7 +202,7 @@ def test_zeromq_gateway__killed_controller_is_noticed_by_the_node_and_may_come_b
                 until(lambda: bus.controllers() == [("office", "doomed")], "its token is there")
             program.process.kill()
             assert peer.event(EventKind.DISCONNECTED).source == "doomed"
-        assert back.ask("rpc/claim", controller="doomed")[0] == "Ack"
+        assert back.ask("rpc/claim/doomed", controller="doomed")[0] == "Ack"
         back.listen("sample")
         assert back.ask("command/doomed", **keeping(back.after(None)))[0] == "Ack"
 
@@ -221,17 +222,17 @@ def test_zeromq_gateway__name_of_a_connected_controller_is_free_only_once_its_co
     with Peer(gateway) as new, zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         sample = new.first_sample()
         with Peer(gateway) as old:
-            assert old.ask("rpc/claim", controller="c")[0] == "Ack"
+            assert old.ask("rpc/claim/c", controller="c")[0] == "Ack"
             for _ in range(2):
-                denied = refusal(new.ask("rpc/claim", controller="c", priority=5))
+                denied = refusal(new.ask("rpc/claim/c", controller="c", priority=5))
                 assert denied.startswith("a controller 'c' is connected already; end its connection first")
                 _, denied = new.ask("command/c", **keeping(sample))
                 assert denied["message"].startswith("'c' is connected through another connection; claim first")
                 assert old.ask("command/c", **keeping(sample))[0] == "Ack"
                 sample = new.after(sample)
-                assert old.ask("rpc/claim", controller="c")[0] == "Ack"  # its own claim can be renewed
+                assert old.ask("rpc/claim/c", controller="c")[0] == "Ack"  # its own claim can be renewed
             assert [(each.controller, each.state) for each in bus.status("office").controllers] == [("c", "connected")]
-        until(lambda: new.ask("rpc/claim", controller="c")[0] == "Ack", "the connection has ended")
+        until(lambda: new.ask("rpc/claim/c", controller="c")[0] == "Ack", "the connection has ended")
         for _ in range(3):
             assert new.ask("command/c", **keeping(sample))[0] == "Ack"
             sample = new.after(sample)
@@ -241,12 +242,12 @@ def test_zeromq_gateway__name_of_a_connected_controller_is_free_only_once_its_co
 def test_zeromq_gateway__name_of_a_controller_that_does_not_use_the_gateway_is_taken_too(shared_node, gateway):
     with Peer(gateway) as peer, zenostat.connect(shared_node.endpoint, affinity="off") as bus:
         with bus.controller("office") as link:
-            denied = refusal(peer.ask("rpc/claim", controller=link.name, actuators=[SETPOINT]))
+            denied = refusal(peer.ask(f"rpc/claim/{link.name}", controller=link.name, actuators=[SETPOINT]))
             assert denied.startswith(f"a controller {link.name!r} is connected already")
             link.current()
             link.send(None)
             assert link.receive().step == 1
-        until(lambda: peer.ask("rpc/claim", controller=link.name)[0] == "Ack", "it has left")
+        until(lambda: peer.ask(f"rpc/claim/{link.name}", controller=link.name)[0] == "Ack", "it has left")
 
 
 def _is_stopped(pid: int) -> bool:
@@ -278,7 +279,7 @@ def test_peer_with_too_many_unanswered_requests__gets_an_error_and_delays_no_oth
 def test_zeromq_gateway__killed_gateway_breaks_nothing_of_the_node(episode_bus):
     with GatewayProgram(episode_bus.endpoint) as gateway, Peer(gateway) as peer:
         peer.listen("sample")
-        assert peer.ask("rpc/claim", controller="c")[0] == "Ack"
+        assert peer.ask("rpc/claim/c", controller="c")[0] == "Ack"
         assert peer.ask("command/c", **keeping(peer.after(None)))[0] == "Ack"
         gateway.process.kill()
         gateway.process.wait()
@@ -297,12 +298,12 @@ def test_end_of_the_node__published_and_answered(scratch, node, own_gateway, end
         peer.published.unsubscribe(f"{peer.root}/sample")
         peer.listen("event")
         for one, name, mine in ((waiting, "waiting", [SETPOINT]), (slow, "slow", ["core_zn_heating_setpoint"])):
-            assert one.ask("rpc/claim", controller=name, actuators=mine)[0] == "Ack"
+            assert one.ask(f"rpc/claim/{name}", controller=name, actuators=mine)[0] == "Ack"
         assert waiting.ask("command/waiting", **keeping(sample))[0] == "Ack"
         if end == "killed":
             psutil.Process(node.pid).send_signal(signal.SIGSTOP)
             slow.say("command/slow", **keeping(sample))
-            slow.say("rpc/reset")
+            slow.say("rpc/reset/peer")
             assert slow.ask("rpc/sing")[0] == "ErrorReply", "the gateway has taken both"
             node.kill()
             errors = sorted(slow.answer()[1]["error"] for _ in range(2))
@@ -310,7 +311,7 @@ def test_end_of_the_node__published_and_answered(scratch, node, own_gateway, end
             event = peer.event(EventKind.FAILED)
             assert (event.error, event.text) == ("NodeLost", "node 'office' is gone")
         else:
-            assert peer.ask("rpc/stop")[0] == "Ack"
+            assert peer.ask("rpc/stop/peer")[0] == "Ack"
             assert peer.event(EventKind.STOPPED)
             until(lambda: peer.ask("rpc/status")[0] == "ErrorReply", "it is gone")
         assert refusal(peer.ask("command/slow", **keeping(sample)), "NodeNotFound")
@@ -323,7 +324,7 @@ def test_zeromq_gateway__failure_of_the_engine_is_an_event_after_the_command_was
         watcher.listen("event")
         watcher.listen("manifest")
         watcher.hear(Manifest)  # the gateway knows of both subscriptions
-        peer.ask("rpc/claim", controller="c")
+        peer.ask("rpc/claim/c", controller="c")
         shared_node.engine.send_signal(signal.SIGSTOP)
         assert peer.ask("command/c", **keeping(sample))[0] == "Ack"
         until(lambda: agent_status(shared_node).state is State.RUNNING, "the node computes")
@@ -331,7 +332,7 @@ def test_zeromq_gateway__failure_of_the_engine_is_an_event_after_the_command_was
         assert watcher.event(EventKind.FAILED).error == "EngineDied"
         failed = {"error": "RequestRejected", "message": "the node is failed"}
         assert peer.ask("command/c", **keeping(sample)) == ("ErrorReply", failed)
-        assert peer.ask("rpc/reset")[0] == "Ack"
+        assert peer.ask("rpc/reset/peer")[0] == "Ack"
         assert peer.ask("command/c", **keeping(peer.after(sample)))[0] == "Ack"
 
 
@@ -350,19 +351,22 @@ def open_gateway(shared_node: NodeProgram) -> Iterator[Peer]:
 
 
 BAD = {
-    "office": "zenostat/v2/NODE/… expected",
-    "zenostat/v1/office/rpc/status": "zenostat/v2/NODE/… expected",
-    "zenostat/v2/*/rpc/status": "is not valid in a topic",
-    "zenostat/v2/**": "zenostat/v2/NODE/… expected",
-    "zenostat/v2/office/command/*": "is not valid in a topic",
-    "zenostat/v2/office/command/": "is not valid in a topic",
-    "zenostat/v2/office/command/a/b": "is not valid in a topic",
-    "zenostat/v2/office/@live/controller/x": "no request '@live/controller/x'",
-    "zenostat/v2/office/sensor/x": "no request 'sensor/x'",
-    "zenostat/v2/office/event": "no request 'event'",
-    "zenostat/v2/office/wake": "no request 'wake'",
-    "zenostat/v2/office/rpc/sing": "no request 'rpc/sing'",
-    "zenostat/v2/plant/rpc/status": "for node 'office' alone",
+    "office": "zenostat/v3/NODE/… expected",
+    "zenostat/v2/office/rpc/status": "zenostat/v3/NODE/… expected",
+    "zenostat/v3/*/rpc/status": "is not valid in a topic",
+    "zenostat/v3/**": "zenostat/v3/NODE/… expected",
+    "zenostat/v3/office/command/*": "is not valid in a topic",
+    "zenostat/v3/office/command/": "is not valid in a topic",
+    "zenostat/v3/office/command/a/b": "is not valid in a topic",
+    "zenostat/v3/office/@live/controller/x": "no request '@live/controller/x'",
+    "zenostat/v3/office/actuator/panel": "is not valid in a topic",
+    "zenostat/v3/office/actuator/panel/a/b": "is not valid in a topic",
+    "zenostat/v3/office/rpc/claim": "no request 'rpc/claim'",
+    "zenostat/v3/office/sensor/x": "no request 'sensor/x'",
+    "zenostat/v3/office/event": "no request 'event'",
+    "zenostat/v3/office/wake": "no request 'wake'",
+    "zenostat/v3/office/rpc/sing": "no request 'rpc/sing'",
+    "zenostat/v3/plant/rpc/status": "for node 'office' alone",
 }
 
 
@@ -377,12 +381,12 @@ def test_zeromq_gateway__bad_topics_are_denied_by_name(open_gateway, topic):
 @pytest.mark.parametrize(
     ("what", "payload", "words"),
     [
-        ("rpc/claim", b"", "not msgpack"),
-        ("rpc/claim", msgpack.packb([]), "a Claim should be a map"),
-        ("rpc/claim", msgpack.packb({"controller": "a/b"}), "controller"),
+        ("rpc/claim/c", b"", "not msgpack"),
+        ("rpc/claim/c", msgpack.packb([]), "a Claim should be a map"),
+        ("rpc/claim/c", msgpack.packb({"controller": "a/b"}), "controller"),
         ("command/c", b"\xc1", "not msgpack"),
         ("command/c", msgpack.packb({"episode": [0]}), "step: it is missing"),
-        ("actuator/x", msgpack.packb({"value": float("nan")}), "value"),
+        ("actuator/peer/x", msgpack.packb({"value": float("nan")}), "value"),
         ("manifest", msgpack.packb({"x": 1}), "x: there is no such field"),
         ("rpc/status", b"\x00" * (codec.MAX_BYTES + 1), "at most 8388608"),
     ],
@@ -391,7 +395,7 @@ def test_zeromq_gateway__bad_payloads_are_denied_with_the_reason(open_gateway, w
     assert words in refusal(open_gateway.ask(what, payload), "BadMessage")
 
 
-WORDS = st.sampled_from([b"", b"zenostat/v2/office/rpc/status", b"zenostat/v2/office/command/c", b"\x80", b"\xff"])
+WORDS = st.sampled_from([b"", b"zenostat/v3/office/rpc/status", b"zenostat/v3/office/command/c", b"\x80", b"\xff"])
 
 
 @settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])

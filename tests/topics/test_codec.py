@@ -58,6 +58,7 @@ finite = st.floats(allow_nan=False, allow_infinity=False)
 names = st.from_regex(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,20}", fullmatch=True)
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=20)
 priorities = st.integers(1, 16)
+senders = st.just("") | names
 
 whatever = st.one_of(
     st.builds(
@@ -73,7 +74,7 @@ whatever = st.one_of(
             )
         ),
     ),
-    st.builds(CreateBranch, controller=texts, snapshot=texts, relinquished=st.booleans(), slot=counts),
+    st.builds(CreateBranch, controller=senders, snapshot=texts, relinquished=st.booleans(), slot=counts),
     st.builds(SnapshotTaken, snapshot=texts, episode=lists, step=lists),
     st.builds(Query),
     st.builds(
@@ -83,7 +84,7 @@ whatever = st.one_of(
     st.builds(ErrorReply, error=texts, message=texts),
     st.builds(Event, kind=st.sampled_from(EventKind), text=texts, source=texts, error=texts, episode=counts),
     st.builds(PointValue, value=finite, unit=texts, episode=counts, step=counts, time=texts),
-    st.builds(Reset, controller=texts, seed=st.none() | counts | st.lists(st.none() | counts), snapshot=texts),
+    st.builds(Reset, controller=senders, seed=st.none() | counts | st.lists(st.none() | counts), snapshot=texts),
     st.builds(
         Sample, episode=lists, step=lists, time=st.lists(texts, max_size=2), elapsed_s=st.lists(finite, max_size=2),
         flags=st.just([0]), values=st.binary(), effective=st.binary(), source_index=st.binary(),
@@ -101,10 +102,10 @@ whatever = st.one_of(
         ),
         accepted=counts, rejected=counts, late=counts, duplicate=counts, failure=texts,
     ),
-    st.builds(Stop, source=texts),
+    st.builds(Stop, source=senders),
     st.builds(
         Write, value=st.none() | finite, priority=priorities,
-        duration_s=st.none() | st.floats(0, exclude_min=True, allow_infinity=False), source=texts,
+        duration_s=st.none() | st.floats(0, exclude_min=True, allow_infinity=False), source=senders,
     ),
 )  # fmt: skip
 
@@ -272,14 +273,14 @@ def test_codec__field_names_are_text(key: object) -> None:
 def test_codec__another_version_is_refused_by_name() -> None:
     payload = codec.encode(Write(value=1.0))
     message = refused(Write, payload, "application/msgpack;zenostat/1.Write")
-    assert "zenostat/2.Write" in message
+    assert "zenostat/3.Write" in message
     assert "zenostat/1.Write" in message
 
 
 def test_codec__another_class_is_refused_by_name() -> None:
     message = refused(Write, codec.encode(Write(value=1.0)), codec.encoding(Command))
-    assert "zenostat/2.Write" in message
-    assert "zenostat/2.Command" in message
+    assert "zenostat/3.Write" in message
+    assert "zenostat/3.Command" in message
 
 
 @pytest.mark.parametrize(
@@ -287,22 +288,6 @@ def test_codec__another_class_is_refused_by_name() -> None:
 )
 def test_codec__encoding_that_is_no_msgpack_is_refused_by_name(encoding: str) -> None:
     assert f"got {encoding!r}" in refused(Write, codec.encode(Write(value=1.0)), encoding)
-
-
-@pytest.mark.parametrize(
-    ("payload", "source"),
-    [
-        (codec.pack(value="x", source="panel"), "panel"),
-        (codec.pack(source="p" * 200), "p" * 128),
-        (codec.pack(value=math.nan, other={"source": "inner"}), ""),
-        (codec.pack(source=7), ""),
-        (b"\xc1", ""),
-        (b"", ""),
-        (b"\x91\xa5panel", ""),
-    ],
-)
-def test_codec__text_is_read_of_what_else_is_wrong(payload: bytes, source: str) -> None:
-    assert codec.text_field(payload, "source", 128) == source
 
 
 @pytest.mark.parametrize("encoding", ["", "zenoh/bytes", "application/msgpack"])

@@ -32,7 +32,7 @@ SEEDS: dict[type[Message], dict[str, Any]] = {
     Claim: {"controller": "c-1", "priority": 9, "actuators": ["heat", "cool"], "required": True},
     Command: {"episode": [1], "step": [3], "operations": b"\x01\x00", "values": struct.pack("<2d", 20.0, -0.0)},
     Reset: {"controller": "c", "seed": [1, None], "slots": [0, 1], "snapshot": "s1"},
-    Write: {"value": -0.0, "priority": 8, "duration_s": 60.0, "source": "Käthe"},
+    Write: {"value": -0.0, "priority": 8, "duration_s": 60.0, "source": "panel-3.Kate"},
     fault_plan.FaultPlan: {
         "seed": 1,
         "faults": [

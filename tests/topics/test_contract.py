@@ -115,7 +115,7 @@ def test_contract__all_references_lead_somewhere() -> None:
 def test_contract__row_has_a_channel_at_its_key(topic: Topic) -> None:
     channel = CONTRACT["channels"][channel_name(topic)]
     address = channel["address"]
-    assert address.format(node="office", name="one") == topic.at("office", name="one")
+    assert address.format(node="office", name="one", sender="ppo-7") == topic.at("office", name="one", sender="ppo-7")
     assert set(channel["parameters"]) == set(re.findall(r"\{(\w+)\}", address))
     assert channel["x-zenoh"].get("congestion_control", "") == (
         str(topic.delivery) if topic.delivery in (Delivery.DROP, Delivery.BLOCK) else ""
@@ -333,6 +333,6 @@ def test_contract__command_on_the_page_is_one_that_a_node_knows_by_its_first_byt
 
 
 def test_contract__keys_on_the_page_are_the_table() -> None:
-    documented = re.findall(r"^\| `zenostat/v2/\{node\}/(\S+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
+    documented = re.findall(r"^\| `zenostat/v3/\{node\}/(\S+)` \|", PAGE.read_text(encoding="utf-8"), re.M)
     assert documented == [topic.key for topic in TOPICS]
-    assert keys.PREFIX == "zenostat/v2"
+    assert keys.PREFIX == "zenostat/v3"

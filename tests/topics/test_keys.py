@@ -49,48 +49,72 @@ def all_messages() -> set[type[Message]]:
 
 @rows
 def test_keys__key_lies_below_the_root_of_its_node(topic: Topic) -> None:
-    key = KeyExpr(topic.at("office", name="one"))
-    assert str(key).startswith("zenostat/v2/office/")
+    key = KeyExpr(topic.at("office", name="one", sender="ppo-7"))
+    assert str(key).startswith("zenostat/v3/office/")
     assert keys.node_of(str(key)) == "office"
     assert "{" not in str(key)
 
 
 @rows
-def test_keys__last_chunk_is_the_name_where_the_row_has_one(topic: Topic) -> None:
-    last = keys.last_chunk(topic.at("office", name="one"))
-    assert (last == "one") == topic.key.endswith("{name}")
+def test_keys__sender_and_name_are_read_from_a_key(topic: Topic) -> None:
+    expected = "ppo-7" if "{sender}" in topic.key else "", "one" if "{name}" in topic.key else ""
+    assert topic.names_in(topic.at("office", name="one", sender="ppo-7")) == expected
+    assert topic.names_in(topic.at("*", name="one", sender="ppo-7")) == expected  # a put may be for all nodes
+
+
+@rows
+def test_keys__what_changes_something_names_its_sender(topic: Topic) -> None:
+    reads = topic.sender in (Role.NODE, Role.ANYONE) or topic is keys.GATEWAY_TOKEN
+    assert topic.has_sender is not reads
+
+
+@pytest.mark.parametrize(
+    ("identity", "name", "sender"),
+    [
+        ("", "", "anonymous"),
+        ("", "panel", "panel"),
+        ("ppo-7", "", "ppo-7"),
+        ("ppo-7", "ppo-7", "ppo-7"),
+        ("ppo-7", "ppo-7.a", "ppo-7.a"),
+        ("ppo-7", "ppo-70", "ppo-7.ppo-70"),
+        ("ppo-7", "panel", "ppo-7.panel"),
+    ],
+)
+def test_own_name__is_at_or_below_the_name_in_the_certificate(identity: str, name: str, sender: str) -> None:
+    assert keys.own_name(identity, name) == sender
+    assert keys.is_own(identity, sender) or not identity
 
 
 @rows
 def test_keys__key_is_found_by_its_own_wildcards_and_not_by_another_node(topic: Topic) -> None:
-    key = KeyExpr(topic.at("office", name="one"))
-    assert KeyExpr(topic.at("*", name="*")).includes(key)
-    assert KeyExpr(topic.at("office", name="*")).includes(key)
-    assert not KeyExpr(topic.at("school", name="*")).intersects(key)
+    key = KeyExpr(topic.at("office", name="one", sender="ppo-7"))
+    assert KeyExpr(topic.everywhere()).includes(key)
+    assert KeyExpr(topic.everywhere("office")).includes(key)
+    assert not KeyExpr(topic.everywhere("school")).intersects(key)
 
 
 @rows
 def test_keys__wildcards_match_all_but_presence(topic: Topic) -> None:
-    key = KeyExpr(topic.at("office", name="one"))
+    key = KeyExpr(topic.at("office", name="one", sender="ppo-7"))
     hidden = topic.delivery is Delivery.TOKEN
     assert hidden == ("@" in topic.key)
-    for pattern in ("zenostat/v2/office/**", "zenostat/v2/*/**", "zenostat/**", "**"):
+    for pattern in ("zenostat/v3/office/**", "zenostat/v3/*/**", "zenostat/**", "**"):
         assert KeyExpr(pattern).intersects(key) is not hidden, pattern
 
 
 def test_keys__no_two_rows_can_be_taken_for_each_other() -> None:
-    expressions = [KeyExpr(topic.at("*", name="*")) for topic in TOPICS]
+    expressions = [KeyExpr(topic.everywhere()) for topic in TOPICS]
     for index, one in enumerate(expressions):
         assert not [str(other) for other in expressions[index + 1 :] if one.intersects(other)]
 
 
 def test_keys__own_stream_is_the_manifest_the_samples_and_the_events() -> None:
     stream = KeyExpr(f"{keys.root('office')}/{keys.OWN_STREAM}")
-    within = {t.key for t in TOPICS if stream.intersects(KeyExpr(t.at("office", name="one")))}
+    within = {t.key for t in TOPICS if stream.intersects(KeyExpr(t.at("office", name="one", sender="ppo-7")))}
     assert within == {"manifest", "sample", "event"}
     wake = KeyExpr(keys.wake("office", 7))
     assert stream.includes(wake)
-    assert not [t.key for t in TOPICS if wake.intersects(KeyExpr(t.at("office", name="*")))]
+    assert not [t.key for t in TOPICS if wake.intersects(KeyExpr(t.everywhere("office")))]
 
 
 @rows
@@ -125,14 +149,16 @@ def test_keys__commands_and_writes_are_not_lost(topic: Topic) -> None:
 )
 def test_put__has_an_acknowledged_query_beside_it(put: Topic, request_row: Topic) -> None:
     assert (request_row.message, request_row.delivery, request_row.reply) == (put.message, Delivery.QUERY, Ack)
-    assert [may(role, request_row) for role in (Role.CONTROLLER, Role.MONITOR)] == [(Permission.ASK,), ()]
-    assert [may(role, put) for role in (Role.CONTROLLER, Role.MONITOR)] == [(Permission.SEND,), ()]
+    for role in (Role.CONTROLLER, Role.OPERATOR, Role.GATEWAY, Role.MONITOR):
+        permitted = role in (put.sender, Role.GATEWAY)
+        assert may(role, request_row) == ((Permission.ASK,) if permitted else ())
+        assert may(role, put) == ((Permission.SEND,) if permitted else ())
 
 
 @pytest.mark.parametrize("message", sorted(all_messages(), key=lambda m: m.__name__), ids=lambda m: m.__name__)
 def test_keys__encoding_names_the_class_and_the_version_and_survives_zenoh(message: type[Message]) -> None:
     encoding = codec.encoding(message)
-    assert encoding == f"application/msgpack;zenostat/2.{message.__name__}"
+    assert encoding == f"application/msgpack;zenostat/3.{message.__name__}"
     assert str(zenoh.Encoding(encoding)) == encoding
 
 

@@ -95,9 +95,9 @@ def test_printable__decoded_message_has_no_controls() -> None:
     assert (event.source, event.error) == (HARMLESS, HARMLESS)
     assert event.text == HARMLESS.replace("␊", "\n")
     assert Event(kind=EventKind.WARNING, text="a\x1bb").text == "a␛b"  # the sender's own, too
-    write = codec.decode(Write, codec.pack(value=1.0, source="\x1b" * 128))
-    assert write.source == "␛" * 128
-    assert codec.decode(Write, codec.encode(write)) == write
+    with pytest.raises(BadMessage) as caught:
+        codec.decode(Write, codec.pack(value=1.0, source="\x1b" * 128))
+    assert str(caught.value).isprintable()
     text = "building: office\n# tab\there\n"
     assert codec.decode(ScenarioText, codec.pack(text=text)).text == text
     assert codec.decode(ErrorReply, codec.pack(error="X\x1b", message="a\nb\x07")).message == "a\nb␇"
@@ -124,9 +124,8 @@ def test_printable__name_with_controls_is_no_name_and_the_error_has_none() -> No
     with pytest.raises(BadMessage) as caught:
         codec.decode(Claim, codec.pack(controller=EVIL, **{f"field{EVIL}": 1}))
     assert str(caught.value).isprintable()
-    assert codec.text_field(codec.pack(source=EVIL, value=[]), "source", 128) == HARMLESS
 
 
 def test_printable__names_in_keys_have_no_controls() -> None:
-    key = f"zenostat/v2/off\x1b[2Jice/command/a{chr(0x202E)}b"
+    key = f"zenostat/v3/off\x1b[2Jice/command/a{chr(0x202E)}b"
     assert (keys.node_of(key), keys.last_chunk(key)) == ("off␛[2Jice", "a\ufffdb")

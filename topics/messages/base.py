@@ -10,14 +10,14 @@ from pydantic_core.core_schema import no_info_after_validator_function
 
 from zenostat.topics.printable import replace_controls, replace_controls_in_lines
 
-SCHEMA_VERSION = 2
+SCHEMA_VERSION = 3
 """Version of the contract; part of every key's root and of every message's encoding."""
 
 SafeName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}$")]
 """A name that can be a chunk of a key: up to 128 letters, digits, `_`, `.` and `-`."""
 
-SourceName = Annotated[str, Field(max_length=128)]
-"""Name that the sender of a request or a write gives itself."""
+SourceName = Annotated[str, Field(pattern=r"^([A-Za-z0-9_][A-Za-z0-9_.\-]{0,127})?$")]
+"""Name of the sender of a request or a write, as in its key; empty: the node takes the one in the key."""
 
 Lines = Annotated[str, AfterValidator(replace_controls_in_lines)]
 """A text that may have several lines. All other texts of messages have one."""

@@ -108,6 +108,7 @@ class TrySteps(Message):
     priority and its actuators; `priority` is that of a sender without a claim, which may command all actuators.
     """
 
+    controller: SourceName = ""
     episode: list[Count] | None = None
     step: list[Count] | None = None
     alternatives: Annotated[int, Field(ge=1, le=256, strict=True)]

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from pydantic import Field
 
-from zenostat.topics.messages.base import ANONYMOUS, Count, Finite, Message, Priority, Raw, SourceName
+from zenostat.topics.messages.base import Count, Finite, Message, Priority, Raw, SourceName
 
 
 class Sample(Message):
@@ -65,7 +65,7 @@ class Write(Message):
     value: Finite | None
     priority: Priority = 8
     duration_s: Annotated[float, Field(gt=0, strict=True)] | None = None
-    source: SourceName = ANONYMOUS
+    source: SourceName = ""
 
 
 class PointValue(Message):
