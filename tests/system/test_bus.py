@@ -142,7 +142,7 @@ def test_bus__stranger_reads_and_writes_with_msgpack_alone(endpoint: str, bus: z
             seen = stranger.json()
             assert seen["step"] == [sample.step]
             assert seen["effective"] == sample.effective[place]
-            assert (seen["effective"] == 26.0) == (source_index == "anonymous")
+            assert (seen["effective"] == 26.0) == (source_index == "panel")
             assert seen["source"] == source_index == sample.value_source["core_zn_cooling_setpoint"]
             _check_points(seen["values"], sample)
         assert stranger.end()[0] == 0
