@@ -87,7 +87,8 @@ def hostile(recorded: tuple[Path, list[bytes]]) -> Path:
     def changed(_: int, item: RecordedItem) -> bytes:
         message: dict[str, Any] = msgpack.unpackb(item.payload)
         for name in ("text", "source", "comment", "message"):
-            if isinstance(message.get(name), str):
+            is_name = name == "source" and item.schema != "Event"
+            if isinstance(message.get(name), str) and not is_name:
                 message[name] = EVIL
         if item.schema == "Sample":
             message["sources"] = ["baseline", *(EVIL for _ in message["sources"][1:])]

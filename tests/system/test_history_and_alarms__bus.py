@@ -258,7 +258,7 @@ def test_a_monitor__reads_alarms_and_history_and_decides_nothing() -> None:
     decisions = (keys.ACKNOWLEDGE, keys.SHELVE, keys.UNSHELVE, keys.REMOVE_FROM_SERVICE, keys.RETURN_TO_SERVICE)
     for topic in decisions:
         assert may(Role.MONITOR, topic) == ()
-        assert may(Role.CONTROLLER, topic) == (Permission.ASK,)
+        assert may(Role.OPERATOR, topic) == (Permission.ASK,)
 
 
 def test_a_recording__has_the_alarms_and_is_verified(bus: zenostat.Bus, module_scratch: Path) -> None:
