@@ -16,6 +16,7 @@ from typing import Any, Protocol
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
+from zenostat.models.building.ems_programs import program_findings
 from zenostat.models.building.external_files import versions_of_files
 from zenostat.models.building.nodes import unconnected_nodes
 from zenostat.models.building.plausibility import plausibility_findings
@@ -27,7 +28,7 @@ from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.source_model import SourceModel
 from zenostat.topics.errors import list_errors
 
-FORMAT = "5"
+FORMAT = "6"
 """Version of the stored files."""
 
 REQUIRED = ("Building", "GlobalGeometryRules")
@@ -163,7 +164,9 @@ def _rule_diagnostics(
         kind: {name: fields for name, fields in items.items() if (kind, name) not in invalid}
         for kind, items in valid.items()
     }
-    for finding in chain(schedule_findings(sound), limit_findings(sound), plausibility_findings(valid)):
+    for finding in chain(
+        schedule_findings(sound), limit_findings(sound), program_findings(valid), plausibility_findings(valid)
+    ):
         severity = Severity.ERROR if finding.is_fatal else Severity.WARNING
         yield Diagnostic(severity, finding.kind, finding.name, finding.field, finding.text)
     for node in unconnected_nodes(valid):

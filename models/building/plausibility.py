@@ -17,16 +17,20 @@ _MOST_CONDUCTIVE = 500.0
 _LIGHTEST = 1.0
 """kg/m3; air has 1.2."""
 
+_THICKEST = 5.0
+"""m; of a layer of soil, perhaps."""
+
 _HOTTEST_HEATING_C = 40.0
 """A heating setpoint that is always above it is none of a room."""
 
 
 def plausibility_findings(objects: Objects) -> Iterator[RuleFinding]:
-    """Yield the findings, of which EnergyPlus itself ends only at zones without surfaces."""
+    """Yield the findings; EnergyPlus itself ends only at zones without surfaces and at unused equipment lists."""
     yield from _run_findings(objects)
     yield from _zone_findings(objects)
     yield from _setpoint_findings(objects)
     yield from _material_findings(objects)
+    yield from _sizing_findings(objects)
 
 
 def _number(fields: Mapping[str, Any], name: str, default: float) -> float:
@@ -75,6 +79,12 @@ def _zone_findings(objects: Objects) -> Iterator[RuleFinding]:
         if zone.casefold() in zones - controlled and fields.get("zone_air_inlet_node_or_nodelist_name"):
             text = f": zone {zone!r} has HVAC equipment, but no ZoneControl:Thermostat controls it"
             yield finding("ZoneHVAC:EquipmentConnections", name, FieldFinding("zone_name", text, is_fatal=False))
+    connections = objects.get("ZoneHVAC:EquipmentConnections", {}).values()
+    used = {str(fields.get("zone_conditioning_equipment_list_name", "")).casefold() for fields in connections}
+    for name in objects.get("ZoneHVAC:EquipmentList", {}):
+        if name.casefold() not in used and not objects.get("SpaceHVAC:EquipmentConnections"):
+            text = ": no ZoneHVAC:EquipmentConnections names this list; each list needs a zone"
+            yield finding("ZoneHVAC:EquipmentList", name, FieldFinding("", text))
 
 
 def _zones_of(objects: Objects, types: tuple[str, ...]) -> set[str]:
@@ -122,6 +132,10 @@ def _setpoint_findings(objects: Objects) -> Iterator[RuleFinding]:
 def _material_findings(objects: Objects) -> Iterator[RuleFinding]:
     for name, fields in objects.get("Material", {}).items():
         conductivity, density = _number(fields, "conductivity", 0.0), _number(fields, "density", _LIGHTEST)
+        thickness = _number(fields, "thickness", 0.0)
+        if thickness > _THICKEST:
+            text = f": thickness is {thickness:g} m; is it in mm?"
+            yield finding("Material", name, FieldFinding("thickness", text, is_fatal=False))
         if conductivity > _MOST_CONDUCTIVE:
             text = f": conductivity is {conductivity:g} W/(m K), more than any metal has"
             if density < _MOST_CONDUCTIVE:
@@ -130,3 +144,19 @@ def _material_findings(objects: Objects) -> Iterator[RuleFinding]:
         elif density < _LIGHTEST:
             text = f": density is {density:g} kg/m3, less than that of air"
             yield finding("Material", name, FieldFinding("density", text, is_fatal=False))
+
+
+_SIZED = {
+    "AirLoopHVAC": ("design_supply_air_flow_rate", "Sizing:System", "airloop_name"),
+    "PlantLoop": ("maximum_loop_flow_rate", "Sizing:Plant", "plant_or_condenser_loop_name"),
+}
+"""By type of a loop: its field that may be sized, and the type and field of the object that says how."""
+
+
+def _sizing_findings(objects: Objects) -> Iterator[RuleFinding]:
+    for kind, (path, sizing, loop) in _SIZED.items():
+        sized = {str(fields.get(loop, "")).casefold() for fields in objects.get(sizing, {}).values()}
+        for name, fields in objects.get(kind, {}).items():
+            if str(fields.get(path, "")).casefold() == "autosize" and name.casefold() not in sized:
+                text = f": {path} is 'Autosize', but no {sizing} is for this loop"
+                yield finding(kind, name, FieldFinding(path, text, is_fatal=False))

@@ -19,12 +19,27 @@ from zenostat.models.building.schedule_fields import (
 )
 from zenostat.models.building.schedule_files import file_findings
 
+_PARTS = ("Schedule:Day:", "Schedule:Week:")
+
 
 def schedule_findings(objects: Objects) -> Iterator[RuleFinding]:
     """Yield the findings on the schedules of a model, which matches the schema."""
     for kind, check in _CHECKS.items():
         for name, fields in objects.get(kind, {}).items():
             yield from (finding(kind, name, each) for each in check(fields))
+    yield from _repeated_names(objects)
+
+
+def _repeated_names(objects: Objects) -> Iterator[RuleFinding]:
+    """Yield an error for each schedule whose name one of another type has."""
+    first: dict[str, str] = {}
+    for kind in (each for each in objects if each.startswith("Schedule:") and not each.startswith(_PARTS)):
+        for name in objects[kind]:
+            earlier = first.setdefault(name.casefold(), kind)
+            if earlier != kind:
+                yield finding(
+                    kind, name, FieldFinding("", f": a {earlier} has this name, too; schedules need their own")
+                )
 
 
 def _interval_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:

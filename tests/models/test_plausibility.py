@@ -35,6 +35,20 @@ def setpoints(heating: Any, cooling: Any) -> Objects:
     }
 
 
+def programs(**lines: str) -> Objects:
+    """EMS programs of one line each, of which the first is called."""
+    first = next(iter(lines))
+    return {
+        "EnergyManagementSystem:Program": {name: {"lines": [{"program_line": line}]} for name, line in lines.items()},
+        "EnergyManagementSystem:ProgramCallingManager": {
+            "m": {
+                "energyplus_model_calling_point": "BeginTimestepBeforePredictor",
+                "programs": [{"program_name": first}],
+            }
+        },
+    }
+
+
 CONNECTIONS: Objects = {
     "ZoneHVAC:EquipmentList": {"Equipment": {}},
     "NodeList": {"Inlets": {"nodes": [{"node_name": "Inlet"}]}},
@@ -47,6 +61,7 @@ CONNECTIONS: Objects = {
         }
     },
 }
+COMPACT = {"data": [{"field": field} for field in ("Through: 12/31", "For: AllDays", "Until: 24:00", 1.0)]}
 LIMITS = {"lower_limit_value": 0, "upper_limit_value": 1, "numeric_type": "Continuous"}
 WARNING, ERROR = Severity.WARNING, Severity.ERROR
 
@@ -83,6 +98,18 @@ CASES: dict[str, tuple[Callable[[Objects], object], Severity, str, str, str]] = 
     "swapped limits": (
         lambda model: model["ScheduleTypeLimits"]["Any number"].update(LIMITS | {"lower_limit_value": 2}),
         ERROR, "ScheduleTypeLimits", "lower_limit_value", "is 2, which is above upper_limit_value, 1"),
+    "schedules of one name": (
+        lambda model: model.update({"Schedule:Compact": {"ALWAYS": COMPACT}}),
+        ERROR, "Schedule:Compact", "", "'ALWAYS': a Schedule:Constant has this name, too"),
+    "program that runs itself": (
+        lambda model: model.update(programs(p="RUN p")),
+        ERROR, "EnergyManagementSystem:Program", "lines[0].program_line", "runs the program itself"),
+    "list without a zone": (
+        lambda model: model.update({"ZoneHVAC:EquipmentList": {"Equipment": {}}}),
+        ERROR, "ZoneHVAC:EquipmentList", "", "'Equipment': no ZoneHVAC:EquipmentConnections names this list"),
+    "thickness in mm": (
+        lambda model: model["Material"]["Concrete"].update(thickness=200.0),
+        WARNING, "Material", "thickness", "thickness is 200 m; is it in mm?"),
     "limits without a type": (
         lambda model: model["ScheduleTypeLimits"]["Any number"].update(lower_limit_value=0, upper_limit_value=1),
         ERROR, "ScheduleTypeLimits", "", "lacks 'numeric_type'"),
@@ -118,6 +145,32 @@ def test_diagnose__sound_model_has_no_finding(change: Callable[[Objects], object
     model = box_model()
     change(model)
     assert diagnose(model) == []
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        ({"p": "RUN q", "q": "RUN p"}, ["runs 'q', which runs 'p'", "runs 'p', which runs 'q'"]),
+        ({"p": "RUN q", "q": "SET x = 1"}, []),
+        ({"p": "SET x = 1", "q": "RUN q"}, []),  # which nothing calls
+        ({"p": "SET x = 1 ! RUN p"}, []),
+    ],
+)
+def test_diagnose__programs_in_a_ring_are_errors_if_they_are_called(lines: dict[str, str], expected: list[str]) -> None:
+    diagnostics = diagnose(box_model() | programs(**lines))
+    assert [each.text.partition("program_line ")[2].partition(":")[0] for each in diagnostics] == expected
+
+
+def test_diagnose__loop_that_is_sized_without_an_object_for_it_is_a_warning() -> None:
+    loop = {
+        "AirLoopHVAC": {"A": {"design_supply_air_flow_rate": "Autosize"}, "B": {"design_supply_air_flow_rate": 1.0}}
+    }
+    texts = [each.text for each in diagnose(box_model() | loop) if "Sizing:System" in each.text]
+    assert texts == [
+        "AirLoopHVAC 'A': design_supply_air_flow_rate is 'Autosize', but no Sizing:System is for this loop"
+    ]
+    sizing = {"Sizing:System": {"s": {"airloop_name": "a"}}}
+    assert not [each for each in diagnose(box_model() | loop | sizing) if "no Sizing" in each.text]
 
 
 def test_period__own_timestep_that_energyplus_would_change_is_refused_with_its_line(tmp_path: Path) -> None:
