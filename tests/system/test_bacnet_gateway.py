@@ -87,7 +87,7 @@ async def test_bacnet_gateway__client_commands_an_output_at_its_priority_and_rel
         assert gateway.counts.writes == 5
     written = [event for event in events if event.kind is EventKind.WRITTEN]
     assert len(written) == 4
-    assert all(event.source.startswith("bacnet 127.0.0.1:") for event in written)
+    assert all(event.source.startswith("bacnet.127.0.0.1_") for event in written)
 
 
 async def test_bacnet_gateway__commands_of_others_on_the_bus_are_in_the_priority_array_at_once(paused_bus: Bus) -> None:

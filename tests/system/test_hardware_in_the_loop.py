@@ -168,7 +168,7 @@ def test_hardware_in_the_loop__page_shows_what_it_states(scratch: Path) -> None:
         run.on_bus("zenostat stop")
     assert "identical" in run.command("zenostat verify")
     log = run.command("zenostat log")
-    assert all(source in log for source in ("modbus", f"bacnet {run.own}")), log
+    assert all(source in log for source in ("modbus", f"bacnet.{run.own.replace(':', '_')}")), log
     run.command("zenostat report")
     _check(load(scratch / "hil.mcap").episodes[0], plc, pre_cooling, dashboard, run.own)
 
@@ -186,7 +186,7 @@ def _check(episode: Trajectory, plc: Path, pre_cooling: Path, dashboard: Path, o
     night = between(episode, 1 * hour, 3 * hour)
     assert (set(sources[night]), set(effective[night])) == ({"modbus"}, {28.0})
     pre_cooled = between(episode, written + 0.5 * hour, 6 * hour)
-    assert (set(sources[pre_cooled]), set(effective[pre_cooled])) == ({f"bacnet {own}"}, {23.0})
+    assert (set(sources[pre_cooled]), set(effective[pre_cooled])) == ({f"bacnet.{own.replace(':', '_')}"}, {23.0})
     assert set(effective[between(episode, relinquished, 7 * hour)]) == {23.0}
     day = between(episode, 8 * hour, 20 * hour)
     assert set(sources[day]) == {episode.sources[0]}
