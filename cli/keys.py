@@ -9,6 +9,8 @@ import typer
 from rich.table import Table
 
 from zenostat.cli.console import out
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
+from zenostat.cli.write import person
 from zenostat.topics.errors import UnknownName, did_you_mean
 from zenostat.topics.keys import Role
 
@@ -69,7 +71,7 @@ def add(
     The program sends under this name, or a name below it (`NAME.part`). Nodes and routers accept it once they have the
     new `names.json` and are started again.
 
-    Example: `zenostat keys add trainer --role controller --role operator`
+    Example: `zenostat keys add ppo-7 --role controller --role operator`
     """
     from zenostat.bridge.transport.certificates import add
     from zenostat.bridge.transport.name_list import CERTIFIED, NAMES
@@ -80,6 +82,38 @@ def add(
     roles = [Role(text) for text in role]
     out.print(_table([add(folder, roles, name, hosts=host or (), days=days, force=force)]))
     out.print(f"Copy {folder / NAMES} to all nodes and routers, and start them again.", markup=False, soft_wrap=True)
+
+
+@app.command()
+@on_bus
+def revoke(
+    name: Annotated[str, typer.Argument(help="Name of the certificate.")],
+    folder: Annotated[
+        Path, typer.Option(help="Folder of keys of a node or router on this machine, which follows within a second.")
+    ] = FOLDER,
+    node: Annotated[str | None, typer.Option(help="Ask this running node instead, as an operator.")] = None,
+    options: BusOptions = DEFAULTS,
+) -> None:
+    """Revoke a name: its claims end, nothing of it is accepted any more, and its links are ended.
+
+    To accept the name again, remove it from `revoked.txt` and start the node or router again.
+
+    Example: `zenostat keys revoke ppo-7`
+    """
+    if node is not None:
+        with options.open_bus(Role.OPERATOR) as bus:
+            out.print(f"{node}: {bus.revoke(node, name, source=person()).text}", markup=False, soft_wrap=True)
+        return
+    from zenostat.bridge.transport.certificates import names_of
+    from zenostat.bridge.transport.deny_list import REVOKED
+    from zenostat.bridge.transport.deny_list import revoke as write_revoked
+
+    known = names_of(folder)
+    if name not in known:
+        raise UnknownName(f"no name {name!r} in {folder}; {did_you_mean(name, known)}")
+    write_revoked(folder, name)
+    text = f"{name} is revoked in {folder / REVOKED}; copy the file to the folders of all other nodes and routers."
+    out.print(text, markup=False, soft_wrap=True)
 
 
 @app.command()

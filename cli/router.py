@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from typing import Annotated
 
 import typer
@@ -25,24 +26,35 @@ def router(
 
     Example: `zenostat router --listen tcp/127.0.0.1:7447`
     """
-    from zenostat.bridge.transport.session import Mode, default_endpoint, exposure, open_session
+    from zenostat.bridge.runtime.timer import Timer
+    from zenostat.bridge.transport.session import Mode, default_endpoint, exposure, keys_folder, open_session
     from zenostat.topics.keys import Role
 
     endpoints = listen or [default_endpoint(keys)]
-    with (
-        until_signal() as stop,
-        open_session(
-            listen=endpoints,
-            connect=connect or (),
-            wait=True,
-            expose=expose,
-            keys=keys,
-            role=Role.NODE,
-            certificate=certificate,
-            mode=Mode.ROUTER,
-        ),
-    ):
+    opened = open_session(
+        listen=endpoints,
+        connect=connect or (),
+        wait=True,
+        expose=expose,
+        keys=keys,
+        role=Role.NODE,
+        certificate=certificate,
+        mode=Mode.ROUTER,
+    )
+    with until_signal() as stop, opened as session, ExitStack() as stack:
         if warning := exposure(endpoints, keys):
             err.print(f"warning: {warning}", style="yellow", markup=False)
+        if (folder := keys_folder(keys)) is not None:
+            from zenostat.bridge.transport.deny_list import DenyList
+
+            timer = stack.enter_context(Timer())
+            revoked = DenyList(
+                folder,
+                session,
+                timer,
+                lambda names: out.print(f"revoked: {', '.join(sorted(names))}", markup=False),
+                lambda error: err.print(f"warning: {error}", style="yellow", markup=False),
+            )
+            stack.callback(revoked.close)
         out.print(f"router on {', '.join(endpoints)}; press Ctrl-C to stop", markup=False)
         stop.wait()

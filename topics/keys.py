@@ -43,6 +43,7 @@ from zenostat.topics.messages import (
     Reset,
     Resume,
     ReturnToService,
+    Revoke,
     Sample,
     ScenarioText,
     SetPace,
@@ -188,6 +189,7 @@ REMOVE_FROM_SERVICE = Topic(
     "rpc/remove_from_service/{sender}", Role.OPERATOR, RemoveFromService, Delivery.QUERY, reply=Ack
 )
 RETURN_TO_SERVICE = Topic("rpc/return_to_service/{sender}", Role.OPERATOR, ReturnToService, Delivery.QUERY, reply=Ack)
+REVOKE = Topic("rpc/revoke/{sender}", Role.OPERATOR, Revoke, Delivery.QUERY, reply=Ack)
 HISTORY = Topic("rpc/history", Role.ANYONE, HistoryQuery, Delivery.QUERY, reply=HistorySeries)
 GEOMETRY = Topic("rpc/geometry", Role.ANYONE, Query, Delivery.QUERY, reply=Geometry)
 PRIORITIES = Topic("rpc/priorities", Role.ANYONE, Query, Delivery.QUERY, reply=PriorityArrays)
@@ -231,6 +233,7 @@ TOPICS = (
     UNSHELVE,
     REMOVE_FROM_SERVICE,
     RETURN_TO_SERVICE,
+    REVOKE,
     GEOMETRY,
     PRIORITIES,
     NODE_TOKEN,

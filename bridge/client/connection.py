@@ -47,6 +47,7 @@ from zenostat.topics.messages import (
     Query,
     Reset,
     Resume,
+    Revoke,
     Sample,
     ScenarioText,
     SetPace,
@@ -322,6 +323,15 @@ class Connection:
         """
         manifest = self._manifest_with(node, slot)
         return decode_priorities(self.ask(keys.PRIORITIES, node, Query(), PriorityArrays), manifest, slot)
+
+    def revoke(self, node: str, name: str, *, source: str = "") -> Ack:
+        """Revoke the name of a certificate on a node: its claims end, and nothing of it is accepted any more.
+
+        Raises:
+            UnknownName: No such name in the node's list of names.
+            RequestRejected: The node has no keys, or it is its own name.
+        """
+        return self.ask(keys.REVOKE, node, build(Revoke, name=name, source=source), Ack)
 
     # Pace
 

@@ -5,7 +5,7 @@ No I/O. Arrays have the shape (slots, actuators).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from struct import Struct
 
@@ -200,6 +200,12 @@ class ActuatorCommands:
         """Drop the expiries of actuators that a new claim covers at the same priority."""
         priority, claimed = claimant.priority, claimant.mask
         self._expiries = [e for e in self._expiries if not (e.priority == priority and claimed[e.actuator])]
+
+    def relinquish_sources(self, names: Collection[str]) -> list[str]:
+        """Relinquish all values of some sources, in all slots; return the names of the actuators that had any."""
+        self._expiries = [e for e in self._expiries if e.source not in names]
+        changed = self.array.relinquish_sources(names)
+        return [actuator.name for actuator, had_value in zip(self._actuators, changed, strict=True) if had_value]
 
     @property
     def has_expiries(self) -> bool:

@@ -143,6 +143,11 @@ class Claims:
             claimant.source = self._array.source(claimant.name)
             claimant.transition(ControllerTrigger.RESET)
 
+    def remove(self, controller: str) -> None:
+        """End a controller's claim and relinquish the values that it has set."""
+        self.relinquish(self.by_name.pop(controller))
+        self._list_required()
+
     def _list_required(self) -> None:
         self.required = [claimant for claimant in self.by_name.values() if claimant.required]
 

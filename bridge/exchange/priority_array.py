@@ -61,6 +61,18 @@ class PriorityArray:
         for priority in [*self._rows]:
             self.put(priority, 0, np.full(self.shape, np.nan), where)
 
+    def relinquish_sources(self, names: Collection[str]) -> NDArray[np.bool_]:
+        """Relinquish all values of some sources; return whether each actuator had one, shape (actuators,)."""
+        indices = [index for index, name in enumerate(self.names) if index and name in names]
+        changed = np.zeros(self.shape, np.bool_)
+        for priority, row in [*self._rows.items()]:
+            values = np.frombuffer(row.values).reshape(self.shape)
+            where = np.isin(np.frombuffer(row.sources, INDEX).reshape(self.shape), indices) & ~np.isnan(values)
+            if where.any():
+                self.put(priority, 0, np.full(self.shape, np.nan), where)
+                changed |= where
+        return np.asarray(changed.any(axis=0))
+
     def copy(self) -> PriorityArray:
         """Return a deep copy."""
         duplicate = PriorityArray(*self.shape)
@@ -82,7 +94,6 @@ class PriorityArray:
             sources = row.sources[2 * width * slot : 2 * width * (slot + 1)] * slots
             if not np.isnan(np.frombuffer(values)).all():
                 result._rows[priority] = _Row(values, sources, row.only_source)
-        return result
 
     def source(self, name: str, keeping: Collection[int] = ()) -> int:
         """Return the index of a source's name; a new name is added.

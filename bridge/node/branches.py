@@ -35,6 +35,7 @@ from zenostat.topics.messages import (
     Mode,
     Policy,
     Reset,
+    Revoke,
     StartRecording,
     State,
     StopRecording,
@@ -51,6 +52,7 @@ _NODE_REQUESTS = (
     (keys.BRANCH, CreateBranch),
     (keys.RECORD, StartRecording),
     (keys.STOP_RECORDING, StopRecording),
+    (keys.REVOKE, Revoke),
 )
 _NO_EPISODE = "there is nothing to fork: the episode is {}; reset it first"
 
@@ -256,6 +258,8 @@ class BranchManager:
         if parent.alarms is not None:
             alarms = parent.alarms.of_branch(request.slot, slots, snapshot.alarms if snapshot is not None else None)
         server = NodeServer(parent.session, plant, manifest, exchange, alarms=alarms, folder=folder)
+        if parent.access is not None:
+            server.access = parent.access.of_branch(request.controller)
         present = parent.injection.state() if parent.injection is not None else None
         faults = (snapshot.faults if snapshot is not None else present) or NO_FAULTS
         try:
@@ -309,6 +313,17 @@ class BranchManager:
         for branch in self.branches.values():
             if branch.owner == owner:
                 branch.stop()
+
+    def revoke(self, name: str) -> None:
+        """End the snapshots and branches of a certificate's name that is revoked, and its claims on other branches."""
+        owners = {snapshot.owner for snapshot in self.snapshots.values()}
+        owners |= {branch.owner for branch in self.branches.values()}
+        for owner in owners:
+            if keys.is_own(name, owner):
+                self.on_disconnect(owner)
+        for branch in [*self.branches.values()]:
+            if not keys.is_own(name, branch.owner):
+                branch.server.subscriptions.post(lambda server=branch.server: server.revoke(name))  # type: ignore[misc]
 
     def notify_all(self) -> None:
         """Wake each branch so that it checks its engines; thread-safe."""

@@ -27,12 +27,14 @@ from zenostat.bridge.node.shutdown import SHUTDOWN_TIMEOUT_S, ShutdownGuard
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.scratch import Scratch, sweep
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
-from zenostat.bridge.transport.session import open_session
+from zenostat.bridge.transport.session import keys_folder, open_session
 from zenostat.topics import codec, keys
-from zenostat.topics.messages import EventKind, Manifest, Query, RecordingStatus
+from zenostat.topics.errors import RequestRejected, UnknownName, did_you_mean
+from zenostat.topics.messages import Ack, EventKind, Manifest, Message, Query, RecordingStatus, Revoke
 
 if TYPE_CHECKING:
     from zenostat.bridge.alarms.monitor import AlarmMonitor
+    from zenostat.bridge.transport.deny_list import DenyList
 
 
 class Node:
@@ -70,6 +72,7 @@ class Node:
         timeout_s = SHUTDOWN_TIMEOUT_S + finish_s
         self._guard = ShutdownGuard(self._stop_waiting, self._end_process if program else None, timeout_s)
         self._has_server = False
+        self._deny_list: DenyList | None = None
         self._close = ExitStack()
 
     def check(self) -> None:
@@ -142,16 +145,15 @@ class Node:
 
     def _open_bus(self) -> None:
         settings = self.settings
-        self.session = self._close.enter_context(
-            open_session(
-                listen=settings.listen,
-                connect=settings.connect,
-                expose=settings.expose,
-                keys=settings.keys,
-                role=keys.Role.NODE,
-                certificate=settings.certificate,
-            )
+        self._opened = open_session(
+            listen=settings.listen,
+            connect=settings.connect,
+            expose=settings.expose,
+            keys=settings.keys,
+            role=keys.Role.NODE,
+            certificate=settings.certificate,
         )
+        self.session = self._close.enter_context(self._opened)
         self.instance = str(self.session.zid())
         check_name_is_free(self.session, settings.name)
 
@@ -204,12 +206,52 @@ class Node:
             self._close.callback(self._registry.end)  # all at once is faster than one by one
         if settings.faults is not None:
             self.server.inject(read_plan(settings.faults))
+        self._control_access()
         self.branches = BranchManager(self.server, self._folder, cpus=self._cpus, limit=settings.branches)
         self._close.callback(self.branches.close)
         self._has_server = True
         self._episodes = EpisodeManager(
             self.server, plant, self.branches, self._recordings, patience_s=settings.unresponsive_s
         )
+
+    def _control_access(self) -> None:
+        """Apply the list of names and the deny list, where there are keys."""
+        folder = keys_folder(self.settings.keys)
+        if folder is None:
+            return
+        from zenostat.bridge.node.access import Access  # few nodes have keys
+        from zenostat.bridge.transport.deny_list import DenyList
+
+        names = self._opened.names()
+        deny_list = DenyList(folder, self.session, self.server.timer, self._on_revoked, self._on_unreadable_deny_list)
+        self._close.callback(deny_list.close)
+        self.server.access = Access(names, lambda: deny_list.names)
+        self._deny_list = deny_list
+
+    def _on_revoked(self, names: frozenset[str]) -> None:
+        """End what revoked names have; in any thread."""
+
+        def revoke() -> None:
+            for name in sorted(names):
+                self.server.revoke(name)
+                self.branches.revoke(name)
+
+        self.server.subscriptions.post(revoke)
+
+    def _on_unreadable_deny_list(self, error: str) -> None:
+        text = f"{error}; the names that are revoked stay as they were"
+        self.server.subscriptions.post(lambda: self.server.event(self.server.exchange.event(EventKind.WARNING, text)))
+
+    def _revoke(self, request: Revoke) -> Message:
+        if self._deny_list is None:
+            raise RequestRejected("the node has no keys, so a name proves nothing; secure the bus: zenostat keys init")
+        names = self._opened.names()
+        if request.name not in names:
+            raise UnknownName(f"no name {request.name!r} in the list of names; {did_you_mean(request.name, names)}")
+        if request.name == self._opened.name:
+            raise RequestRejected(f"{request.name} is this node's own name; stop the node instead")
+        self._deny_list.add(request.name)
+        return Ack(episode=self.exchange.episode, text=f"{request.name} is revoked")
 
     def _alarms(self) -> AlarmMonitor | None:
         settings = self.settings
@@ -227,6 +269,7 @@ class Node:
         server.subscriptions.watch_presence(keys.CONTROLLER_TOKEN, self._on_disconnect)
         self._episodes.declare()
         self._recordings.declare()
+        server.subscriptions.request(keys.REVOKE, Revoke, self._revoke)
         self._close.callback(signal.signal, signal.SIGCHLD, signal.getsignal(signal.SIGCHLD))
         signal.signal(signal.SIGCHLD, self._on_child)
         if self._record is not None:

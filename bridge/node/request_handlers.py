@@ -105,7 +105,9 @@ class RequestHandlers:
 
     def _command(self, request: Request) -> Ack:
         server, exchange, controller, now_s = self._server, self._server.exchange, request.sender, monotonic()
-        event = None
+        event, access = None, server.subscriptions.access
+        if access is not None and (reason := access.denial(keys.COMMAND_REQUEST, controller)):
+            server.subscriptions.deny(keys.COMMAND_REQUEST, controller, reason)
         if not exchange.intake.accept_fast(controller, request.payload, now_s, request.encoding):
             if exchange.intake.is_rate_limited(controller):
                 raise RequestRejected(

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 import zenoh
 
 from zenostat.bridge.exchange.latency import LatencyWindow
+from zenostat.bridge.exchange.revocation import revoke
 from zenostat.bridge.exchange.step_exchange import StepExchange, Trigger
 from zenostat.bridge.node.fault_injection import FaultInjection
 from zenostat.bridge.node.history import History
@@ -36,6 +37,7 @@ from zenostat.topics.messages import Event, EventKind, Manifest, Mode, Query, St
 
 if TYPE_CHECKING:
     from zenostat.bridge.alarms.monitor import AlarmMonitor
+    from zenostat.bridge.node.access import Access
     from zenostat.bridge.recording.recorder import Recorder
 
 # For the hot path: in Python 3.11, looking up an enum's member raises and catches an error.
@@ -62,6 +64,7 @@ class NodeServer:
         folder: for the files of trials; the caller removes it.
 
     Attributes:
+        access: permissions of senders; None without keys. Set it before `declare`.
         stopping: whether the server is about to end; errors of engines are then expected.
         on_stop: called by the thread that receives a stop request.
         samples: encodes samples.
@@ -94,6 +97,7 @@ class NodeServer:
         self._last_commands = b""
         self._step_latency, self._cycle = LatencyWindow(), LatencyWindow()
         self._sampled_s = 0.0
+        self.access: Access | None = None
         self.stopping = False
         self.on_stop = self.cancel_step
         self._stopped = False
@@ -106,6 +110,7 @@ class NodeServer:
     def declare(self, status: Callable[[Query], bytes] | None = None) -> None:
         """Declare subscribers, queryables and publishers; `status` replaces the server's own."""
         self.subscriptions = self._close.enter_context(Subscriptions(self.session, self.manifest.node))
+        self.subscriptions.access = self.access
         self.subscriptions.on_denied = lambda text, sender: self.event(self.exchange.rejected(text, sender))
         self.requests.declare(status)
         self.trials.declare()
@@ -176,6 +181,10 @@ class NodeServer:
         return True
 
     def _receive_command(self, controller: str, payload: bytes, encoding: str) -> None:
+        if self.access is not None and (reason := self.access.denial(keys.COMMAND, controller)):
+            if not self.exchange.intake.is_rate_limited(controller):
+                self.event(self.exchange.rejected(reason, controller))
+            return
         event = self.exchange.intake.receive_command(controller, payload, monotonic(), encoding)
         if event is not None:
             self.event(event)
@@ -321,6 +330,10 @@ class NodeServer:
         if events:
             grace_s = self.manifest.grace_s
             self.timer.at(monotonic() + grace_s, lambda: self.subscriptions.post(lambda: self._bypass(controller)))
+
+    def revoke(self, name: str) -> None:
+        """End the claims of a certificate's name that is revoked, and relinquish what it has set."""
+        self.publish_events(revoke(self.exchange, name))
 
     def _bypass(self, controller: str) -> None:
         try:

@@ -14,7 +14,7 @@ import threading
 from collections import deque
 from collections.abc import Callable
 from contextlib import ExitStack
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import zenoh
 from zenoh.handlers import Callback, FifoChannel
@@ -25,6 +25,7 @@ from zenostat.topics.errors import AccessDenied, BadMessage, NodeLost, RequestRe
 from zenostat.topics.messages import ErrorReply, Message, Query
 
 if TYPE_CHECKING:
+    from zenostat.bridge.node.access import Access
     from zenostat.bridge.recording.recorder import Recorder
 
 M = TypeVar("M", bound=Message)
@@ -93,8 +94,8 @@ class Request:
             query.reply(self._key, payload, encoding=zenoh.Encoding(encoding))
 
 
-def _denial(sender: str, named: str) -> str:
-    """Return why a message is denied, from the sender in its key and the one that it names; empty if it is not."""
+def _mismatch(sender: str, named: str) -> str:
+    """Return what is wrong with the sender in a key and the one that the message names; empty if they agree."""
     if not keys.is_name(sender):
         return f"{sender!r} is not a sender's name: up to 128 letters, digits, '_', '.' and '-' expected in the key"
     if named not in ("", sender):
@@ -116,6 +117,7 @@ class Subscriptions:
     Attributes:
         node: name of the node.
         recorder: records requests with their replies, and the messages of `listen`.
+        access: permissions of senders; None without keys.
         on_denied: called in the server's thread with the reason and the sender of each message that is denied.
         rate_limited: number of messages dropped and requests rejected because too many were waiting.
     """
@@ -124,6 +126,7 @@ class Subscriptions:
         self._session = session
         self.node = node
         self.recorder: Recorder | None = None
+        self.access: Access | None = None
         self.on_denied: Callable[[str, str], None] = lambda _text, _sender: None
         self._tasks: deque[Callable[[], None]] = deque()
         self._queues = [self._tasks]
@@ -265,15 +268,24 @@ class Subscriptions:
             message: without a sender's name, or with the same one.
 
         Raises:
-            AccessDenied: the message names another sender; it has been reported.
+            AccessDenied: the message names another sender, or the sender may not send it; it has been reported.
         """
         if not topic.has_sender:
             return message
         field = keys.sender_field(type(message))
-        if reason := _denial(sender, getattr(message, field) if field else ""):
-            self.on_denied(f"{topic.key}: {reason}", sender)
-            raise AccessDenied(reason)
+        if reason := self._denial(topic, sender, getattr(message, field) if field else ""):
+            self.deny(topic, sender, reason)
         return message.model_copy(update={field: sender}) if field else message
+
+    def deny(self, topic: keys.Topic, sender: str, reason: str) -> NoReturn:
+        """Report a denied message and raise `AccessDenied`; for the server's thread."""
+        self.on_denied(f"{topic.key}: {reason}", sender)
+        raise AccessDenied(reason)
+
+    def _denial(self, topic: keys.Topic, sender: str, named: str) -> str:
+        """Return why a message is denied, which names a sender besides that in its key; empty if it is not."""
+        reason = _mismatch(sender, named)
+        return reason if reason or self.access is None else self.access.denial(topic, sender)
 
     def _is_accepted(self, topic: keys.Topic, kind: type[Any], request: Request) -> bool:
         """Return whether a request is valid and its sender may send it; for any thread."""
@@ -282,7 +294,8 @@ class Subscriptions:
         except BadMessage:
             return False
         field = keys.sender_field(kind)
-        return not topic.has_sender or not _denial(request.sender, getattr(message, field) if field else "")
+        named = getattr(message, field) if field else ""
+        return not topic.has_sender or not self._denial(topic, request.sender, named)
 
     # Subscribers and queryables besides commands
 

@@ -164,6 +164,11 @@ def add(
     return _described(name, certificate, authority)
 
 
+def names_of(folder: Path) -> dict[str, tuple[Role, ...]]:
+    """Return the roles of each name in a folder's list; `InvalidConfig` if it cannot be used."""
+    return read_names(folder, _read(folder / f"{AUTHORITY}.pem"))
+
+
 def show(folder: Path) -> list[Certificate]:
     """Return the certificates of a folder: authority first, then by role and name."""
     authority = _read(folder / f"{AUTHORITY}.pem")

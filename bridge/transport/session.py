@@ -94,9 +94,17 @@ class OpenSession(AbstractContextManager[zenoh.Session]):
     """
 
     def __init__(self, session: zenoh.Session, identity: Identity | None = None) -> None:
-        self._session = session
+        self._session, self._identity = session, identity
         self.name = identity.name if identity else ""
         self.roles = identity.roles if identity else ()
+
+    def names(self) -> dict[str, tuple[Role, ...]]:
+        """Return the roles of each name of the authority, which a node or router reads; none without keys.
+
+        Raises:
+            InvalidConfig: the list of names cannot be used.
+        """
+        return self._identity.names() if self._identity else {}
 
     def __enter__(self) -> zenoh.Session:
         return self._session
@@ -153,7 +161,7 @@ def open_session(
     if identity is not None:
         settings |= _tls_settings(identity)
         if listen:
-            settings["access_control"] = acl_config(identity.names())
+            settings["access_control"] = acl_config(_listed(identity))
     config = zenoh.Config()
     for key, value in settings.items():
         config.insert_json5(key, json.dumps(value))
@@ -247,6 +255,14 @@ def _settings(listen: Sequence[str], connect: Sequence[str], *, wait: bool, mode
         # Each session would create a file in /dev/shm, which remains if its process is killed.
         "transport/shared_memory/enabled": False,
     }
+
+
+def _listed(identity: Identity) -> dict[str, tuple[Role, ...]]:
+    """Return the names with their roles, without those that are revoked."""
+    from zenostat.bridge.transport.deny_list import read_revoked  # only for what listens
+
+    revoked = read_revoked(identity.authority.parent)
+    return {name: roles for name, roles in identity.names().items() if name not in revoked}
 
 
 def _tls_settings(identity: Identity) -> dict[str, Any]:

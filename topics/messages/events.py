@@ -12,7 +12,7 @@ class EventKind(StrEnum):
     """Kind of an event.
 
     `REJECTED`, `LATE`, `DUPLICATE`: a message was not accepted and changed nothing. `ACCEPTED_LATE`: a command was
-    accepted after the deadline of its step.
+    accepted after the deadline of its step. `REVOKED`: a certificate's name is revoked; its claims have ended.
     """
 
     STARTED = "started"
@@ -35,6 +35,7 @@ class EventKind(StrEnum):
     BRANCH_CREATED = "branch_created"
     RECORDING = "recording"
     ALARM = "alarm"
+    REVOKED = "revoked"
 
 
 REJECTIONS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)

@@ -47,9 +47,10 @@ class SnapshotTaken(Message):
 
 
 class DropSnapshot(Message):
-    """Drop a snapshot and free its memory."""
+    """Drop a snapshot and free its memory. On a bus with keys, its owner drops it."""
 
     snapshot: str
+    controller: SourceName = ""
 
 
 class CreateBranch(Message):
@@ -157,6 +158,16 @@ class StepRequest(Message):
 class Stop(Message):
     """Stop the node."""
 
+    source: SourceName = ""
+
+
+class Revoke(Message):
+    """Revoke the name of a certificate on this node: its claims end, and the node accepts nothing of it any more.
+
+    Names below it are revoked as well. The node keeps the name in the file `revoked.txt` in its folder of keys.
+    """
+
+    name: SafeName
     source: SourceName = ""
 
 

@@ -1,0 +1,161 @@
+"""The deny list of a node or router: the names that are revoked, in a file in its folder of keys.
+
+Zenoh reads certificates and access rules once, so a node looks at the list itself, at most once a second. It ends the
+links of revoked names, also those that they open again.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from pathlib import Path
+from time import monotonic
+
+import psutil
+import zenoh
+from zenoh.handlers import Callback
+
+from zenostat.bridge.runtime.timer import Timer
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import is_name
+
+REVOKED = "revoked.txt"
+"""Name of the file in a folder of keys: a name on each line; what follows `#` is a comment."""
+
+CHECK_S = 1.0
+"""Interval of the checks of the file."""
+
+
+def read_revoked(folder: Path) -> frozenset[str]:
+    """Return the revoked names; none without a file.
+
+    Raises:
+        InvalidConfig: a line is not a name, or the file cannot be read.
+    """
+    path = folder / REVOKED
+    try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except FileNotFoundError:
+        return frozenset()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidConfig(f"cannot read {path}: {error}") from None
+    names = [line.partition("#")[0].strip() for line in lines]
+    for number, name in enumerate(names, 1):
+        if name and not is_name(name):
+            raise InvalidConfig(f"{path}, line {number}: {name!r} is not a name; write a certificate's name on a line")
+    return frozenset(filter(None, names))
+
+
+def revoke(folder: Path, name: str) -> frozenset[str]:
+    """Add a name to the file; return all revoked names.
+
+    Raises:
+        InvalidConfig: the file is damaged, or cannot be written.
+    """
+    names = read_revoked(folder) | {name}
+    content = "".join(f"{entry}\n" for entry in ("# names whose certificates are revoked", *sorted(names)))
+    try:
+        with atomic_file(folder / REVOKED) as temporary:
+            temporary.write_text(content, encoding="utf-8")
+    except OSError as error:
+        raise InvalidConfig(f"cannot write {folder / REVOKED}: {error.strerror}") from None
+    return names
+
+
+class DenyList:
+    """The revoked names of a running node or router, and the links of its session that it ends.
+
+    Args:
+        folder: of the keys.
+        session: whose links are ended.
+        timer: of the checks.
+        on_change: called with the names that are revoked now and were not before, in the timer's thread.
+        on_error: called with the reason if the file cannot be read; the names stay as they were.
+
+    Raises:
+        InvalidConfig: the file is damaged.
+
+    Attributes:
+        names: the revoked names.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        session: zenoh.Session,
+        timer: Timer,
+        on_change: Callable[[frozenset[str]], None],
+        on_error: Callable[[str], None],
+    ) -> None:
+        self._folder, self._session, self._timer = folder, session, timer
+        self._on_change, self._on_error = on_change, on_error
+        self._version = self._file_version()
+        self.names = read_revoked(folder)
+        self._listener: zenoh.LinkEventsListener[None] | None = session.info.declare_link_events_listener(
+            Callback(self._on_link, indirect=False), history=True
+        )
+        self._timer.at(monotonic() + CHECK_S, self._check)
+
+    def close(self) -> None:
+        """Watch no further links; idempotent. The checks end with the timer."""
+        listener, self._listener = self._listener, None
+        if listener is not None:
+            listener.undeclare()  # type: ignore[no-untyped-call]
+
+    def add(self, name: str) -> None:
+        """Revoke a name at once, and write it to the file.
+
+        Raises:
+            InvalidConfig: the file cannot be written.
+        """
+        self._set(revoke(self._folder, name))
+        self._version = self._file_version()
+
+    def _file_version(self) -> tuple[int, ...]:
+        try:
+            status = (self._folder / REVOKED).stat()
+        except OSError:
+            return ()
+        return status.st_mtime_ns, status.st_size, status.st_ino
+
+    def _check(self) -> None:
+        self._timer.at(monotonic() + CHECK_S, self._check)
+        version = self._file_version()
+        if version == self._version:
+            return
+        self._version = version
+        try:
+            self._set(read_revoked(self._folder))
+        except InvalidConfig as error:
+            self._on_error(str(error))
+
+    def _set(self, names: frozenset[str]) -> None:
+        added, self.names = names - self.names, names
+        if added:
+            self._end_links(self._session.info.links())
+            self._on_change(added)
+
+    def _on_link(self, event: zenoh.LinkEvent) -> None:
+        if event.kind == zenoh.SampleKind.PUT:
+            self._end_links([event.link])
+
+    def _end_links(self, links: Iterable[zenoh.Link]) -> None:
+        shut_down([link for link in links if link.auth_identifier in self.names])
+
+
+def shut_down(links: Iterable[zenoh.Link]) -> None:
+    """End links of this process: Zenoh has no call for that, so their sockets are shut down."""
+    ports = {_port(link.dst) for link in links}
+    for connection in psutil.Process().net_connections("tcp") if ports else ():
+        if connection.raddr and connection.raddr.port in ports and connection.fd >= 0:
+            with suppress(OSError), socket.socket(fileno=os.dup(connection.fd)) as link:
+                link.shutdown(socket.SHUT_RDWR)
+
+
+def _port(locator: object) -> int:
+    """Return the port of a locator, `tls/HOST:PORT`; 0 if it has none."""
+    digits = str(locator).partition("?")[0].rpartition(":")[2]
+    return int(digits) if digits.isdigit() else 0
