@@ -94,6 +94,7 @@ class PriorityArray:
             sources = row.sources[2 * width * slot : 2 * width * (slot + 1)] * slots
             if not np.isnan(np.frombuffer(values)).all():
                 result._rows[priority] = _Row(values, sources, row.only_source)
+        return result
 
     def source(self, name: str, keeping: Collection[int] = ()) -> int:
         """Return the index of a source's name; a new name is added.
