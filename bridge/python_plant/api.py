@@ -19,6 +19,7 @@ class Plant(Protocol):
     - `duration_s`: length of an episode in seconds, a multiple of `step_s`; by default a day.
     - `time`: time features of the observation, such as `("hour",)`; see `zenostat.topics.messages.TimeField`.
     - `reward`: the reward of `gym.make`, a kind with its parameters.
+    - `actions`: names of the actuators that are an agent's actions; by default all.
     - `model_name`: name of what is simulated, in the manifest; by default that of the class.
     - `files`: paths of the files that define what is simulated, by role; a recording keeps their digests.
     - `warnings`: texts for the manifest, which users see once.

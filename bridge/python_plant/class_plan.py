@@ -147,7 +147,11 @@ def _describe(fields: Mapping[str, Any]) -> PlantDescription:
         return [{name: point[name] for name in ("name", "unit", "low", "high")} for point in points]
 
     actuators = tuple(Actuator(**point) for point in fields["actuators"])
-    actions = tuple(Action(name=a.name, unit=a.unit, low=a.low, high=a.high, actuators=(a.name,)) for a in actuators)
+    by_name = {actuator.name: actuator for actuator in actuators}
+    actions = tuple(
+        Action(name=a.name, unit=a.unit, low=a.low, high=a.high, actuators=(a.name,))
+        for a in (by_name[name] for name in fields["actions"])
+    )
     return PlantDescription(
         name=fields["name"],
         run_period=RunPeriod(datetime.fromisoformat(fields["begin"]), fields["step_s"], fields["steps"]),

@@ -50,6 +50,7 @@ class ClassDescription:
         files: further files that define what is simulated, by role.
         warnings: texts for the manifest.
         begins_alike: whether all episodes begin alike.
+        actions: actuators that are an agent's actions.
         forkable, has_state: whether it can be copied by a fork, or by its state.
         has_close: whether it has something to release at its end.
     """
@@ -70,6 +71,7 @@ class ClassDescription:
     files: dict[str, str] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     begins_alike: bool = False
+    actions: tuple[str, ...] = ()
 
 
 def split_name(plant: str) -> tuple[str, str]:
@@ -172,6 +174,7 @@ def describe(plant: Any) -> ClassDescription:
     errors += [f"{point!r} is both a sensor and a meter" for point in both]
     time, reward = _time(plant, errors), _reward(plant, errors)
     forkable, begins_alike = _flag(plant, "forkable", errors), _flag(plant, "begins_alike", errors)
+    actions = _actions(plant, [point.name for point in actuators], errors)
     model_name, warnings, files = _model_name(plant, errors), _warnings(plant, errors), _files(plant, errors)
     has_state = _check_methods(plant, errors)
     if errors:
@@ -193,7 +196,22 @@ def describe(plant: Any) -> ClassDescription:
         files=files,
         warnings=warnings,
         begins_alike=begins_alike,
+        actions=actions,
     )
+
+
+def _actions(plant: Any, actuators: Sequence[str], errors: list[str]) -> tuple[str, ...]:
+    """Return the actuators that are an agent's actions; by default all."""
+    actions = getattr(plant, "actions", None)
+    if actions is None:
+        return tuple(actuators)
+    if not isinstance(actions, list | tuple) or not all(isinstance(name, str) for name in actions):
+        errors.append(f"actions = {actions!r}: a list of actuators' names expected")
+        return ()
+    errors += [
+        f"actions: no actuator {name!r}; {did_you_mean(name, actuators)}" for name in actions if name not in actuators
+    ]
+    return tuple(actions)
 
 
 def _flag(plant: Any, name: str, errors: list[str]) -> bool:

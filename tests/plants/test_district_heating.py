@@ -1,0 +1,90 @@
+"""A district heating plant against the solutions of its equations."""
+
+from math import exp
+from typing import Any
+
+import pytest
+
+from zenostat.plants.heat import DistrictHeating
+from zenostat.testing import check_plant
+from zenostat.topics.errors import InvalidConfig
+
+WATER = 4186.0
+COMMANDS = {"setpoint": 70.0, "outdoor_temperature": 0.0, "north_demand": 30e3, "south_demand": 20e3}
+IDLE = {**COMMANDS, "setpoint": 40.0, "north_demand": 0.0, "south_demand": 0.0}
+
+
+def test_district_heating__tank_without_demand_cools_exponentially() -> None:
+    plant = DistrictHeating(tank_m3=2.0, tank_loss_w_k=50.0, ambient_c=10.0, initial_c=80.0)
+    plant.reset(0)
+    time_constant_s = 2.0 * 1000.0 * WATER / 50.0
+    for step in range(1, 101):
+        values = plant.step(IDLE)
+        assert values["tank_temperature"] == pytest.approx(
+            10.0 + 70.0 * exp(-300.0 * step / time_constant_s), rel=1e-12
+        )
+        assert (values["flow"], values["source_heat"], values["pipe_loss"]) == (0.0, 0.0, 0.0)
+
+
+def test_district_heating__steady_state_is_the_balance_of_source_demand_and_losses() -> None:
+    plant = DistrictHeating()
+    plant.reset(0)
+    for _ in range(500):
+        values = plant.step(COMMANDS)
+    assert values["tank_temperature"] == pytest.approx(70.0, abs=1e-9)
+    flow, loss = values["flow"] * WATER, 500.0 * 0.25
+    supply = 10.0 + (70.0 - 10.0) * exp(-loss / flow)
+    assert values["supply_temperature"] == pytest.approx(supply, abs=1e-9)
+    assert values["return_temperature"] == pytest.approx(10.0 + (40.0 - 10.0) * exp(-loss / flow), abs=1e-9)
+    assert flow * (supply - 40.0) == pytest.approx(50e3, rel=1e-6)
+    assert values["source_heat"] == pytest.approx(50e3 + values["pipe_loss"] + 20.0 * (70.0 - 15.0), rel=1e-6)
+    assert values["efficiency"] == pytest.approx(0.5 * 343.15 / 70.0)
+    assert values["electricity"] == pytest.approx(values["source_heat"] / values["efficiency"] * 300.0)
+
+
+@pytest.mark.parametrize("source", ["boiler", "heat_pump"])
+def test_district_heating__energy_balances_in_each_timestep(source: str) -> None:
+    plant = DistrictHeating(source=source, power_w=60e3, efficiency=0.5)
+    before = plant.reset(0)["tank_temperature"]
+    for step in range(200):
+        commands = {**COMMANDS, "setpoint": 45.0 + step % 40, "north_demand": 1e3 * (step % 50)}
+        values = plant.step(commands)
+        stored = 10.0 * 1000.0 * WATER * (values["tank_temperature"] - before) / 300.0
+        used = values["north_heat"] + values["south_heat"] + values["tank_loss"] + values["pipe_loss"]
+        assert values["source_heat"] == pytest.approx(stored + used, abs=1e-5)
+        assert 0.0 <= values["source_heat"] <= 60e3
+        before = values["tank_temperature"]
+
+
+def test_district_heating__cold_tank_delivers_nothing_and_states_what_is_unmet() -> None:
+    plant = DistrictHeating(initial_c=35.0, power_w=1e3)
+    plant.reset(0)
+    values = plant.step(COMMANDS)
+    assert (values["north_heat"], values["north_unmet"], values["flow"]) == (0.0, 30e3, 0.0)
+
+
+def test_district_heating__flow_is_limited() -> None:
+    plant = DistrictHeating(flow_kg_s=0.1)
+    plant.reset(0)
+    values = plant.step(COMMANDS)
+    assert values["flow"] == pytest.approx(0.2)
+    assert values["north_unmet"] > 15e3
+
+
+def test_district_heating__passes_the_check_of_plants() -> None:
+    check_plant("zenostat.plants.heat.district_heating:DistrictHeating", {"duration_s": 3000.0})
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"source": "oven"}, "source = 'oven': boiler or heat_pump expected"),
+        ({"tank_m3": 0.0}, "tank_m3 = 0.0: a number above 0 expected"),
+        ({"pipe_m": -1.0}, "pipe_m = -1.0: a number of at least 0 expected"),
+        ({"consumers": {"a": "much"}}, "a number of at least 0 expected"),
+        ({"consumers": {"a b": 1.0}}, "a consumer's name 'a b' is not valid"),
+    ],
+)
+def test_district_heating__wrong_argument_is_named(arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        DistrictHeating(**arguments)
