@@ -21,12 +21,13 @@ LAYERS = {
     "bridge": {"topics"},
     "eplus_node": {"topics", "models", "bridge"},
     "plants": {"topics", "models", "bridge"},
+    "cosim": {"topics", "bridge"},
     "agent_sdk": {"topics", "bridge"},
     "metrics": {"topics", "bridge", "agent_sdk"},
     "views": {"topics", "bridge", "agent_sdk", "metrics"},
     "lab": {"topics", "bridge", "agent_sdk", "metrics", "views"},
     "gateways": {"topics", "bridge", "agent_sdk", "metrics"},
-    "cli": {"topics", "models", "bridge", "eplus_node", "agent_sdk", "metrics", "views", "lab", "gateways"},
+    "cli": {"topics", "models", "bridge", "eplus_node", "cosim", "agent_sdk", "metrics", "views", "lab", "gateways"},
 }
 # These use the public names: `zenostat.connect`.
 PUBLIC = {"cli"}

@@ -116,12 +116,12 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
     """Run the node until it ends, with a progress bar, and print its statistics."""
     config, create = _read(settings)
     with progress() as bars, ExitStack() as stack:
-        observer = _ProgressBar(bars, config.name)
+        observer = ProgressBar(bars, config.name)
         print_line = partial(bars.console.print, markup=False, soft_wrap=True)
         create = partial(create, observer=observer, program=True)
-        running = _start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
+        running = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
         observer.recording = lambda: running.recording
-        bars.console.print(_greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
+        bars.console.print(greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
         for warning in filter(None, (*running.manifest.warnings, exposure(running.settings.listen, config.keys))):
             bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
         if running.recording is not None:
@@ -148,7 +148,7 @@ def _read(settings: dict[str, Any]) -> tuple[NodeSettings, Callable[..., Node]]:
     return read_config(settings), energyplus_node
 
 
-def _start(
+def start(
     stack: ExitStack,
     config: NodeSettings,
     create: Callable[..., Node],
@@ -186,7 +186,7 @@ def _start(
     return running
 
 
-class _ProgressBar:
+class ProgressBar:
     """Show a node's progress, at most ten times per second while it runs, and why its recording stopped early.
 
     Attributes:
@@ -202,6 +202,7 @@ class _ProgressBar:
         self._updated_s = 0.0
 
     def __call__(self, node: NodeServer) -> None:
+        """Show the state of a node."""
         now, state = time.monotonic(), node.exchange.state
         if now - self._updated_s < 0.1 and state is State.WAITING and not node.exchange.awaiting():
             return
@@ -221,7 +222,8 @@ class _ProgressBar:
         self._bars.console.print(text, style="yellow", markup=False, soft_wrap=True)
 
 
-def _greeting(node: Node, listen: str) -> str:
+def greeting(node: Node, listen: str) -> str:
+    """Describe a node that has started, and where it listens."""
     manifest, run_period = node.manifest, node.plant.description.run_period
     location = f" in {manifest.location}" if manifest.location else ""
     return (

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import getpass
-import re
 import socket
 from typing import Annotated
 
@@ -11,11 +10,8 @@ import typer
 
 from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.calendar import parse_duration
 from zenostat.topics.keys import Role, safe_name
-
-_UNIT_S = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
-_DURATION = re.compile(rf"(\d+(?:\.\d+)?)({'|'.join(_UNIT_S)})")
 
 Node = Annotated[str, typer.Argument(help="Name of the node.")]
 Point = Annotated[str, typer.Argument(help="Name of the actuator; `zenostat read NODE` lists them.")]
@@ -73,12 +69,7 @@ def seconds(text: str) -> float:
     Raises:
         InvalidConfig: another form, or 0.
     """
-    match = _DURATION.fullmatch(text.strip())
-    if not match or float(match[1]) == 0:
-        raise InvalidConfig(
-            f"--duration {text}: expected a number above 0 and s, min, h or d, for example 90s, 15min, 2h, 1d"
-        )
-    return float(match[1]) * _UNIT_S[match[2]]
+    return parse_duration(text, "--duration")
 
 
 def person() -> str:

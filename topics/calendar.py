@@ -24,6 +24,8 @@ LEAP_YEAR = 2016
 _DAY = re.compile(r"(?:(\d{4})-)?(\d{1,2})-(\d{1,2})")
 _MOMENT = re.compile(r"(?:(\d{4})-)?(\d\d)-(\d\d)(?:[T ](\d\d):(\d\d)(?::(\d\d))?)?")
 _CLOCK_TIME = re.compile(r"(?:(\d\d)-(\d\d) )?(\d\d):(\d\d)")
+_UNIT_S = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_DURATION = re.compile(rf"(\d+(?:\.\d+)?) ?({'|'.join(_UNIT_S)})")
 _DAYS_BEFORE = (0, 31, 60, 91, 121, 152, 182, 213, 244, 274, 305, 335)
 _Hour = TypeVar("_Hour", int, float)
 
@@ -132,6 +134,24 @@ def in_hours(hours: tuple[float, float], hour: Any) -> Any:
 def hour_of_leap_year(moment: datetime) -> int:
     """Return the hour of a leap year, 0 to 8783; 1 March at 0:00 is the same hour in each year."""
     return (_DAYS_BEFORE[moment.month - 1] + moment.day - 1) * 24 + moment.hour
+
+
+def parse_duration(text: str, what: str) -> float:
+    """Convert a duration such as `90s`, `15min`, `2h` or `1d` to seconds.
+
+    Args:
+        text: the duration.
+        what: name of the setting, for the error.
+
+    Raises:
+        InvalidConfig: another form, or 0.
+    """
+    match = _DURATION.fullmatch(text.strip())
+    if not match or float(match[1]) == 0:
+        raise InvalidConfig(
+            f"{what} {text}: expected a number above 0 and s, min, h or d, for example 90s, 15min, 2h, 1d"
+        )
+    return float(match[1]) * _UNIT_S[match[2]]
 
 
 def format_duration(seconds: float) -> str:

@@ -1,4 +1,4 @@
-"""Unit names on the bus for EnergyPlus's units, and the limits that units imply."""
+"""Unit names on the bus for EnergyPlus's units, the limits that units imply, and conversions between units."""
 
 from __future__ import annotations
 
@@ -27,6 +27,83 @@ _LIMITS: dict[str, tuple[float | None, float | None]] = {
     "kgWater/kgDryAir": (0.0, None),
     "lux": (0.0, None),
 }
+
+
+_CONVERSIONS: dict[str, tuple[str, float, float]] = {
+    "degC": ("temperature", 1.0, 273.15),
+    "degF": ("temperature", 5.0 / 9.0, 459.67 * 5.0 / 9.0),
+    "K": ("temperature", 1.0, 0.0),
+    "delta_degC": ("temperature difference", 1.0, 0.0),
+    "deltaC": ("temperature difference", 1.0, 0.0),
+    "delta_degF": ("temperature difference", 5.0 / 9.0, 0.0),
+    "W": ("power", 1.0, 0.0),
+    "kW": ("power", 1e3, 0.0),
+    "MW": ("power", 1e6, 0.0),
+    "J": ("energy", 1.0, 0.0),
+    "kJ": ("energy", 1e3, 0.0),
+    "MJ": ("energy", 1e6, 0.0),
+    "GJ": ("energy", 1e9, 0.0),
+    "Wh": ("energy", 3.6e3, 0.0),
+    "kWh": ("energy", 3.6e6, 0.0),
+    "MWh": ("energy", 3.6e9, 0.0),
+    "var": ("reactive power", 1.0, 0.0),
+    "kvar": ("reactive power", 1e3, 0.0),
+    "Mvar": ("reactive power", 1e6, 0.0),
+    "VA": ("apparent power", 1.0, 0.0),
+    "kVA": ("apparent power", 1e3, 0.0),
+    "MVA": ("apparent power", 1e6, 0.0),
+    "V": ("voltage", 1.0, 0.0),
+    "kV": ("voltage", 1e3, 0.0),
+    "A": ("current", 1.0, 0.0),
+    "kA": ("current", 1e3, 0.0),
+    "kg/s": ("mass flow", 1.0, 0.0),
+    "kg/h": ("mass flow", 1.0 / 3600.0, 0.0),
+    "m3/s": ("volume flow", 1.0, 0.0),
+    "m3/h": ("volume flow", 1.0 / 3600.0, 0.0),
+    "L/s": ("volume flow", 1e-3, 0.0),
+    "L/min": ("volume flow", 1e-3 / 60.0, 0.0),
+    "Pa": ("pressure", 1.0, 0.0),
+    "kPa": ("pressure", 1e3, 0.0),
+    "bar": ("pressure", 1e5, 0.0),
+    "s": ("time", 1.0, 0.0),
+    "min": ("time", 60.0, 0.0),
+    "h": ("time", 3600.0, 0.0),
+    "1": ("number", 1.0, 0.0),
+    "fraction": ("number", 1.0, 0.0),
+    "percent": ("number", 0.01, 0.0),
+    "on_off": ("number", 1.0, 0.0),
+}
+"""Quantity, factor and offset to its base unit, which for temperature is K: base = factor * value + offset."""
+
+
+@cache
+def quantity(unit: str) -> str:
+    """Return the quantity that a unit measures, such as `power`; the unit itself where it is not known."""
+    return _CONVERSIONS[unit][0] if unit in _CONVERSIONS else unit
+
+
+@cache
+def conversion(source: str, target: str) -> tuple[float, float] | None:
+    """Return factor and offset with which a value in one unit becomes one in another: factor * value + offset.
+
+    Args:
+        source: the unit of the value.
+        target: the unit of the result.
+
+    Returns:
+        (1, 0) for equal units, known or not; None if the units measure different quantities.
+    """
+    if source == target:
+        return 1.0, 0.0
+    if source not in _CONVERSIONS or target not in _CONVERSIONS:
+        return None
+    (quantity_of_source, factor, offset), (quantity_of_target, divisor, base) = (
+        _CONVERSIONS[source],
+        _CONVERSIONS[target],
+    )
+    if quantity_of_source != quantity_of_target:
+        return None
+    return factor / divisor, (offset - base) / divisor
 
 
 @cache

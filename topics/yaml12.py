@@ -11,6 +11,7 @@ from __future__ import annotations
 import os
 import re
 import stat
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
@@ -185,6 +186,40 @@ def parse(text: str, what: str) -> dict[str, Any]:
     if not isinstance(mapping, dict) or not all(isinstance(key, str) for key in mapping):
         raise InvalidConfig(f"{what} should contain names and values, such as `building: office-small`")
     return mapping
+
+
+class Lines(dict[tuple[str | int, ...], int]):
+    """The line of each value of a file, from 1, by its path of names and indices: `("plants", "tank")`."""
+
+    def at(self, path: Sequence[str | int]) -> int:
+        """Return the line of a value, or of the nearest one around it that the file has."""
+        known = tuple(path)
+        while known and known not in self:
+            known = known[:-1]
+        return self.get(known, 1)
+
+
+def parse_with_lines(text: str, what: str) -> tuple[dict[str, Any], Lines]:
+    """Parse the YAML text of a file into a mapping, and the line of each of its values; see `parse`."""
+    mapping, lines = parse(text, what), Lines()
+    _add_lines(yaml.compose(text, _Loader), (), lines)
+    return mapping, lines
+
+
+def _add_lines(node: Any, path: tuple[str | int, ...], lines: Lines) -> None:
+    """Add the lines of the values in a node; those that a merge (`<<`) brings are lines of the merged mapping."""
+    if isinstance(node, yaml.SequenceNode):
+        for index, item in enumerate(node.value):
+            lines.setdefault((*path, index), item.start_mark.line + 1)
+            _add_lines(item, (*path, index), lines)
+    elif isinstance(node, yaml.MappingNode):
+        for key, value in sorted(node.value, key=lambda pair: pair[0].tag == _MERGE):  # what is merged comes last
+            if key.tag == _MERGE:
+                for merged in value.value if isinstance(value, yaml.SequenceNode) else [value]:
+                    _add_lines(merged, path, lines)
+            else:
+                lines.setdefault((*path, key.value), key.start_mark.line + 1)
+                _add_lines(value, (*path, key.value), lines)
 
 
 def read_mapping(path: Path, error: type[UsageError] = InvalidConfig) -> dict[str, Any]:

@@ -36,8 +36,9 @@ class LocalNode:
     """A node process that ends on `close()`, or when this process ends for any reason.
 
     Args:
-        settings: Fields of `zenostat.eplus_node.config.NodeConfig`, or with `plant`, `fmu` or `grid` those of
-            `zenostat.bridge.python_plant.node.PlantSettings`, without endpoint, folder and core.
+        settings: Fields of `zenostat.eplus_node.config.NodeConfig`; with `plant`, `fmu` or `grid` those of
+            `zenostat.bridge.python_plant.node.PlantSettings`, with `district` those of
+            `zenostat.cosim.node.DistrictSettings`; without endpoint, folder and core.
         placement: See `zenostat.bridge.runtime.affinity`.
         on_process: Called with this object when its process exists, before it is ready; another thread can then end
             it with `terminate`.
@@ -76,12 +77,7 @@ class LocalNode:
             # session of its own: Linux schedules sessions against each other, which costs about 20 us per step.
             with defer_interrupts():  # a process whose start is interrupted would be nobody's
                 process = subprocess.Popen(
-                    [
-                        sys.executable,
-                        "-P",
-                        "-m",
-                        "zenostat.bridge.python_plant" if PLANT_SETTINGS & settings.keys() else "zenostat.eplus_node",
-                    ],
+                    [sys.executable, "-P", "-m", _program(settings)],
                     stdin=subprocess.PIPE,
                     stdout=subprocess.PIPE,
                     process_group=0,
@@ -142,6 +138,13 @@ class LocalNode:
     def close(self) -> None:
         """End the node and remove its folder; idempotent."""
         self._release()
+
+
+def _program(settings: dict[str, Any]) -> str:
+    """Return the module that runs a node with these settings."""
+    if "district" in settings:
+        return "zenostat.cosim"
+    return "zenostat.bridge.python_plant" if PLANT_SETTINGS & settings.keys() else "zenostat.eplus_node"
 
 
 @contextlib.contextmanager

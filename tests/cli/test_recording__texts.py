@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import Progress
 
 from zenostat.bridge.recording.verification import Verification
-from zenostat.cli.node import _ProgressBar
+from zenostat.cli.node import ProgressBar
 from zenostat.cli.record import describe_recording
 from zenostat.topics.messages import RecordingState, RecordingStatus
 
@@ -31,7 +31,7 @@ class _Server:
 def test_recording__node_reports_once_that_its_recording_stopped() -> None:
     console = Console(file=io.StringIO(), width=200)
     server: Any = _Server()
-    bar = _ProgressBar(Progress(console=console), "office")
+    bar = ProgressBar(Progress(console=console), "office")
     bar(server)
     bar.recording = lambda: RecordingStatus(path=STOPPED.path, state=RecordingState.RECORDING)
     bar(server)

@@ -1,0 +1,232 @@
+"""A coupled plant, as the orchestrator steps it, and what happens when its node is lost."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from time import monotonic
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zenostat.cosim.file import OnLost
+from zenostat.topics.errors import BusError, EngineDied, ForkFailed, PeerError, SimulatorError
+from zenostat.topics.messages import Manifest
+
+Floats = NDArray[np.float64]
+
+LOST = (BusError, PeerError, SimulatorError)
+"""Errors after which a plant's episode cannot go on."""
+
+_RETRY_S = 0.5
+_MAX_FAILURES = 3
+"""Number of times that a simulator may fail while its plant is brought back to the present step."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """The samples of the timesteps of a step of the district.
+
+    Attributes:
+        values: of sensors, then meters, shape (timesteps, points).
+        effective: of the actuators, shape (timesteps, actuators); NaN: unknown.
+    """
+
+    values: Floats
+    effective: Floats
+
+
+class CoupledPlant(Protocol):
+    """A plant of a district: it steps, and tries a step.
+
+    Commands have the shape (timesteps, actuators); NaN relinquishes an actuator. All methods are for one thread, unless
+    noted. They raise one of `LOST` if the episode cannot go on.
+    """
+
+    @property
+    def manifest(self) -> Manifest:
+        """Manifest of its node."""
+
+    def reset(self, seed: int) -> Rows:
+        """Begin an episode, in a new process if the previous one has ended; return sample 0 as one timestep."""
+
+    def begin(self, commands: Floats) -> None:
+        """Begin timesteps; `finish` returns their samples."""
+
+    def finish(self) -> Rows:
+        """Wait for the timesteps that `begin` began."""
+
+    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
+        """Simulate timesteps on a copy for each of several alternatives, and return their values.
+
+        Raises:
+            ForkFailed: the plant cannot be copied; its episode can go on.
+        """
+
+    def is_reachable(self) -> bool:
+        """Return whether its node is there, perhaps as a new one; quick."""
+
+    def drain_warnings(self) -> list[str]:
+        """Return texts about the plant since the last call."""
+
+    def interrupt(self) -> None:
+        """Make a running call raise soon; thread-safe."""
+
+    def close(self) -> None:
+        """End it; idempotent."""
+
+
+class GuardedPlant:
+    """A coupled plant with a reaction to its loss.
+
+    A plant that comes back is brought to the present step: an episode with the same seed gets the same commands. It
+    then continues as if it had not been lost, to the bit.
+
+    Args:
+        name: in the district.
+        plant: the plant.
+        on_lost: the reaction.
+        timeout_s: longest wait for a plant to come back, in wall time.
+        stop: set when the district is to end.
+        retry: called between two attempts; waits.
+
+    Attributes:
+        is_available: whether the latest values are the plant's own, not held ones.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        plant: CoupledPlant,
+        on_lost: OnLost,
+        *,
+        timeout_s: float,
+        stop: threading.Event,
+        retry: Callable[[threading.Event], object] = lambda stop: stop.wait(_RETRY_S),
+    ) -> None:
+        self.name, self.plant = name, plant
+        self._on_lost, self._timeout_s, self._stop, self._retry = on_lost, timeout_s, stop, retry
+        self.is_available = True
+        self._history: list[Floats] = []
+        self._seed = 0
+        self._last: Rows
+        self._error: Exception | None = None
+        self._warnings: list[str] = []
+
+    def reset(self, seed: int) -> Rows:
+        """Begin an episode; `EngineDied` if the plant cannot."""
+        self._history, self._seed, self._error, self.is_available = [], seed, None, True
+        try:
+            self._last = self.plant.reset(seed)
+        except LOST as error:
+            raise self._failure(error) from None
+        return self._last
+
+    def begin(self, commands: Floats) -> None:
+        """Begin the timesteps of a step, unless the plant is lost."""
+        self._history.append(commands)
+        if not self.is_available:
+            return
+        try:
+            self.plant.begin(commands)
+        except LOST as error:
+            self._error = error
+
+    def finish(self) -> Rows:
+        """Wait for these timesteps; of a plant that is lost, wait for it, hold its last values, or raise.
+
+        Raises:
+            EngineDied: the plant is lost and the district stops.
+        """
+        if not self.is_available:
+            return self._look_for()
+        error, self._error = self._error, None
+        if error is None:
+            try:
+                self._last = self.plant.finish()
+            except LOST as lost:
+                error = lost
+            else:
+                return self._last
+        return self._react(error)
+
+    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
+        """Try timesteps for each of several alternatives; a plant that is lost returns its last values."""
+        if not self.is_available:
+            return [self._held(len(rows)).values for rows in commands]
+        try:
+            return self.plant.try_step(commands)
+        except ForkFailed as error:
+            raise ForkFailed(f"plant {self.name!r} cannot try a step, which a solved loop needs: {error}") from None
+        except LOST as error:
+            self._react(error)
+            return self.try_step(commands)
+
+    def drain_warnings(self) -> list[str]:
+        """Return texts about the plant since the last call."""
+        warnings, self._warnings = [*self._warnings, *self.plant.drain_warnings()], []
+        return warnings
+
+    def _failure(self, error: Exception) -> SimulatorError:
+        return EngineDied(f"plant {self.name!r}: {error}")
+
+    def _held(self, timesteps: int) -> Rows:
+        last = self._last
+        return Rows(np.tile(last.values[-1], (timesteps, 1)), np.tile(last.effective[-1], (timesteps, 1)))
+
+    def _react(self, error: Exception) -> Rows:
+        if self._stop.is_set() or self._on_lost is OnLost.STOP:
+            raise self._failure(error) from None
+        if self._on_lost is OnLost.GO_ON:
+            self.is_available = False
+            self._warnings.append(f"plant {self.name!r} is lost, and its last values hold: {error}")
+            return self._look_for()
+        return self._wait_for(error)
+
+    def _wait_for(self, error: Exception) -> Rows:
+        """Bring the plant back; raise after the timeout, or where its simulator fails again and again."""
+        until_s, latest, failures = monotonic() + self._timeout_s, error, 0
+        while not self._stop.is_set():
+            try:
+                rows = self._replay()
+            except LOST as again:
+                latest = again
+                failures += isinstance(again, SimulatorError)
+            else:
+                self._warnings.append(
+                    f"plant {self.name!r} was lost, and is back at step {len(self._history)}: {error}"
+                )
+                return rows
+            if failures >= _MAX_FAILURES or monotonic() >= until_s:
+                raise EngineDied(
+                    f"plant {self.name!r} is lost ({error}), and did not come back within {self._timeout_s:g} s or "
+                    f"{_MAX_FAILURES} attempts: {latest}"
+                ) from None
+            self._retry(self._stop)
+        raise self._failure(latest) from None
+
+    def _look_for(self) -> Rows:
+        """Return the last values of a plant that is lost, or its own if it is back."""
+        timesteps = len(self._history[-1]) if self._history else 1
+        if self.plant.is_reachable():
+            try:
+                rows = self._replay()
+            except LOST:
+                return self._held(timesteps)
+            self.is_available = True
+            self._warnings.append(f"plant {self.name!r} is back at step {len(self._history)}")
+            return rows
+        return self._held(timesteps)
+
+    def _replay(self) -> Rows:
+        """Begin the episode again, with the same seed and commands up to the present step."""
+        rows = self.plant.reset(self._seed)
+        for commands in self._history:
+            if self._stop.is_set():
+                raise EngineDied("the district ends")
+            self.plant.begin(commands)
+            rows = self.plant.finish()
+        self._last = rows
+        return rows

@@ -1,0 +1,203 @@
+"""The plants of a district's file as nodes: started in parallel, or found on their buses."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from datetime import timedelta
+from pathlib import Path
+from typing import Any
+
+from zenostat.bridge.client.local_node import LocalNode
+from zenostat.cosim.binding import Binding, bind, is_building
+from zenostat.cosim.coupled import GuardedPlant
+from zenostat.cosim.file import OWN_FIELDS, DistrictFile
+from zenostat.cosim.node_plant import FoundPlant, NodePlant, StartedPlant
+from zenostat.cosim.topology import Topology, check_file
+from zenostat.topics.calendar import parse_day
+from zenostat.topics.errors import BusError, EngineDied, ForkFailed, InvalidConfig, SimulatorError, UsageError
+from zenostat.topics.messages import Manifest
+
+_DAY_S = 86400.0
+_PATHS = ("scenario", "config", "building", "weather", "faults", "alarms", "plant", "fmu", "grid")
+"""Settings that may be paths, which are relative to the district's file."""
+
+
+class PlantSet:
+    """The plants of a district.
+
+    Args:
+        file: the district's file.
+
+    Attributes:
+        stop: set when the district is to end.
+    """
+
+    def __init__(self, file: DistrictFile) -> None:
+        self.file = file
+        self.stop = threading.Event()
+        self._plants: dict[str, NodePlant] = {}
+        self._processes: list[LocalNode] = []
+        self._lock = threading.Lock()
+
+    def open(self) -> Binding:
+        """Check the file, start or find all plants, and check the connections against their points.
+
+        Raises:
+            InvalidConfig: the file has errors; nothing was started if they do not depend on the plants' points.
+            SimulatorError, BusError: a plant cannot be started, or is not there.
+        """
+        topology = check_file(self.file)
+        settings = {name: self._settings(name) for name in self.file.spec.plants}
+        try:
+            manifests = self._open_all(settings)
+            binding = bind(self.file, topology, manifests)
+            self._check_copies(topology)
+        except BaseException:
+            self.close()
+            raise
+        return binding
+
+    def _open_all(self, settings: Mapping[str, dict[str, Any]]) -> dict[str, Manifest]:
+        """Open all plants at the same time; report the errors of all."""
+        errors = self.file.errors()
+        failures: list[Exception] = []
+        with ThreadPoolExecutor(max_workers=min(len(settings), 8)) as pool:
+            futures = {name: pool.submit(self._open, name, each) for name, each in settings.items()}
+            try:
+                for name, future in futures.items():
+                    try:
+                        self._plants[name] = future.result()
+                    except UsageError as error:
+                        errors.add(("plants", name), f"plant {name!r}: {error}")
+                    except (SimulatorError, BusError) as error:
+                        failures.append(type(error)(f"plant {name!r}: {error}"))
+            except BaseException:  # such as a signal; a node that is starting raises an error once it is ended
+                self.terminate()
+                raise
+        errors.raise_if_any()
+        if failures:
+            raise failures[0]
+        return {name: self._plants[name].manifest for name in settings}
+
+    def _open(self, name: str, settings: dict[str, Any]) -> NodePlant:
+        spec = self.file.spec.plants[name]
+        if spec.node is not None:
+            keys = None if spec.keys is None else self.file.path.parent / spec.keys
+            assert spec.connect is not None  # as `check_file` has checked
+            return FoundPlant(spec.node, spec.connect, keys)
+        plant = StartedPlant(f"{self.file.spec.name}.{name}", settings, self._on_process)
+        if self.stop.is_set():
+            plant.close()
+            raise EngineDied("the district ends")
+        return plant
+
+    def _on_process(self, process: LocalNode) -> None:
+        with self._lock:
+            self._processes.append(process)
+            is_ending = self.stop.is_set()
+        if is_ending:
+            process.terminate()
+
+    def terminate(self) -> None:
+        """Let the processes of all plants end, without waiting for them; thread-safe."""
+        self.stop.set()
+        with self._lock:
+            processes = [*self._processes]
+        for process in processes:
+            process.terminate()
+
+    def _settings(self, name: str) -> dict[str, Any]:
+        """Return the settings of a plant's node: those of the file, with absolute paths and the district's days."""
+        spec, raw = self.file.spec, self.file.raw[name]
+        settings = {key: value for key, value in raw.items() if key not in OWN_FIELDS and value is not None}
+        for key in _PATHS:
+            if key in settings:
+                settings[key] = _absolute(self.file.path.parent, settings[key])
+        if raw.get("district") is not None:
+            settings["district"] = str((self.file.path.parent / raw["district"]).absolute())
+        if is_building(raw) and spec.start is not None and not {"begin", "end"} & set(settings):
+            settings |= self._days(name)
+        return settings
+
+    def _days(self, name: str) -> dict[str, str]:
+        spec = self.file.spec
+        assert spec.start is not None
+        errors = self.file.errors()
+        try:
+            first = parse_day(spec.start, "start")
+        except InvalidConfig as error:
+            errors.add(("start",), str(error))
+        if spec.duration is None:
+            errors.add(("start",), f"the last day of plant {name!r} follows from `duration`, which is missing")
+        errors.raise_if_any()
+        assert spec.duration is not None
+        days = -(-float(spec.duration) // _DAY_S)
+        year = spec.start[:5] if spec.start[4:5] == "-" else ""
+        last = first + timedelta(days=days - 1)
+        return {"begin": spec.start, "end": f"{year}{last:%m-%d}"}
+
+    def _check_copies(self, topology: Topology) -> None:
+        """Try a copy of each plant of a solved loop, so that one that cannot be copied is reported at the start."""
+        errors = self.file.errors()
+        for block in topology.loops:
+            for name in block.plants:
+                plant = self._plants[name]
+                try:
+                    plant.check_copy()
+                except ForkFailed as error:
+                    location = ("connections", block.solved[0])
+                    errors.add(location, f"loop {block.name!r} cannot be solved by trials: plant {name!r}: {error}")
+        errors.raise_if_any()
+
+    def guarded(self) -> dict[str, GuardedPlant]:
+        """Return the plants with their reaction to a loss."""
+        spec = self.file.spec
+        return {
+            name: GuardedPlant(
+                name,
+                plant,
+                spec.plants[name].on_lost or spec.on_lost,
+                timeout_s=float(spec.lost_timeout),
+                stop=self.stop,
+            )
+            for name, plant in self._plants.items()
+        }
+
+    def close(self) -> None:
+        """End all nodes that were started, at the same time, and leave the others; idempotent."""
+        self.terminate()
+        for plant in self._plants.values():
+            plant.close()
+        with self._lock:
+            processes, self._processes = self._processes, []
+        for process in processes:
+            process.close()
+
+
+def _absolute(folder: Path, value: Any) -> Any:
+    """Return a path of an existing file as an absolute one; names and other values are unchanged."""
+    if isinstance(value, list):
+        return [_absolute(folder, item) for item in value]
+    if not isinstance(value, str):
+        return value
+    place, colon, name = value.rpartition(":")
+    if not colon:
+        place, name = value, ""
+    path = folder / Path(place).expanduser()
+    return f"{path.absolute()}{colon}{name}" if path.is_file() else value
+
+
+def input_files(file: DistrictFile) -> dict[str, Path]:
+    """Return the files that a district's file names, by their roles, and the file itself."""
+    files = {"district": file.path.absolute()}
+    for name, raw in file.raw.items():
+        for key in (*_PATHS, "district"):
+            values = raw.get(key)
+            for value in values if isinstance(values, list) else [values]:
+                path = _absolute(file.path.parent, value) if isinstance(value, str) else ""
+                place = path.rpartition(":")[0] if path.rpartition(":")[0].endswith(".py") else path
+                if place and Path(place).is_absolute() and Path(place).is_file():
+                    files[f"{key} of {name}"] = Path(place)
+    return files

@@ -1,0 +1,269 @@
+"""A coupled plant that is a node: one that is started for the district, or one on a bus."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import ExitStack, suppress
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zenostat.bridge.client.bus import Bus, connect
+from zenostat.bridge.client.controller_link import ControllerLink
+from zenostat.bridge.client.local_node import LocalNode
+from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.cosim.coupled import Floats, Rows
+from zenostat.topics import codec
+from zenostat.topics.errors import BusError, ZenostatError
+from zenostat.topics.keys import Role
+from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Mode, Sample, SimulatePlan
+
+_SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
+_CONTROLLER = "orchestrator"
+
+
+class NodePlant:
+    """A node as a plant of a district; implements `zenostat.cosim.coupled.CoupledPlant`.
+
+    Args:
+        node: name of the node.
+        manifest: its manifest, which a node that replaces it has to fit.
+
+    Attributes:
+        manifest: the manifest.
+    """
+
+    def __init__(self, node: str) -> None:
+        self._node = node
+        self._bus: Bus | None = None
+        self._link: ControllerLink | None = None
+        self._pending: Floats | None = None
+        self._sample: SampleView | None = None
+        self._close_bus = ExitStack()
+        self._lock = threading.Lock()
+        self.manifest: Manifest
+
+    # The bus of the node
+
+    def open_bus(self) -> Bus:
+        """Connect to the node's bus; started nodes are started."""
+        raise NotImplementedError
+
+    @property
+    def bus(self) -> Bus:
+        """The node's bus."""
+        if self._bus is None:
+            self._bus = self._close_bus.enter_context(self.open_bus())
+        return self._bus
+
+    def _disconnect(self) -> None:
+        self._bus = self._link = self._sample = None
+        with suppress(ZenostatError):
+            self._close_bus.close()
+
+    @property
+    def link(self) -> ControllerLink:
+        """The orchestrator's claim on all actuators."""
+        if self._link is None:
+            self._link = self.bus.controller(self._node, name=_CONTROLLER)
+        return self._link
+
+    # The plant
+
+    def reset(self, seed: int) -> Rows:
+        """Begin an episode; see `CoupledPlant.reset`."""
+        try:
+            return self._reset(seed)
+        except BusError:
+            self.recover()  # the node, or the connection to it, was lost: once more, with new ones
+            return self._reset(seed)
+
+    def recover(self) -> None:
+        """Prepare for another connection after the node, or the connection to it, was lost."""
+        self._disconnect()
+
+    def _reset(self, seed: int) -> Rows:
+        self._sample = self.link.reset(seed=seed)
+        return _rows([self._sample])
+
+    def begin(self, commands: Floats) -> None:
+        """Send the commands of the first timestep; see `CoupledPlant.begin`."""
+        self._pending = commands
+        self._send(commands[0])
+
+    def finish(self) -> Rows:
+        """Receive the sample of each timestep; see `CoupledPlant.finish`."""
+        commands, self._pending = self._pending, None
+        assert commands is not None
+        samples = []
+        for number in range(len(commands)):
+            if number:
+                self._send(commands[number])
+            self._sample = self.link.receive()
+            samples.append(self._sample)
+        return _rows(samples)
+
+    def _send(self, row: Floats) -> None:
+        values, operations = _command(row)
+        self.link.send(values, operations)
+
+    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
+        """Simulate each alternative on a branch; see `CoupledPlant.try_step`."""
+        return [self._try_on_branch(rows) for rows in commands]
+
+    def _try_on_branch(self, commands: Floats) -> Floats:
+        sample, link = self._sample, self.link
+        assert sample is not None
+        branch = self.bus.branch(self._node, CreateBranch(controller=link.name))
+        try:
+            with self.bus.controller(branch, name=_CONTROLLER) as claim:
+                parts = [_command(row) for row in commands]
+                plan = SimulatePlan(
+                    controller=claim.name,
+                    episode=sample.message.episode,
+                    step=sample.message.step,
+                    timesteps=len(commands),
+                    values=b"".join(values.tobytes() for values, _ in parts),
+                    operations=b"".join(operations or bytes([_SET]) * len(values) for values, operations in parts),
+                )
+                payloads = self.bus.plan(branch, plan).samples
+        finally:
+            with suppress(BusError):
+                self.bus.stop(branch)
+        width = len(self.manifest.points)
+        return np.array([codec.row(codec.decode(Sample, raw).values, 0, 1, width, "values") for raw in payloads])
+
+    def check_copy(self) -> None:
+        """Make a copy of the plant and end it; `ForkFailed` if it cannot be copied."""
+        branch = self.bus.branch(self._node, CreateBranch(controller=self.link.name))
+        self.bus.stop(branch)
+
+    def is_reachable(self) -> bool:
+        """Return whether the node answers; see `CoupledPlant.is_reachable`."""
+        return False
+
+    def drain_warnings(self) -> list[str]:
+        """Return no texts."""
+        return []
+
+    def interrupt(self) -> None:
+        """Close the connection, so that pending calls raise; thread-safe."""
+        bus = self._bus
+        if bus is not None:
+            with suppress(ZenostatError):
+                bus.close()
+
+    def close(self) -> None:
+        """Disconnect from the node; idempotent."""
+        self._disconnect()
+
+
+class StartedPlant(NodePlant):
+    """A node that is started for the district, as a program that ends with this process.
+
+    Args:
+        node: name of the node.
+        settings: of the node.
+        on_process: called with the node's process when it exists.
+    """
+
+    def __init__(self, node: str, settings: dict[str, Any], on_process: Callable[[LocalNode], None]) -> None:
+        super().__init__(node)
+        self._settings, self._on_process = {**settings, "name": node}, on_process
+        self._local: LocalNode | None = None
+        self._is_ending = False
+        self.start()
+
+    def start(self) -> LocalNode:
+        """Start the node, unless it runs.
+
+        Raises:
+            ZenostatError: the error with which it ended.
+        """
+        if self._local is not None and (self._is_ending or self._local.end):
+            self._end()
+        if self._local is None:
+            self._local = LocalNode(self._settings, Affinity.OFF, self._on_process)
+            assert self._local.manifest is not None
+            self.manifest = self._local.manifest
+        return self._local
+
+    def open_bus(self) -> Bus:
+        """Connect to the private bus of the node."""
+        return connect(self.start().endpoint, affinity=Affinity.OFF)
+
+    def terminate(self) -> None:
+        """Let the process end, without waiting for it; thread-safe."""
+        local = self._local
+        if local is not None:
+            self._is_ending = True
+            local.terminate()
+
+    def recover(self) -> None:
+        """End a process that has lost its bus, or is about to end."""
+        if self._local is not None and (self._is_ending or self._local.has_ended()):
+            self._end()
+        self._disconnect()
+
+    def interrupt(self) -> None:
+        """End the process, so that pending calls raise; thread-safe."""
+        self.terminate()
+
+    def _end(self) -> None:
+        self._disconnect()
+        local, self._local, self._is_ending = self._local, None, False
+        if local is not None:
+            local.close()
+
+    def close(self) -> None:
+        """End the node; idempotent."""
+        self._end()
+
+
+class FoundPlant(NodePlant):
+    """A node that runs already, on a bus.
+
+    Args:
+        node: name of the node.
+        endpoint: of its bus.
+        keys: folder of the keys for it.
+    """
+
+    def __init__(self, node: str, endpoint: str, keys: Any) -> None:
+        super().__init__(node)
+        self._endpoint, self._keys = endpoint, keys
+        self.manifest = self.bus.manifest(node)
+
+    def open_bus(self) -> Bus:
+        """Connect to the bus."""
+        return connect(self._endpoint, affinity=Affinity.OFF, keys=self._keys, role=Role.CONTROLLER)
+
+    def is_reachable(self) -> bool:
+        """Return whether the node answers."""
+        try:
+            self.bus.manifest(self._node)
+        except ZenostatError:
+            self._disconnect()
+            return False
+        return True
+
+    def _reset(self, seed: int) -> Rows:
+        if self.link.manifest.mode is not Mode.LOCKSTEP:
+            self.bus.pace(self._node, mode=Mode.LOCKSTEP, source=_CONTROLLER)
+        return super()._reset(seed)
+
+
+def _command(row: Floats) -> tuple[NDArray[np.float64], bytes | None]:
+    """Return values and operations of a command; NaN relinquishes an actuator."""
+    is_free = np.isnan(row)
+    if not is_free.any():
+        return row, None
+    operations = np.where(is_free, _RELINQUISH, _SET).astype(np.uint8)
+    return np.where(is_free, 0.0, row), operations.tobytes()
+
+
+def _rows(samples: Sequence[SampleView]) -> Rows:
+    return Rows(np.array([sample.values for sample in samples]), np.array([sample.effective for sample in samples]))

@@ -1,0 +1,304 @@
+"""The orchestration of a step: plants in topological order, and loops solved by trials.
+
+Plants without a loop step in the order of their connections, so that each has the values of this same step
+(Gauss-Seidel); those that do not depend on each other step at the same time. A delayed connection has the values of an
+earlier step. In a loop, the values of the solved connections are the unknowns: each trial steps copies of the loop's
+plants in order, and the residual is what comes back less what was assumed. The trial with the least residual is then
+committed: the plants themselves step with its commands, and have its values to the bit.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import fsum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zenostat.cosim.balance import Balance, Ledger
+from zenostat.cosim.binding import Binding, Input, Transfer
+from zenostat.cosim.coupled import GuardedPlant, Rows
+from zenostat.cosim.file import SolverSpec
+from zenostat.cosim.solver import Outcome, Problem, Solution, solve
+from zenostat.cosim.topology import Block
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(slots=True)
+class LoopState:
+    """The latest result of a loop.
+
+    Attributes:
+        trials: number of trials of the step.
+        error: largest ratio of a residual to its tolerance.
+        is_solved: whether it is within the tolerances.
+        unsolved: number of steps of the episode that were not solved.
+        total: number of trials of the episode.
+        steps: number of its steps.
+    """
+
+    trials: int = 0
+    error: float = 0.0
+    is_solved: bool = True
+    unsolved: int = 0
+    total: int = 0
+    steps: int = 0
+
+
+@dataclass(slots=True)
+class _Flow:
+    """The state of a connection.
+
+    Attributes:
+        store: converted values of the latest steps that a delay holds, the oldest first.
+        previous: converted value of the source's latest timestep.
+        received: values that the target got in the latest step, shape (target's timesteps,).
+        unknown: those of a solved connection, with which the next step begins.
+        residual: of the latest step, shape (target's timesteps,).
+    """
+
+    ledger: Ledger
+    store: deque[Floats] = field(default_factory=deque)
+    previous: float = 0.0
+    received: Floats = field(default_factory=lambda: np.zeros(1))
+    unknown: Floats = field(default_factory=lambda: np.zeros(1))
+    residual: Floats = field(default_factory=lambda: np.zeros(1))
+
+
+class Orchestrator:
+    """Steps the plants of a district.
+
+    Args:
+        binding: plants, connections and order.
+        plants: the plants by name.
+        solver: limits of the solver.
+
+    Attributes:
+        rows: samples of the latest step of each plant.
+        loops: state of each loop, in the order of `binding.topology.loops`.
+        inputs: values that each input got in the latest step, the mean over its timesteps, as `binding.inputs`.
+    """
+
+    def __init__(self, binding: Binding, plants: Mapping[str, GuardedPlant], solver: SolverSpec) -> None:
+        self._binding, self._plants, self._solver = binding, plants, solver
+        self._transfers = binding.transfers
+        self._by_plant: dict[str, list[Input]] = {name: [] for name in binding.members}
+        for target in binding.inputs:
+            self._by_plant[target.plant].append(target)
+        self.rows: dict[str, Rows] = {}
+        self.loops = [LoopState() for _ in binding.topology.loops]
+        self._flows: list[_Flow] = []
+        self._ledgers: list[Ledger] = []
+        self._orders: dict[str, Floats] = {}
+        self._warnings: list[str] = []
+        self._step = 0
+
+    # Episodes
+
+    def start(self, seeds: Mapping[str, int]) -> None:
+        """Begin an episode of all plants; raises what `GuardedPlant.reset` does."""
+        self._step = 0
+        self.rows = {name: plant.reset(seeds[name]) for name, plant in self._plants.items()}
+        self.loops = [LoopState() for _ in self.loops]
+        self._flows = [self._initial(transfer) for transfer in self._transfers]
+        self._ledgers = [Ledger(f"{i.plant}.{i.actuator.name}", i.actuator.unit) for i in self._binding.inputs]
+
+    def _initial(self, transfer: Transfer) -> _Flow:
+        """Return the state of a connection at sample 0."""
+        value = transfer.convert(self.rows[transfer.source].values[-1:, transfer.column])
+        first = value if transfer.initial is None else np.array([transfer.initial])
+        flow = _Flow(Ledger(transfer.name, transfer.unit), previous=float(value[0]))
+        flow.store.extend([np.repeat(first, transfer.source_steps)] * transfer.delay)
+        flow.unknown = np.repeat(transfer.clip(first), transfer.target_steps)
+        flow.received, flow.residual = flow.unknown, np.zeros(transfer.target_steps)
+        return flow
+
+    # A step
+
+    def step(self, commands: Mapping[str, Floats]) -> None:
+        """Simulate a step of the district.
+
+        Args:
+            commands: of the actuators of each plant, shape (actuators,), NaN where relinquished; those that
+                connections feed are ignored.
+
+        Raises:
+            SimulatorError: a plant is lost, or cannot be copied for a solved loop.
+        """
+        self._step += 1
+        done: dict[str, Rows] = {}
+        loops = iter(range(len(self.loops)))
+        for group in self._binding.topology.groups:
+            single = [block.plants[0] for block in group if not block.solved]
+            for name in single:
+                self._begin(name, commands, done)
+            for block in group:
+                if block.solved:
+                    self._solve(block, next(loops), commands, done)
+            for name in single:
+                done[name] = self._plants[name].finish()
+        self.rows = done
+        for transfer, flow in zip(self._transfers, self._flows, strict=True):
+            self._settle(transfer, flow)
+        for target, ledger in zip(self._binding.inputs, self._ledgers, strict=True):
+            self._settle_input(target, ledger)
+
+    def _begin(self, plant: str, own: Mapping[str, Floats], done: Mapping[str, Rows]) -> None:
+        self._orders[plant] = self._commands(plant, own, done)
+        self._plants[plant].begin(self._orders[plant])
+
+    def _commands(self, plant: str, own: Mapping[str, Floats], done: Mapping[str, Rows]) -> Floats:
+        """Return the commands of a plant for its timesteps; sets what its connections received."""
+        rows = np.tile(own[plant], (self._binding.members[plant].steps, 1))
+        for target in self._by_plant[plant]:
+            values = [self._received(position, done) for position in target.transfers]
+            if len(values) == 1:
+                rows[:, target.column] = values[0]
+            else:
+                total = values[0]
+                for value in values[1:]:
+                    total = total + value
+                rows[:, target.column] = np.minimum(np.maximum(total, target.low), target.high)
+        return rows
+
+    def _received(self, position: int, done: Mapping[str, Rows]) -> Floats:
+        """Return the values that a connection brings in this step."""
+        transfer, flow = self._transfers[position], self._flows[position]
+        if transfer.tolerance is not None:
+            flow.received = flow.unknown
+        elif transfer.delay:
+            flow.received = transfer.clip(transfer.resample(flow.store[0], flow.previous))
+        else:
+            flow.received = self._carried(position, done[transfer.source].values)
+        return flow.received
+
+    def _carried(self, position: int, values: Floats) -> Floats:
+        """Return the values of a source in the target's unit, timesteps and bounds."""
+        transfer, flow = self._transfers[position], self._flows[position]
+        converted = transfer.convert(values[:, transfer.column])
+        return transfer.clip(transfer.resample(converted, flow.previous))
+
+    # Loops
+
+    def _solve(self, block: Block, number: int, own: Mapping[str, Floats], done: dict[str, Rows]) -> None:
+        """Find the values of the solved connections of a loop, and step its plants with them."""
+        sizes = [self._transfers[position].target_steps for position in block.solved]
+        cuts = np.cumsum(sizes)[:-1]
+
+        def assume(unknowns: Floats) -> None:
+            for position, part in zip(block.solved, np.split(unknowns, cuts), strict=True):
+                self._flows[position].unknown = part
+
+        def evaluate(unknowns: Floats) -> Floats:
+            assume(unknowns)
+            tried = dict(done)
+            for name in block.plants:
+                values = self._plants[name].try_step([self._commands(name, own, tried)])[0]
+                tried[name] = Rows(values, np.empty((len(values), 0)))
+            returned = [self._carried(p, tried[self._transfers[p].source].values) for p in block.solved]
+            return np.concatenate(returned)
+
+        solution = self._search(block, evaluate)
+        assume(solution.best.x)
+        for name in block.plants:
+            self._begin(name, own, done)
+            done[name] = self._plants[name].finish()
+        self._report(block, self.loops[number], solution)
+
+    def _search(self, block: Block, evaluate: object) -> Solution:
+        transfers = [self._transfers[position] for position in block.solved]
+
+        def of_each(values: Sequence[float]) -> Floats:
+            return np.repeat(np.array(values), [transfer.target_steps for transfer in transfers])
+
+        problem = Problem(
+            evaluate,  # type: ignore[arg-type]
+            tolerance=of_each([transfer.tolerance or 0.0 for transfer in transfers]),
+            low=of_each([transfer.low for transfer in transfers]),
+            high=of_each([transfer.high for transfer in transfers]),
+            limit=self._solver.trials,
+        )
+        start = np.concatenate([self._flows[position].unknown for position in block.solved])
+        return solve(problem, start, depth=self._solver.depth, damping=self._solver.damping)
+
+    def _report(self, block: Block, state: LoopState, solution: Solution) -> None:
+        state.trials, state.error = solution.trials, solution.best.error
+        state.is_solved = solution.is_solved
+        state.total += solution.trials
+        state.steps += 1
+        if solution.is_solved:
+            return
+        state.unsolved += 1
+        reason = "the plants respond with a jump" if solution.outcome is Outcome.JUMP else "the limit was reached"
+        self._warnings.append(
+            f"loop {block.name!r} is not solved in step {self._step} after {solution.trials} trials, since {reason}; "
+            f"its residual is {solution.best.error:.3g} times the tolerance"
+        )
+
+    # Balances
+
+    def _settle(self, transfer: Transfer, flow: _Flow) -> None:
+        """Enter the exchange of a step into the balance of a connection."""
+        ledger, values = flow.ledger, self.rows[transfer.source].values
+        converted = transfer.convert(values[:, transfer.column])
+        h_source, h_target = transfer.source_step_s, transfer.target_step_s
+        current = converted
+        if transfer.delay:
+            current = flow.store.popleft()
+            flow.store.append(converted)
+            for new, old in zip(converted.tolist(), current.tolist(), strict=True):
+                ledger.stored.add(new * h_source)
+                ledger.stored.add(-old * h_source)
+        resampled = transfer.resample(current, flow.previous)
+        clipped = transfer.clip(resampled)
+        flow.residual = clipped - flow.received
+        for value in converted.tolist():
+            ledger.sent.add(value * h_source)
+            ledger.greatest.add(abs(value) * h_source)
+        for value in current.tolist():
+            ledger.resampled.add(value * h_source)
+        for before, after, received in zip(resampled.tolist(), clipped.tolist(), flow.received.tolist(), strict=True):
+            ledger.resampled.add(-before * h_target)
+            ledger.clipped.add(before * h_target)
+            ledger.clipped.add(-after * h_target)
+            ledger.residual.add(after * h_target)
+            ledger.residual.add(-received * h_target)
+            ledger.received.add(received * h_target)
+        flow.previous = float(current[-1])
+
+    def _settle_input(self, target: Input, ledger: Ledger) -> None:
+        """Enter what an input got in a step: the values of its connections, and what it was commanded to."""
+        step_s = self._binding.members[target.plant].step_s
+        for position in target.transfers:
+            for value in self._flows[position].received.tolist():
+                ledger.sent.add(value * step_s)
+                ledger.greatest.add(abs(value) * step_s)
+                ledger.clipped.add(value * step_s)
+        for value in self._orders[target.plant][:, target.column].tolist():
+            ledger.received.add(value * step_s)
+            ledger.clipped.add(-value * step_s)
+
+    @property
+    def received(self) -> Floats:
+        """Value that each connection brought in the latest step, the mean over the target's timesteps."""
+        return np.array([fsum(flow.received.tolist()) / len(flow.received) for flow in self._flows])
+
+    @property
+    def residuals(self) -> Floats:
+        """Residual of each connection in the latest step, of the greatest absolute value; 0 if it is not solved."""
+        return np.array([float(flow.residual[np.argmax(np.abs(flow.residual))]) for flow in self._flows])
+
+    def balances(self) -> list[Balance]:
+        """Return the balance of each connection since sample 0, then of each input that adds several."""
+        several = [
+            ledger for i, ledger in zip(self._binding.inputs, self._ledgers, strict=True) if len(i.transfers) > 1
+        ]
+        return [ledger.balance() for ledger in (*(flow.ledger for flow in self._flows), *several)]
+
+    def drain_warnings(self) -> list[str]:
+        """Return texts about plants and loops since the last call."""
+        warnings, self._warnings = self._warnings, []
+        return [*(text for plant in self._plants.values() for text in plant.drain_warnings()), *warnings]

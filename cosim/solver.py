@@ -1,0 +1,318 @@
+"""Solvers of algebraic loops: a fixed point x = G(x), where each evaluation of G is a trial step of plants.
+
+One unknown is solved by secants, kept within a bracket as soon as there is one. Several are solved by Anderson
+acceleration (J. ACM 12, 547-560, 1965; type II of Fang and Saad, Numer. Linear Algebra Appl. 16, 197-221, 2009), with
+damping where it diverges. An evaluation is expensive and a plant may respond with a jump, so each solver keeps its best
+trial and ends after a number of trials.
+
+Sums are exact (`math.fsum`), so equal evaluations have equal results to the bit, on any machine.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import pairwise
+from math import copysign, fsum, inf, isfinite, sqrt
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+Function = Callable[[Floats], Floats]
+"""G: the values that plants return for the unknowns; both of shape (unknowns,)."""
+
+_JUMP = 0.1
+"""Width of a bracket, relative to the tolerance, in which a change of sign without a solution counts as a jump."""
+_GROWTH = 10.0
+"""Greatest step of a secant, relative to the previous one, while there is no bracket."""
+_DIVERGED = 2.0
+"""Ratio to the best error at which Anderson acceleration starts again from the best trial, with half the damping."""
+_LEAST_DAMPING = 1.0 / 64.0
+_DEPENDENT = 1e-10
+"""Columns whose norm falls below this part of itself, when made orthogonal to the others, are left out."""
+
+
+class Outcome(StrEnum):
+    """Result of a solver.
+
+    `SOLVED`: the residual is within the tolerance. `JUMP`: the residual changes its sign within a tenth of the
+    tolerance, but is nowhere within it, so there is no fixed point. `LIMIT`: the limit of trials was reached.
+    """
+
+    SOLVED = "solved"
+    JUMP = "jump"
+    LIMIT = "limit"
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """An evaluation of G.
+
+    Attributes:
+        x: the unknowns, shape (unknowns,).
+        residual: G(x) - x, of the same shape.
+        error: largest ratio of a residual to its tolerance.
+    """
+
+    x: Floats
+    residual: Floats
+    error: float
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """The best trial of a solver.
+
+    Attributes:
+        best: the trial with the smallest error.
+        trials: number of evaluations.
+        outcome: why the solver ended.
+    """
+
+    best: Trial
+    trials: int
+    outcome: Outcome
+
+    @property
+    def is_solved(self) -> bool:
+        """Whether the residual is within the tolerance."""
+        return self.outcome is Outcome.SOLVED
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """A fixed point to find: x = G(x).
+
+    Attributes:
+        function: G.
+        tolerance: greatest residual of each unknown, above 0, shape (unknowns,).
+        low, high: bounds of the unknowns, which G respects as well; infinite where there are none.
+        limit: greatest number of evaluations, 1 or more.
+    """
+
+    function: Function
+    tolerance: Floats
+    low: Floats
+    high: Floats
+    limit: int
+
+    def evaluate(self, x: Floats) -> Trial:
+        """Evaluate G once."""
+        residual = self.function(x) - x
+        return Trial(x, residual, float(np.max(np.abs(residual) / self.tolerance)))
+
+    def clip(self, x: Floats) -> Floats:
+        """Return the unknowns within their bounds."""
+        return np.minimum(np.maximum(x, self.low), self.high)
+
+
+def solve(problem: Problem, start: Floats, *, depth: int = 3, damping: float = 1.0) -> Solution:
+    """Solve x = G(x): one unknown in a bracket, several by Anderson acceleration.
+
+    Args:
+        problem: the fixed point to find.
+        start: the first trial, shape (unknowns,).
+        depth: number of previous trials that Anderson acceleration combines.
+        damping: its relaxation factor, above 0 and at most 1.
+    """
+    if len(start) == 1:
+        return solve_in_bracket(problem, start)
+    return solve_by_acceleration(problem, start, depth=depth, damping=damping)
+
+
+# One unknown
+
+
+@dataclass(frozen=True, slots=True)
+class _End:
+    """One end of a bracket: the sign of the residual is known, and its value if it was evaluated."""
+
+    x: float
+    sign: float
+    residual: float | None = None
+
+
+class _Bracket:
+    """Two ends between which the residual changes its sign; none until such ends are known."""
+
+    def __init__(self, low: float, high: float) -> None:
+        self.ends: tuple[_End, _End] | None = None
+        if isfinite(low) and isfinite(high):
+            # G respects the bounds, so its residual is not negative at the lower and not positive at the upper one.
+            self.ends = _End(low, 1.0), _End(high, -1.0)
+        self._widths: list[float] = []
+
+    @property
+    def width(self) -> float:
+        return inf if self.ends is None else abs(self.ends[1].x - self.ends[0].x)
+
+    @property
+    def is_evaluated(self) -> bool:
+        return self.ends is not None and all(end.residual is not None for end in self.ends)
+
+    def narrow(self, point: _End, previous: _End | None) -> None:
+        """Replace the end of the same sign by a point between the ends, or begin with it and the previous point."""
+        if self.ends is not None:
+            first, second = self.ends
+            self.ends = (point, second) if first.sign == point.sign else (first, point)
+        elif previous is not None and previous.sign != point.sign:
+            self.ends = previous, point
+        self._widths.append(self.width)
+
+    def is_slow(self) -> bool:
+        """Whether two trials have not halved the bracket."""
+        return len(self._widths) >= 3 and self._widths[-1] > 0.5 * self._widths[-3]
+
+    def admit(self, x: float) -> float:
+        """Return a point between the ends: `x`, or else the middle; an end that was not evaluated is admitted."""
+        if self.ends is None:
+            return x
+        left, right = sorted(self.ends, key=lambda end: end.x)
+        if self.is_slow() or not isfinite(x):
+            return 0.5 * (left.x + right.x)
+        if x <= left.x:
+            return left.x if left.residual is None else 0.5 * (left.x + right.x)
+        if x >= right.x:
+            return right.x if right.residual is None else 0.5 * (left.x + right.x)
+        return x
+
+
+def solve_in_bracket(problem: Problem, start: Floats) -> Solution:
+    """Solve for one unknown: by secants, which a bracket keeps inside, and by its middle where they are slow.
+
+    The second trial is G of the first, so a function that does not depend on the unknown takes two. A linear one takes
+    three, unless its solution is further than ten steps away. Finite bounds are a bracket from the beginning.
+
+    Args:
+        problem: the fixed point to find.
+        start: the first trial, shape (1,).
+    """
+    tolerance = float(problem.tolerance[0])
+    bracket = _Bracket(float(problem.low[0]), float(problem.high[0]))
+    points: list[_End] = []
+    best: Trial | None = None
+    x = float(problem.clip(start)[0])
+    for count in range(1, problem.limit + 1):
+        trial = problem.evaluate(np.array([x]))
+        residual = float(trial.residual[0])
+        if best is None or trial.error < best.error:
+            best = trial
+        if trial.error <= 1.0:
+            return Solution(trial, count, Outcome.SOLVED)
+        point = _End(x, copysign(1.0, residual), residual)
+        bracket.narrow(point, points[-1] if points else None)
+        points.append(point)
+        if bracket.is_evaluated and bracket.width <= _JUMP * tolerance:
+            return Solution(best, count, Outcome.JUMP)
+        x = float(problem.clip(np.array([bracket.admit(_secant(bracket, points))]))[0])
+        if any(x == known.x for known in points):  # such as a bound outside of which the secant points
+            return Solution(best, count, Outcome.JUMP if bracket.is_evaluated else Outcome.LIMIT)
+    assert best is not None
+    return Solution(best, problem.limit, Outcome.LIMIT)
+
+
+def _secant(bracket: _Bracket, points: list[_End]) -> float:
+    """Return the zero of the line through the ends of the bracket, or through the last two points."""
+    point = points[-1]
+    assert point.residual is not None
+    if len(points) == 1:
+        return point.x + point.residual
+    first, second = points[-2], point
+    if bracket.is_evaluated:
+        assert bracket.ends is not None
+        first, second = bracket.ends
+    assert first.residual is not None
+    assert second.residual is not None
+    slope = second.residual - first.residual
+    if slope == 0.0:
+        return point.x + point.residual
+    x = second.x - second.residual * (second.x - first.x) / slope
+    if bracket.ends is None:
+        step = _GROWTH * max(abs(second.x - first.x), abs(point.residual))
+        x = min(max(x, point.x - step), point.x + step)
+    return x
+
+
+# Several unknowns
+
+
+def solve_by_acceleration(problem: Problem, start: Floats, *, depth: int = 3, damping: float = 1.0) -> Solution:
+    """Solve for several unknowns by Anderson acceleration, with less damping where it diverges.
+
+    A linear function of n unknowns takes n + 2 trials at most, if `depth` is n or more and no bound is active.
+
+    Args:
+        problem: the fixed point to find.
+        start: the first trial, shape (unknowns,).
+        depth: number of previous trials that are combined, 0 or more; 0 is relaxation.
+        damping: relaxation factor, above 0 and at most 1; it is halved where the error has doubled.
+    """
+    history: deque[Trial] = deque(maxlen=depth + 1)
+    x, best = problem.clip(start), None
+    for count in range(1, problem.limit + 1):
+        trial = problem.evaluate(x)
+        if trial.error <= 1.0:
+            return Solution(trial, count, Outcome.SOLVED)
+        if best is None or trial.error < best.error:
+            best = trial
+        is_combined = len(history) > min(depth, len(start))  # before that, a linear function may diverge as well
+        if is_combined and trial.error > _DIVERGED * best.error and damping > _LEAST_DAMPING:
+            damping *= 0.5
+            history.clear()
+            trial = best
+        history.append(trial)
+        x = problem.clip(_combine(history, problem.tolerance, damping))
+        if np.array_equal(x, trial.x):  # the bounds stop it
+            return Solution(best, count, Outcome.LIMIT)
+    assert best is not None
+    return Solution(best, problem.limit, Outcome.LIMIT)
+
+
+def _combine(history: deque[Trial], tolerance: Floats, damping: float) -> Floats:
+    """Return the next unknowns: those whose combined residual is least, moved by it."""
+    latest = history[-1]
+    pairs = [*pairwise(history)]
+    steps = [after.x - before.x for before, after in pairs]
+    changes = [after.residual - before.residual for before, after in pairs]
+    weights = _least_squares([change / tolerance for change in changes], latest.residual / tolerance)
+    x: Floats = latest.x + damping * latest.residual
+    for weight, step, change in zip(weights, steps, changes, strict=True):
+        x = x - weight * (step + damping * change)
+    return x
+
+
+def _dot(a: Floats, b: Floats) -> float:
+    return fsum((a * b).tolist())
+
+
+def _least_squares(columns: list[Floats], target: Floats) -> list[float]:
+    """Return the weights of columns whose sum is nearest to the target, by the modified Gram-Schmidt method.
+
+    The latest column comes first; those that depend on it get the weight 0.
+    """
+    basis: list[tuple[int, Floats, float]] = []  # number of the column, its orthogonal part, and the square of its norm
+    triangle: dict[tuple[int, int], float] = {}
+    projections: dict[int, float] = {}
+    rest = target
+    for number in reversed(range(len(columns))):
+        column = columns[number]
+        norm = sqrt(_dot(column, column))
+        for other, direction, square in basis:
+            triangle[other, number] = _dot(direction, column) / square
+            column = column - triangle[other, number] * direction
+        square = _dot(column, column)
+        if sqrt(square) <= _DEPENDENT * norm:
+            continue
+        projections[number] = _dot(column, rest) / square
+        rest = rest - projections[number] * column
+        basis.append((number, column, square))
+    weights = [0.0] * len(columns)
+    for position in reversed(range(len(basis))):
+        number = basis[position][0]
+        later = [triangle[number, other] * weights[other] for other, _, _ in basis[position + 1 :]]
+        weights[number] = projections[number] - fsum(later)
+    return weights

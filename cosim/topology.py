@@ -1,0 +1,239 @@
+"""Checks of a district's file that need no plant: names, inputs, loops; and the order of a step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from zenostat.cosim.file import ConnectionSpec, DistrictFile, FileErrors, kind_of, read_district
+from zenostat.cosim.graph import components, find_cycle, graph_of, is_loop, levels
+from zenostat.topics.errors import did_you_mean
+
+MAX_NAME = 100
+"""Longest name of a connection or a loop: the names of points have 128 characters at most."""
+
+_KINDS = "`building` with `weather`, `scenario`, `plant`, `district` or `node`"
+
+
+@dataclass(frozen=True, slots=True)
+class Block:
+    """Plants that step together: one, or those of a loop that is solved.
+
+    Attributes:
+        plants: in the order of a trial, in which each has its inputs, those of solved connections apart.
+        solved: indices of the solved connections between them; empty for a plant without a loop.
+        name: of the loop; empty for a plant without one.
+    """
+
+    plants: tuple[str, ...]
+    solved: tuple[int, ...] = ()
+    name: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Topology:
+    """The order of a step.
+
+    Attributes:
+        groups: blocks that can run side by side, in the order in which they depend on each other.
+        names: of the connections.
+    """
+
+    groups: tuple[tuple[Block, ...], ...]
+    names: tuple[str, ...]
+
+    @property
+    def loops(self) -> tuple[Block, ...]:
+        """The blocks that are solved."""
+        return tuple(block for group in self.groups for block in group if block.solved)
+
+
+def plant_of(point: str) -> str:
+    """Return the plant of `PLANT.POINT`."""
+    return point.partition(".")[0]
+
+
+def check_file(file: DistrictFile) -> Topology:
+    """Check all that does not depend on the plants' points, and return the order of a step.
+
+    Raises:
+        InvalidConfig: lists all errors with their lines.
+    """
+    errors = file.errors()
+    _check_plants(file, errors)
+    _check_start(file, errors)
+    names = _connection_names(file, errors)
+    for index, connection in enumerate(file.spec.connections):
+        _check_connection(file, index, connection, errors)
+    _check_inputs(file, errors)
+    errors.raise_if_any()
+    topology = _order(file, names, errors)
+    errors.raise_if_any()
+    return topology
+
+
+def _check_plants(file: DistrictFile, errors: FileErrors) -> None:
+    for name, plant in file.spec.plants.items():
+        kinds, location = kind_of(plant), ("plants", name)
+        if name in ("exchange", "loop", "plant", "residual"):
+            errors.add(location, f"a plant cannot have the name {name!r}, which the district's own points begin with")
+        if len(kinds) != 1:
+            text = f"is {' and '.join(kinds)} at once" if kinds else "says not what it is"
+            errors.add(location, f"plant {name!r} {text}; expected one of {_KINDS}")
+        elif (kinds == ("node",)) != (plant.connect is not None):
+            errors.add(
+                location, f"plant {name!r}: `node` and `connect` belong together: its name and the bus that has it"
+            )
+        elif kinds == ("node",) and (extra := sorted(_settings(file, name))):
+            errors.add(location, f"plant {name!r} runs already, with settings of its own; leave out {', '.join(extra)}")
+
+
+def _settings(file: DistrictFile, plant: str) -> set[str]:
+    return set(file.raw[plant]) - {"node", "connect", "keys", "on_lost"}
+
+
+def _check_start(file: DistrictFile, errors: FileErrors) -> None:
+    """Report districts that have themselves as a plant, at any depth."""
+    for name, plant in file.spec.plants.items():
+        if plant.node == file.spec.name:
+            errors.add(
+                ("plants", name),
+                f"the start is circular: plant {name!r} is the node {plant.node!r}, which is the name of this district",
+            )
+        if plant.district is not None:
+            chain = _circle(resolve(file, plant.district), [file.path.resolve()])
+            if chain:
+                names = " starts ".join(path.name for path in chain)
+                errors.add(("plants", name, "district"), f"the start is circular: {names}")
+
+
+def _circle(path: Path, chain: list[Path]) -> list[Path]:
+    path = path.resolve()
+    if path in chain:
+        return [*chain[chain.index(path) :], path] if path == chain[0] else []
+    inner = read_district(path)
+    for plant in inner.spec.plants.values():
+        if plant.district is not None and (circle := _circle(resolve(inner, plant.district), [*chain, path])):
+            return circle
+    return []
+
+
+def resolve(file: DistrictFile, path: Path) -> Path:
+    """Return a path that the file names, which is relative to the file's folder."""
+    return file.path.parent / path.expanduser()
+
+
+def _connection_names(file: DistrictFile, errors: FileErrors) -> tuple[str, ...]:
+    names: list[str] = []
+    for index, connection in enumerate(file.spec.connections):
+        name = connection.name or f"{connection.source}-{connection.target}"
+        location = ("connections", index)
+        if len(name) > MAX_NAME:
+            errors.add(location, f"its name has {len(name)} characters; give it a `name` of at most {MAX_NAME}")
+        if name in names:
+            first = file.line_of(names.index(name))
+            errors.add(location, f"line {first} has a connection of the same name {name!r}; give it another `name`")
+        names.append(name)
+    return tuple(names)
+
+
+def _check_connection(file: DistrictFile, index: int, connection: ConnectionSpec, errors: FileErrors) -> None:
+    location = ("connections", index)
+    for field, point in (("from", connection.source), ("to", connection.target)):
+        plant = plant_of(point)
+        if plant not in file.spec.plants:
+            errors.add((*location, field), f"{point}: no plant {plant!r}; {did_you_mean(plant, file.spec.plants)}")
+    if connection.solve and connection.delay:
+        errors.add(location, "a connection is delayed or solved, not both; leave out `delay` or `solve`")
+    if connection.solve and connection.tolerance is None:
+        errors.add(location, "a solved connection needs its greatest residual in the target's unit: `tolerance: 0.01`")
+    if connection.tolerance is not None and not connection.solve:
+        errors.add(
+            (*location, "tolerance"), "only a solved connection has a tolerance; add `solve: true`, or leave it out"
+        )
+    if connection.initial is not None and not (connection.solve or connection.delay):
+        errors.add((*location, "initial"), "only a delayed or solved connection has an initial value")
+    if connection.low is not None and connection.high is not None and not connection.low < connection.high:
+        errors.add(location, f"low {connection.low:g} is not below high {connection.high:g}")
+
+
+def _check_inputs(file: DistrictFile, errors: FileErrors) -> None:
+    """Report inputs with several sources that are not added."""
+    by_target: dict[str, list[int]] = {}
+    for index, connection in enumerate(file.spec.connections):
+        by_target.setdefault(connection.target, []).append(index)
+    for target, indices in by_target.items():
+        for index in indices[1:]:
+            if not all(file.spec.connections[i].sum for i in indices):
+                errors.add(
+                    ("connections", index),
+                    f"{target} has a source in line {file.line_of(indices[0])} already; "
+                    "`sum: true` in both adds their values",
+                )
+
+
+def _order(file: DistrictFile, names: Sequence[str], errors: FileErrors) -> Topology:
+    connections = file.spec.connections
+    direct = [index for index, connection in enumerate(connections) if connection.delay is None]
+
+    def edges(indices: Sequence[int]) -> list[tuple[str, str]]:
+        return [(plant_of(connections[i].source), plant_of(connections[i].target)) for i in indices]
+
+    unsolved = [index for index in direct if not connections[index].solve]
+    torn = graph_of(file.spec.plants, edges(unsolved))
+    if cycle := find_cycle(torn):
+        _report_loop(file, cycle, unsolved, errors)
+        return Topology((), ())
+    graph = graph_of(file.spec.plants, edges(direct))
+    order = components(graph)
+    rank = {plant: number for number, (plant,) in enumerate(components(torn))}
+    blocks: dict[tuple[str, ...], Block] = {}
+    for component in order:
+        blocks[tuple(component)] = (
+            _block(component, connections, direct, rank) if is_loop(component, graph) else Block(tuple(component))
+        )
+    in_loops = {index for block in blocks.values() for index in block.solved}
+    for index in direct:
+        if connections[index].solve and index not in in_loops:
+            errors.add(("connections", index, "solve"), "this connection is part of no loop; leave out `solve`")
+    groups = levels(order, graph)
+    return Topology(tuple(tuple(blocks[tuple(c)] for c in group) for group in groups), tuple(names))
+
+
+def _block(
+    component: Sequence[str], connections: Sequence[ConnectionSpec], direct: Sequence[int], rank: dict[str, int]
+) -> Block:
+    members = set(component)
+    solved = [
+        index
+        for index in direct
+        if connections[index].solve
+        and plant_of(connections[index].source) in members
+        and plant_of(connections[index].target) in members
+    ]
+    name = "-".join(component)
+    if len(name) > MAX_NAME:
+        name = f"{component[0]}-and-{len(component) - 1}-more"
+    return Block(tuple(sorted(component, key=rank.__getitem__)), tuple(solved), name)
+
+
+def _report_loop(file: DistrictFile, cycle: Sequence[str], indices: Sequence[int], errors: FileErrors) -> None:
+    """Report a loop by its points, at the line of the first of its connections in the file."""
+    connections, steps = file.spec.connections, []
+    for plant, successor in zip(cycle, [*cycle[1:], cycle[0]], strict=True):
+        steps.append(
+            next(
+                index
+                for index in indices
+                if plant_of(connections[index].source) == plant and plant_of(connections[index].target) == successor
+            )
+        )
+    arrows = ", ".join(f"{connections[index].source} → {connections[index].target}" for index in steps)
+    lines = " and ".join(dict.fromkeys(str(file.line_of(index)) for index in sorted(steps)))
+    plural = "s" if len(steps) > 1 else ""
+    errors.add(
+        ("connections", min(steps)),
+        f"a loop without delay or solution (line{plural} {lines}): {arrows}; give one of them `delay: 1`, or "
+        "`solve: true` with a `tolerance`",
+    )

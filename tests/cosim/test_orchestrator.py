@@ -1,0 +1,215 @@
+"""The orchestration of a step against hand calculations: order, delay, solved loops, balances."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from support.coupled_plants import FakeCoupled, Step, district_file, free, gain, manifest_of, orchestrated
+
+W: Any = {"x": "W"}
+U: Any = {"u": ("W", -1e6, 1e6)}
+
+
+def plant(step: Step, *, sensors: Any = None, actuators: Any = None, **fields: Any) -> FakeCoupled:
+    parts = {name: fields.pop(name) for name in ("first", "values", "name", "log") if name in fields}
+    return FakeCoupled(manifest_of(sensors or W, actuators or U, **fields), step, **parts)
+
+
+def file_of(folder: Path, connections: str, plants: str = "ab", head: str = "") -> Any:
+    lines = "".join(f"  {name}: {{plant: 'p.py:P'}}\n" for name in plants)
+    return district_file(folder, f"{head}plants:\n{lines}connections:\n{connections}")
+
+
+def counter(state: list[float], _: list[float]) -> tuple[list[float], list[float]]:
+    """A plant whose value is the number of its timestep."""
+    return [state[0] + 1.0], [state[0] + 1.0]
+
+
+def test_step__acyclic_plants_have_values_of_the_same_step(folder: Path) -> None:
+    """a counts, b doubles, c adds one: c is 2 k + 1 in step k, without any delay, whatever their order in the file."""
+    file = file_of(folder, "  - {from: b.x, to: c.u}\n  - {from: a.x, to: b.u}\n", "cba")
+    plants = {"c": plant(gain(1.0, 1.0)), "b": plant(gain(2.0)), "a": plant(counter, first=[0.0])}
+    orchestrator, _, _ = orchestrated(file, plants)
+    for k in range(1, 6):
+        orchestrator.step(free(plants))
+        assert [orchestrator.rows[name].values[0, 0] for name in "abc"] == [k, 2.0 * k, 2.0 * k + 1.0]
+
+
+def test_step__independent_plants_run_side_by_side(folder: Path) -> None:
+    log: list[str] = []
+    plants = {name: plant(gain(1.0), name=name, log=log) for name in "abc"}
+    orchestrator, _, _ = orchestrated(file_of(folder, "  - {from: a.x, to: c.u}\n", "abc"), plants)
+    log.clear()
+    orchestrator.step(free(plants))
+    assert log == ["a begins", "b begins", "a ends", "b ends", "c begins", "c ends"]
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_step__delayed_value_is_that_of_an_earlier_step(folder: Path, delay: int) -> None:
+    file = file_of(folder, f"  - {{from: a.x, to: b.u, delay: {delay}, initial: -5}}\n")
+    plants = {"a": plant(counter, first=[0.0]), "b": plant(gain(1.0))}
+    orchestrator, _, _ = orchestrated(file, plants)
+    for _ in range(6):
+        orchestrator.step(free(plants))
+    assert [row[0] for row in plants["b"].commands] == ([-5.0] * delay + [1.0, 2.0, 3.0, 4.0, 5.0])[:6]
+
+
+def test_step__delayed_value_begins_with_sample_0(folder: Path) -> None:
+    file = file_of(folder, "  - {from: a.x, to: b.u, delay: 1}\n")
+    plants = {"a": plant(counter, first=[0.0], values=[9.0]), "b": plant(gain(1.0))}
+    orchestrator, _, _ = orchestrated(file, plants)
+    orchestrator.step(free(plants))
+    assert plants["b"].commands == [[9.0]]
+
+
+def test_step__several_sources_are_added_and_bounded(folder: Path) -> None:
+    file = file_of(folder, "  - {from: a.x, to: c.u, sum: true}\n  - {from: b.x, to: c.u, sum: true}\n", "abc")
+    plants = {
+        "a": plant(gain(1.0)), "b": plant(gain(1.0)), "c": plant(gain(1.0), actuators={"u": ("W", 0.0, 10.0)}),
+    }  # fmt: skip
+    orchestrator, _, _ = orchestrated(file, plants)
+    for a, b in ((3.0, 4.0), (8.0, 9.0)):
+        orchestrator.step(free(plants, a=[a], b=[b]))
+    assert plants["c"].commands == [[7.0], [10.0]]
+    total = orchestrator.balances()[-1]
+    assert (total.name, total.sent, total.received, total.clipped) == ("c.u", 900.0 * 24, 900.0 * 17, 900.0 * 7)
+
+
+def test_step__actuators_without_connection_have_the_districts_commands(folder: Path) -> None:
+    two: Any = {"u": ("W", None, None), "v": ("W", None, None)}
+    plants = {"a": plant(gain(1.0)), "b": plant(gain(1.0), actuators=two)}
+    orchestrator, _, _ = orchestrated(file_of(folder, "  - {from: a.x, to: b.u}\n"), plants)
+    orchestrator.step(free(plants, a=[2.0], b=[99.0, 4.0]))
+    orchestrator.step(free(plants, a=[3.0]))
+    assert plants["b"].commands[0] == [2.0, 4.0]
+    assert plants["b"].commands[1][0] == 3.0
+    assert np.isnan(plants["b"].commands[1][1])
+
+
+def test_step__different_timesteps_exchange_means(folder: Path) -> None:
+    """a steps three times in a step of b: b gets the mean of its values, and a the value of b three times."""
+    file = file_of(folder, "  - {from: a.x, to: b.u}\n  - {from: b.x, to: a.u, delay: 1}\n")
+    plants = {"a": plant(counter, first=[0.0], step_s=300.0, steps=288), "b": plant(gain(10.0))}
+    orchestrator, _, _ = orchestrated(file, plants)
+    orchestrator.step(free(plants))
+    orchestrator.step(free(plants))
+    assert [row[0] for row in plants["b"].commands] == [2.0, 5.0]
+    assert [row[0] for row in plants["a"].commands] == [0.0, 0.0, 0.0, 20.0, 20.0, 20.0]
+
+
+LOOP = "  - {from: a.x, to: b.u}\n  - {from: b.x, to: a.u, solve: true, tolerance: 1.0e-9}\n"
+
+
+@pytest.mark.parametrize(("first", "second"), [(0.5, 0.5), (-2.0, 3.0), (4.0, 1.0)])
+def test_loop__linear_loop_has_its_algebraic_solution(folder: Path, first: float, second: float) -> None:
+    """a = f b + 1, b = g a + 2: a = (2 f + 1) / (1 - f g), for contractions and, without bounds, expansions."""
+    unbounded: Any = {"u": ("W", None, None)}
+    plants = {"a": plant(gain(first, 1.0), actuators=unbounded), "b": plant(gain(second, 2.0), actuators=unbounded)}
+    orchestrator, _, _ = orchestrated(file_of(folder, LOOP), plants)
+    orchestrator.step(free(plants))
+    expected = (2.0 * first + 1.0) / (1.0 - first * second)
+    assert orchestrator.rows["a"].values[0, 0] == pytest.approx(expected, rel=1e-9)
+    assert orchestrator.loops[0].is_solved
+    assert abs(orchestrator.residuals[1]) <= 1e-9
+    trials = orchestrator.loops[0].trials
+    assert (plants["a"].tries, plants["b"].tries) == (trials, trials)
+    assert [len(each.commands) for each in plants.values()] == [1, 1]
+
+
+def test_loop__next_step_begins_with_the_solution(folder: Path) -> None:
+    plants = {"a": plant(gain(0.5, 1.0)), "b": plant(gain(0.5, 2.0))}
+    orchestrator, _, _ = orchestrated(file_of(folder, LOOP), plants)
+    for expected in (3, 1, 1):
+        orchestrator.step(free(plants))
+        assert orchestrator.loops[0].trials == expected
+    assert (orchestrator.loops[0].total, orchestrator.loops[0].steps) == (5, 3)
+
+
+def test_loop__two_loops_through_one_plant_have_two_unknowns(folder: Path) -> None:
+    """a = b + c; b = 0.5 a + 1; c = 0.25 a + 2: a = 12, with both returns solved."""
+    text = """  - {from: b.x, to: a.u, solve: true, tolerance: 1.0e-9}
+  - {from: c.x, to: a.v, solve: true, tolerance: 1.0e-9}
+  - {from: a.x, to: b.u}
+  - {from: a.x, to: c.u}
+"""
+    two: Any = {"u": ("W", None, None), "v": ("W", None, None)}
+    plants = {
+        "a": plant(lambda state, row: (state, [row[0] + row[1]]), actuators=two),
+        "b": plant(gain(0.5, 1.0)),
+        "c": plant(gain(0.25, 2.0)),
+    }
+    orchestrator, _, _ = orchestrated(file_of(folder, text, "abc"), plants)
+    orchestrator.step(free(plants))
+    assert orchestrator.rows["a"].values[0, 0] == pytest.approx(12.0, rel=1e-8)
+    assert orchestrator.loops[0].trials <= 4
+
+
+def switch(state: list[float], row: list[float]) -> tuple[list[float], list[float]]:
+    """Staged equipment: full power below a command of 3, none above."""
+    return state, [10.0 if row[0] < 3.0 else 0.0]
+
+
+def test_loop__jump_keeps_the_best_trial_and_is_reported(folder: Path) -> None:
+    text = "  - {from: a.x, to: a.u, solve: true, tolerance: 0.1, low: 0, high: 10}\n"
+    plants = {"a": plant(switch)}
+    orchestrator, _, _ = orchestrated(file_of(folder, text, "a", "solver: {trials: 40}\n"), plants)
+    orchestrator.step(free(plants))
+    (report,) = orchestrator.drain_warnings()
+    assert report.startswith("loop 'a' is not solved in step 1 after ")
+    assert "respond with a jump" in report
+    assert (orchestrator.loops[0].unsolved, orchestrator.loops[0].is_solved) == (1, False)
+    assert orchestrator.loops[0].error == pytest.approx(abs(orchestrator.residuals[0]) / 0.1)
+    assert abs(orchestrator.residuals[0]) == pytest.approx(3.0, abs=0.05)  # below 3 the residual is 7
+    assert orchestrator.drain_warnings() == []
+
+
+def test_loop__limit_of_trials_is_reported(folder: Path) -> None:
+    plants = {"a": plant(gain(0.5, 1.0)), "b": plant(gain(0.5, 2.0))}
+    orchestrator, _, _ = orchestrated(file_of(folder, LOOP, head="solver: {trials: 2}\n"), plants)
+    orchestrator.step(free(plants))
+    (report,) = orchestrator.drain_warnings()
+    assert "not solved in step 1 after 2 trials, since the limit was reached" in report
+
+
+def mixed(state: list[float], row: list[float]) -> tuple[list[float], list[float]]:
+    """A plant with a memory and a nonlinear response."""
+    value = 0.8 * state[0] + np.tanh(np.nan_to_num(row[0]) / 7.0) + 0.5
+    return [value], [3.0 * value]
+
+
+CONNECTION = st.tuples(
+    st.sampled_from(["hold", "mean", "interpolate"]),
+    st.sampled_from(["", ", delay: 1", ", delay: 3", ", solve: true, tolerance: 0.01"]),
+    st.sampled_from(["", ", low: 0.5, high: 2", ", factor: -2.5, offset: 1"]),
+)
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.tuples(CONNECTION, CONNECTION), st.sampled_from([300.0, 450.0, 900.0]), st.integers(1, 12))
+def test_balance__closes_for_each_connection(
+    folder: Path, connections: tuple[tuple[str, str, str], ...], step_s: float, steps: int
+) -> None:
+    """Sent = received + clipped + resampled + residual + stored, whatever the connections do, within 1e-9."""
+    (first, back), lines = connections, []
+    if back[1] == "":
+        back = (back[0], ", delay: 1", back[2])
+    if "solve" in first[1] and "delay" in back[1]:
+        first = (first[0], "", first[2])
+    for (kind, form, limits), (source, target) in zip((first, back), (("a", "b"), ("b", "a")), strict=True):
+        lines.append(f"  - {{from: {source}.x, to: {target}.u, resample: {kind}{form}{limits}}}\n")
+    if "delay" in first[1] and "solve" in back[1]:
+        lines[1] = lines[1].replace(", solve: true, tolerance: 0.01", "")
+    plants = {"a": plant(mixed, first=[1.0], step_s=step_s, steps=960), "b": plant(mixed, first=[-2.0])}
+    orchestrator, _, _ = orchestrated(file_of(folder, "".join(lines)), plants)
+    for number in range(steps):
+        orchestrator.step(free(plants))
+        for balance in orchestrator.balances():
+            assert abs(balance.closure) <= 1e-9, (number, balance)
+    first_balance = orchestrator.balances()[0]
+    received = sum(row[0] for row in plants["b"].commands) * 900.0
+    assert first_balance.received == pytest.approx(received, rel=1e-12)
+    if first[0] == "mean":
+        assert abs(first_balance.resampled) <= 1e-9 * first_balance.greatest

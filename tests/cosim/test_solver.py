@@ -1,0 +1,154 @@
+"""The solvers of loops against theory: exact numbers of trials, expansions, jumps, bounds."""
+
+from math import inf
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from zenostat.cosim.solver import Function, Outcome, Problem, solve, solve_by_acceleration, solve_in_bracket
+
+
+def problem(function: Function, *, unknowns: int = 1, tolerance: float = 1e-9, **limits: float) -> Problem:
+    return Problem(
+        function,
+        np.full(unknowns, tolerance),
+        np.full(unknowns, limits.get("low", -inf)),
+        np.full(unknowns, limits.get("high", inf)),
+        int(limits.get("limit", 12)),
+    )
+
+
+@pytest.mark.parametrize("slope", [0.5, -0.5, -3.0, 5.0, 0.9])
+def test_bracket__linear_function_takes_three_trials(slope: float) -> None:
+    """A contraction or an expansion: the secant of two trials is the function itself."""
+    solution = solve(problem(lambda x: slope * x + 1.0), np.array([0.3]))
+    assert solution.is_solved
+    assert solution.trials == 3
+    assert solution.best.x[0] == pytest.approx(1.0 / (1.0 - slope), rel=1e-9)
+
+
+def test_bracket__constant_function_takes_two_trials() -> None:
+    solution = solve(problem(lambda x: 0.0 * x + 4.0), np.array([0.3]))
+    assert (solution.trials, solution.best.x[0]) == (2, 4.0)
+
+
+def test_bracket__solution_at_the_start_takes_one_trial() -> None:
+    solution = solve(problem(lambda x: x, low=0.0, high=1.0), np.array([0.25]))
+    assert (solution.trials, solution.best.x[0], solution.outcome) == (1, 0.25, Outcome.SOLVED)
+
+
+@given(st.floats(0.05, 0.95), st.floats(0.0, 1.0), st.floats(0.5, 50.0))
+def test_bracket__decreasing_function_is_solved_within_its_bounds(
+    middle: float, start: float, steepness: float
+) -> None:
+    """Continuous and decreasing, so there is one fixed point; the bracket holds it, and halves in two trials."""
+
+    def function(x: np.ndarray) -> np.ndarray:
+        return np.clip(0.5 - np.tanh(steepness * (x - middle)), 0.0, 1.0)
+
+    trials: list[float] = []
+
+    def observed(x: np.ndarray) -> np.ndarray:
+        trials.append(float(x[0]))
+        return function(x)
+
+    solution = solve(problem(observed, tolerance=1e-4, low=0.0, high=1.0, limit=60), np.array([start]))
+    assert solution.is_solved
+    assert abs(function(solution.best.x) - solution.best.x)[0] <= 1e-4
+    assert all(0.0 <= x <= 1.0 for x in trials)
+    assert len(set(trials)) == len(trials)
+
+
+def test_bracket__saturated_function_is_solved_at_its_bound() -> None:
+    solution = solve(problem(lambda x: np.clip(3.0 * x + 1.0, -2.0, 2.0), low=-2.0, high=2.0), np.array([0.0]))
+    assert (solution.outcome, solution.best.x[0]) == (Outcome.SOLVED, 2.0)
+
+
+@given(st.floats(0.01, 0.99), st.floats(0.0, 1.0))
+def test_bracket__jump_has_no_solution(place: float, start: float) -> None:
+    """x = 1 left of a place and 0 right of it: the residual changes its sign, but is at least min(place, 1 - place)."""
+    tolerance = 0.5 * min(place, 1.0 - place)
+    switch = problem(lambda x: np.where(x < place, 1.0, 0.0), tolerance=tolerance, low=0.0, high=1.0, limit=100)
+    solution = solve(switch, np.array([start]))
+    assert solution.outcome is Outcome.JUMP
+    assert solution.best.error > 1.0
+
+
+def test_bracket__limit_of_trials_keeps_the_best() -> None:
+    errors: list[float] = []
+
+    def function(x: np.ndarray) -> np.ndarray:
+        errors.append(abs(float(np.exp(-5.0 * x[0]) - x[0])))
+        return np.exp(-5.0 * x)
+
+    solution = solve(problem(function, limit=4), np.array([2.0]))
+    assert (solution.outcome, solution.trials) == (Outcome.LIMIT, 4)
+    assert abs(solution.best.residual[0]) == min(errors)
+
+
+@pytest.mark.parametrize("unknowns", [2, 3, 5])
+@pytest.mark.parametrize("scale", [0.3, 3.0])
+def test_acceleration__linear_function_of_n_unknowns_takes_n_plus_two_trials(unknowns: int, scale: float) -> None:
+    """n differences of residuals span the space, so the trial after them is exact, for expansions as well."""
+    generator = np.random.default_rng(unknowns)
+    matrix, offset = scale * generator.normal(size=(unknowns, unknowns)), generator.normal(size=unknowns)
+    solution = solve(
+        problem(lambda x: matrix @ x + offset, unknowns=unknowns, tolerance=1e-8, limit=40), np.zeros(unknowns), depth=5
+    )
+    assert solution.is_solved
+    assert solution.trials <= unknowns + 2
+    assert solution.best.x == pytest.approx(np.linalg.solve(np.eye(unknowns) - matrix, offset), rel=1e-6)
+
+
+def test_acceleration__depth_zero_is_relaxation() -> None:
+    """x = x + damping * (G(x) - x): a contraction of 0.5 with damping 1 halves the error in each trial."""
+    errors = []
+
+    def function(x: np.ndarray) -> np.ndarray:
+        errors.append(float(np.abs(x - 2.0).max()))
+        return 0.5 * x + 1.0
+
+    solution = solve_by_acceleration(problem(function, unknowns=2, tolerance=1e-3), np.zeros(2), depth=0)
+    assert errors == [2.0 * 0.5**k for k in range(len(errors))]
+    assert solution.trials == 11  # the residual is half the error: 2 * 0.5**11 is the first below 0.001
+
+
+def test_acceleration__damping_solves_an_expansion_that_relaxation_does_not() -> None:
+    """G(x) = -2 x diverges without damping; with 0.5, x becomes -0.5 x."""
+    solution = solve_by_acceleration(
+        problem(lambda x: -2.0 * x, unknowns=2, tolerance=1e-6, limit=100), np.array([1.0, 2.0]), depth=0
+    )
+    assert solution.is_solved
+
+
+def test_acceleration__unknowns_stay_within_their_bounds() -> None:
+    trials = []
+
+    def function(x: np.ndarray) -> np.ndarray:
+        trials.append(x.copy())
+        return np.clip(np.array([-4.0 * x[1] + 3.0, 4.0 * x[0] - 1.0]), 0.0, 1.0)
+
+    solution = solve(problem(function, unknowns=2, tolerance=1e-6, low=0.0, high=1.0, limit=60), np.array([0.2, 0.9]))
+    assert all(((x >= 0.0) & (x <= 1.0)).all() for x in trials)
+    assert solution.best.error == min(np.abs(function(x) - x).max() / 1e-6 for x in [*trials])
+
+
+def test_solver__equal_functions_have_equal_trials_to_the_bit() -> None:
+    def run() -> list[bytes]:
+        trials: list[bytes] = []
+
+        def function(x: np.ndarray) -> np.ndarray:
+            trials.append(x.tobytes())
+            return np.array([np.cos(x[1]), 0.5 * np.sin(x[0] + x[2]), 0.1 * x[0] * x[1]])
+
+        assert solve(problem(function, unknowns=3, limit=40), np.zeros(3)).is_solved
+        return trials
+
+    assert run() == run()
+
+
+def test_solver__one_unknown_is_solved_in_a_bracket() -> None:
+    cosine = problem(np.cos, low=0.0, high=1.0)
+    assert solve(cosine, np.array([0.1])).best.x[0] == solve_in_bracket(cosine, np.array([0.1])).best.x[0]

@@ -1,0 +1,305 @@
+"""Districts in real processes: exact, recorded, killed, and with plants that are lost."""
+
+import importlib.util
+import signal
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import psutil
+import pytest
+from support.nodes import NodeProgram, programs_of, until
+from support.run_cli import run_python
+
+import zenostat
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.bridge.runtime.scratch import sweep
+from zenostat.cosim.verify_recording import verify_district
+from zenostat.recording import load
+from zenostat.topics import codec
+from zenostat.topics.errors import EngineDied, ForkFailed, InvalidConfig, InvalidRecording
+from zenostat.topics.messages import Event, EventKind, State
+
+EXAMPLES = Path(__file__).parents[2] / "examples"
+PLANTS = """
+class House:
+    step_s, duration_s, forkable = 900.0, 9000.0, True
+    sensors = {"temperature": "degC", "demand": "W"}
+    meters = {"heat": "J"}
+    actuators = {"supply": ("kW", 0.0, 20.0, 0.0), "outdoor": ("degC", -30.0, 40.0, 0.0)}
+
+    def reset(self, seed):
+        self.temperature = 20.0 + seed % 7 / 7
+        return self.values(0.0)
+
+    def step(self, commands):
+        heat = 1000.0 * commands["supply"]
+        self.temperature += (heat - 200.0 * (self.temperature - commands["outdoor"])) * 900.0 / 1e7
+        return self.values(heat)
+
+    def values(self, heat):
+        demand = min(max(2000.0 * (21.0 - self.temperature) + 3000.0, 0.0), 20000.0)
+        return {"temperature": self.temperature, "demand": demand, "heat": 900.0 * heat}
+
+class Boiler:
+    step_s, duration_s, forkable = 900.0, 9000.0, True
+    sensors = {"power": ("W", 0.0, 1e5)}
+    actuators = {"demand": ("W", 0.0, 15000.0, 0.0)}
+
+    def reset(self, seed):
+        return {"power": 0.0}
+
+    def step(self, commands):
+        return {"power": 0.95 * commands["demand"]}
+
+class Uncopied(Boiler):
+    forkable = False
+"""
+PAIR = """name: pair
+plants:
+  boiler: {plant: "plants.py:Boiler"}
+  house: {plant: "plants.py:House"}
+connections:
+  - {from: boiler.power, to: house.supply}
+  - {from: house.demand, to: boiler.demand, delay: 1}
+"""
+SOLVED = PAIR.replace("delay: 1", "solve: true, tolerance: 0.001")
+STEPS = 10
+
+
+def district(folder: Path, text: str = PAIR) -> Path:
+    (folder / "plants.py").write_text(PLANTS)
+    (folder / "district.yaml").write_text(text)
+    return folder / "district.yaml"
+
+
+@contextmanager
+def running(folder: Path, file: Path, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus, str]]:
+    """A district as a program, a bus that is connected to it, and its node's name."""
+    name = settings.setdefault("name", "pair")
+    with (
+        NodeProgram(folder / "node", module="zenostat.cosim", district=str(file), **settings) as program,
+        zenostat.connect(program.endpoint, affinity="off") as bus,
+    ):
+        yield program, bus, name
+
+
+def episode(link: zenostat.ControllerLink, seed: int = 3, outdoor: float = -4.0) -> list[bytes]:
+    """The values of all samples of an episode in which a controller sets the outdoor temperature."""
+    sample = link.reset(seed=seed)
+    values = [sample.message.values]
+    while not sample.truncated:
+        sample.send({"house.outdoor": outdoor + sample.step})
+        sample = link.receive()
+        values.append(sample.message.values)
+    return values
+
+
+def module_of(path: Path) -> Any:
+    spec = importlib.util.spec_from_file_location("district_plants", path)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_district__equals_its_plants_called_by_hand_to_the_bit(scratch: Path) -> None:
+    """The example, simulated by its command; and its classes, called in the order of their connections."""
+    path = scratch / "run.mcap"
+    arguments = ["cosim", str(EXAMPLES / "district.yaml"), "--once", "--record", str(path)]
+    arguments += ["--listen", f"unixsock-stream/{scratch}/bus"]
+    done = run_python("-P", "-m", "zenostat.cli.main", *arguments)
+    assert done.returncode == 0, done.stderr
+    assert "heat_pump.heat-old_house.heat_supply" in done.stdout
+    (recorded,) = load(path).episodes
+    plants = module_of(EXAMPLES / "district_plants.py")
+    pump, old, new = plants.HeatPump(), plants.House(220.0), plants.House(90.0)
+    names = ("old_house.temperature", "new_house.temperature", "heat_pump.cop")
+    columns = np.column_stack([recorded[name] for name in names])
+    first = columns[0]
+    values = [pump.reset(0), old.reset(round(first[0]) - 18), new.reset(round(first[1]) - 18)]
+    fixed = {"setpoint": 21.0, "outdoor": -5.0}
+    for row in columns[1:]:
+        demand = values[1]["demand"] * 0.001 + values[2]["demand"] * 0.001
+        of_pump = {"demand": min(demand, 12.0), "flow_temperature": values[1]["flow_temperature"], "outdoor": -5.0}
+        heat = pump.step(of_pump)
+        supplies = [min(part * 1000.0 * heat["heat"], 12000.0) for part in (0.667, 0.333)]
+        values = [
+            heat,
+            *(house.step({"heat_supply": s, **fixed}) for house, s in zip((old, new), supplies, strict=True)),
+        ]
+        assert (values[1]["temperature"], values[2]["temperature"], heat["cop"]) == tuple(row)
+
+
+def test_district__controller_reset_and_solved_loop(scratch: Path) -> None:
+    """Equal seeds and commands have equal trajectories; each step of the loop is solved within its tolerance."""
+    with running(scratch, district(scratch, SOLVED)) as (_, bus, name), bus.controller(name) as link:
+        manifest = link.manifest
+        assert [actuator.name for actuator in manifest.actuators] == ["house.outdoor"]
+        values = episode(link)
+        assert episode(link) == values
+        assert episode(link, outdoor=5.0) != values
+        table = np.array([np.frombuffer(row) for row in values])
+        rows = dict(zip(manifest.names, table.T, strict=True))
+        assert len(values) == STEPS + 1
+        assert (rows["loop.boiler-house.solved"] == 1.0).all()
+        assert (np.abs(rows["residual.house.demand-boiler.demand"]) <= 0.001).all()
+        power, demand = rows["boiler.power"][1:], rows["house.demand"][1:]
+        assert np.abs(power - 0.95 * demand).max() <= 0.001
+        assert rows["exchange.boiler.power-house.supply"][1:] == pytest.approx(power / 1000.0, rel=1e-12)
+        assert rows["loop.boiler-house.trials"][1:].max() <= 3.0  # the loop is linear
+        with pytest.raises(ForkFailed, match="a district has no snapshots"):
+            bus.snapshot(name)
+
+
+def test_district__killed_leaves_no_process_and_verifies_up_to_its_end(scratch: Path) -> None:
+    path, file = scratch / "killed.mcap", district(scratch)
+    with running(scratch, file, record=str(path)) as (program, bus, name):
+        with bus.controller(name) as link:
+            sample = link.current()
+            for _ in range(6):
+                sample.send({"house.outdoor": -7.0})
+                sample = link.receive()
+
+            def written() -> int:
+                with RecordingReader(path) as reader:
+                    return sum(1 for _ in reader.messages({"Sample"}))
+
+            until(lambda: path.stat().st_size > 1000 and written() == 7, "the last chunk is written")
+        program.process.send_signal(signal.SIGKILL)
+        program.process.wait()
+        until(lambda: not programs_of(scratch), "all plants have ended")
+    sweep()
+    result = verify_district(path, file)
+    assert result.passed, str(result)
+    assert result.steps == 6
+    (scratch / "plants.py").write_text(PLANTS + "\n")
+    with pytest.raises(InvalidRecording, match=r"the plant of boiler .*plants\.py has changed"):
+        verify_district(path, file)
+
+
+def test_district__lost_plant_comes_back_to_the_bit(scratch: Path) -> None:
+    """The node of a plant is killed at step 4: the district waits, starts it again, and continues as if nothing was."""
+    file = district(scratch, PAIR.replace("name: pair", "name: pair\non_lost: wait"))
+    with running(scratch, file) as (program, bus, name), bus.controller(name) as link:
+        expected = episode(link)
+        sample = link.reset(seed=3)
+        values = [sample.message.values]
+        with bus.listen(name):
+            while not sample.truncated:
+                if sample.step == 4:
+                    nodes = [
+                        p for p in psutil.Process(program.pid).children() if "bridge.python_plant" in p.cmdline()[-1]
+                    ]
+                    nodes[0].kill()
+                    psutil.wait_procs(nodes[:1])
+                sample.send({"house.outdoor": -4.0 + sample.step})
+                sample = link.receive()
+                values.append(sample.message.values)
+        assert values == expected
+
+
+def test_district__lost_plant_stops_the_episode_and_a_reset_begins_another(scratch: Path) -> None:
+    with running(scratch, district(scratch)) as (program, bus, name), bus.controller(name) as link:
+        expected = episode(link)
+        sample = link.reset(seed=3)
+        for child in psutil.Process(program.pid).children():
+            child.kill()
+        sample.send({"house.outdoor": -4.0})
+        with pytest.raises(EngineDied, match=r"plant '(boiler|house)': node 'pair.(boiler|house)' is gone"):
+            link.receive()
+        assert bus.status(name).state is State.FAILED
+        assert episode(link) == expected
+
+
+def test_district__plant_on_a_bus_that_is_restarted(scratch: Path) -> None:
+    """A plant that somebody else runs: it is controlled, left alone at the end, and awaited when it is restarted."""
+    text = f"""name: pair
+on_lost: wait
+plants:
+  boiler: {{plant: "plants.py:Boiler"}}
+  house: {{node: home, connect: unixsock-stream/{scratch}/home/bus}}
+connections:
+  - {{from: boiler.power, to: house.supply}}
+  - {{from: house.demand, to: boiler.demand, delay: 1}}
+"""
+    file = district(scratch, text)
+    home: dict[str, Any] = {"plant": f"{scratch}/plants.py:House", "name": "home"}
+    with ExitStack() as stack:
+        first = stack.enter_context(NodeProgram(scratch / "home", **home))
+        with running(scratch, file) as (_, bus, name), bus.controller(name) as link:
+            expected = episode(link)
+            sample = link.reset(seed=3)
+            values = [sample.message.values]
+            while not sample.truncated:
+                if sample.step == 4:
+                    first.kill()
+                sample.send({"house.outdoor": -4.0 + sample.step})
+                if sample.step == 4:
+                    second = stack.enter_context(NodeProgram(scratch / "home", **home))
+                sample = link.receive()
+                values.append(sample.message.values)
+            assert values == expected
+        with zenostat.connect(second.endpoint, affinity="off") as home_bus:
+            assert home_bus.status("home").state is State.ENDED  # the district has left it as it was
+
+
+@pytest.mark.parametrize(
+    ("text", "error", "expected"),
+    [
+        (
+            PAIR.replace("house.supply", "house.outdoor"),
+            InvalidConfig,
+            r"district.yaml:6: boiler.power is in W and house.outdoor in degC, which are unlike",
+        ),
+        (
+            SOLVED.replace("py:Boiler", "py:Uncopied"),
+            InvalidConfig,
+            r"district.yaml:7: loop 'boiler-house' cannot be solved by trials: plant 'boiler': .*cannot be copied",
+        ),
+        (
+            PAIR.replace("py:Boiler", "py:Boyler"),
+            InvalidConfig,
+            r"district.yaml:3: plant 'boiler': .*Boyler",
+        ),
+    ],
+)
+def test_district__errors_of_plants_have_their_line_and_leave_nothing(
+    scratch: Path, text: str, error: type[Exception], expected: str
+) -> None:
+    with pytest.raises(error, match=expected):
+        NodeProgram(scratch / "node", module="zenostat.cosim", district=str(district(scratch, text)), check=True)
+
+
+def test_district__unsolved_step_is_an_event(scratch: Path) -> None:
+    """Staged equipment: full power below 5 kW of its own power, none above."""
+    staged = """
+class Staged:
+    step_s, duration_s, forkable = 900.0, 2700.0, True
+    sensors = {"power": "kW"}
+    actuators = {"limit": ("kW", 0.0, 10.0, 0.0)}
+
+    def reset(self, seed):
+        return {"power": 0.0}
+
+    def step(self, commands):
+        return {"power": 10.0 if commands["limit"] < 5.0 else 0.0}
+"""
+    text = """plants: {stage: {plant: "staged.py:Staged"}}
+connections:
+  - {from: stage.power, to: stage.limit, solve: true, tolerance: 0.1}
+"""
+    (scratch / "staged.py").write_text(staged)
+    path = scratch / "staged.mcap"
+    with running(scratch, district(scratch, text), name="staged", record=str(path), mode="free") as (_, bus, name):
+        until(lambda: bus.status(name).state is State.ENDED, "the episode is over")
+        sample = bus.read(name)
+        assert sample["loop.stage.unsolved_steps"] == 3.0
+        assert sample["loop.stage.solved"] == 0.0
+        assert abs(sample["residual.stage.power-stage.limit"]) == pytest.approx(5.0, abs=0.1)
+        bus.stop(name)
+    with RecordingReader(path) as reader:
+        events = [codec.decode(Event, item.payload) for item in reader.messages({"Event"})]
+    texts = [event.text for event in events if event.kind is EventKind.WARNING]
+    assert len([each for each in texts if each.startswith("loop 'stage' is not solved in step")]) == 3
