@@ -34,6 +34,13 @@ def verify(
     grid: Annotated[
         str | None, typer.Option(metavar="FILE.yaml", help="For the recording of an electric grid: its file.")
     ] = None,
+    district: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.yaml",
+            help="For the recording of a district: its file. Files that a recording names are never read.",
+        ),
+    ] = None,
     tolerance: Annotated[
         float | None,
         typer.Option(
@@ -55,17 +62,24 @@ def verify(
     Example: `zenostat verify tank.mcap --plant tank.py:Tank`
 
     Example: `zenostat verify tank.mcap --fmu tank.fmu`
+
+    Example: `zenostat verify district.mcap --district examples/district.yaml`
     """
     from zenostat.topics.extras import requires_extra
 
     with requires_extra("recording", "a recording", "mcap and zstandard"):
+        from zenostat.cosim.verify_recording import verify_district
         from zenostat.eplus_node.verify_recording import verify as verify_recording
     if tolerance is not None and not tolerance < float("inf"):
         raise InvalidConfig(f"--tolerance {tolerance}: expected a finite number of at least 0")
+    if district is not None and (plant or fmu or grid):
+        raise InvalidConfig("--district names the plant of the recording; leave out --plant, --fmu and --grid")
     with ExitStack() as stack:
-        result = verify_recording(
-            file, plant=plant, fmu=fmu, grid=grid, tolerance=tolerance, progress=_bar(stack, file)
-        )
+        bar = _bar(stack, file)
+        if district is None:
+            result = verify_recording(file, plant=plant, fmu=fmu, grid=grid, tolerance=tolerance, progress=bar)
+        else:
+            result = verify_district(file, district, tolerance=tolerance, progress=bar)
     if as_json:
         show_json(_json(result))
     else:

@@ -91,7 +91,7 @@ class _Provenance(BaseModel):
 
     model_config = ConfigDict(extra="ignore")
 
-    kind: Literal["", "energyplus", "python"] = ""
+    kind: Literal["", "energyplus", "python", "district"] = ""
     settings: dict[str, Any] = Field(default_factory=dict)
     files: dict[str, _RecordedFile] = Field(default_factory=dict)
 
@@ -126,6 +126,8 @@ class _RecordedPlant:
             raise InvalidConfig(f"--{' and --'.join(named)} both name the plant; use the one that was recorded")
         if kind == "python":
             return self._python_class(named)
+        if kind == "district":
+            raise InvalidRecording(f"{self._path} recorded a district; name its file, as in --district district.yaml")
         for option, source in named.items():
             raise InvalidConfig(f"--{option} {source}: {self._path} recorded a building; leave --{option} out")
         if kind == "energyplus":

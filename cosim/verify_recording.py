@@ -1,0 +1,91 @@
+"""Verify the recording of a district: simulate it again from its file, and compare.
+
+A recording is data of anybody, and nothing that it names is read or run: the user names the district's file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+from zenostat.bridge.node.plant import Provenance
+from zenostat.bridge.recording.file import file_digest
+from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.bridge.recording.verification import Progress, Verification, Verifier
+from zenostat.bridge.runtime.scratch import Scratch, sweep
+from zenostat.cosim.file import DistrictFile, read_district
+from zenostat.cosim.launch import PlantSet, input_files
+from zenostat.cosim.plant import DistrictPlant, describe
+from zenostat.topics import VERSION
+from zenostat.topics.errors import InvalidRecording
+
+
+def verify_district(
+    path: str | Path, district: Path, *, tolerance: float | None = None, progress: Progress | None = None
+) -> Verification:
+    """Simulate the recording of a district again with its orders, and compare all values and times.
+
+    Args:
+        path: of the recording.
+        district: the district's file.
+        tolerance: greatest absolute difference that is accepted; None: the district's file, and those that it names,
+            have to be the recorded ones, and all values are equal to the bit.
+        progress: called with the number of timesteps so far and in total.
+
+    Returns:
+        The result; without a tolerance, up to the first difference.
+
+    Raises:
+        InvalidRecording: the file is no recording of a district, or the district has changed.
+        InvalidConfig: the district's file is not valid.
+        SimulatorError, BusError: a plant cannot be started, or failed.
+    """
+    with ExitStack() as stack:
+        reader = stack.enter_context(RecordingReader(path))
+        provenance = reader.provenance
+        if provenance.get("kind") != "district":
+            raise InvalidRecording(f"{path} did not record a district; leave --district out")
+        file = read_district(district)
+        changes = _changes(reader, file, exact=tolerance is None)
+        sweep()
+        scratch = Scratch()
+        stack.callback(scratch.remove)
+        plants = PlantSet(file)
+        stack.callback(plants.close)
+        binding = plants.open()
+        description = describe(binding, file.spec.name, "", Provenance())
+        plant = DistrictPlant(binding, description, plants.guarded(), file.spec.solver, plants.stop)
+        stack.callback(plant.close)
+        verifier = Verifier(reader, plant, scratch.folder / "copies", tolerance=tolerance, progress=progress)
+        stack.callback(verifier.close)
+        verifier.result.notes += changes
+        recorded_version = reader.about.get("zenostat", "")
+        if recorded_version != VERSION:
+            verifier.result.notes.append(f"recorded by Zenostat {recorded_version}, verified by {VERSION}")
+        return verifier.run()
+
+
+def _changes(reader: RecordingReader, file: DistrictFile, *, exact: bool) -> list[str]:
+    """Return a text for each file whose content is not the recorded one; raise if exact."""
+    recorded, present = _digests(reader.provenance), input_files(file)
+    texts = [f"the recording has no digest of the {role} {present[role]}" for role in present if role not in recorded]
+    texts += [f"the {role} of the recording is not in {file.path}" for role in recorded if role not in present]
+    texts += [
+        f"the {role} {present[role]} has changed"
+        for role in present
+        if role in recorded and file_digest(present[role]) != recorded[role]
+    ]
+    if texts and exact:
+        raise InvalidRecording(
+            f"{reader.path} cannot be verified to the bit: {'; '.join(texts)}; a tolerance compares it nevertheless"
+        )
+    return texts
+
+
+def _digests(provenance: Mapping[str, Any]) -> dict[str, str]:
+    files = provenance.get("files")
+    if not isinstance(files, dict):
+        return {}
+    return {str(role): str(entry.get("sha256")) for role, entry in files.items() if isinstance(entry, dict)}
