@@ -14,12 +14,12 @@ from zenostat.bridge.client.bus import Bus, connect
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.client.local_node import LocalNode
 from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.client.trials import trial_message
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.cosim.coupled import Floats, Rows
-from zenostat.topics import codec
 from zenostat.topics.errors import BusError, ZenostatError
 from zenostat.topics.keys import Role
-from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Mode, Sample, SimulatePlan
+from zenostat.topics.messages import CommandOp, Manifest, Mode
 
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
 _CONTROLLER = "orchestrator"
@@ -111,35 +111,24 @@ class NodePlant:
         self.link.send(values, operations)
 
     def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
-        """Simulate each alternative on a branch; see `CoupledPlant.try_step`."""
-        return [self._try_on_branch(rows) for rows in commands]
-
-    def _try_on_branch(self, commands: Floats) -> Floats:
-        sample, link = self._sample, self.link
+        """Simulate each alternative on a copy; see `CoupledPlant.try_step`."""
+        sample = self._sample
         assert sample is not None
-        branch = self.bus.branch(self._node, CreateBranch(controller=link.name))
-        try:
-            with self.bus.controller(branch, name=_CONTROLLER) as claim:
-                parts = [_command(row) for row in commands]
-                plan = SimulatePlan(
-                    controller=claim.name,
-                    episode=sample.message.episode,
-                    step=sample.message.step,
-                    timesteps=len(commands),
-                    values=b"".join(values.tobytes() for values, _ in parts),
-                    operations=b"".join(operations or bytes([_SET]) * len(values) for values, operations in parts),
-                )
-                payloads = self.bus.plan(branch, plan).samples
-        finally:
-            with suppress(BusError):
-                self.bus.stop(branch)
-        width = len(self.manifest.points)
-        return np.array([codec.row(codec.decode(Sample, raw).values, 0, 1, width, "values") for raw in payloads])
+        parts = [_command(row) for rows in commands for row in rows]
+        operations = b"".join(codes or bytes([_SET]) * len(values) for values, codes in parts)
+        request = trial_message(
+            len(commands),
+            len(commands[0]),
+            b"".join(values.tobytes() for values, _ in parts),
+            operations if any(codes for _, codes in parts) else None,
+            at=sample.message,
+        )
+        return [np.array([view.values for view in samples]) for samples in self.link.trial(request)]
 
     def check_copy(self) -> None:
-        """Make a copy of the plant and end it; `ForkFailed` if it cannot be copied."""
-        branch = self.bus.branch(self._node, CreateBranch(controller=self.link.name))
-        self.bus.stop(branch)
+        """Try a step in which nothing is commanded; `ForkFailed` if the plant cannot be copied."""
+        self._sample = self._sample or self.link.current()
+        self.try_step([np.full((1, len(self.manifest.actuators)), np.nan)])
 
     def is_reachable(self) -> bool:
         """Return whether the node answers; see `CoupledPlant.is_reachable`."""
