@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime
 from math import gcd, inf
 
 import numpy as np
 
 from zenostat.bridge.node.plant import RunPeriod
-from zenostat.cosim.file import BUILDING_KINDS, ConnectionSpec, DistrictFile, FileErrors, Resample, kind_of
+from zenostat.cosim.file import BUILDING_KINDS, Connection, DistrictFile, FileErrors, Resample, kind_of
 from zenostat.cosim.resampling import Floats, Resampler
 from zenostat.cosim.topology import Topology, plant_of
 from zenostat.topics.calendar import format_duration, parse_day
@@ -52,7 +52,7 @@ class Transfer:
     A value is converted (`factor`, `offset`), resampled, and limited to `low` and `high`, in this order.
 
     Attributes:
-        index: of the connection in the file.
+        entry: index of its entry in the file; connections of one entry have the same value.
         name: of the connection.
         source, target: names of the plants.
         column: of the source among the values of its plant.
@@ -68,7 +68,7 @@ class Transfer:
         source_steps, target_steps: their numbers in a step of the district.
     """
 
-    index: int
+    entry: int
     name: str
     source: str
     target: str
@@ -159,12 +159,10 @@ def bind(file: DistrictFile, topology: Topology, manifests: Mapping[str, Manifes
     errors.raise_if_any()
     members = {name: Member(name, m, round(step_s / m.step_s)) for name, m in manifests.items()}
     run_period = _run_period(file, members, step_s, errors, warnings)
-    transfers = [
-        _transfer(file, index, topology.names[index], members, errors, warnings)
-        for index in range(len(file.spec.connections))
-    ]
+    transfers = [_transfer(file, connection, members, errors, warnings) for connection in file.connections]
     errors.raise_if_any()
-    bound = tuple(transfer for transfer in transfers if transfer is not None)
+    bound = _with_common_bounds(file, [transfer for transfer in transfers if transfer is not None], errors)
+    errors.raise_if_any()
     return Binding(members, bound, _inputs(bound, members), topology, run_period, tuple(warnings))
 
 
@@ -256,34 +254,33 @@ def _begin(file: DistrictFile, members: Mapping[str, Member], errors: FileErrors
 
 def _transfer(
     file: DistrictFile,
-    index: int,
-    name: str,
+    connection: Connection,
     members: Mapping[str, Member],
     errors: FileErrors,
     warnings: list[str],
 ) -> Transfer | None:
-    spec, location = file.spec.connections[index], ("connections", index)
-    source, target = members[plant_of(spec.source)], members[plant_of(spec.target)]
-    point, actuator = _point(source, spec, errors, location), _actuator(target, spec, errors, location)
+    spec, location = connection.spec, connection.location
+    source, target = members[plant_of(connection.source)], members[plant_of(connection.target)]
+    point, actuator = _point(source, connection, errors), _actuator(target, connection, errors)
     if point is None or actuator is None:
         return None
-    linear = _units(file, index, (source, point), (target, actuator), errors)
+    linear = _units(connection, (source, point), (target, actuator), errors)
     if linear is None:
         return None
     if _is_instant_power(source, point):
         warnings.append(
-            f"{file.path}:{file.line_of(index)}: {spec.source} is the value at the end of a timestep; energy is "
+            f"{file.path}:{file.lines.at(location)}: {spec.source} is the value at the end of a timestep; energy is "
             "exchanged as a mean: choose the aggregation `mean`, or a meter"
         )
-    low, high = _bounds(spec, actuator, errors, location)
+    low, high = _bounds(connection, actuator, errors)
     if spec.initial is not None and not low <= spec.initial <= high:
         errors.add(
             (*location, "initial"), f"initial = {spec.initial:g} is outside of {low:g} to {high:g} {actuator.unit}"
         )
     kind = spec.resample or (Resample.MEAN if quantity(point.unit) in _MEANS else Resample.HOLD)
     return Transfer(
-        index=index,
-        name=name,
+        entry=connection.entry,
+        name=connection.name,
         source=source.name,
         target=target.name,
         column=source.manifest.names.index(point.name),
@@ -304,29 +301,43 @@ def _transfer(
     )
 
 
-def _point(
-    member: Member, spec: ConnectionSpec, errors: FileErrors, location: tuple[str | int, ...]
-) -> Sensor | Meter | None:
+def _with_common_bounds(file: DistrictFile, transfers: Sequence[Transfer], errors: FileErrors) -> tuple[Transfer, ...]:
+    """Return the connections with the bounds that those of the same entry have in common, so that they are equal."""
+    by_entry: dict[int, list[Transfer]] = {}
+    for transfer in transfers:
+        by_entry.setdefault(transfer.entry, []).append(transfer)
+    common = {}
+    for entry, group in by_entry.items():
+        low, high = max(transfer.low for transfer in group), min(transfer.high for transfer in group)
+        if len({(transfer.unit, transfer.target_steps) for transfer in group}) > 1:
+            text = "its targets differ in unit or timestep, so they cannot have the same value; give each an entry"
+            errors.add(("connections", entry), text)
+        if low > high:
+            targets = ", ".join(file.spec.connections[entry].targets)
+            errors.add(("connections", entry), f"the bounds of {targets} have no value in common")
+        common[entry] = low, high
+    return tuple(replace(t, low=common[t.entry][0], high=common[t.entry][1]) for t in transfers)
+
+
+def _point(member: Member, spec: Connection, errors: FileErrors) -> Sensor | Meter | None:
     name, points = spec.source.partition(".")[2], {point.name: point for point in member.manifest.points}
     if name in points:
         return points[name]
     is_actuator = name in {actuator.name for actuator in member.manifest.actuators}
     text = "is an actuator; a connection begins at a sensor or meter" if is_actuator else did_you_mean(name, points)
     kind = "" if is_actuator else f"plant {member.name!r} has no sensor or meter {name!r}; "
-    errors.add((*location, "from"), f"{spec.source}: {kind}{text}")
+    errors.add((*spec.location, "from"), f"{spec.source}: {kind}{text}")
     return None
 
 
-def _actuator(
-    member: Member, spec: ConnectionSpec, errors: FileErrors, location: tuple[str | int, ...]
-) -> Actuator | None:
+def _actuator(member: Member, spec: Connection, errors: FileErrors) -> Actuator | None:
     name, actuators = spec.target.partition(".")[2], {actuator.name: actuator for actuator in member.manifest.actuators}
     if name in actuators:
         return actuators[name]
     is_point = name in member.manifest.names
     text = "is a sensor or meter; a connection ends at an actuator" if is_point else did_you_mean(name, actuators)
     kind = "" if is_point else f"plant {member.name!r} has no actuator {name!r}; "
-    errors.add((*location, "to"), f"{spec.target}: {kind}{text}")
+    errors.add((*spec.location, "to"), f"{spec.target}: {kind}{text}")
     return None
 
 
@@ -346,14 +357,13 @@ def _is_instant_power(source: Member, point: Sensor | Meter) -> bool:
 
 
 def _units(
-    file: DistrictFile,
-    index: int,
+    connection: Connection,
     source: tuple[Member, Sensor | Meter],
     target: tuple[Member, Actuator],
     errors: FileErrors,
 ) -> tuple[float, float] | None:
     """Return factor and offset from a value of the source to one in the target's unit."""
-    spec, location = file.spec.connections[index], ("connections", index)
+    spec, location = connection.spec, connection.location
     (sender, point), (receiver, actuator) = source, target
     unit = spec.unit or actuator.unit
     linear = _conversion(point, sender.step_s, unit, receiver.step_s)
@@ -363,8 +373,8 @@ def _units(
     if linear is None:
         errors.add(
             location,
-            f"{spec.source} is in {point.unit} and {spec.target} in {actuator.unit}, which are unlike; if the factor "
-            f"is meant to convert them, name the unit that it begins with: `unit: {point.unit}`",
+            f"{spec.source} is in {point.unit} and {connection.target} in {actuator.unit}, which are unlike; if the "
+            f"factor is meant to convert them, name the unit that it begins with: `unit: {point.unit}`",
         )
         return None
     return spec.factor * linear[0], spec.factor * linear[1] + spec.offset
@@ -388,17 +398,16 @@ def _conversion(
     return None if from_watts is None else (to_watts * from_watts[0], 0.0)
 
 
-def _bounds(
-    spec: ConnectionSpec, actuator: Actuator, errors: FileErrors, location: tuple[str | int, ...]
-) -> tuple[float, float]:
+def _bounds(connection: Connection, actuator: Actuator, errors: FileErrors) -> tuple[float, float]:
+    spec = connection.spec
     low, high = -inf if spec.low is None else spec.low, inf if spec.high is None else spec.high
     if spec.sum:
         return low, high
     lowest, highest = bounds(actuator)
     if low > highest or high < lowest:
         errors.add(
-            location,
-            f"{low:g} to {high:g} has no value within the bounds of {spec.target}, {describe_bounds(actuator)}",
+            connection.location,
+            f"{low:g} to {high:g} has no value within the bounds of {connection.target}, {describe_bounds(actuator)}",
         )
     return max(low, lowest), min(high, highest)
 

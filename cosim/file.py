@@ -8,7 +8,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, create_model
 from pydantic_core import InitErrorDetails
 
 from zenostat.topics import yaml12
@@ -74,6 +74,18 @@ PointName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_\-]*\.[A-Za-z
 """A point with its plant: `PLANT.POINT`."""
 
 
+def _as_tuple(value: Any) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
+Targets = Annotated[
+    tuple[PointName, ...],
+    Field(min_length=1),
+    BeforeValidator(_as_tuple, json_schema_input_type=PointName | Annotated[list[PointName], Field(min_length=1)]),
+]
+"""One point, or several that get the same value."""
+
+
 class _PlantFields(_Part):
     """Fields of a plant besides the settings of its node."""
 
@@ -101,7 +113,7 @@ class ConnectionSpec(_Part):
     """A connection from a sensor or meter of one plant to an actuator of another, or of the same one."""
 
     source: PointName = Field(alias="from", description="PLANT.POINT, a sensor or meter.")
-    target: PointName = Field(alias="to", description="PLANT.POINT, an actuator.")
+    targets: Targets = Field(alias="to", description="PLANT.POINT, an actuator, or a list of several.")
     name: SafeName | None = Field(None, description="Name in points and reports; by default FROM-TO.")
     unit: str | None = Field(
         None,
@@ -159,6 +171,43 @@ class DistrictSpec(_Part):
     connections: tuple[ConnectionSpec, ...] = Field((), description="Connections between points.")
 
 
+@dataclass(frozen=True, slots=True)
+class Connection:
+    """A connection to one target; those of an entry with several targets have the same value.
+
+    Attributes:
+        entry: index of the entry in the file.
+        spec: the entry.
+        target: PLANT.POINT.
+        name: in points and reports.
+    """
+
+    entry: int
+    spec: ConnectionSpec
+    target: str
+    name: str
+
+    @property
+    def source(self) -> str:
+        """PLANT.POINT."""
+        return self.spec.source
+
+    @property
+    def location(self) -> tuple[str | int, ...]:
+        """Path of the entry in the file."""
+        return ("connections", self.entry)
+
+
+def _connections(spec: DistrictSpec) -> tuple[Connection, ...]:
+    connections = []
+    for entry, each in enumerate(spec.connections):
+        for number, target in enumerate(each.targets, 1):
+            name = each.name or f"{each.source}-{target}"
+            suffix = f"-{number}" if each.name and len(each.targets) > 1 else ""
+            connections.append(Connection(entry, each, target, name + suffix))
+    return tuple(connections)
+
+
 @dataclass
 class FileErrors:
     """Errors of a district's file, each with its line, which are reported together.
@@ -194,20 +243,22 @@ class DistrictFile:
         spec: its content.
         raw: the fields of each plant as they are in the file.
         lines: lines of its values.
+        connections: to one target each, in the order of the file.
     """
 
     path: Path
     spec: DistrictSpec
     raw: Mapping[str, Mapping[str, Any]]
     lines: Lines
+    connections: tuple[Connection, ...]
 
     def errors(self) -> FileErrors:
         """Return a new list of errors."""
         return FileErrors(self.path, self.lines)
 
     def line_of(self, connection: int) -> int:
-        """Return the line of a connection."""
-        return self.lines.at(("connections", connection))
+        """Return the line of one of `connections`."""
+        return self.lines.at(self.connections[connection].location)
 
 
 def read_district(path: Path) -> DistrictFile:
@@ -230,7 +281,7 @@ def read_district(path: Path) -> DistrictFile:
             errors.add(location, describe_validation_errors(_single(error, detail), DistrictSpec.model_fields))
         errors.raise_if_any()
         raise
-    return DistrictFile(path, spec, mapping["plants"], lines)
+    return DistrictFile(path, spec, mapping["plants"], lines, _connections(spec))
 
 
 def _single(error: ValidationError, detail: Any) -> ValidationError:

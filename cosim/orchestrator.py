@@ -85,6 +85,8 @@ class Orchestrator:
     def __init__(self, binding: Binding, plants: Mapping[str, GuardedPlant], solver: SolverSpec) -> None:
         self._binding, self._plants, self._solver = binding, plants, solver
         self._transfers = binding.transfers
+        entries = [transfer.entry for transfer in self._transfers]
+        self._same_value = [[i for i, other in enumerate(entries) if other == entry] for entry in entries]
         self._by_plant: dict[str, list[Input]] = {name: [] for name in binding.members}
         for target in binding.inputs:
             self._by_plant[target.plant].append(target)
@@ -190,7 +192,8 @@ class Orchestrator:
 
         def assume(unknowns: Floats) -> None:
             for position, part in zip(block.solved, np.split(unknowns, cuts), strict=True):
-                self._flows[position].unknown = part
+                for other in self._same_value[position]:
+                    self._flows[other].unknown = part
 
         def evaluate(unknowns: Floats) -> Floats:
             assume(unknowns)

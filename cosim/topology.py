@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from zenostat.cosim.file import ConnectionSpec, DistrictFile, FileErrors, kind_of, read_district
+from zenostat.cosim.file import Connection, DistrictFile, FileErrors, kind_of, read_district
 from zenostat.cosim.graph import components, find_cycle, graph_of, is_loop, levels
 from zenostat.topics.errors import did_you_mean
 
@@ -22,7 +22,8 @@ class Block:
 
     Attributes:
         plants: in the order of a trial, in which each has its inputs, those of solved connections apart.
-        solved: indices of the solved connections between them; empty for a plant without a loop.
+        solved: indices of the solved connections between them, one of each entry of the file; empty for a plant
+            without a loop.
         name: of the loop; empty for a plant without one.
     """
 
@@ -37,11 +38,9 @@ class Topology:
 
     Attributes:
         groups: blocks that can run side by side, in the order in which they depend on each other.
-        names: of the connections.
     """
 
     groups: tuple[tuple[Block, ...], ...]
-    names: tuple[str, ...]
 
     @property
     def loops(self) -> tuple[Block, ...]:
@@ -63,12 +62,12 @@ def check_file(file: DistrictFile) -> Topology:
     errors = file.errors()
     _check_plants(file, errors)
     _check_start(file, errors)
-    names = _connection_names(file, errors)
-    for index, connection in enumerate(file.spec.connections):
-        _check_connection(file, index, connection, errors)
+    _check_names(file, errors)
+    for connection in file.connections:
+        _check_connection(file, connection, errors)
     _check_inputs(file, errors)
     errors.raise_if_any()
-    topology = _order(file, names, errors)
+    topology = _order(file, errors)
     errors.raise_if_any()
     return topology
 
@@ -124,67 +123,64 @@ def resolve(file: DistrictFile, path: Path) -> Path:
     return file.path.parent / path.expanduser()
 
 
-def _connection_names(file: DistrictFile, errors: FileErrors) -> tuple[str, ...]:
+def _check_names(file: DistrictFile, errors: FileErrors) -> None:
     names: list[str] = []
-    for index, connection in enumerate(file.spec.connections):
-        name = connection.name or f"{connection.source}-{connection.target}"
-        location = ("connections", index)
+    for connection in file.connections:
+        name, location = connection.name, connection.location
         if len(name) > MAX_NAME:
             errors.add(location, f"its name has {len(name)} characters; give it a `name` of at most {MAX_NAME}")
         if name in names:
             first = file.line_of(names.index(name))
             errors.add(location, f"line {first} has a connection of the same name {name!r}; give it another `name`")
         names.append(name)
-    return tuple(names)
 
 
-def _check_connection(file: DistrictFile, index: int, connection: ConnectionSpec, errors: FileErrors) -> None:
-    location = ("connections", index)
+def _check_connection(file: DistrictFile, connection: Connection, errors: FileErrors) -> None:
+    location, spec = connection.location, connection.spec
     for field, point in (("from", connection.source), ("to", connection.target)):
         plant = plant_of(point)
         if plant not in file.spec.plants:
             errors.add((*location, field), f"{point}: no plant {plant!r}; {did_you_mean(plant, file.spec.plants)}")
-    if connection.solve and connection.delay:
+    if spec.solve and spec.delay:
         errors.add(location, "a connection is delayed or solved, not both; leave out `delay` or `solve`")
-    if connection.solve and connection.tolerance is None:
+    if spec.solve and spec.tolerance is None:
         errors.add(location, "a solved connection needs its greatest residual in the target's unit: `tolerance: 0.01`")
-    if connection.tolerance is not None and not connection.solve:
-        errors.add(
-            (*location, "tolerance"), "only a solved connection has a tolerance; add `solve: true`, or leave it out"
-        )
-    if connection.initial is not None and not (connection.solve or connection.delay):
+    if spec.tolerance is not None and not spec.solve:
+        text = "only a solved connection has a tolerance; add `solve: true`, or leave it out"
+        errors.add((*location, "tolerance"), text)
+    if spec.initial is not None and not (spec.solve or spec.delay):
         errors.add((*location, "initial"), "only a delayed or solved connection has an initial value")
-    if connection.low is not None and connection.high is not None and not connection.low < connection.high:
-        errors.add(location, f"low {connection.low:g} is not below high {connection.high:g}")
+    if spec.low is not None and spec.high is not None and not spec.low < spec.high:
+        errors.add(location, f"low {spec.low:g} is not below high {spec.high:g}")
 
 
 def _check_inputs(file: DistrictFile, errors: FileErrors) -> None:
     """Report inputs with several sources that are not added."""
     by_target: dict[str, list[int]] = {}
-    for index, connection in enumerate(file.spec.connections):
+    for index, connection in enumerate(file.connections):
         by_target.setdefault(connection.target, []).append(index)
     for target, indices in by_target.items():
         for index in indices[1:]:
-            if not all(file.spec.connections[i].sum for i in indices):
+            if not all(file.connections[i].spec.sum for i in indices):
                 errors.add(
-                    ("connections", index),
+                    file.connections[index].location,
                     f"{target} has a source in line {file.line_of(indices[0])} already; "
                     "`sum: true` in both adds their values",
                 )
 
 
-def _order(file: DistrictFile, names: Sequence[str], errors: FileErrors) -> Topology:
-    connections = file.spec.connections
-    direct = [index for index, connection in enumerate(connections) if connection.delay is None]
+def _order(file: DistrictFile, errors: FileErrors) -> Topology:
+    connections = file.connections
+    direct = [index for index, connection in enumerate(connections) if connection.spec.delay is None]
 
     def edges(indices: Sequence[int]) -> list[tuple[str, str]]:
         return [(plant_of(connections[i].source), plant_of(connections[i].target)) for i in indices]
 
-    unsolved = [index for index in direct if not connections[index].solve]
+    unsolved = [index for index in direct if not connections[index].spec.solve]
     torn = graph_of(file.spec.plants, edges(unsolved))
     if cycle := find_cycle(torn):
         _report_loop(file, cycle, unsolved, errors)
-        return Topology((), ())
+        return Topology(())
     graph = graph_of(file.spec.plants, edges(direct))
     order = components(graph)
     rank = {plant: number for number, (plant,) in enumerate(components(torn))}
@@ -193,25 +189,27 @@ def _order(file: DistrictFile, names: Sequence[str], errors: FileErrors) -> Topo
         blocks[tuple(component)] = (
             _block(component, connections, direct, rank) if is_loop(component, graph) else Block(tuple(component))
         )
-    in_loops = {index for block in blocks.values() for index in block.solved}
-    for index in direct:
-        if connections[index].solve and index not in in_loops:
-            errors.add(("connections", index, "solve"), "this connection is part of no loop; leave out `solve`")
+    in_loops = {connections[index].entry for block in blocks.values() for index in block.solved}
+    for connection in connections:
+        if connection.spec.solve and connection.entry not in in_loops:
+            errors.add((*connection.location, "solve"), "this connection is part of no loop; leave out `solve`")
     groups = levels(order, graph)
-    return Topology(tuple(tuple(blocks[tuple(c)] for c in group) for group in groups), tuple(names))
+    return Topology(tuple(tuple(blocks[tuple(c)] for c in group) for group in groups))
 
 
 def _block(
-    component: Sequence[str], connections: Sequence[ConnectionSpec], direct: Sequence[int], rank: dict[str, int]
+    component: Sequence[str], connections: Sequence[Connection], direct: Sequence[int], rank: dict[str, int]
 ) -> Block:
     members = set(component)
     solved = [
         index
         for index in direct
-        if connections[index].solve
+        if connections[index].spec.solve
         and plant_of(connections[index].source) in members
         and plant_of(connections[index].target) in members
     ]
+    entries = [connections[index].entry for index in solved]
+    solved = [index for position, index in enumerate(solved) if entries.index(entries[position]) == position]
     name = "-".join(component)
     if len(name) > MAX_NAME:
         name = f"{component[0]}-and-{len(component) - 1}-more"
@@ -220,7 +218,7 @@ def _block(
 
 def _report_loop(file: DistrictFile, cycle: Sequence[str], indices: Sequence[int], errors: FileErrors) -> None:
     """Report a loop by its points, at the line of the first of its connections in the file."""
-    connections, steps = file.spec.connections, []
+    connections, steps = file.connections, list[int]()
     for plant, successor in zip(cycle, [*cycle[1:], cycle[0]], strict=True):
         steps.append(
             next(
@@ -233,7 +231,7 @@ def _report_loop(file: DistrictFile, cycle: Sequence[str], indices: Sequence[int
     lines = " and ".join(dict.fromkeys(str(file.line_of(index)) for index in sorted(steps)))
     plural = "s" if len(steps) > 1 else ""
     errors.add(
-        ("connections", min(steps)),
+        connections[min(steps)].location,
         f"a loop without delay or solution (line{plural} {lines}): {arrows}; give one of them `delay: 1`, or "
         "`solve: true` with a `tolerance`",
     )

@@ -79,6 +79,10 @@ def test_units__are_converted_then_factor_and_offset(
             "from: a.power, to: b.load, low: 60000",
             "FILE:5: 60000 to inf has no value within the bounds of b.load, 0 to 50000 W",
         ),
+        (
+            "from: a.power, to: [b.load, b.setpoint], unit: kW",
+            "FILE:5: its targets differ in unit or timestep, so they cannot have the same value; give each an entry",
+        ),
         ("from: a.power, to: b.load, delay: 1, initial: -1", "FILE:5: initial = -1 is outside of 0 to 50000 W"),
     ],
 )

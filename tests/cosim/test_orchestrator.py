@@ -147,6 +147,20 @@ def test_loop__two_loops_through_one_plant_have_two_unknowns(folder: Path) -> No
     assert orchestrator.loops[0].trials <= 4
 
 
+def test_loop__value_for_several_actuators_is_one_unknown(folder: Path) -> None:
+    """a = 0.25 (u + v) + 1, and both inputs are its value: a = 2, in the three trials of a linear function."""
+    text = "  - {from: a.x, to: [a.u, a.v], name: own, solve: true, tolerance: 1.0e-9}\n"
+    two: Any = {"u": ("W", None, None), "v": ("W", -5.0, 5.0)}
+    plants = {"a": plant(lambda state, row: (state, [0.25 * (row[0] + row[1]) + 1.0]), actuators=two)}
+    orchestrator, binding, _ = orchestrated(file_of(folder, text, "a"), plants)
+    orchestrator.step(free(plants))
+    assert [transfer.name for transfer in binding.transfers] == ["own-1", "own-2"]
+    assert [(transfer.low, transfer.high) for transfer in binding.transfers] == [(-5.0, 5.0)] * 2
+    assert plants["a"].commands[0][0] == plants["a"].commands[0][1] == pytest.approx(2.0, rel=1e-9)
+    assert orchestrator.loops[0].trials == 3
+    assert all(abs(balance.closure) <= 1e-9 for balance in orchestrator.balances())
+
+
 def switch(state: list[float], row: list[float]) -> tuple[list[float], list[float]]:
     """Staged equipment: full power below a command of 3, none above."""
     return state, [10.0 if row[0] < 3.0 else 0.0]
