@@ -30,6 +30,9 @@ MAX_COPIES = 8
 MAX_SAMPLES = 2000
 """Largest number of samples in a reply."""
 
+_SAMPLE_MARGIN = 256
+"""Bytes that a sample of a trial may have more than the present one: the name of its sender."""
+
 
 class _ClosingCopy(ClosingPlant, RunningPlant, Protocol):
     """A copy whose processes take a while to end."""
@@ -98,7 +101,7 @@ class TrialSteps:
             if asked is not None and asked != present:
                 raise RequestRejected(f"it tries from {name} {asked}; the present {name} is {present}")
         samples = request.alternatives * request.timesteps
-        largest = min(MAX_SAMPLES, codec.MAX_BYTES // (len(server.latest_sample) + 64))
+        largest = min(MAX_SAMPLES, codec.MAX_BYTES // (len(server.latest_sample) + _SAMPLE_MARGIN))
         if samples > largest:
             raise RequestRejected(
                 f"{request.alternatives} alternatives of {request.timesteps} timesteps; "

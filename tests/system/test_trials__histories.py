@@ -42,7 +42,7 @@ def rooms(request: pytest.FixtureRequest, module_folder: Path) -> Iterator[tuple
 
 
 @given(history=histories(25))
-@settings(max_examples=40)
+@settings(max_examples=25)
 def test_trials__leave_no_trace(rooms: tuple[Player, Player], history: list[Operation]) -> None:
     """And each trial has the samples of the steps that follow it with the same commands."""
     assert_equal_samples(rooms, history)
