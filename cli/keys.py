@@ -136,6 +136,6 @@ def _table(certificates: list[Certificate]) -> Table:
             certificate.name,
             expires,
             ", ".join(certificate.hosts),
-            certificate.fault or "good",
+            certificate.fault or certificate.warning or "good",
         )
     return table

@@ -122,7 +122,8 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
         running = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
         observer.recording = lambda: running.recording
         bars.console.print(greeting(running, ", ".join(running.settings.listen or running.settings.connect)))
-        for warning in filter(None, (*running.manifest.warnings, exposure(running.settings.listen, config.keys))):
+        exposed = exposure(running.settings.listen, config.keys)
+        for warning in filter(None, (*running.manifest.warnings, exposed, running.certificate_warning)):
             bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
         if running.recording is not None:
             print_line(f"{config.name}: {describe_recording(running.recording)}")

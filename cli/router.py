@@ -42,7 +42,7 @@ def router(
         mode=Mode.ROUTER,
     )
     with until_signal() as stop, opened as session, ExitStack() as stack:
-        if warning := exposure(endpoints, keys):
+        for warning in filter(None, (exposure(endpoints, keys), opened.warning)):
             err.print(f"warning: {warning}", style="yellow", markup=False)
         if (folder := keys_folder(keys)) is not None:
             from zenostat.bridge.transport.deny_list import DenyList

@@ -7,6 +7,7 @@ with zenostat.connect("tcp/127.0.0.1:7447") as bus:
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager
 from datetime import datetime
@@ -71,6 +72,8 @@ def connect(
         if role is None and certificate is None and (keys is None or keys.suffix != ".pem"):
             role = Role.CONTROLLER
         session = open_session(connect=[endpoint], wait=wait, keys=keys, role=role, certificate=certificate)
+    if session.warning:
+        warnings.warn(session.warning, stacklevel=2)
     return Bus(endpoint, session, Affinity(affinity))
 
 

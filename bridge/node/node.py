@@ -111,6 +111,11 @@ class Node:
         return self.server.manifest
 
     @property
+    def certificate_warning(self) -> str:
+        """Date on which its certificate expires, if that is soon; otherwise empty."""
+        return self._opened.warning
+
+    @property
     def exchange(self) -> StepExchange:
         """The state of its episodes and controllers."""
         return self.server.exchange
@@ -276,7 +281,7 @@ class Node:
             settings = self.settings
             self._recordings.start(self._record, overwrite=settings.record_overwrite, on_full=settings.record_on_full)
         self._episodes.begin_first()
-        for warning in self.plant.description.warnings:
+        for warning in filter(None, (*self.plant.description.warnings, self._opened.warning)):
             server.event(server.exchange.event(EventKind.WARNING, warning))
         server.publish()
         server.announce()

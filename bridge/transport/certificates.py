@@ -49,6 +49,9 @@ _FIRST: Names = {**{role.value: (role,) for role in CERTIFIED}, TRAINER: (Role.C
 """The names for which `make` creates certificates."""
 
 _LOCAL = ("localhost", "127.0.0.1", "::1")
+EXPIRES_SOON = timedelta(days=30)
+"""Time before the end of a certificate's validity from which it is warned of."""
+
 _BACKDATED = timedelta(hours=1)  # the clocks of machines differ
 
 
@@ -62,6 +65,7 @@ class Certificate:
         expires: end of its validity, UTC.
         hosts: names and addresses of a node's machine.
         fault: why it cannot be used; empty if it can.
+        warning: when it expires, if that is soon.
     """
 
     name: str
@@ -69,6 +73,7 @@ class Certificate:
     expires: datetime
     hosts: tuple[str, ...] = ()
     fault: str = ""
+    warning: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +93,12 @@ class Identity:
     name: str
     roles: tuple[Role, ...]
     expires: datetime
+
+    @property
+    def warning(self) -> str:
+        """Date on which the certificate expires, if that is soon."""
+        warning = expiry_warning(self.expires)
+        return f"{self.certificate} {warning}" if warning else ""
 
     def names(self) -> dict[str, tuple[Role, ...]]:
         """Return the names of the authority, with the roles of each; `InvalidConfig` if the list cannot be used."""
@@ -174,6 +185,14 @@ def show(folder: Path) -> list[Certificate]:
     authority = _read(folder / f"{AUTHORITY}.pem")
     certificates = [_shown(path, authority) for path in sorted(folder.glob("*.pem"))]
     return sorted(certificates, key=lambda c: (CERTIFIED.index(c.roles[0]) if c.roles else -1, c.name))
+
+
+def expiry_warning(expires: datetime) -> str:
+    """Return when a certificate expires, if that is within 30 days."""
+    left = expires - datetime.now(UTC)
+    if left > EXPIRES_SOON:
+        return ""
+    return f"expires on {expires:%Y-%m-%d}, in {max(left.days, 0)} days; renew it with: zenostat keys add --force"
 
 
 def _shown(path: Path, authority: x509.Certificate) -> Certificate:
@@ -422,7 +441,14 @@ def _described(name: str, certificate: x509.Certificate, authority: x509.Certifi
         hosts = tuple(str(name.value) for name in alternative)
     except x509.ExtensionNotFound:
         hosts = ()
-    return Certificate(name, roles, certificate.not_valid_after_utc, hosts, _fault(certificate, authority))
+    return Certificate(
+        name,
+        roles,
+        certificate.not_valid_after_utc,
+        hosts,
+        _fault(certificate, authority),
+        expiry_warning(certificate.not_valid_after_utc),
+    )
 
 
 def _fault(certificate: x509.Certificate, authority: x509.Certificate) -> str:

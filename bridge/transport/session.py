@@ -91,12 +91,14 @@ class OpenSession(AbstractContextManager[zenoh.Session]):
     Attributes:
         name: the name in the certificate that it presents; empty without keys.
         roles: the roles of that certificate; none without keys.
+        warning: when that certificate expires, if that is soon; otherwise empty.
     """
 
     def __init__(self, session: zenoh.Session, identity: Identity | None = None) -> None:
         self._session, self._identity = session, identity
         self.name = identity.name if identity else ""
         self.roles = identity.roles if identity else ()
+        self.warning = identity.warning if identity else ""
 
     def names(self) -> dict[str, tuple[Role, ...]]:
         """Return the roles of each name of the authority, which a node or router reads; none without keys.

@@ -209,6 +209,14 @@ def test_certificates__expired_certificate(pki: Path, monkeypatch: pytest.Monkey
         identity(pki, Role.CONTROLLER, "late")
 
 
+@pytest.mark.parametrize(("days", "is_soon"), [(1, True), (29, True), (31, False)])
+def test_certificates__that_expire_within_30_days_are_warned_of(tmp_path: Path, days: int, is_soon: bool) -> None:
+    warnings = {one.name: one.warning for one in make(tmp_path, days=days)}
+    assert warnings["ca"] == ""
+    assert ("expires on" in warnings["monitor"]) == is_soon
+    assert (f"in {days - 1} days" in identity(tmp_path, Role.MONITOR).warning) == is_soon
+
+
 def test_certificates__certificate_of_the_morrow(pki: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(certificates, "_BACKDATED", timedelta(hours=-5))
     add(pki, Role.CONTROLLER, "early")

@@ -368,5 +368,5 @@ def test_bus__branch_answers_commands_and_writes(client: Client) -> None:
 
 def test_bus__monitor_may_not_write(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus, "roles", (keys.Role.MONITOR,))
-    with pytest.raises(InvalidConfig, match=r"a monitor may not query rpc/write/\{name\}"):
+    with pytest.raises(InvalidConfig, match=r"may not query rpc/write/\{sender\}/\{name\}"):
         bus.write("office", POINT, 26.0)

@@ -150,6 +150,7 @@ SENDERS = {  # topic: roles that send it, or query, under their own names
     "rpc/drop/{sender}": CONTROLS,
     "rpc/branch/{sender}": CONTROLS,
     "rpc/plan/{sender}": CONTROLS,
+    "rpc/try/{sender}": CONTROLS,
     "@live/controller/{sender}": CONTROLS,
     "@live/gateway/{name}": {Role.GATEWAY},
     "@live/node/{name}": set(),
