@@ -20,6 +20,8 @@ from zenostat.topics.errors import BusError, EngineDied, ForkFailed, InvalidConf
 from zenostat.topics.messages import Manifest
 
 _DAY_S = 86400.0
+_YEAR = 2017
+"""For days without a year: one without 29 February, as most are."""
 _PATHS = ("scenario", "config", "building", "weather", "faults", "alarms", "plant", "fmu", "grid")
 """Settings that may be paths, which are relative to the district's file."""
 
@@ -125,18 +127,17 @@ class PlantSet:
         spec = self.file.spec
         assert spec.start is not None
         errors = self.file.errors()
+        has_year = spec.start[4:5] == "-"
         try:
-            first = parse_day(spec.start, "start")
+            first = parse_day(spec.start, "start", _YEAR)
         except InvalidConfig as error:
             errors.add(("start",), str(error))
         if spec.duration is None:
             errors.add(("start",), f"the last day of plant {name!r} follows from `duration`, which is missing")
         errors.raise_if_any()
         assert spec.duration is not None
-        days = -(-float(spec.duration) // _DAY_S)
-        year = spec.start[:5] if spec.start[4:5] == "-" else ""
-        last = first + timedelta(days=days - 1)
-        return {"begin": spec.start, "end": f"{year}{last:%m-%d}"}
+        last = first + timedelta(days=-(-float(spec.duration) // _DAY_S) - 1)
+        return {"begin": spec.start, "end": last.isoformat() if has_year else f"{last:%m-%d}"}
 
     def _check_copies(self, topology: Topology) -> None:
         """Try a copy of each plant of a solved loop, so that one that cannot be copied is reported at the start."""

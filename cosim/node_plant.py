@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
 from typing import Any
@@ -30,10 +29,9 @@ class NodePlant:
 
     Args:
         node: name of the node.
-        manifest: its manifest, which a node that replaces it has to fit.
 
     Attributes:
-        manifest: the manifest.
+        manifest: its manifest, which a node that replaces it has to fit.
     """
 
     def __init__(self, node: str) -> None:
@@ -43,13 +41,12 @@ class NodePlant:
         self._pending: Floats | None = None
         self._sample: SampleView | None = None
         self._close_bus = ExitStack()
-        self._lock = threading.Lock()
         self.manifest: Manifest
 
     # The bus of the node
 
     def open_bus(self) -> Bus:
-        """Connect to the node's bus; started nodes are started."""
+        """Connect to the node's bus."""
         raise NotImplementedError
 
     @property
@@ -163,6 +160,7 @@ class StartedPlant(NodePlant):
         super().__init__(node)
         self._settings, self._on_process = {**settings, "name": node}, on_process
         self._local: LocalNode | None = None
+        self._process: LocalNode | None = None  # exists before the node is ready
         self._is_ending = False
         self.start()
 
@@ -175,10 +173,14 @@ class StartedPlant(NodePlant):
         if self._local is not None and (self._is_ending or self._local.end):
             self._end()
         if self._local is None:
-            self._local = LocalNode(self._settings, Affinity.OFF, self._on_process)
+            self._local = LocalNode(self._settings, Affinity.OFF, self._on_start)
             assert self._local.manifest is not None
             self.manifest = self._local.manifest
         return self._local
+
+    def _on_start(self, process: LocalNode) -> None:
+        self._process = process
+        self._on_process(process)
 
     def open_bus(self) -> Bus:
         """Connect to the private bus of the node."""
@@ -186,10 +188,10 @@ class StartedPlant(NodePlant):
 
     def terminate(self) -> None:
         """Let the process end, without waiting for it; thread-safe."""
-        local = self._local
-        if local is not None:
+        process = self._process
+        if process is not None:
             self._is_ending = True
-            local.terminate()
+            process.terminate()
 
     def recover(self) -> None:
         """End a process that has lost its bus, or is about to end."""
@@ -203,7 +205,7 @@ class StartedPlant(NodePlant):
 
     def _end(self) -> None:
         self._disconnect()
-        local, self._local, self._is_ending = self._local, None, False
+        local, self._local, self._process, self._is_ending = self._local, None, None, False
         if local is not None:
             local.close()
 
