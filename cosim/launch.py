@@ -148,7 +148,7 @@ class PlantSet:
                 try:
                     plant.check_copy()
                 except ForkFailed as error:
-                    location = ("connections", block.solved[0])
+                    location = self.file.connections[block.solved[0]].location
                     errors.add(location, f"loop {block.name!r} cannot be solved by trials: plant {name!r}: {error}")
         errors.raise_if_any()
 
