@@ -111,7 +111,8 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) ->
         create = partial(district_node, observer=watch, program=True)
         node = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
         bars.console.print(greeting(node, ", ".join(node.settings.listen or node.settings.connect)))
-        for warning in filter(None, (*node.manifest.warnings, exposure(node.settings.listen, config.keys))):
+        exposed = exposure(node.settings.listen, config.keys)
+        for warning in filter(None, (*node.manifest.warnings, exposed, node.certificate_warning)):
             bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
         node.serve()
         plant: DistrictPlant = node.plant  # type: ignore[assignment]

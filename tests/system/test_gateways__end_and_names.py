@@ -87,7 +87,7 @@ def test_mqtt__relinquishes_each_priority_and_source_and_is_offline(
             broker.publish(topic, '{"value": 700, "priority": 3, "source": "node-red"}')
             broker.publish(topic, '{"value": 600, "source": ""}')
             broker.publish(topic, '{"value": 500, "priority": 12}')
-            bus_has = {3: (700.0, "node-red"), 8: (600.0, "anonymous"), 12: (500.0, "mqtt")}
+            bus_has = {3: (700.0, "node-red"), 8: (600.0, "mqtt"), 12: (500.0, "mqtt")}
             until(lambda: commands(bus) == [bus_has] * 2, "all are commanded")
             bus.write("room", "compressor", 900.0, priority=12, source="operator")  # it is not the gateway's any more
             until(lambda: len(results) == 3, "all are answered")
