@@ -24,7 +24,7 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "Train agents": ("train.train", "tune.tune", "benchmark.benchmark", "bounds.bounds"),
     "Watch a bus": (
-        "status.status", "monitor.monitor", "view.view", "watch.watch", "read.read", "plot.plot", "alarms.alarms",
+        "status.status", "room.room", "monitor.monitor", "view.view", "watch.watch", "read.read", "plot.plot", "alarms.alarms",
         "priorities.priorities",
     ),
     "Operate a running node": (

@@ -88,12 +88,14 @@ class Connection:
         roles: The roles of its certificate; none without keys.
         session: The Zenoh session.
         affinity: Placement of its threads.
+        timeout_s: Time after which a node that is present but does not answer fails a request with `PeerError`.
         timer: For the checks of controllers that have waited for long; its thread starts with the first controller.
     """
 
     def __init__(self, endpoint: str, session: OpenSession, affinity: Affinity) -> None:
         self.endpoint = endpoint
         self.identity, self.roles = session.name, session.roles
+        self.timeout_s = _REQUEST_TIMEOUT_S
         self._close, self._closed = ExitStack(), False
         self.affinity = affinity
         self._links: set[Link] = set()
@@ -159,7 +161,7 @@ class Connection:
             request, sender = self._signed(request)
         try:
             reply = ask(
-                self.session, topic, node, request, reply_type, name=name, sender=sender, timeout_s=_REQUEST_TIMEOUT_S
+                self.session, topic, node, request, reply_type, name=name, sender=sender, timeout_s=self.timeout_s
             )
         except zenoh.ZError:
             if not self._closed:

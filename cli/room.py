@@ -1,0 +1,86 @@
+"""`zenostat room`: the control room."""
+
+from __future__ import annotations
+
+import getpass
+import os
+import secrets
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
+from zenostat.cli.console import out
+from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import requires_extra
+
+_SHORTEST_TOKEN = 32
+
+
+@on_bus
+def room(
+    options: BusOptions = DEFAULTS,
+    address: Annotated[
+        str, typer.Option(help="HOST:PORT of this machine to listen on; port 0 chooses a free one.")
+    ] = "127.0.0.1:8600",
+    operator: Annotated[
+        str | None, typer.Option(help="Name under which your changes are recorded. Default: your user name.")
+    ] = None,
+    api_token_file: Annotated[
+        Path | None,
+        typer.Option(help="File with the token of Prometheus and Grafana; created if it is missing."),
+    ] = None,
+) -> None:
+    """Serve a web page to watch and operate all nodes of a bus, until Ctrl-C.
+
+    Example: `zenostat room --operator "Ada Lovelace"`
+
+    The link that it prints signs one browser in, once. With keys, it uses the controller role.
+    """
+    with requires_extra("room", "the control room", "starlette and uvicorn"):
+        from zenostat.views.room.server import RoomServer
+    token = None if api_token_file is None else _api_token(api_token_file)
+    name = _user() if operator is None else operator
+    if not name.strip() or len(name) > 64 or not name.isprintable():
+        raise InvalidConfig("--operator: a name of 1 to 64 printable characters expected")
+    with (
+        options.open_bus() as bus,
+        RoomServer(bus, address, operator=name, api_token=token) as server,
+        override_signals(lambda *_: server.stop(), *TERMINATION_SIGNALS),
+    ):
+        out.print(f"ready: {server.link}", soft_wrap=True)
+        out.print("The link signs one browser in, once; press Ctrl-C to stop.", soft_wrap=True)
+        server.run()
+
+
+def _user() -> str:
+    try:
+        return getpass.getuser()
+    except (KeyError, OSError):  # a user without a name, as in containers
+        return "operator"
+
+
+def _api_token(path: Path) -> str:
+    """Return the token in a file, which is created if it is missing.
+
+    Raises:
+        InvalidConfig: it cannot be read or written, others may read it, or it is too short.
+    """
+    try:
+        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
+            file.write(secrets.token_urlsafe(32) + "\n")
+    except FileExistsError:
+        pass
+    except OSError as error:
+        raise InvalidConfig(f"--api-token-file {path}: {error.strerror}") from None
+    try:
+        if path.stat().st_mode & 0o077:
+            raise InvalidConfig(f"--api-token-file {path}: others may read it; chmod 600 {path}")
+        token = path.read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidConfig(f"--api-token-file {path}: {error}") from None
+    if len(token) < _SHORTEST_TOKEN:
+        raise InvalidConfig(f"--api-token-file {path}: a token of at least {_SHORTEST_TOKEN} characters expected")
+    return token

@@ -1,0 +1,209 @@
+"""Access to the page: sign-in by one-time tokens, sessions in strict cookies, and checks of each request.
+
+The page runs in a browser beside pages of strangers. So a request must name this server as its `Host` (a name that
+somebody else resolves to this machine is rejected), a change must come from this page by its `Origin`, and both need
+the cookie of a session, which no script can read and which no other site's request carries.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import secrets
+import time
+from collections.abc import Awaitable, Callable, MutableMapping
+from dataclasses import dataclass
+from typing import Any
+
+from starlette.datastructures import Headers, MutableHeaders
+from starlette.requests import Request
+from starlette.responses import JSONResponse
+
+ASGIApp = Callable[[MutableMapping[str, Any], Callable[[], Awaitable[Any]], Callable[[Any], Awaitable[None]]], Any]
+
+MAX_BODY_BYTES = 1 << 20
+"""Largest body of a request; a fault plan is the largest of them."""
+
+_MAX_SESSIONS = 64
+_MAX_TOKENS = 16
+_IDLE_S = 12 * 3600.0
+_TOKEN_S = 3600.0
+_OPEN = ("/", "/api/session", "/health")
+_BEARER = ("/metrics", "/grafana")
+
+POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; "
+    "form-action 'none'; frame-ancestors 'none'; require-trusted-types-for 'script'; trusted-types 'none'"
+)
+"""Content security policy: nothing but this server's own files, no inline script or style, no HTML from texts."""
+
+_HEADERS = {
+    "content-security-policy": POLICY,
+    "x-content-type-options": "nosniff",
+    "referrer-policy": "no-referrer",
+    "cross-origin-opener-policy": "same-origin",
+    "cross-origin-resource-policy": "same-origin",
+    "x-frame-options": "DENY",
+}
+
+
+@dataclass(slots=True)
+class Session:
+    """A browser that has signed in.
+
+    Attributes:
+        operator: name of its user, the source of all changes.
+        used_s: time of its latest request.
+    """
+
+    operator: str
+    used_s: float
+
+
+class Access:
+    """The tokens and sessions of a server, for its event loop's thread.
+
+    Args:
+        hosts: permitted values of the header `Host`.
+        cookie: name of the cookie; browsers share cookies between all ports of a host.
+        api_token: token of programs that read `/metrics` and `/grafana`; None closes these.
+        clock: monotonic time in seconds.
+    """
+
+    def __init__(
+        self,
+        hosts: frozenset[str],
+        cookie: str,
+        *,
+        api_token: str | None = None,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.hosts, self.cookie = hosts, cookie
+        self._api_digest = None if api_token is None else _digest(api_token)
+        self._clock = clock
+        self._tokens: dict[str, tuple[str, float]] = {}
+        self._sessions: dict[str, Session] = {}
+
+    def invite(self, operator: str) -> str:
+        """Return a token that signs one browser in, once and within an hour, as this operator."""
+        token = secrets.token_urlsafe(32)
+        while len(self._tokens) >= _MAX_TOKENS:
+            del self._tokens[next(iter(self._tokens))]
+        self._tokens[_digest(token)] = (operator, self._clock() + _TOKEN_S)
+        return token
+
+    def sign_in(self, token: str) -> tuple[str, Session] | None:
+        """Exchange a token for the id of a new session; None if it is unknown, used or expired."""
+        operator, until_s = self._tokens.pop(_digest(token), ("", 0.0))
+        if self._clock() >= until_s:
+            return None
+        identity, session = secrets.token_urlsafe(32), Session(operator, self._clock())
+        while len(self._sessions) >= _MAX_SESSIONS:
+            oldest = min(self._sessions, key=lambda digest: self._sessions[digest].used_s)
+            del self._sessions[oldest]
+        self._sessions[_digest(identity)] = session
+        return identity, session
+
+    def session(self, identity: str | None) -> Session | None:
+        """Return the session of this id, which is then used again; None if it is unknown or was idle for 12 hours."""
+        digest = _digest(identity or "")
+        session = self._sessions.get(digest)
+        if session is None:
+            return None
+        if self._clock() - session.used_s > _IDLE_S:
+            del self._sessions[digest]
+            return None
+        session.used_s = self._clock()
+        return session
+
+    def sign_out(self, identity: str | None) -> None:
+        """End a session."""
+        self._sessions.pop(_digest(identity or ""), None)
+
+    def allows_program(self, authorization: str) -> bool:
+        """Return whether a header `Authorization` has the token of programs."""
+        kind, _, token = authorization.partition(" ")
+        if self._api_digest is None or kind.lower() != "bearer":
+            return False
+        return secrets.compare_digest(_digest(token), self._api_digest)
+
+    def rejection(self, scope: MutableMapping[str, Any]) -> tuple[int, str] | None:
+        """Return status and text for a request that is not permitted; None if it is.
+
+        A session that is permitted is in `scope["state"]["session"]`.
+        """
+        headers, method, path = Headers(scope=scope), scope["method"], scope["path"]
+        host = headers.getlist("host")
+        if len(host) != 1 or host[0].lower() not in self.hosts:
+            return 421, f"this server is none of that name; open {sorted(self.hosts)[0]}"
+        if method not in ("GET", "HEAD", "POST", "DELETE"):
+            return 405, "no such method"
+        if path.startswith(_BEARER):
+            if not self.allows_program(headers.get("authorization", "")):
+                return 401, "a bearer token is required; see --api-token-file"
+            return None
+        if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") and path != "/":
+            return 403, "a request of another site"
+        origins = headers.getlist("origin")
+        if method not in ("GET", "HEAD") or origins:
+            if origins != [f"http://{host[0]}"]:
+                return 403, "a change must come from this page"
+            if method == "POST" and headers.get("content-type", "").partition(";")[0].strip() != "application/json":
+                return 415, "application/json expected"
+        session = self.session(Request(scope).cookies.get(self.cookie))
+        scope.setdefault("state", {})["session"] = session
+        if session is None and path not in _OPEN and not path.startswith("/static/"):
+            return 401, "sign in with a link that `zenostat room` prints"
+        return None
+
+
+class Guard:
+    """ASGI middleware: rejects what `Access` does not permit, limits bodies, and adds the headers of each response."""
+
+    def __init__(self, app: ASGIApp, access: Access) -> None:
+        self._app, self._access = app, access
+
+    async def __call__(
+        self,
+        scope: MutableMapping[str, Any],
+        receive: Callable[[], Awaitable[Any]],
+        send: Callable[[Any], Awaitable[None]],
+    ) -> None:
+        """Handle a request; connections of other kinds are ended."""
+        if scope["type"] == "lifespan":
+            await self._app(scope, receive, send)
+        if scope["type"] != "http":
+            return
+        received = 0
+
+        async def receive_limited() -> Any:
+            nonlocal received
+            message = await receive()
+            received += len(message.get("body", b""))
+            if received > MAX_BODY_BYTES:
+                raise BodyTooLarge
+            return message
+
+        async def send_with_headers(message: Any) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                for name, value in _HEADERS.items():
+                    headers[name] = value
+                headers.setdefault("cache-control", "no-store")
+            await send(message)
+
+        rejection = self._access.rejection(scope)
+        if rejection is not None:
+            status, text = rejection
+            response = JSONResponse({"error": "AccessDenied", "message": text}, status)
+            await response(scope, receive, send_with_headers)
+            return
+        await self._app(scope, receive_limited, send_with_headers)
+
+
+class BodyTooLarge(Exception):
+    """A request's body is longer than `MAX_BODY_BYTES`."""
+
+
+def _digest(secret: str) -> str:
+    """Return a hash: comparing and looking up hashes takes no time that depends on a secret."""
+    return hashlib.sha256(secret.encode()).hexdigest()

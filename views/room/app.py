@@ -1,0 +1,256 @@
+"""The page's server as an ASGI application: its files, its data, and the changes that it requests."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import Counter
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.applications import Starlette
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Mount, Route
+from starlette.staticfiles import StaticFiles
+
+from zenostat.bridge.client.bus import Bus
+from zenostat.topics import VERSION
+from zenostat.topics.errors import BusError, PeerError, RequestRejected, UsageError, ZenostatError
+from zenostat.views.room.access import Access, BodyTooLarge, Guard, Session
+from zenostat.views.room.bus_watch import BusWatch
+from zenostat.views.room.dashboards import (
+    METRICS_TYPE,
+    GrafanaQuery,
+    grafana_series,
+    grafana_targets,
+    prometheus,
+)
+from zenostat.views.room.node_watch import NodeWatch
+from zenostat.views.room.numbers import to_json
+from zenostat.views.room.operations import read_body, read_operation
+from zenostat.views.room.priorities import priority_arrays
+from zenostat.views.room.series import HistoryCache, history_content
+from zenostat.views.room.updates import MAX_STREAMS, Updates
+from zenostat.views.room.what_if import WhatIf, what_if
+
+_STATIC = Path(__file__).with_name("static")
+_MAX_PENDING = 8
+"""Largest number of requests of pages that wait for one node: one that is frozen must not stop the others."""
+
+T = TypeVar("T")
+
+
+class _SignIn(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    token: Annotated[str, Field(max_length=200)]
+
+
+class _Invitation(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    operator: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
+
+
+class Room:
+    """The application of a control room; `asgi` serves it.
+
+    Args:
+        bus: connection to the bus, which the caller closes after the application has ended.
+        access: who may use it.
+        address: of the page, for links.
+    """
+
+    def __init__(self, bus: Bus, access: Access, address: str) -> None:
+        self.updates = Updates()
+        self._bus, self._access, self._address = bus, access, address
+        self._watch: BusWatch | None = None
+        self._histories = HistoryCache(bus)
+        self._pending: Counter[str] = Counter()
+        routes = [
+            Route("/", self._page),
+            Route("/health", self._health),
+            Route("/api/session", self._sign_in, methods=["POST"]),
+            Route("/api/session", self._sign_out, methods=["DELETE"]),
+            Route("/api/session", self._who_am_i),
+            Route("/api/invitation", self._invite, methods=["POST"]),
+            Route("/api/stream", self._stream),
+            Route("/api/nodes/{node}", self._description),
+            Route("/api/nodes/{node}/history", self._history),
+            Route("/api/nodes/{node}/events", self._events),
+            Route("/api/nodes/{node}/priorities", self._priorities),
+            Route("/api/nodes/{node}/what_if", self._what_if, methods=["POST"]),
+            Route("/api/nodes/{node}/{operation}", self._operate, methods=["POST"]),
+            Route("/metrics", self._metrics),
+            Route("/grafana", self._health),
+            Route("/grafana/", self._health),
+            Route("/grafana/metrics", self._grafana_metrics, methods=["POST"]),
+            Route("/grafana/search", self._grafana_metrics, methods=["POST"]),
+            Route("/grafana/query", self._grafana_query, methods=["POST"]),
+            Mount("/static", StaticFiles(directory=_STATIC)),
+        ]
+        handlers: dict[Any, Any] = {ZenostatError: _failure, BodyTooLarge: _too_large}
+        app = Starlette(routes=routes, exception_handlers=handlers, lifespan=self._lifespan)
+        self.asgi = Guard(app, access)
+
+    @property
+    def watch(self) -> BusWatch:
+        """The nodes of the bus."""
+        assert self._watch is not None
+        return self._watch
+
+    @asynccontextmanager
+    async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        self.updates.start()
+        self._watch = await asyncio.to_thread(BusWatch, self._bus, self.updates)
+        try:
+            yield
+        finally:
+            await asyncio.to_thread(self._watch.close)
+
+    def link(self, operator: str) -> str:
+        """Return an address that signs one browser in as this operator."""
+        return f"{self._address}/#token={self._access.invite(operator)}"
+
+    # Pages and sessions
+
+    async def _page(self, _: Request) -> Response:
+        return FileResponse(_STATIC / "index.html")
+
+    async def _health(self, _: Request) -> Response:
+        return JSONResponse({"status": "ok", "version": VERSION})
+
+    async def _sign_in(self, request: Request) -> Response:
+        token = read_body(_SignIn, await request.body()).token
+        signed_in = self._access.sign_in(token)
+        if signed_in is None:
+            text = "this link was used already or is too old; get another one from `zenostat room` or a colleague"
+            return JSONResponse({"error": "AccessDenied", "message": text}, 403)
+        identity, session = signed_in
+        response = JSONResponse({"operator": session.operator})
+        response.set_cookie(self._access.cookie, identity, path="/", httponly=True, samesite="strict")
+        return response
+
+    async def _sign_out(self, request: Request) -> Response:
+        self._access.sign_out(request.cookies.get(self._access.cookie))
+        response = JSONResponse({})
+        response.delete_cookie(self._access.cookie, path="/", httponly=True, samesite="strict")
+        return response
+
+    async def _who_am_i(self, request: Request) -> Response:
+        session: Session | None = request.state.session
+        return JSONResponse({"operator": session.operator if session is not None else None})
+
+    async def _invite(self, request: Request) -> Response:
+        _operator(request)
+        return JSONResponse({"link": self.link(read_body(_Invitation, await request.body()).operator)})
+
+    # Data
+
+    async def _stream(self, request: Request) -> Response:
+        node = request.query_params.get("node", "")
+        topics = {"overview"} | ({f"node:{node}", f"events:{node}"} if node else set())
+        if self.updates.followers >= MAX_STREAMS:
+            return JSONResponse({"error": "RequestRejected", "message": f"{MAX_STREAMS} pages are open"}, 503)
+        return StreamingResponse(self.updates.follow(topics), media_type="text/event-stream")
+
+    async def _description(self, request: Request) -> Response:
+        description = self._node(request).description
+        if description is None:
+            raise RequestRejected("the node has not answered yet")
+        return _json(description.content)
+
+    async def _history(self, request: Request) -> Response:
+        watch, query = self._node(request), request.query_params
+        text = query.get("max", "1000")
+        max_samples = int(text) if text.isdecimal() and len(text) < 9 else 0
+        points, start, end = query.getlist("point"), query.get("from"), query.get("to")
+        history = await self._call(
+            watch, lambda: history_content(self._histories.history(watch, points, start, end, max_samples))
+        )
+        return _json(history)
+
+    async def _events(self, request: Request) -> Response:
+        watch = self._node(request)
+        return _json({"node": watch.node, "events": watch.events()})
+
+    async def _priorities(self, request: Request) -> Response:
+        watch, point = self._node(request), request.query_params.get("point", "")
+        return _json(await self._call(watch, lambda: priority_arrays(self._bus, watch, point)))
+
+    # Changes
+
+    async def _operate(self, request: Request) -> Response:
+        watch, operator = self._node(request), _operator(request)
+        operation = read_operation(request.path_params["operation"], await request.body())
+        try:
+            text = await self._call(watch, lambda: operation.run(self._bus, watch.node, operator))
+        finally:
+            watch.refresh()
+        return JSONResponse({"text": text})
+
+    async def _what_if(self, request: Request) -> Response:
+        watch, operator = self._node(request), _operator(request)
+        description = watch.description
+        if description is None:
+            raise RequestRejected("the node has not answered yet")
+        question = read_body(WhatIf, await request.body())
+
+        def simulate() -> Response:
+            with self.watch.without_branches(watch.node):
+                return _json(what_if(self._bus, description, question, operator))
+
+        return await self._call(watch, simulate)
+
+    # Dashboards of others
+
+    async def _metrics(self, _: Request) -> Response:
+        return PlainTextResponse(prometheus(self.watch), media_type=METRICS_TYPE)
+
+    async def _grafana_metrics(self, _: Request) -> Response:
+        return JSONResponse(grafana_targets(self.watch))
+
+    async def _grafana_query(self, request: Request) -> Response:
+        query = read_body(GrafanaQuery, await request.body())
+        return _json(await asyncio.to_thread(grafana_series, self.watch, self._histories, query))
+
+    def _node(self, request: Request) -> NodeWatch:
+        return self.watch.find(request.path_params["node"])
+
+    async def _call(self, watch: NodeWatch, function: Callable[[], T]) -> T:
+        """Call a function that waits for a node, in a thread.
+
+        Raises:
+            RequestRejected: too many requests wait for this node.
+        """
+        if self._pending[watch.node] >= _MAX_PENDING:
+            raise RequestRejected(f"{_MAX_PENDING} requests to node {watch.node!r} wait for replies; try again later")
+        self._pending[watch.node] += 1
+        try:
+            return await asyncio.to_thread(function)
+        finally:
+            self._pending[watch.node] -= 1
+
+
+def _operator(request: Request) -> str:
+    session: Session = request.state.session
+    return session.operator
+
+
+def _json(content: Any) -> Response:
+    return Response(to_json(content), media_type="application/json")
+
+
+_STATUS = ((RequestRejected, 409), (UsageError, 400), (BusError, 404), (PeerError, 502))
+
+
+async def _failure(_: Request, error: Exception) -> Response:
+    status = next((code for kind, code in _STATUS if isinstance(error, kind)), 500)
+    return JSONResponse({"error": type(error).__name__, "message": str(error)}, status)
+
+
+async def _too_large(_: Request, __: Exception) -> Response:
+    return JSONResponse({"error": "BadMessage", "message": "the body is too large"}, 413)

@@ -1,0 +1,165 @@
+"""Data for dashboards of others: metrics as Prometheus reads them, histories as Grafana's JSON data source does."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from zenostat.topics.errors import InvalidConfig, ZenostatError
+from zenostat.views.room.bus_watch import BusWatch
+from zenostat.views.room.node_watch import NodeWatch
+from zenostat.views.room.numbers import numbers
+from zenostat.views.room.series import HistoryCache, simulated_time, times_ms
+
+METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
+
+_HELP = {
+    "zenostat_node_up": ("gauge", "Whether the node is reachable."),
+    "zenostat_node_paused": ("gauge", "Whether the node is paused."),
+    "zenostat_node_step": ("gauge", "Step of the present episode."),
+    "zenostat_node_episode": ("gauge", "Number of the present episode."),
+    "zenostat_node_speed_ratio": ("gauge", "Simulated seconds per second, as measured."),
+    "zenostat_node_power_kilowatts": ("gauge", "Electric power of the building."),
+    "zenostat_node_zones": ("gauge", "Zones with a temperature."),
+    "zenostat_node_zones_comfortable": ("gauge", "Zones within their comfort bands."),
+    "zenostat_node_alarms": ("gauge", "Alarms that are not normal, by state."),
+    "zenostat_node_faults": ("gauge", "Injected faults that are active."),
+    "zenostat_node_overruns_total": ("counter", "Paced timesteps that were late."),
+    "zenostat_node_commands_total": ("counter", "Commands and writes by outcome."),
+    "zenostat_node_step_milliseconds": ("gauge", "Duration of a timestep, by statistic."),
+    "zenostat_node_memory_bytes": ("gauge", "Memory of the node and its engines."),
+    "zenostat_controller_connected": ("gauge", "Whether a controller with a claim is connected."),
+    "zenostat_controller_late_total": ("counter", "Commands that were too late."),
+    "zenostat_controller_response_milliseconds": ("gauge", "Response time of a controller, by statistic."),
+    "zenostat_room_followers": ("gauge", "Open pages of the control room."),
+}
+
+
+def prometheus(watch: BusWatch) -> str:
+    """Return the metrics of all nodes in Prometheus's text format."""
+    samples: dict[str, list[str]] = {name: [] for name in _HELP}
+    for node in watch.watches():
+        if node.state is None and node.is_branch:
+            continue
+        for name, labels, value in _node_metrics(node):
+            if value is not None:
+                samples[name].append(f"{name}{_labels(node=node.node, **labels)} {float(value):g}")
+    samples["zenostat_room_followers"].append(f"zenostat_room_followers {watch.updates.followers}")
+    lines = []
+    for name, (kind, text) in _HELP.items():
+        if samples[name]:
+            lines += [f"# HELP {name} {text}", f"# TYPE {name} {kind}", *samples[name]]
+    return "\n".join(lines) + "\n"
+
+
+_Metric = tuple[str, dict[str, str], float | None]
+
+
+def _node_metrics(node: NodeWatch) -> Iterator[_Metric]:
+    entry, state = node.summary, node.state
+    yield "zenostat_node_up", {}, state is not None
+    if entry is None or state is None:
+        return
+    prefix = "zenostat_node_"
+    simple = {
+        "paused": entry["paused"],
+        "step": entry["step"],
+        "episode": entry["episode"],
+        "speed_ratio": entry["rate"],
+        "power_kilowatts": entry.get("power_kw"),
+        "zones": entry.get("zones"),
+        "zones_comfortable": entry.get("comfortable"),
+        "faults": len(entry["faults"]),
+        "overruns_total": state["overruns"],
+        "memory_bytes": state["memory_bytes"],
+    }
+    yield from ((prefix + name, {}, value) for name, value in simple.items())
+    counts = {name: count for name, count in entry["alarms"].items() if name != "open"}
+    yield from ((f"{prefix}alarms", {"state": name}, count) for name, count in counts.items())
+    yield from ((f"{prefix}commands_total", {"outcome": name}, count) for name, count in state["counts"].items())
+    for statistic in ("median", "p99", "max"):
+        yield f"{prefix}step_milliseconds", {"statistic": statistic}, state["step_time"][f"{statistic}_ms"]
+    for controller in state["controllers"]:
+        labels = {"controller": controller["controller"]}
+        is_connected = controller["state"] in ("connected", "unresponsive")
+        yield "zenostat_controller_connected", labels, is_connected
+        yield "zenostat_controller_late_total", labels, controller["late"]
+        for statistic in ("median", "p99", "max"):
+            value = controller["response"][f"{statistic}_ms"]
+            yield "zenostat_controller_response_milliseconds", labels | {"statistic": statistic}, value
+
+
+def _labels(**labels: str) -> str:
+    """Return labels in Prometheus's form: backslashes, quotes and line breaks of a value are escaped."""
+    texts = []
+    for name, value in labels.items():
+        escaped = value.replace("\\", r"\\").replace('"', r"\"").replace("\n", r"\n")
+        texts.append(f'{name}="{escaped}"')
+    return "{" + ",".join(texts) + "}"
+
+
+class _Part(BaseModel):
+    model_config = ConfigDict(extra="ignore", populate_by_name=True)
+
+
+class _Range(_Part):
+    begin: Annotated[str, Field(alias="from")]
+    end: Annotated[str, Field(alias="to")]
+
+
+class _Target(_Part):
+    target: str = ""
+
+
+class GrafanaQuery(_Part):
+    """A query of Grafana's JSON data source: some targets `NODE/POINT` in a range of time."""
+
+    range: _Range | None = None
+    targets: Annotated[list[_Target], Field(max_length=64)] = Field(default_factory=list)
+    max_samples: Annotated[int, Field(ge=2, le=20_000, alias="maxDataPoints")] = 1000
+
+
+def grafana_targets(watch: BusWatch) -> list[dict[str, str]]:
+    """Return all points of all nodes as targets."""
+    targets = []
+    for node in watch.watches():
+        if node.state is not None and node.description is not None:
+            names = [f"{node.node}/{point['name']}" for point in node.description.content["points"]]
+            targets += [{"label": name, "value": name} for name in names]
+    return targets
+
+
+def grafana_series(watch: BusWatch, cache: HistoryCache, query: GrafanaQuery) -> list[dict[str, Any]]:
+    """Return for each target its values with their simulated times in ms, which stand for UTC.
+
+    Raises:
+        ZenostatError: no such node or point, or the node keeps no history.
+    """
+    names = [target.target for target in query.targets if target.target]
+    result = []
+    for name in dict.fromkeys(names):
+        node, _, point = name.partition("/")
+        if not point:
+            raise InvalidConfig(f"target {name!r}: NODE/POINT expected, such as office/electricity_facility")
+        history = _history(watch, cache, node, [point], query)
+        if history is not None:
+            times, values = history
+            result.append({"target": name, "datapoints": [[v, t] for v, t in zip(values, times, strict=True)]})
+    return result
+
+
+def _history(
+    watch: BusWatch, cache: HistoryCache, node: str, points: Sequence[str], query: GrafanaQuery
+) -> tuple[list[int], list[float | None]] | None:
+    """Return times and values; None if the range has no samples."""
+    span = query.range
+    start, end = (None, None) if span is None else (simulated_time(span.begin), simulated_time(span.end))
+    try:
+        history = cache.history(watch.find(node), points, start, end, query.max_samples)
+    except ZenostatError as error:
+        if "no samples in that range" in str(error) or "before the episode" in str(error):
+            return None
+        raise
+    return times_ms(history), numbers(history.values[:, 0])

@@ -1,0 +1,122 @@
+"""A node's description for the page: its points with roles and units, its zones and storeys."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from zenostat.metrics.comfort import Comfort
+from zenostat.metrics.labels import point_unit
+from zenostat.metrics.reward_comfort import display_comfort
+from zenostat.metrics.roles import PointRoles, PowerSource, roles
+from zenostat.topics.messages import Actuator, Geometry, Manifest, Meter, Sensor
+from zenostat.views.display.colors import hex_color, zone_color
+from zenostat.views.room.storeys import storeys
+
+_ENERGY_KW = {"J": 1e-3, "kJ": 1.0, "MJ": 1e3, "GJ": 1e6, "Wh": 3.6, "kWh": 3600.0}
+"""kW of one unit of energy in a second."""
+
+
+@dataclass(frozen=True, eq=False)
+class NodeDescription:
+    """Facts derived once from the manifest of an instance of a node.
+
+    Attributes:
+        manifest: the node's.
+        roles: roles of its points.
+        comfort: comfort bands of the zones; None without zone temperatures.
+        content: for the page, as JSON values.
+    """
+
+    manifest: Manifest
+    roles: PointRoles
+    comfort: Comfort | None
+    content: dict[str, Any]
+
+
+def describe(manifest: Manifest, geometry: Geometry | None) -> NodeDescription:
+    """Return the description of a node; without a geometry it has no storeys."""
+    point_roles = roles(manifest)
+    comfort = display_comfort(manifest)
+    zones = [zone for zone in point_roles.zones if zone.temperature is not None]
+    places = {zone.key.casefold(): number for number, zone in enumerate(zones)}
+    content = {
+        "node": manifest.node,
+        "instance": manifest.instance,
+        "branch_of": manifest.branch_of,
+        "building": manifest.building,
+        "weather": manifest.weather,
+        "location": manifest.location,
+        "begin": manifest.begin,
+        "end": manifest.end,
+        "step_s": manifest.step_s,
+        "steps": manifest.steps,
+        "slots": manifest.slots,
+        "history_samples": manifest.history_samples,
+        "scenario": manifest.task.scenario,
+        "energyplus": manifest.versions.energyplus,
+        "warnings": list(manifest.warnings),
+        "band": comfort.source if comfort is not None else "",
+        "points": _points(manifest, point_roles, places),
+        "zones": [
+            {
+                "name": zone.label,
+                "key": zone.key,
+                "color": hex_color(zone_color(zone.place)),
+                "temperature": zone.temperature,
+                "humidity": zone.humidity,
+                "occupants": zone.occupants,
+                "heating_setpoint": zone.heating_setpoint,
+                "cooling_setpoint": zone.cooling_setpoint,
+                "heating_actuator": _actuator_place(manifest, zone.heating_actuator),
+                "cooling_actuator": _actuator_place(manifest, zone.cooling_actuator),
+            }
+            for zone in zones
+        ],
+        "outdoor": point_roles.outdoor_temperature,
+        "facility": _power(point_roles.facility_power),
+        "hvac": _power(point_roles.hvac_power),
+        "storeys": storeys(geometry, places) if geometry is not None else [],
+    }
+    return NodeDescription(manifest, point_roles, comfort, content)
+
+
+def _actuator_place(manifest: Manifest, index: int | None) -> int | None:
+    """Return the index of an actuator among all points of the page: sensors, meters, actuators."""
+    return None if index is None else len(manifest.points) + index
+
+
+def _power(source: PowerSource | None) -> dict[str, Any] | None:
+    return None if source is None else {"point": source.index, "to_kw": source.to_kw, "label": source.label}
+
+
+def _points(manifest: Manifest, point_roles: PointRoles, places: dict[str, int]) -> list[dict[str, Any]]:
+    """Return all points: sensors, meters, then actuators."""
+    texts = (*point_roles.labels, *point_roles.actuator_labels)
+    zone_of = {
+        index: number
+        for number, zone in enumerate(zone for zone in point_roles.zones if zone.temperature is not None)
+        for index in (zone.temperature, zone.humidity, zone.occupants, zone.heating_setpoint, zone.cooling_setpoint)
+        if index is not None
+    }
+    points: tuple[Sensor | Meter | Actuator, ...] = (*manifest.points, *manifest.actuators)
+    result = []
+    for index, (point, text) in enumerate(zip(points, texts, strict=True)):
+        key = point.key.casefold() if isinstance(point, Sensor | Actuator) else ""
+        entry: dict[str, Any] = {
+            "name": point.name,
+            "label": text,
+            "unit": point_unit(point),
+            "kind": type(point).__name__.lower(),
+            "low": point.low,
+            "high": point.high,
+            "zone": zone_of.get(index, places.get(key)),
+        }
+        if isinstance(point, Meter) and point.unit in _ENERGY_KW:
+            entry |= {"unit": "kW", "factor": _ENERGY_KW[point.unit] / manifest.step_s}
+        elif point.unit == "W" and not isinstance(point, Actuator):
+            entry |= {"unit": "kW", "factor": 1e-3}
+        if isinstance(point, Actuator):
+            entry["default"] = point.default
+        result.append(entry)
+    return result

@@ -1,0 +1,180 @@
+"""One node, followed by one thread for all open pages."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from datetime import datetime, timedelta
+from typing import Any
+
+from zenostat.bridge.client.bus import Bus
+from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
+from zenostat.topics.messages import Event, Geometry, Manifest
+from zenostat.topics.points import value_index
+from zenostat.views.room.description import NodeDescription, describe
+from zenostat.views.room.numbers import to_json
+from zenostat.views.room.state import node_state, summary
+from zenostat.views.room.updates import Updates
+
+POLL_S = 0.5
+"""Time between two polls of a node, whatever the number of pages."""
+
+_ABSENT_POLL_S = 2.0
+_PAUSE_S = 0.1
+_EVENTS = 500
+_EVENTS_SENT = 40
+_RATE_WINDOW_S = 5.0
+
+
+class NodeWatch:
+    """A node that is or was on the bus. Its thread polls the node; attributes are replaced, not changed.
+
+    Args:
+        bus: connection to the bus.
+        node: the node's name.
+        updates: receives the state (`node:NAME`) and the latest events (`events:NAME`).
+        on_change: called after each poll, in the thread.
+
+    Attributes:
+        node: its name.
+        description: of its latest instance; None before the first poll.
+        state: its latest state; None while it is not reachable.
+        problem: why it is not reachable; empty while it is.
+        polls: number of polls.
+    """
+
+    def __init__(self, bus: Bus, node: str, updates: Updates, on_change: Callable[[], None]) -> None:
+        self.node = node
+        self.description: NodeDescription | None = None
+        self.state: dict[str, Any] | None = None
+        self.problem = "not polled yet"
+        self.polls = 0
+        self._bus, self._updates, self._on_change = bus, updates, on_change
+        self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
+        self._event_number = self._sent_number = 0
+        self._progress: deque[tuple[float, int, int]] = deque()
+        self._wake, self._is_closed, self._is_stale = threading.Event(), False, True
+        self._lock = threading.Lock()
+        self._thread = threading.Thread(target=self._run, name=f"room-{node}", daemon=True)
+        self._thread.start()
+
+    def refresh(self, *, restarted: bool = False) -> None:
+        """Poll at once, because something has changed; with `restarted`, the node may be another instance."""
+        self._is_stale = self._is_stale or restarted
+        self._wake.set()
+
+    def close(self) -> None:
+        """End the thread, after the poll that is running."""
+        self._is_closed = True
+        self._wake.set()
+
+    def join(self, timeout_s: float) -> None:
+        """Wait for the end of the thread."""
+        self._thread.join(timeout_s)
+
+    @property
+    def is_branch(self) -> bool:
+        """Whether it is a branch of another node."""
+        return self.description is not None and bool(self.description.manifest.branch_of)
+
+    @property
+    def summary(self) -> dict[str, Any] | None:
+        """Its entry in the list of nodes; None before the first poll."""
+        return None if self.description is None else summary(self.description, self.state, self._rate(), self.problem)
+
+    def events(self) -> list[dict[str, Any]]:
+        """Return the latest events, the newest one last."""
+        with self._lock:
+            return [*self._events]
+
+    def add_event(self, event: Event) -> None:
+        """Keep an event and have it sent; from any thread."""
+        with self._lock:
+            self._event_number += 1
+            entry = event.model_dump(mode="json", exclude={"alarm"})
+            entry |= {"number": self._event_number, "time": self._time(event.step)}
+            self._events.append(entry)
+        self._wake.set()
+
+    def _time(self, step: int) -> str:
+        """Return the simulated time of a step; empty before the first poll."""
+        if self.description is None:
+            return ""
+        manifest = self.description.manifest
+        return (datetime.fromisoformat(manifest.begin) + timedelta(seconds=step * manifest.step_s)).isoformat()
+
+    # In the thread
+
+    def _run(self) -> None:
+        while not self._is_closed:
+            self._wake.clear()
+            self._poll()
+            self.polls += 1
+            if self._is_closed:
+                return
+            self._publish()
+            if self._wake.wait(_ABSENT_POLL_S if self.problem else POLL_S) and not self._is_closed:
+                time.sleep(_PAUSE_S)  # however often something changes
+
+    def _poll(self) -> None:
+        try:
+            if self._is_stale or self.description is None or self.state is None:
+                self._is_stale = False
+                self._describe()
+            assert self.description is not None
+            status = self._bus.status(self.node)
+            try:
+                latest = self._bus.latest(self.node)
+                manifest = self.description.manifest
+                sample = SampleView(latest, manifest, value_index(manifest))
+            except RequestRejected:  # there is none yet
+                sample = None
+            self.state = node_state(self.description, status, sample, self._bus.alarms(self.node))
+            self.problem = ""
+            self._progress.append((time.monotonic(), status.episode[0], status.step[0]))
+        except (NodeLost, NodeNotFound):
+            self._lose("it left the bus")
+        except ZenostatError as error:
+            self._lose(str(error))
+        except Exception as error:  # a message of a stranger must not end the thread
+            self._lose(f"{type(error).__name__}: {error}")
+
+    def _lose(self, problem: str) -> None:
+        self.state, self.problem = None, problem
+        self._progress.clear()
+
+    def _describe(self) -> None:
+        manifest = self._bus.manifest(self.node)
+        if self.description is None or self.description.manifest != manifest:
+            self.description = describe(manifest, self._geometry(manifest))
+
+    def _geometry(self, manifest: Manifest) -> Geometry | None:
+        try:
+            return self._bus.geometry(manifest.branch_of or manifest.node)
+        except ZenostatError:  # a plant without a geometry
+            return None
+
+    def _publish(self) -> None:
+        state = self.state or {"node": self.node, "online": False, "problem": self.problem}
+        self._updates.publish(f"node:{self.node}", to_json(state))
+        with self._lock:
+            latest, number = [*self._events][-_EVENTS_SENT:], self._event_number
+        if number != self._sent_number:
+            self._sent_number = number
+            self._updates.publish(f"events:{self.node}", to_json({"node": self.node, "events": latest}))
+        self._on_change()
+
+    def _rate(self) -> float | None:
+        """Return the simulated seconds per second over the last seconds; None if it is not known."""
+        progress, description = self._progress, self.description
+        while len(progress) > 2 and progress[-1][0] - progress[0][0] > _RATE_WINDOW_S:
+            progress.popleft()
+        if len(progress) < 2 or description is None:
+            return None
+        (begun_s, episode, step), (ended_s, last_episode, last_step) = progress[0], progress[-1]
+        if episode != last_episode or ended_s <= begun_s:
+            return None
+        return (last_step - step) * description.manifest.step_s / (ended_s - begun_s)

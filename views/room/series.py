@@ -1,0 +1,95 @@
+"""The history of points for trends and for other programs, requested from a node once for all pages."""
+
+from __future__ import annotations
+
+import threading
+from collections import OrderedDict
+from collections.abc import Sequence
+from datetime import UTC, datetime
+from typing import Any
+
+from zenostat.bridge.client.bus import Bus
+from zenostat.bridge.client.history import History
+from zenostat.topics.errors import InvalidConfig
+from zenostat.views.room.node_watch import NodeWatch
+from zenostat.views.room.numbers import numbers
+
+MAX_POINTS = 64
+MAX_SAMPLES = 20_000
+_KEPT = 32
+
+
+class HistoryCache:
+    """The latest replies about histories; a node is asked again only after its next sample."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self._replies: OrderedDict[tuple[Any, ...], History] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def history(
+        self, watch: NodeWatch, points: Sequence[str], start: str | None, end: str | None, max_samples: int
+    ) -> History:
+        """Return the history of some points; arguments and errors as of `Bus.history`.
+
+        Raises:
+            InvalidConfig: no points, or too many points or samples.
+        """
+        if not 0 < len(points) <= MAX_POINTS:
+            raise InvalidConfig(f"points: 1 to {MAX_POINTS} names expected, not {len(points)}")
+        if not 2 <= max_samples <= MAX_SAMPLES:
+            raise InvalidConfig(f"max: 2 to {MAX_SAMPLES} samples expected, not {max_samples}")
+        state = watch.state or {}
+        key = (watch.node, state.get("instance"), state.get("episode"), state.get("step"))
+        key += (tuple(points), start, end, max_samples)
+        with self._lock:
+            if key in self._replies:
+                self._replies.move_to_end(key)
+                return self._replies[key]
+        history = self._bus.history(watch.node, points, start=start, end=end, max_samples=max_samples, extremes=True)
+        with self._lock:
+            self._replies[key] = history
+            while len(self._replies) > _KEPT:
+                self._replies.popitem(last=False)
+        return history
+
+
+def history_content(history: History) -> dict[str, Any]:
+    """Return a history for the page: times in ms, and for each point its values and the extremes between them."""
+    extremes = history.stride > 1 and history.lows is not None and history.highs is not None
+    return {
+        "episode": history.episode,
+        "stride": history.stride,
+        "oldest_step": history.oldest_step,
+        "last_step": int(history.step[-1]),
+        "time_ms": times_ms(history),
+        "points": [
+            {
+                "name": name,
+                "values": numbers(history.values[:, column]),
+                "lows": numbers(history.lows[:, column]) if extremes and history.lows is not None else None,
+                "highs": numbers(history.highs[:, column]) if extremes and history.highs is not None else None,
+            }
+            for column, name in enumerate(history.points)
+        ],
+    }
+
+
+def times_ms(history: History) -> list[int]:
+    """Return simulated times as ms since 1970, as if the building's standard time were UTC."""
+    milliseconds: list[int] = history.time.astype("datetime64[ms]").astype(int).tolist()
+    return milliseconds
+
+
+def simulated_time(text: str) -> str:
+    """Return a simulated time as a node expects it, from an ISO 8601 time with or without a zone.
+
+    Dashboards send UTC, which stands for the building's standard time.
+    """
+    try:
+        moment = datetime.fromisoformat(text)
+    except ValueError:
+        return text
+    if moment.tzinfo is None:
+        return text
+    return moment.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="seconds")

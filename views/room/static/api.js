@@ -1,0 +1,70 @@
+// Requests to the server, and the stream of changes.
+
+import { h } from "./dom.js";
+
+export class Failure extends Error {
+  constructor(status, content) {
+    super(content?.message ?? `the server answered with ${status}`);
+    this.status = status;
+    this.kind = content?.error ?? "";
+  }
+}
+
+async function request(path, options) {
+  let response;
+  try {
+    response = await fetch(path, { credentials: "same-origin", cache: "no-store", ...options });
+  } catch {
+    throw new Failure(0, { message: "the server of the control room does not answer" });
+  }
+  const content = await response.json().catch(() => null);
+  if (!response.ok) throw new Failure(response.status, content);
+  return content;
+}
+
+export const get = (path) => request(path);
+
+export const post = (path, content = {}) =>
+  request(path, { method: "POST", headers: { "content-type": "application/json" }, body: JSON.stringify(content) });
+
+export const remove = (path) => request(path, { method: "DELETE" });
+
+export const nodePath = (node, part = "") => `/api/nodes/${encodeURIComponent(node)}${part && `/${part}`}`;
+
+/** Show a short message; errors stay longer. */
+export function toast(text, isError = false) {
+  const message = h("div", { class: isError ? "toast error" : "toast", role: isError ? "alert" : null }, text);
+  const box = document.getElementById("toasts");
+  box.append(message);
+  while (box.childElementCount > 4) box.firstElementChild.remove();
+  setTimeout(() => message.remove(), isError ? 12000 : 5000);
+}
+
+/** Request a change of a node, and show the answer; returns whether it was accepted. */
+export async function operate(node, operation, content = {}) {
+  try {
+    const answer = await post(nodePath(node, operation), content);
+    toast(answer.text);
+    return true;
+  } catch (error) {
+    toast(error.message, true);
+    return false;
+  }
+}
+
+/** Follow the list of nodes and one node; returns a function that ends it. */
+export function follow(node, handlers, onConnection) {
+  const source = new EventSource(`/api/stream${node ? `?node=${encodeURIComponent(node)}` : ""}`);
+  for (const [kind, handle] of Object.entries(handlers)) {
+    source.addEventListener(kind, (event) => handle(JSON.parse(event.data)));
+  }
+  source.addEventListener("open", () => onConnection(true));
+  source.addEventListener("error", () => {
+    onConnection(false);
+    if (source.readyState === EventSource.CLOSED) {
+      // The session has ended, or the server is gone for good; a new page finds out.
+      setTimeout(() => get("/api/session").then((me) => !me.operator && location.reload()).catch(() => {}), 2000);
+    }
+  });
+  return () => source.close();
+}

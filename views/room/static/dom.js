@@ -1,0 +1,67 @@
+// Elements from texts and functions; texts are never HTML.
+
+const SVG = "http://www.w3.org/2000/svg";
+
+function build(element, attributes, children) {
+  for (const [name, value] of Object.entries(attributes ?? {})) {
+    if (value === null || value === undefined || value === false) continue;
+    if (name.startsWith("on")) element.addEventListener(name.slice(2), value);
+    else if (name === "value" || name === "checked" || name === "selected") element[name] = value;
+    else element.setAttribute(name, value === true ? "" : String(value));
+  }
+  element.append(...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false));
+  return element;
+}
+
+/** Create an HTML element: `h("button", {onclick: stop}, "Stop")`. */
+export function h(tag, attributes, ...children) {
+  return build(document.createElement(tag), attributes, children);
+}
+
+/** Create an SVG element. */
+export function s(tag, attributes, ...children) {
+  return build(document.createElementNS(SVG, tag), attributes, children);
+}
+
+/** Replace an element's children. */
+export function fill(element, ...children) {
+  element.replaceChildren(...children.flat(Infinity).filter((child) => child !== null && child !== undefined && child !== false));
+  return element;
+}
+
+/** Set an element's text, if it has changed. */
+export function setText(element, text) {
+  const next = String(text ?? "");
+  if (element.textContent !== next) element.textContent = next;
+}
+
+/** Set or remove an attribute, if it has changed. */
+export function setAttribute(element, name, value) {
+  if (value === null || value === undefined || value === false) {
+    if (element.hasAttribute(name)) element.removeAttribute(name);
+  } else if (element.getAttribute(name) !== String(value)) element.setAttribute(name, String(value));
+}
+
+/** A drawing for a button, from paths in a box of 24 by 24. */
+export function icon(name) {
+  const paths = {
+    pause: "M8 5v14M16 5v14",
+    play: "M7 4.5v15l12-7.5z",
+    step: "M5 5v14l9-7zM18 5v14",
+    reset: "M4 4v6h6M4.6 10a8 8 0 1 1-.4 4.5",
+    record: "M12 7a5 5 0 1 0 0 10a5 5 0 0 0 0-10z",
+    close: "M6 6l12 12M18 6L6 18",
+    chart: "M4 19h16M5 15l5-5 4 3 5-7",
+    back: "M15 5l-7 7 7 7",
+    moon: "M19 14.5A7.5 7.5 0 0 1 9.5 5a7.5 7.5 0 1 0 9.5 9.5z",
+    user: "M12 12a4 4 0 1 0 0-8a4 4 0 0 0 0 8zM4.5 20a7.5 7.5 0 0 1 15 0",
+  };
+  return s("svg", { viewBox: "0 0 24 24", class: "icon", "aria-hidden": "true" }, s("path", { d: paths[name] }));
+}
+
+/** A panel with a heading; its content is filled by the caller. */
+export function panel(title, attributes, ...children) {
+  const id = `panel-${title.toLowerCase().replace(/[^a-z]+/g, "-")}`;
+  return h("section", { class: "panel", "aria-labelledby": id, ...attributes },
+    h("h2", { id }, title), ...children);
+}

@@ -1,0 +1,90 @@
+// Numbers, units, times and durations as texts.
+
+const THIN = "\u202f";
+
+/** Digits after the point, by unit. */
+function digits(unit, size) {
+  if (unit === "people") return size < 10 && size % 1 ? 1 : 0;
+  if (unit === "°C" || unit === "K" || unit === "%") return 1;
+  if (size >= 1000) return 0;
+  if (size >= 100) return 0;
+  if (size >= 1) return size >= 10 ? 1 : 2;
+  return 3;
+}
+
+/** A number with digits that suit its unit; an en dash where there is none. */
+export function num(value, unit = "") {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  const size = Math.abs(value);
+  if (size !== 0 && (size < 5e-4 || size >= 1e7)) return value.toExponential(2).replace("-", "\u2212");
+  const text = value.toFixed(digits(unit, size));
+  const plain = unit === "°C" || unit === "kW" || !text.includes(".") ? text : text.replace(/0+$/, "").replace(/\.$/, "");
+  return plain.replace("-", "\u2212").replace(/\B(?=(\d{3})+(?!\d))(?<!\.\d*)/g, THIN);
+}
+
+/** A number with its unit. */
+export function withUnit(value, unit) {
+  const text = num(value, unit);
+  return text === "–" || !unit ? text : `${text}\u00a0${unit}`;
+}
+
+/** A point's value in the unit that is shown. */
+export function shown(point, value) {
+  return value === null || value === undefined ? null : value * (point.factor ?? 1);
+}
+
+const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];
+const MONTHS = ["Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec"];
+
+/** Seconds since 1970 of a simulated time, as if it were UTC. */
+export function seconds(time) {
+  return Date.parse(`${time}Z`) / 1000;
+}
+
+/** `Sun 2 Jul 2017, 18:15`. */
+export function dateTime(time) {
+  const date = new Date(`${time}Z`);
+  if (Number.isNaN(date.getTime())) return time ?? "";
+  return `${DAYS[date.getUTCDay()]} ${date.getUTCDate()} ${MONTHS[date.getUTCMonth()]} ${date.getUTCFullYear()}, ${clock(date)}`;
+}
+
+/** `2 Jul 18:15`. */
+export function shortTime(time) {
+  const date = new Date(`${time}Z`);
+  if (Number.isNaN(date.getTime())) return time ?? "";
+  return `${date.getUTCDate()} ${MONTHS[date.getUTCMonth()]} ${clock(date)}`;
+}
+
+function clock(date) {
+  const two = (number) => String(number).padStart(2, "0");
+  return `${two(date.getUTCHours())}:${two(date.getUTCMinutes())}`;
+}
+
+/** Simulated seconds per second as `15 min/s`, `1 h/s` or `60×`. */
+export function rate(speed) {
+  if (speed === null || speed === undefined) return "";
+  if (speed < 60) return `${num(speed)}×`;
+  if (speed < 3600) return `${num(Math.round(speed / 6) / 10)} min/s`;
+  if (speed < 86400) return `${num(Math.round(speed / 360) / 10)} h/s`;
+  return `${num(Math.round(speed / 8640) / 10)} d/s`;
+}
+
+/** A duration in seconds as `2 h` or `15 min`. */
+export function duration(time) {
+  if (time < 120) return `${num(time)} s`;
+  if (time < 7200) return `${num(time / 60)} min`;
+  if (time < 172800) return `${num(time / 3600)} h`;
+  return `${num(time / 86400)} d`;
+}
+
+/** Bytes as `1.2 MB`. */
+export function bytes(count) {
+  if (count < 1e3) return `${count} B`;
+  if (count < 1e6) return `${num(count / 1e3)} kB`;
+  return count < 1e9 ? `${num(count / 1e6)} MB` : `${num(count / 1e9)} GB`;
+}
+
+/** `out_of_service` as `out of service`. */
+export function words(text) {
+  return String(text).replaceAll("_", " ");
+}

@@ -1,0 +1,127 @@
+// The page: sign-in, and the list of nodes or one node, by the address.
+
+import { follow, get, post, remove, toast } from "./api.js";
+import { fill, h, icon } from "./dom.js";
+import { NodePage } from "./node.js";
+import { Overview } from "./overview.js";
+import { change, link, onView, view } from "./view.js";
+
+const main = document.getElementById("main");
+const header = document.getElementById("header");
+let page = null;
+let stop = null;
+let shownNode = null;
+let operator = null;
+let connection;
+
+function theme(next) {
+  if (next) {
+    document.documentElement.dataset.theme = next;
+    try { localStorage.setItem("theme", next); } catch { /* private windows */ }
+  }
+  return document.documentElement.dataset.theme
+    ?? (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+}
+
+async function signIn() {
+  const token = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (token) {
+    history.replaceState(null, "", location.pathname + location.search);
+    return (await post("/api/session", { token })).operator;
+  }
+  return (await get("/api/session")).operator;
+}
+
+function showSignIn(message) {
+  fill(header, h("h1", {}, "Control room"));
+  const input = h("input", { id: "link", required: true, autocomplete: "off", spellcheck: "false" });
+  const submit = async (event) => {
+    event.preventDefault();
+    const token = input.value.trim().replace(/^.*#token=/, "");
+    try {
+      await post("/api/session", { token });
+      location.reload();
+    } catch (error) { toast(error.message, true); }
+  };
+  fill(main, h("form", { class: "panel sign-in", onsubmit: submit },
+    h("h2", {}, "Sign in"),
+    message && h("p", { role: "alert", class: "problem" }, message),
+    h("p", {}, "Open the link that ", h("code", {}, "zenostat room"), " printed, or paste it here. Each link signs one browser in."),
+    h("label", { for: "link" }, "Link"), input, h("button", { class: "primary" }, "Sign in")));
+}
+
+async function invite() {
+  const dialog = h("dialog", { "aria-label": "Invite another browser" });
+  const name = h("input", { id: "invited", required: true, maxlength: 64, value: operator });
+  const output = h("output", { class: "link" });
+  const submit = async (event) => {
+    event.preventDefault();
+    try {
+      output.textContent = (await post("/api/invitation", { operator: name.value })).link;
+    } catch (error) { toast(error.message, true); }
+  };
+  fill(dialog, h("form", { class: "stack", onsubmit: submit },
+    h("h2", {}, "Another browser"),
+    h("p", {}, "A link signs one browser in, once. Changes are recorded under the name."),
+    h("label", { for: "invited" }, "Name"), name,
+    output,
+    h("div", { class: "row end" },
+      h("button", { type: "button", onclick: async () => { await remove("/api/session"); location.assign("/"); } }, "Sign out"),
+      h("button", { type: "button", onclick: () => dialog.close() }, "Close"),
+      h("button", { class: "primary" }, "Create link"))));
+  dialog.addEventListener("close", () => dialog.remove());
+  document.body.append(dialog);
+  dialog.showModal();
+}
+
+function showHeader() {
+  connection = h("span", { class: "chip warning", hidden: true, role: "status" }, "no connection");
+  fill(header,
+    h("a", { class: "home", href: "/", onclick: (event) => link(event, {}) },
+      h("img", { src: "/static/icon.svg", alt: "", width: 26, height: 26 }), h("h1", {}, "Control room")),
+    h("nav", { id: "crumbs", "aria-label": "Nodes" }),
+    h("span", { class: "grow" }), connection,
+    h("button", { class: "quiet", "aria-label": "Light or dark", title: "Light or dark",
+      onclick: () => { theme(theme() === "dark" ? "light" : "dark"); page?.redraw?.(); } }, icon("moon")),
+    h("button", { class: "quiet", onclick: invite, title: "Session" }, icon("user"), h("span", { class: "wide" }, operator)));
+}
+
+function show() {
+  const node = view().node ?? null;
+  if (page && node === shownNode) { page.onView(); return; }
+  shownNode = node;
+  stop?.();
+  page?.close();
+  fill(document.getElementById("drawer"));
+  page = node ? new NodePage(main, node, operator) : new Overview(main);
+  const crumbs = document.getElementById("crumbs");
+  fill(crumbs, node && [h("span", { "aria-hidden": "true" }, "›"), h("span", { class: "crumb" }, node)]);
+  document.title = node ? `${node} – Control room` : "Control room";
+  stop = follow(node, page.handlers, (isConnected) => { connection.hidden = isConnected; });
+}
+
+async function start() {
+  try { const kept = localStorage.getItem("theme"); if (kept === "dark" || kept === "light") theme(kept); } catch { /* private windows */ }
+  try {
+    operator = await signIn();
+  } catch (error) {
+    showSignIn(error.message);
+    return;
+  }
+  if (!operator) { showSignIn(""); return; }
+  showHeader();
+  onView(show);
+  show();
+}
+
+addEventListener("keydown", (event) => {
+  const isTyping = event.target.closest?.("input, select, textarea, dialog");
+  if (isTyping || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === "/") {
+    const search = document.querySelector("input[type=search]");
+    if (search) { event.preventDefault(); search.focus(); }
+  } else if (event.key === "Escape" && view().point) change({ point: null });
+  else page?.onKey?.(event);
+});
+
+start();

@@ -1,0 +1,151 @@
+// One point: its value, its trend, its priority array, and overrides.
+
+import { get, nodePath, operate, toast } from "./api.js";
+import { fill, h, icon, setText } from "./dom.js";
+import { duration, num, seconds, shortTime, shown, withUnit, words } from "./format.js";
+import { chart } from "./trends.js";
+import { change, view } from "./view.js";
+
+const PRIORITIES = { 1: "manual life safety", 2: "automatic life safety", 5: "critical equipment", 6: "minimum on/off time", 8: "manual operator", 10: "controllers", 16: "lowest" };
+const DURATIONS = [[3600, "1 h"], [7200, "2 h"], [14400, "4 h"], [28800, "8 h"], [86400, "1 day"], ["", "until relinquished"]];
+const DAY_S = 86400;
+
+function priorityName(number) {
+  return PRIORITIES[number] ? `${number} · ${PRIORITIES[number]}` : String(number);
+}
+
+export class PointPanel {
+  constructor(root, node, description, place) {
+    this.root = root;
+    this.node = node;
+    this.description = description;
+    this.place = place;
+    const point = this.point = description.points[place];
+    this.value = h("span", { class: "big" });
+    this.note = h("p", { class: "muted" });
+    this.canvas = h("div", { class: "chart" });
+    this.array = h("div");
+    this.events = h("ul", { class: "log" });
+    const back = document.activeElement;
+    this.close = () => {
+      this.plot?.destroy();
+      fill(root);
+      if (back?.isConnected) back.focus();
+    };
+    const content = h("aside", { class: "drawer", "aria-label": point.label, tabindex: "-1" },
+      h("div", { class: "row" },
+        h("h2", {}, point.label), h("span", { class: "grow" }),
+        h("button", { class: "quiet", "aria-label": "Close", onclick: () => change({ point: null }) }, icon("close"))),
+      h("p", { class: "muted code" }, point.name),
+      h("div", { class: "row" }, this.value), this.note, this.canvas,
+      point.kind === "actuator" && [this.form(), h("h3", {}, "Priority array"), this.array],
+      h("h3", {}, "Events"), this.events);
+    fill(root, content);
+    content.focus();
+    this.load();
+  }
+
+  form() {
+    const { point } = this;
+    const bounds = { low: point.low ?? undefined, high: point.high ?? undefined };
+    this.input = h("input", { id: "override", type: "number", step: "any", min: bounds.low, max: bounds.high, required: true });
+    this.priority = h("select", { id: "priority" }, Array.from({ length: 16 }, (_, place) => h("option", { value: place + 1 }, priorityName(place + 1))));
+    this.priority.value = "8";
+    this.duration = h("select", { id: "duration" }, DURATIONS.map(([value, text]) => h("option", { value }, text)));
+    this.duration.value = "7200";
+    const submit = async (event) => {
+      event.preventDefault();
+      const content = { point: point.name, value: Number(this.input.value), priority: Number(this.priority.value) };
+      if (this.duration.value) content.duration_s = Number(this.duration.value);
+      await operate(this.node, "write", content);
+      this.load();
+    };
+    const range = [point.low, point.high].map((bound) => num(bound, point.unit));
+    return h("form", { class: "override", onsubmit: submit },
+      h("h3", {}, "Override"),
+      h("div", { class: "fields" },
+        h("div", {}, h("label", { for: "override" }, `Value${point.unit ? `, ${point.unit}` : ""}`), this.input),
+        h("div", {}, h("label", { for: "duration" }, "For"), this.duration),
+        h("div", {}, h("label", { for: "priority" }, "Priority"), this.priority)),
+      h("div", { class: "row" },
+        h("span", { class: "muted" }, point.low !== null || point.high !== null ? `Bounds: ${range[0]} to ${range[1]}` : ""), h("span", { class: "grow" }),
+        h("button", { class: "primary" }, "Override")));
+  }
+
+  async relinquish(priority) {
+    await operate(this.node, "write", { point: this.point.name, value: null, priority });
+    this.load();
+  }
+
+  async load() {
+    const { point } = this;
+    if (point.kind === "actuator") {
+      try {
+        this.draw(await get(`${nodePath(this.node, "priorities")}?point=${encodeURIComponent(point.name)}`));
+      } catch (error) { toast(error.message, true); }
+    }
+    await this.trend();
+  }
+
+  async trend() {
+    if (!this.description.history_samples || !this.state?.time) return;
+    const begin = new Date((seconds(this.state.time) - DAY_S) * 1000).toISOString().slice(0, 19);
+    const query = new URLSearchParams({ point: this.point.name, max: 400 });
+    if (begin > this.description.begin) query.set("from", begin);
+    try {
+      const answer = await get(`${nodePath(this.node, "history")}?${query}`);
+      const [{ values, lows, highs }] = answer.points;
+      const scale = (list) => list && list.map((value) => shown(this.point, value));
+      this.plot?.destroy();
+      fill(this.canvas);
+      if (!this.canvas.isConnected || values.every((value) => value === null)) return;
+      this.plot = chart(this.canvas, { time: answer.time_ms.map((each) => each / 1000), height: 170,
+        series: [{ label: this.point.label, unit: this.point.unit, color: "#2878dc", values: scale(values), lows: scale(lows), highs: scale(highs), stepped: this.point.kind === "actuator" }] });
+      this.canvas.setAttribute("role", "img");
+      this.canvas.setAttribute("aria-label", `${this.point.label} in the last day`);
+    } catch { /* a reset in between; the next sample draws it */ }
+  }
+
+  draw(content) {
+    const { point } = this;
+    const used = content.entries.map((entry, place) => ({ ...entry, priority: place + 1 })).filter((entry) => entry.value !== null);
+    const first = used[0]?.priority;
+    const rows = used.map((entry) => h("tr", { class: entry.priority === first ? "effective" : null },
+      h("th", { scope: "row" }, priorityName(entry.priority)),
+      h("td", { class: "number" }, withUnit(entry.value, point.unit)),
+      h("td", {}, entry.source),
+      h("td", {}, entry.expires ? shortTime(entry.expires) : "–"),
+      h("td", {}, h("button", { class: "small", "aria-label": `Relinquish priority ${entry.priority}`, onclick: () => this.relinquish(entry.priority) }, "Relinquish"))));
+    const isBaseline = !used.length;
+    fill(this.array, h("table", {},
+      h("thead", {}, h("tr", {}, [["Priority", ""], ["Value", "number"], ["By", ""], ["Until", ""], ["", ""]].map(([text, kind]) => h("th", { scope: "col", class: kind || null }, text)))),
+      h("tbody", {}, rows,
+        h("tr", { class: isBaseline ? "effective" : null }, h("th", { scope: "row" }, "baseline control"),
+          h("td", { class: "number" }, point.default === null || point.default === undefined ? "" : withUnit(point.default, point.unit)), h("td", {}, isBaseline ? "in effect" : ""), h("td"), h("td")))));
+  }
+
+  update(state) {
+    const isNew = state.sample_step !== this.state?.sample_step || state.episode !== this.state?.episode;
+    const isFirst = !this.state?.time;
+    this.state = state;
+    const { point, place } = this;
+    const value = shown(point, state.values?.[place]);
+    setText(this.value, withUnit(value, point.unit));
+    if (point.kind === "actuator") {
+      const actuator = place - (this.description.points.length - (state.source?.length ?? 0));
+      const source = state.sources?.[state.source?.[actuator]];
+      const command = state.commanded?.[actuator];
+      setText(this.note, source ? `Set by ${source}${command === null ? "" : ` to ${withUnit(command, point.unit)}`}` : "Under baseline control");
+      if (!this.input.value && value !== null) this.input.value = Number(value.toFixed(2));
+    } else setText(this.note, words(point.kind));
+    if (isFirst) this.trend();
+    else if (isNew && !this.timer) this.timer = setTimeout(() => { this.timer = null; if (view().point === point.name) this.load(); }, 1500);
+  }
+
+  showEvents(events) {
+    const own = events.filter((event) => event.text.includes(this.point.name)).slice(-8).reverse();
+    fill(this.events, own.length ? own.map((event) => h("li", {}, h("time", {}, shortTime(event.time)), " ", h("span", {}, event.text), event.source && h("em", {}, ` ${event.source}`))) : h("li", { class: "muted" }, "none since this page's server was started"));
+  }
+}
+
+export { duration, DURATIONS, priorityName };

@@ -1,0 +1,335 @@
+// Trends by uPlot: the history that the node keeps, then each new sample; zoomed by dragging.
+
+import { get, nodePath } from "./api.js";
+import { fill, h, icon } from "./dom.js";
+import { num, seconds, shown, withUnit } from "./format.js";
+import { change, view } from "./view.js";
+
+const uPlot = window.uPlot;
+const COLORS = ["#2878dc", "#eb6e00", "#00903c", "#b44696", "#8a6fd1", "#c08a1e", "#19a0a5", "#e0566f", "#6b7f95", "#4f9a2f"];
+export const RANGES = [["6", "6 h"], ["24", "24 h"], ["72", "3 d"], ["168", "7 d"], ["all", "all"]];
+const MAX_SAMPLES = 1200;
+
+function css(name) {
+  return getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+}
+
+const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];
+
+/** Labels of a time axis: hours, and the day where it begins. */
+function timeLabels(_, splits, axis, space, step) {
+  return splits.map((split, place) => {
+    const date = new Date(split * 1000);
+    const day = `${DAYS[date.getUTCDay()]} ${date.getUTCDate()}/${date.getUTCMonth() + 1}`;
+    const hour = `${String(date.getUTCHours()).padStart(2, "0")}:${String(date.getUTCMinutes()).padStart(2, "0")}`;
+    if (step >= 86400) return day;
+    const isFirst = place === 0 || new Date(splits[place - 1] * 1000).getUTCDate() !== date.getUTCDate();
+    return isFirst ? `${hour}\n${day}` : hour;
+  });
+}
+
+/** Create a chart of some series on a time axis; `series` have label, unit, color, values and optionally stepped, dash, lows, highs. */
+export function chart(root, { time, series, band = null, height = 260, onZoom = null, onReset = null, range = null }) {
+  const units = [...new Set(series.map((each) => each.unit))].slice(0, 4);
+  const grid = css("--grid"), text = css("--muted");
+  const font = "12px system-ui, sans-serif";
+  const axes = [
+    { stroke: text, font, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid }, values: timeLabels, space: 64, size: 46 },
+    ...units.map((unit, place) => ({
+      scale: unit || "1", side: place === 0 ? 3 : 1, stroke: text, font, size: 58, ticks: { stroke: grid },
+      grid: { show: place === 0, stroke: grid, width: 1 }, values: (_, splits) => splits.map((split) => num(split, unit === "°C" ? "" : unit)),
+      label: unit || undefined, labelFont: font, labelSize: 18, labelGap: 0,
+    })),
+  ];
+  const scales = { x: { time: true, range: range ? () => range : undefined } };
+  for (const unit of units) {
+    scales[unit || "1"] = { range: (_, low, high) => {
+      if (low === null) return [0, 1];
+      const least = unit === "°C" ? 2 : 1e-6;
+      const pad = Math.max((high - low) * 0.08, least / 2, Math.abs(high) * 1e-3);
+      return [low >= 0 && low - pad < 0 ? 0 : low - pad, high + pad];
+    } };
+  }
+  const options = {
+    width: Math.max(200, root.clientWidth), height, axes, scales,
+    tzDate: (stamp) => uPlot.tzDate(new Date(stamp * 1000), "UTC"),
+    legend: { show: false },
+    padding: [10, units.length > 1 ? 4 : 16, 0, 0],
+    cursor: { drag: { x: true, y: false, setScale: false }, points: { size: 6 }, focus: { prox: 24 } },
+    focus: { alpha: 0.35 },
+    series: [{}, ...series.map((each) => ({
+      label: each.label, scale: each.unit || "1", stroke: each.color, width: each.width ?? 1.6, dash: each.dash,
+      points: { show: false }, spanGaps: false, paths: each.stepped ? uPlot.paths.stepped({ align: -1 }) : undefined,
+      value: (_, value) => withUnit(value, each.unit),
+    }))],
+    hooks: {
+      drawClear: [(plot) => band && drawBand(plot, band)],
+      drawSeries: [(plot, place) => drawExtremes(plot, place, series)],
+      setCursor: [(plot) => root.tip?.(plot, series)],
+      setSelect: [(plot) => {
+        if (plot.select.width < 4) return;
+        const from = plot.posToVal(plot.select.left, "x"), to = plot.posToVal(plot.select.left + plot.select.width, "x");
+        plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
+        if (to - from > 60) onZoom?.(from, to);
+      }],
+    },
+  };
+  const plot = new uPlot(options, [time, ...series.map((each) => each.values)], root);
+  plot.over.addEventListener("dblclick", () => onReset?.());
+  return plot;
+}
+
+/** Shade the comfort band: pairs of limits over the whole time axis. */
+function drawBand(plot, { unit, low, high }) {
+  if (!(unit in plot.scales) || low === null || high === null) return;
+  const { ctx } = plot, { left, top, width, height } = plot.bbox;
+  const scale = plot.scales[unit];
+  if (scale.min === null || scale.min === undefined) return;
+  const clamp = (value) => Math.min(top + height, Math.max(top, plot.valToPos(value, unit, true)));
+  ctx.save();
+  ctx.fillStyle = css("--band");
+  ctx.fillRect(left, clamp(high), width, clamp(low) - clamp(high));
+  ctx.restore();
+}
+
+/** Shade the extremes between samples that are shown, so that no peak is lost. */
+function drawExtremes(plot, place, series) {
+  const each = series[place - 1];
+  if (!each?.lows) return;
+  const { ctx } = plot, scale = each.unit || "1", time = plot.data[0];
+  ctx.save();
+  ctx.beginPath();
+  ctx.rect(plot.bbox.left, plot.bbox.top, plot.bbox.width, plot.bbox.height);
+  ctx.clip();
+  ctx.globalAlpha = 0.28;
+  ctx.fillStyle = each.color;
+  ctx.beginPath();
+  const at = (index, values) => ctx.lineTo(plot.valToPos(time[index], "x", true), plot.valToPos(values[index], scale, true));
+  const known = time.map((_, index) => index).filter((index) => each.lows[index] !== null && each.highs[index] !== null);
+  known.forEach((index) => at(index, each.highs));
+  known.reverse().forEach((index) => at(index, each.lows));
+  ctx.closePath();
+  ctx.fill();
+  ctx.restore();
+}
+
+export class Trends {
+  constructor(root, node, description) {
+    this.node = node;
+    this.description = description;
+    this.byName = new Map(description.points.map((point, place) => [point.name, { point, place }]));
+    this.data = null;
+    this.loading = false;
+    this.plot = null;
+    this.hasHistory = description.history_samples > 0;
+    this.legend = h("ul", { class: "legend", "aria-label": "Lines" });
+    this.when = h("span", { class: "muted when" });
+    this.canvas = h("div", { class: "chart" });
+    this.canvas.tip = (plot, series) => this.tip(plot, series);
+    this.ranges = h("div", { class: "segments", role: "group", "aria-label": "Range of time" }, RANGES.map(([value, text]) =>
+      h("button", { "data-range": value, onclick: () => change({ range: value, from: null, to: null }, { replace: true }) }, text)));
+    this.live = h("button", { class: "chip warning", hidden: true, onclick: () => change({ from: null, to: null }, { replace: true }) }, "zoomed – follow again");
+    this.presets = h("div", { class: "segments", role: "group", "aria-label": "What is drawn" }, this.presetList().map(([name, text]) =>
+      h("button", { "data-preset": name, onclick: () => change({ trend: name === "zones" ? null : name }, { replace: true }) }, text)));
+    fill(root, h("div", { class: "row wrap" }, this.presets, h("span", { class: "grow" }), this.live, this.ranges),
+      h("div", { class: "row" }, this.when), this.canvas, this.legend);
+    this.observer = new ResizeObserver(() => this.draw());
+    this.observer.observe(this.canvas);
+  }
+
+  close() { this.observer.disconnect(); this.plot?.destroy(); this.isClosed = true; }
+
+  presetList() {
+    const presets = [];
+    if (this.description.zones.length) presets.push(["zones", "Zones"]);
+    if (this.description.facility || this.description.hvac) presets.push(["power", "Power"]);
+    return presets;
+  }
+
+  /** Names of the points that the address asks for. */
+  names() {
+    const { trend, zone } = view();
+    const { zones, points } = this.description;
+    const name = (place) => (place === null || place === undefined ? null : points[place].name);
+    const known = (list) => [...new Set(list)].filter((each) => each && this.byName.has(each)).slice(0, 24);
+    if (trend && trend !== "power" && trend !== "zones") return known(trend.split(","));
+    if (trend === "power") {
+      const { facility, hvac, outdoor } = this.description;
+      return known([name(facility?.point), name(hvac?.point), name(outdoor)]);
+    }
+    const selected = zones[zone];
+    if (selected) {
+      return known([name(selected.temperature), name(selected.heating_actuator ?? selected.heating_setpoint),
+        name(selected.cooling_actuator ?? selected.cooling_setpoint), name(selected.occupants), name(this.description.outdoor)]);
+    }
+    if (zones.length) return known(zones.slice(0, 20).map((each) => name(each.temperature)));
+    return known(points.slice(0, 6).map((point) => point.name));
+  }
+
+  /** Add a point to the lines, or remove it from them. */
+  toggle(name) {
+    const { trend } = view();
+    const chosen = trend && trend !== "power" && trend !== "zones" ? trend.split(",") : [];
+    const next = chosen.includes(name) ? chosen.filter((each) => each !== name) : [...chosen, name];
+    change({ trend: next.join(",") || null }, { replace: true });
+  }
+
+  chosen() {
+    const { trend } = view();
+    return trend && trend !== "power" && trend !== "zones" ? trend.split(",") : [];
+  }
+
+  onView() {
+    const { range = "24", from, to, trend } = view();
+    for (const button of this.ranges.children) button.setAttribute("aria-pressed", String(!from && button.dataset.range === range));
+    const preset = trend && trend !== "power" && trend !== "zones" ? "" : trend ?? "zones";
+    for (const button of this.presets.children) button.setAttribute("aria-pressed", String(button.dataset.preset === preset));
+    this.live.hidden = !(from && to);
+    const key = JSON.stringify([this.names(), range, from, to, view().zone, this.episode]);
+    if (key !== this.key) { this.key = key; this.data = null; this.load(); } else this.draw();
+  }
+
+  update(state) {
+    this.state = state;
+    if (state.values === undefined) return;
+    if (state.episode !== this.episode) { this.episode = state.episode; this.onView(); return; }
+    const { data } = this;
+    if (!data || view().from) return;
+    const newer = state.sample_step - data.last;
+    if (newer <= 0) return;
+    if (newer === 1 && data.stride === 1) {
+      data.last = state.sample_step;
+      data.time.push(seconds(state.time));
+      data.names.forEach((name, column) => data.values[column].push(state.values[this.byName.get(name).place] ?? null));
+      this.draw();
+    } else this.later();
+  }
+
+  /** Load again soon, but not more often than the page can draw. */
+  later() {
+    if (this.timer || this.loading) return;
+    this.timer = setTimeout(() => { this.timer = null; this.load(); }, this.data?.stride > 1 ? 2000 : 400);
+  }
+
+  span() {
+    const { range = "24", from, to } = view();
+    if (from && to) return [from, to];
+    if (range === "all" || !this.state?.time) return [null, null];
+    const hours = Number(range) > 0 ? Number(range) : 24;
+    const begin = new Date((seconds(this.state.time) - hours * 3600) * 1000).toISOString().slice(0, 19);
+    return [begin < this.description.begin ? null : begin, null];
+  }
+
+  async load() {
+    const names = this.names(), key = this.key;
+    if (!names.length || !this.hasHistory || this.isClosed) { this.draw(); return; }
+    if (!this.state) return;
+    this.loading = true;
+    const query = new URLSearchParams(names.map((name) => ["point", name]));
+    query.set("max", MAX_SAMPLES);
+    const [from, to] = this.span();
+    if (from) query.set("from", from);
+    if (to) query.set("to", to);
+    try {
+      const answer = await get(`${nodePath(this.node, "history")}?${query}`);
+      if (key !== this.key) return;
+      this.data = { names, stride: answer.stride, last: answer.last_step, time: answer.time_ms.map((each) => each / 1000),
+        values: answer.points.map((each) => each.values), lows: answer.points.map((each) => each.lows), highs: answer.points.map((each) => each.highs) };
+      this.problem = "";
+    } catch (error) { this.problem = error.message; } finally { this.loading = false; }
+    if (!this.isClosed) this.draw();
+  }
+
+  series() {
+    const { data, description } = this;
+    const zoneOf = new Map(description.zones.map((zone) => [description.points[zone.temperature]?.name, zone]));
+    const isZones = data.names.every((name) => zoneOf.has(name));
+    return data.names.map((name, column) => {
+      const { point } = this.byName.get(name);
+      const scale = (values) => values && values.map((value) => shown(point, value));
+      const isSetpoint = point.kind === "actuator" || / setpoint$/i.test(point.label);
+      return { name, label: isZones ? zoneOf.get(name).name : point.label, unit: point.unit,
+        color: isZones ? zoneOf.get(name).color : COLORS[column % COLORS.length],
+        values: scale(data.values[column]), lows: scale(data.lows?.[column]), highs: scale(data.highs?.[column]),
+        stepped: isSetpoint || point.unit === "people", dash: isSetpoint ? [6, 4] : undefined };
+    });
+  }
+
+  band() {
+    const { zone } = view();
+    const zones = this.state?.zones ?? [];
+    const now = zones[zone] ?? zones[0];
+    const isCommon = zones.every((each) => each.low === now.low && each.high === now.high);
+    return now && (zones[zone] || isCommon) ? { unit: "°C", low: now.low, high: now.high } : null;
+  }
+
+  draw() {
+    const { data } = this;
+    if (!data || !data.time.length || !this.canvas.clientWidth) {
+      this.plot?.destroy();
+      this.plot = null;
+      const text = this.hasHistory ? this.problem || (this.names().length ? "…" : "Choose points in the table to draw them.") : "This node keeps no history.";
+      fill(this.canvas, h("p", { class: "empty" }, text));
+      fill(this.legend);
+      return;
+    }
+    const next = this.series();
+    const shape = JSON.stringify([this.canvas.clientWidth, css("--grid"), next.map((each) => [each.name, each.unit])]);
+    if (this.plot && shape === this.shape) {
+      next.forEach((each, column) => Object.assign(this.lines[column], each));
+      this.shownBand = Object.assign(this.shownBand, this.band() ?? { unit: "" });
+      this.plot.setData([data.time, ...next.map((each) => each.values)]);
+      this.tip(this.plot, this.lines);
+      return;
+    }
+    this.plot?.destroy();
+    fill(this.canvas);
+    this.shape = shape;
+    const series = next;
+    this.lines = series;
+    this.shownBand = { ...(this.band() ?? { unit: "", low: null, high: null }) };
+    this.plot = chart(this.canvas, { time: data.time, series, band: this.shownBand, height: this.canvas.clientWidth < 500 ? 220 : 290,
+      onZoom: (from, to) => change({ from: iso(from), to: iso(to) }, { replace: true }),
+      onReset: () => change({ from: null, to: null }, { replace: true }) });
+    const removable = this.chosen().length > 0;
+    fill(this.legend, series.map((each, column) => h("li", {},
+      swatch(each), h("span", {}, each.label),
+      h("span", { class: "number legend-value", "data-column": column }, withUnit(last(each.values), each.unit)),
+      removable && h("button", { class: "quiet small", "aria-label": `Remove ${each.label}`, onclick: () => this.toggle(each.name) }, icon("close")))));
+    this.canvas.setAttribute("role", "img");
+    this.canvas.setAttribute("aria-label", `Trends of ${series.slice(0, 4).map((each) => `${each.label}, now ${withUnit(last(each.values), each.unit)}`).join("; ")}`);
+    this.when.textContent = "";
+  }
+
+  tip(plot, series) {
+    const { idx } = plot.cursor;
+    for (const cell of this.legend.querySelectorAll(".legend-value")) {
+      const each = series[cell.dataset.column];
+      cell.textContent = withUnit(idx === null || idx === undefined ? last(each.values) : each.values[idx], each.unit);
+    }
+    this.when.textContent = idx === null || idx === undefined ? "" : `${DAYS[new Date(plot.data[0][idx] * 1000).getUTCDay()]} ${new Date(plot.data[0][idx] * 1000).toISOString().slice(0, 16).replace("T", " ")}`;
+  }
+}
+
+export function swatch(each) {
+  const line = document.createElementNS("http://www.w3.org/2000/svg", "svg");
+  line.setAttribute("viewBox", "0 0 18 8");
+  line.setAttribute("class", "swatch");
+  line.setAttribute("aria-hidden", "true");
+  const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
+  path.setAttribute("d", "M0 4H18");
+  path.setAttribute("stroke", each.color);
+  path.setAttribute("stroke-width", "3");
+  if (each.dash) path.setAttribute("stroke-dasharray", "5 3");
+  line.append(path);
+  return line;
+}
+
+function last(values) {
+  for (let place = values.length - 1; place >= 0; place -= 1) if (values[place] !== null) return values[place];
+  return null;
+}
+
+function iso(time) {
+  return new Date(Math.round(time) * 1000).toISOString().slice(0, 19);
+}

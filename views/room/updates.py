@@ -1,0 +1,92 @@
+"""Changes for all open pages: the latest message of each topic, as server-sent events."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator, Iterable
+from contextlib import suppress
+
+_KEEP_ALIVE_S = 15.0
+
+MAX_STREAMS = 200
+"""Largest number of pages that follow at a time."""
+
+
+class Updates:
+    """The latest message of each topic; publishing is thread-safe, everything else is for the loop's thread.
+
+    A page that is slow misses messages, since a newer one replaces one that is not sent yet: neither memory nor other
+    pages depend on it.
+    """
+
+    def __init__(self) -> None:
+        self._latest: dict[str, bytes] = {}
+        self._streams: set[_Stream] = set()
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._is_closed = False
+
+    @property
+    def followers(self) -> int:
+        """Number of pages that follow."""
+        return len(self._streams)
+
+    def start(self) -> None:
+        """Belong to the running loop from now on."""
+        self._loop = asyncio.get_running_loop()
+
+    def publish(self, topic: str, message: bytes) -> None:
+        """Replace the latest message of a topic, JSON without line breaks."""
+        loop = self._loop
+        if loop is None:
+            self._latest[topic] = message
+            return
+        with suppress(RuntimeError):  # the loop is closed
+            loop.call_soon_threadsafe(self._set, topic, message)
+
+    def _set(self, topic: str, message: bytes) -> None:
+        self._latest[topic] = message
+        for stream in self._streams:
+            stream.add(topic, message)
+
+    def close(self) -> None:
+        """End all streams."""
+        self._is_closed = True
+        for stream in self._streams:
+            stream.wake.set()
+
+    async def follow(self, topics: Iterable[str]) -> AsyncIterator[bytes]:
+        """Yield server-sent events of some topics: first their latest messages, then each change."""
+        stream = _Stream(frozenset(topics))
+        for topic in sorted(stream.topics & self._latest.keys()):
+            stream.add(topic, self._latest[topic])
+        self._streams.add(stream)
+        try:
+            yield b"retry: 1000\n\n"
+            while not self._is_closed:
+                try:
+                    async with asyncio.timeout(_KEEP_ALIVE_S):
+                        await stream.wake.wait()
+                except TimeoutError:
+                    yield b": alive\n\n"
+                    continue
+                stream.wake.clear()
+                pending, stream.pending = stream.pending, {}
+                for topic, message in pending.items():
+                    kind = topic.partition(":")[0]
+                    yield b"event: %s\ndata: %s\n\n" % (kind.encode(), message)
+        finally:
+            self._streams.discard(stream)
+
+
+class _Stream:
+    """Messages that one page has not received yet, at most one of each topic."""
+
+    def __init__(self, topics: frozenset[str]) -> None:
+        self.topics = topics
+        self.pending: dict[str, bytes] = {}
+        self.wake = asyncio.Event()
+
+    def add(self, topic: str, message: bytes) -> None:
+        if topic in self.topics:
+            self.pending[topic] = message
+            self.wake.set()

@@ -1,0 +1,146 @@
+"""The question "what if": the next hours of a running building with other commands, beside those as they are.
+
+Both are simulated on branches of the same sample, by a plan, so the building itself does not notice. Commands of
+controllers stay as they are, since the controllers do not run on a branch.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack, suppress
+from datetime import datetime, timedelta
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from zenostat.bridge.client.bus import Bus
+from zenostat.bridge.client.controller_link import open_link
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import InvalidConfig, RequestRejected, ZenostatError
+from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Sample, SimulatePlan
+from zenostat.views.room.description import NodeDescription
+from zenostat.views.room.numbers import number, numbers
+
+_MAX_STEPS = 1000
+_LOWEST_PRIORITY = 16
+_REPLY_BYTES = codec.MAX_BYTES // 2
+
+Floats = NDArray[np.float64]
+
+
+class WhatIf(BaseModel):
+    """Values to try for some actuators, at a priority, for the next hours; None relinquishes an actuator there."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    values: Annotated[dict[str, float | None], Field(min_length=1, max_length=200)]
+    priority: Annotated[int, Field(ge=1, le=16)] = 8
+    hours: Annotated[float, Field(gt=0, le=7 * 24)] = 24.0
+
+
+def what_if(bus: Bus, description: NodeDescription, request: WhatIf, operator: str) -> dict[str, Any]:
+    """Return the values of all points and the totals of both futures.
+
+    Raises:
+        InvalidConfig: the hours are shorter than a timestep.
+        RequestRejected: the node cannot branch now, or rejects a value.
+        ForkFailed: the system cannot fork the simulation.
+    """
+    manifest = description.manifest
+    steps = min(_MAX_STEPS, int(request.hours * 3600 / manifest.step_s + 1e-6))
+    if steps < 1:
+        raise InvalidConfig(f"hours: at least a timestep of {manifest.step_s / 3600:g} h expected")
+    with ExitStack() as stack:
+        owner = f"{keys.safe_name(operator)[:80]}-what-if"
+        # Its end ends the branches, even if this program is killed.
+        token = bus.session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, name=owner))
+        stack.enter_context(token)
+        snapshot = bus.snapshot(manifest.node, owner)
+        stack.callback(_end, bus.drop, manifest.node, snapshot.snapshot)
+        branches = {}
+        for name, values in (("as_is", {}), ("changed", request.values)):
+            branch = bus.branch(manifest.node, CreateBranch(controller=owner, snapshot=snapshot.snapshot))
+            stack.callback(_end, bus.stop, branch)
+            for point, value in values.items():
+                bus.write(branch, point, value, priority=request.priority, source=operator)
+            branches[name] = branch
+        futures = {name: _simulate(bus, branch, steps) for name, branch in branches.items()}
+    steps = min(map(len, futures.values()))
+    if not steps:
+        raise RequestRejected("the episode is over")
+    return _content(description, {name: samples[:steps] for name, samples in futures.items()})
+
+
+def _end(end: Any, *arguments: str) -> None:
+    with suppress(ZenostatError):  # it has ended already
+        end(*arguments)
+
+
+def _simulate(bus: Bus, branch: str, steps: int) -> list[Sample]:
+    """Simulate a branch with its commands as they are; return its samples."""
+    link = open_link(bus, branch, name="what-if", priority=_LOWEST_PRIORITY)
+    try:
+        manifest, sample = link.manifest, bus.latest(branch)
+        samples: list[Sample] = []
+        while len(samples) < steps:
+            count = min(steps - len(samples), _steps_per_request(manifest))
+            actuators = count * len(manifest.actuators)
+            plan = SimulatePlan(
+                controller=link.name,
+                episode=sample.episode,
+                step=sample.step,
+                timesteps=count,
+                operations=bytes([CommandOp.KEEP]) * actuators,
+                values=bytes(8 * actuators),
+            )
+            payloads = bus.plan(branch, plan).samples
+            samples += [codec.decode(Sample, payload) for payload in payloads]
+            if len(payloads) < count:
+                break
+            sample = samples[-1]
+        return samples
+    finally:
+        link.close()
+
+
+def _steps_per_request(manifest: Manifest) -> int:
+    size = 16 * len(manifest.points) + 24 * len(manifest.actuators) + 4000
+    return max(1, min(_MAX_STEPS, _REPLY_BYTES // size))
+
+
+def _content(description: NodeDescription, futures: dict[str, list[Sample]]) -> dict[str, Any]:
+    manifest = description.manifest
+    width, actuators = len(manifest.points), len(manifest.actuators)
+    result: dict[str, Any] = {"names": [*manifest.names, *(actuator.name for actuator in manifest.actuators)]}
+    for name, samples in futures.items():
+        # Faults change what is measured, not what the building uses.
+        raw = [sample.fault_free_values or sample.values for sample in samples]
+        values = np.stack([codec.floats(each, (width,), "values") for each in raw])
+        effective = np.stack([codec.floats(sample.effective, (actuators,), "effective") for sample in samples])
+        times = [datetime.fromisoformat(sample.time[0]) for sample in samples]
+        result["time"] = [time.isoformat() for time in times]
+        result[name] = {
+            "series": [numbers(column) for column in np.hstack([values, effective]).T],
+            "totals": _totals(description, values, times),
+        }
+    return result
+
+
+def _totals(description: NodeDescription, values: Floats, times: list[datetime]) -> dict[str, float | None]:
+    """Return energy in kWh, peak power in kW, and degree-hours outside the band while zones are occupied, in K h."""
+    step_h = description.manifest.step_s / 3600
+    totals: dict[str, float | None] = {"hours": number(len(values) * step_h)}
+    for name, source in (("facility", description.roles.facility_power), ("hvac", description.roles.hvac_power)):
+        if source is not None:
+            power = values[:, source.index] * source.to_kw
+            totals[f"{name}_kwh"] = number(float(power.sum()) * step_h)
+            totals[f"{name}_peak_kw"] = number(float(power.max()))
+    comfort = description.comfort
+    if comfort is not None:
+        begins = [time - timedelta(hours=step_h) for time in times]
+        outside = np.stack([comfort.outside(row, begin) for row, begin in zip(values, begins, strict=True)])
+        occupied = comfort.is_occupied(values)
+        totals["degree_hours"] = number(float(np.nansum(outside * occupied)) * step_h)
+        totals["degree_hours_always"] = number(float(np.nansum(outside)) * step_h)
+    return totals
