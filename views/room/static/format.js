@@ -16,10 +16,21 @@ function digits(unit, size) {
 export function num(value, unit = "") {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const size = Math.abs(value);
+  if (size === 0 && unit !== "°C") return "0";
   if (size !== 0 && (size < 5e-4 || size >= 1e7)) return value.toExponential(2).replace("-", "\u2212");
   const text = value.toFixed(digits(unit, size));
   const plain = unit === "°C" || unit === "kW" || !text.includes(".") ? text : text.replace(/0+$/, "").replace(/\.$/, "");
   return plain.replace("-", "\u2212").replace(/\B(?=(\d{3})+(?!\d))(?<!\.\d*)/g, THIN);
+}
+
+/** Numbers of an axis, with as many digits as their distance needs. */
+export function ticks(values) {
+  const step = Math.abs((values[1] ?? 1) - (values[0] ?? 0)) || 1;
+  const places = Math.min(6, Math.max(0, -Math.floor(Math.log10(step) + 1e-9)));
+  return values.map((value) => {
+    if (Math.abs(value) >= 1e6) return value.toExponential(1).replace("-", "\u2212");
+    return value.toFixed(places).replace("-", "\u2212").replace(/\B(?=(\d{3})+(?!\d))(?<!\.\d*)/g, THIN);
+  });
 }
 
 /** A number with its unit. */

@@ -175,7 +175,7 @@ export class WhatIfPanel {
     fill(root,
       this.actuators.length ? h("form", { class: "stack", onsubmit: (event) => { event.preventDefault(); this.run(); } },
         h("p", { class: "muted" }, "Simulates the next hours twice on copies of the building: with its commands as they are, and with these values. Controllers do not run on a copy; their last commands stay."),
-        h("div", { class: "row wrap" }, roles.map((role) => h("button", { type: "button", class: "small", onclick: () => this.addAll(role) }, `All ${words(role).replace(" actuator", "")} setpoints`)),
+        h("div", { class: "row wrap adding" }, roles.map((role) => h("button", { type: "button", class: "small", onclick: () => this.addAll(role) }, `All ${words(role).replace(" actuator", "")} setpoints`)),
           this.point, options, h("button", { type: "button", class: "small", onclick: () => this.add(this.point.value) }, "Add")),
         this.rows,
         h("div", { class: "fields" },
@@ -267,6 +267,7 @@ export class WhatIfPanel {
           h("td", { class: `number ${changed.totals[name] > asIs.totals[name] + 1e-9 ? "worse" : changed.totals[name] < asIs.totals[name] - 1e-9 ? "better" : ""}` }, difference(name)))))),
       h("div", { class: "row wrap" }, choice, legend, h("span", { class: "grow" }), h("button", { class: "primary", onclick: apply }, `Apply for ${this.hours.value} h`)), canvas);
     draw();
+    this.result.scrollIntoView({ block: "nearest" });
   }
 
   /** Places of the points that change most, zones and power first. */

@@ -56,7 +56,7 @@ export class Plans {
       this.zones.set(zone.zone, entries);
     }
     drawing.append(labels);
-    const heading = this.description.storeys.length > 1 ? `Storey ${number} · ${num(storey.height_m)} m` : `${num(storey.zones.length)} zones`;
+    const heading = this.description.storeys.length > 1 ? `Storey ${number} · ${num(storey.height_m)} m` : `${num(storey.zones.length, "people")} zones`;
     return h("figure", {}, h("figcaption", {}, heading), drawing);
   }
 

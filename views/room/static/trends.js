@@ -2,7 +2,7 @@
 
 import { get, nodePath } from "./api.js";
 import { fill, h, icon } from "./dom.js";
-import { num, seconds, shown, withUnit } from "./format.js";
+import { seconds, shown, ticks, withUnit } from "./format.js";
 import { change, view } from "./view.js";
 
 const uPlot = window.uPlot;
@@ -37,7 +37,7 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
     { stroke: text, font, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid }, values: timeLabels, space: 64, size: 46 },
     ...units.map((unit, place) => ({
       scale: unit || "1", side: place === 0 ? 3 : 1, stroke: text, font, size: 58, ticks: { stroke: grid },
-      grid: { show: place === 0, stroke: grid, width: 1 }, values: (_, splits) => splits.map((split) => num(split, unit === "°C" ? "" : unit)),
+      grid: { show: place === 0, stroke: grid, width: 1 }, values: (_, splits) => ticks(splits),
       label: unit || undefined, labelFont: font, labelSize: 18, labelGap: 0,
     })),
   ];

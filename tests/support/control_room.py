@@ -1,0 +1,85 @@
+"""The control room of a bus in this process, and browsers that open it."""
+
+from __future__ import annotations
+
+import shutil
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+from urllib.parse import urlsplit
+
+import zenostat
+
+CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+ARGUMENTS = (
+    "--no-sandbox",
+    "--headless",
+    "--disable-gpu",
+    "--disable-quic",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+)
+
+
+@contextmanager
+def control_room(endpoint: str, **settings: Any) -> Iterator[Any]:
+    """A server of the control room on a free port, in a thread."""
+    from zenostat.views.room.server import RoomServer
+
+    settings = {"operator": "Ada", **settings}
+    with (
+        zenostat.connect(endpoint, affinity="off", wait=True) as bus,
+        RoomServer(bus, "127.0.0.1:0", **settings) as server,
+    ):
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.stop()
+            thread.join()
+
+
+@contextmanager
+def chromium() -> Iterator[Any]:
+    """The system's Chromium, driven by playwright."""
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=CHROMIUM, args=[*ARGUMENTS])
+        try:
+            yield browser
+        finally:
+            browser.close()
+
+
+class Visitor:
+    """A browser of its own cookies; what it complains about, and which hosts it asks.
+
+    Attributes:
+        page: its page.
+        complaints: messages of its console, and errors of scripts.
+        hosts: hosts and ports of all requests.
+    """
+
+    def __init__(self, browser: Any, *, width: int = 1280, scheme: str = "dark") -> None:
+        self._context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme)
+        self._context.set_default_timeout(60_000)
+        self.page = self._context.new_page()
+        self.complaints: list[str] = []
+        self.hosts: set[str] = set()
+        self.page.on("console", lambda message: self.complaints.append(message.text))
+        self.page.on("pageerror", lambda error: self.complaints.append(str(error)))
+        self.page.on("request", lambda request: self.hosts.add(urlsplit(request.url).netloc))
+
+    def open(self, url: str) -> Any:
+        """Open an address, and return the page."""
+        self.page.goto("about:blank")
+        self.page.goto(url)
+        return self.page
+
+    def close(self) -> None:
+        self._context.close()

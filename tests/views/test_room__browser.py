@@ -1,0 +1,396 @@
+"""The control room in a real browser, with a running building. Skipped where Chromium or playwright is missing."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import httpx
+import pytest
+from support.control_room import CHROMIUM, Visitor, chromium, control_room
+from support.nodes import SMALL, NodeProgram, free_port, nothing_left, until
+
+import zenostat
+
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+pytest.importorskip("playwright.sync_api", reason="pip install playwright")
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium"),
+    pytest.mark.process,
+]
+
+HOSTILE = "<img src=x onerror=\"document.title='taken'\">"
+API_TOKEN = "a-token-of-programs-of-the-tests-1"
+SETPOINT = "core_zn_cooling_setpoint"
+ALARMS = """
+alarms:
+  - name: warm
+    points: [core_zn_air_temperature]
+    high: 10.0
+    unit: degC
+    deadband: 0.5
+    max_shelve_s: 7200
+    priority: high
+    text: Check the cooling.
+"""
+TANK = '''
+class Tank:
+    """A tank of one temperature; its heater has a power."""
+    step_s = 60.0
+    begin = "2026-01-12T00:00"
+    duration_s = 86400.0
+    sensors = {"level": ("m", 0.0, 10.0)}
+    actuators = {"pump": ("W", 0.0, 100.0, 5.0)}
+
+    def reset(self, seed):
+        self.level = 1.0
+        return {"level": self.level}
+
+    def step(self, commands):
+        self.level = min(10.0, self.level + 1e-4 * commands["pump"])
+        return {"level": self.level}
+'''
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def office(module_folder: Path) -> Iterator[NodeProgram]:
+    rules = module_folder / "alarms.yaml"
+    rules.write_text(ALARMS)
+    with NodeProgram(module_folder / "node", **SMALL, alarms=str(rules)) as node:
+        yield node
+
+
+@pytest.fixture(scope="module")
+def bus(office: NodeProgram) -> Iterator[zenostat.Bus]:
+    """The bus of the office, which is paused after six hours."""
+    with zenostat.connect(office.endpoint, affinity="off") as connected:
+        connected.pause("office")
+        connected.pace("office", mode="free")
+        connected.step("office", 24)
+        until(lambda: connected.status("office").step == [24], "24 timesteps are simulated")
+        yield connected
+
+
+@pytest.fixture(scope="module")
+def room(office: NodeProgram, bus: zenostat.Bus) -> Iterator[Any]:  # noqa: ARG001
+    with control_room(office.endpoint, api_token=API_TOKEN) as server:
+        yield server
+
+
+@pytest.fixture(scope="module")
+def ada(browser: Any, room: Any) -> Iterator[Visitor]:
+    """A browser that has signed in as Ada; in the end nothing may have complained, or asked another host."""
+    visitor = Visitor(browser)
+    visitor.open(room.link).locator(".card").wait_for()
+    yield visitor
+    assert visitor.complaints == []
+    assert visitor.hosts == {room.url.removeprefix("http://")}
+    visitor.close()
+
+
+def events(bus: zenostat.Bus, room: Any) -> list[str]:  # noqa: ARG001
+    """Texts of the events that the control room has."""
+    return [event["text"] for event in room.room.watch.find("office").events()]
+
+
+def test_room__link_signs_in_once_and_leaves_no_trace(ada: Visitor, room: Any, browser: Any) -> None:
+    page = ada.open(room.url)
+    assert page.locator(".card .name").inner_text() == "office"
+    assert "token" not in page.evaluate("location.href + document.cookie")
+    late = Visitor(browser)
+    link = room.room.link("Eve")
+    try:
+        late.open(link).locator(".card").wait_for()
+        replay = Visitor(browser)
+        page = replay.open(link)
+        page.locator(".sign-in [role=alert]").wait_for()
+        assert "used already" in page.locator(".sign-in").inner_text()
+        assert page.locator(".card").count() == 0
+        replay.close()
+    finally:
+        late.close()
+
+
+def test_room__floor_plan_and_table_show_the_node_and_the_address_reproduces_it(
+    ada: Visitor, room: Any, bus: zenostat.Bus
+) -> None:
+    page = ada.open(f"{room.url}/?node=office")
+    page.locator(".zone[fill]").first.wait_for()
+    sample = bus.read("office")
+    shown = page.locator("table.zones tbody tr").evaluate_all("rows => rows.map(r => r.children[1].textContent)")
+    zones = ("core", "perimeter_1", "perimeter_2", "perimeter_3", "perimeter_4")
+    names = [f"{zone.replace('core', 'core_zn').replace('perimeter_', 'perimeter_zn_')}" for zone in zones]
+    assert shown == [f"{sample[f'{name}_air_temperature']:.1f}" for name in names]
+    core = page.locator(".zone[aria-label^='Core:']")
+    assert f"{sample['core_zn_air_temperature']:.1f}" in core.get_attribute("aria-label")
+    core.focus()
+    page.keyboard.press("Enter")
+    assert page.locator("tr.selected th").inner_text() == "Core"
+    page.locator(".legend li").nth(2).wait_for()
+    address = page.url
+    assert "zone=0" in address
+    page = ada.open(address)
+    page.locator("tr.selected").wait_for()
+    assert page.locator("tr.selected th").inner_text() == "Core"
+
+
+def test_room__trends_have_the_history_from_before_the_page(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(f"{room.url}/?node=office&trend=core_zn_air_temperature&range=all")
+    page.locator(".legend li").first.wait_for()
+    page.locator(".trend-panel canvas").wait_for()
+    with httpx.Client(cookies=cookies(page)) as client:
+        query = {"point": "core_zn_air_temperature", "max": "1000"}
+        answer = client.get(f"{room.url}/api/nodes/office/history", params=query).json()
+    history = bus.history("office", ["core_zn_air_temperature"])
+    assert answer["points"][0]["values"] == pytest.approx(history["core_zn_air_temperature"].tolist(), rel=1e-6)
+    assert answer["time_ms"] == history.time.astype("datetime64[ms]").astype(int).tolist()
+
+
+def cookies(page: Any) -> dict[str, str]:
+    return {cookie["name"]: cookie["value"] for cookie in page.context.cookies()}
+
+
+def test_room__override_is_written_with_its_source_and_relinquished(
+    ada: Visitor, room: Any, bus: zenostat.Bus
+) -> None:
+    page = ada.open(f"{room.url}/?node=office&table=points")
+    page.locator("input[type=search]").fill("core cooling")
+    page.get_by_role("button", name="Core zone cooling setpoint", exact=True).click()
+    page.locator("#override").fill("27.5")
+    page.get_by_role("button", name="Override", exact=True).click()
+    row = page.locator(".drawer tr.effective")
+    row.get_by_text("Ada").wait_for()
+    assert row.inner_text().startswith("8 · manual operator")
+    entry = bus.priorities("office")[SETPOINT][7]
+    assert (entry.value, entry.source) == (27.5, "Ada")
+    page.locator("#override").fill("99")  # beyond the bounds: the browser does not send it
+    page.get_by_role("button", name="Override", exact=True).click()
+    assert not page.locator("#override").evaluate("input => input.checkValidity()")
+    page.get_by_role("button", name="Relinquish priority 8").click()
+    page.locator(".drawer tr.effective", has_text="baseline control").wait_for()
+    assert bus.priorities("office")[SETPOINT][7].value is None
+    page.keyboard.press("Escape")
+    page.locator(".drawer").wait_for(state="detached")
+
+
+def test_room__pause_step_speed_and_reset(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(f"{room.url}/?node=office")
+    before = bus.status("office").step[0]
+    page.get_by_role("button", name="One timestep").click()
+    page.get_by_text(f"step {before + 1} of 96").wait_for()
+    page.locator("select[aria-label=Mode]").select_option("lockstep")
+    until(lambda: bus.status("office").mode == "lockstep", "the mode is lockstep")
+    page.locator("input[aria-label=Speed]").fill("9")
+    until(lambda: (s := bus.status("office")).mode == "paced" and s.speed == 3600.0, "an hour each second")
+    page.locator("select[aria-label=Mode]").select_option("free")
+    until(lambda: bus.status("office").mode == "free", "the mode is free")
+    episode = bus.status("office").episode[0]
+    page.get_by_role("button", name="Reset").click()
+    page.locator("dialog").get_by_role("button", name="Reset").click()
+    page.get_by_text(f"step 0 of 96, episode {episode + 1}").wait_for()
+    page.locator("main").focus()
+    page.keyboard.press(".")
+    page.get_by_text(f"step 1 of 96, episode {episode + 1}").wait_for()
+    until(lambda: any("wall clock" in text for text in events(bus, room)), "the event of the pace has arrived")
+
+
+def test_room__alarm_is_acknowledged_and_shelved(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(f"{room.url}/?node=office")
+    page.get_by_role("button", name="Acknowledge warm").click()
+    page.locator("#comment").fill("seen")
+    page.locator("dialog").get_by_role("button", name="Acknowledge").click()
+    page.locator(".alarms li", has_text="acknowledged by Ada").wait_for()
+    (alarm,) = bus.alarms("office").alarms
+    assert (alarm.state, alarm.acknowledged_by, alarm.comment) == ("acknowledged", "Ada", "seen")
+    page.get_by_role("button", name="Shelve warm").click()
+    page.locator("dialog").get_by_role("button", name="Shelve").click()
+    page.locator(".alarms li", has_text="shelved by Ada").wait_for()
+    page.get_by_role("button", name="Unshelve warm").click()
+    until(lambda: bus.alarms("office").alarms[0].state == "active", "the alarm is not shelved any more")
+
+
+def test_room__fault_is_injected_and_ended(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(f"{room.url}/?node=office&tab=faults")
+    page.locator("#fault-point").fill("core_zn_air_temperature")
+    page.locator("#fault-value").fill("3")
+    page.get_by_role("button", name="Inject").click()
+    until(lambda: bus.status("office").faults == ["bias 1"], "the fault is active")
+    page.get_by_text("Active now: bias 1", exact=True).wait_for()
+    page.get_by_role("button", name="End all faults").click()
+    page.get_by_text("No injected fault is active.").wait_for()
+    assert bus.status("office").faults == []
+
+
+def test_room__recording_begins_and_ends(
+    ada: Visitor, room: Any, bus: zenostat.Bus, module_folder: Path
+) -> None:
+    page = ada.open(f"{room.url}/?node=office")
+    page.get_by_role("button", name="Record", exact=True).click()
+    page.locator("#path").fill(str(module_folder / "run.mcap"))
+    page.locator("dialog").get_by_role("button", name="Record").click()
+    page.get_by_role("button", name="Stop recording").click()
+    page.get_by_role("button", name="Record", exact=True).wait_for()
+    recording = bus.status("office").recording
+    assert recording is not None
+    assert Path(recording.path) == module_folder / "run.mcap"
+    assert recording.state == "ended"
+
+
+def test_room__what_if_saves_energy_and_is_applied(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(f"{room.url}/?node=office&tab=what-if")
+    step = bus.status("office").step
+    page.get_by_role("button", name="All cooling setpoints").click()
+    page.get_by_role("spinbutton", name="All cooling setpoints").fill("30")
+    page.get_by_role("button", name="Simulate").click()
+    row = page.locator("table.totals tr", has_text="HVAC electricity")
+    row.wait_for()
+    as_is, changed = (float(row.locator("td").nth(place).inner_text()) for place in (0, 1))
+    assert 0 < changed < as_is  # a day of July in Denver, cooled above 30 instead of 24 °C
+    assert bus.status("office").step == step
+    assert bus.status("office").branches == bus.status("office").snapshots == []
+    assert [entry["node"] for entry in room.room.watch.overview()] == ["office"]
+    page.get_by_role("button", name="Apply for 24 h").click()
+    page.get_by_text("5 of 5 values applied").wait_for()
+    entries = [array[7] for name, array in bus.priorities("office").items() if name.endswith("cooling_setpoint")]
+    assert [(entry.value, entry.source) for entry in entries] == [(30.0, "Ada")] * 5
+    for name in bus.priorities("office"):
+        bus.write("office", name, None)
+
+
+def test_room__names_with_markup_are_text(ada: Visitor, room: Any, bus: zenostat.Bus, browser: Any) -> None:
+    bus.write("office", SETPOINT, 26.0, source=HOSTILE)
+    mallory = Visitor(browser, scheme="light")
+    try:
+        mallory.open(room.room.link(HOSTILE)).locator(".card").wait_for()
+        page = mallory.open(f"{room.url}/?node=office&tab=events&point={SETPOINT}")
+        page.locator(".drawer tr.effective", has_text=HOSTILE).wait_for()
+        page.locator(".tab-panel .log", has_text=HOSTILE).wait_for()
+        assert page.locator("header").inner_text().endswith(HOSTILE)
+        assert page.locator("img[src=x]").count() == 0
+        assert page.title() == "office – Control room"
+        assert mallory.complaints == []
+    finally:
+        mallory.close()
+        bus.write("office", SETPOINT, None)
+
+
+@pytest.mark.parametrize("width", [390, 768])
+def test_room__page_does_not_scroll_sideways(browser: Any, room: Any, width: int) -> None:
+    visitor = Visitor(browser, width=width, scheme="light")
+    try:
+        visitor.open(room.room.link("Grace")).locator(".card").wait_for()
+        for view in ("", "?node=office", f"?node=office&table=points&tab=what-if&point={SETPOINT}"):
+            page = visitor.open(f"{room.url}/{view}")
+            page.locator(".card, .zone[fill]").first.wait_for()
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+    finally:
+        visitor.close()
+
+
+def test_room__controls_have_names(ada: Visitor, room: Any) -> None:
+    page = ada.open(f"{room.url}/?node=office&point={SETPOINT}&tab=faults")
+    page.locator(".drawer tr.effective").wait_for()
+    unnamed = page.evaluate(
+        """() => [...document.querySelectorAll('button, a, input, select, [role=button]')].filter(e => e.checkVisibility()
+          && !(e.getAttribute('aria-label') || e.textContent.trim() || e.labels?.length)).map(e => e.outerHTML)"""
+    )
+    assert unnamed == []
+
+
+def test_room__strangers_requests_are_rejected(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    paused, own = bus.status("office").paused, cookies(ada.open(room.url))
+    url, host = f"{room.url}/api/nodes/office/resume", room.url.removeprefix("http://")
+    with httpx.Client(cookies=own) as client:
+        for headers in (
+            {},
+            {"origin": "http://evil.example"},
+            {"origin": room.url, "host": "evil.example"},
+            {"origin": room.url, "sec-fetch-site": "cross-site"},
+            {"origin": room.url, "content-type": "text/plain"},
+        ):
+            given = {"content-type": "application/json", **headers}
+            assert client.post(url, headers=given, content="{}").status_code in (403, 415, 421)
+        assert client.post(url, headers={"origin": room.url}, json={"x": 1}).status_code == 400
+        large = client.post(url, headers={"origin": room.url}, json={"x": "x" * (2 << 20)})
+        assert large.status_code == 413
+        policy = client.get(room.url).headers["content-security-policy"]
+        assert "unsafe" not in policy
+    with httpx.Client() as client:
+        assert client.post(url, headers={"origin": room.url}, json={}).status_code == 401
+        assert client.get(f"{room.url}/api/stream").status_code == 401
+        assert client.get(f"{room.url}/static/../app.py", headers={"host": host}).status_code in (401, 404)
+        assert client.get(f"{room.url}/static/%2e%2e/app.py").status_code in (401, 404)
+    assert bus.status("office").paused is paused is True
+
+
+def test_room__prometheus_and_grafana_read_with_their_token(room: Any, bus: zenostat.Bus) -> None:
+    headers = {"authorization": f"Bearer {API_TOKEN}"}
+    with httpx.Client(headers=headers, base_url=room.url) as client:
+        lines = client.get("/metrics").text.splitlines()
+        values = {line.rpartition(" ")[0]: float(line.rpartition(" ")[2]) for line in lines if line[0] != "#"}
+        assert values['zenostat_node_up{node="office"}'] == 1
+        assert values['zenostat_node_paused{node="office"}'] == 1
+        targets = client.post("/grafana/metrics", json={}).json()
+        assert {"label": f"office/{SETPOINT}", "value": f"office/{SETPOINT}"} in targets
+        query = {
+            "range": {"from": "2017-07-03T00:00:00.000Z", "to": "2017-07-03T23:00:00.000Z"},
+            "targets": [{"target": "office/outdoor_temperature", "refId": "A"}],
+            "maxDataPoints": 500,
+        }
+        (series,) = client.post("/grafana/query", json=query).json()
+        history = bus.history("office", ["outdoor_temperature"])
+        assert [value for value, _ in series["datapoints"]] == pytest.approx(history.values[:, 0].tolist(), rel=1e-6)
+        query["range"] = {"from": "2016-01-01T00:00:00Z", "to": "2016-01-02T00:00:00Z"}
+        assert client.post("/grafana/query", json=query).json() == []
+
+
+def test_room__node_that_dies_and_comes_back(browser: Any, scratch: Path) -> None:
+    (scratch / "tank.py").write_text(TANK)
+    settings = {"plant": f"{scratch}/tank.py:Tank", "name": "tank", "listen": [f"tcp/127.0.0.1:{free_port()}"]}
+    with NodeProgram(scratch / "first", **settings) as node, control_room(node.endpoint) as server:
+        visitor = Visitor(browser)
+        visitor.open(server.link).locator(".card").wait_for()
+        page = visitor.open(f"{server.url}/?node=tank&table=points")  # a plant without zones and storeys
+        page.locator("table.points", has_text="1 m").wait_for()
+        node.kill()
+        page.locator(".banner.problem", has_text="Not reachable").wait_for()
+        with NodeProgram(scratch / "second", **settings):
+            page.locator(".banner.problem").wait_for(state="hidden")
+            page.get_by_role("button", name="Pump", exact=True).click()
+            page.locator("#override").fill("50")
+            page.get_by_role("button", name="Override", exact=True).click()
+            page.locator(".drawer tr.effective", has_text="Ada").wait_for()
+            assert visitor.complaints == []
+            visitor.close()
+
+
+def test_room__command_prints_a_link_and_ends_on_sigterm(office: NodeProgram, scratch: Path) -> None:
+    with nothing_left(scratch):
+        command = [sys.executable, "-P", "-m", "zenostat.cli.main", "room", "--connect", office.endpoint]
+        token = scratch / "token"
+        options = ["--address", "127.0.0.1:0", "--operator", "Ada", "--api-token-file", str(token)]
+        program = subprocess.Popen([*command, *options], stdout=subprocess.PIPE, text=True)
+        assert program.stdout is not None
+        link = program.stdout.readline().removeprefix("ready: ").strip()
+        url, _, secret = link.partition("/#token=")
+        assert token.stat().st_mode & 0o777 == 0o600
+        with httpx.Client(base_url=url, headers={"origin": url}) as client:
+            assert client.post("/api/session", json={"token": secret}).json() == {"operator": "Ada"}
+            with client.stream("GET", "/api/stream?node=office") as stream:
+                lines = stream.iter_lines()
+                state = next(json.loads(line[6:]) for line in lines if line.startswith('data: {"node":"office"'))
+                assert state["online"]
+                program.send_signal(signal.SIGTERM)
+                assert program.wait() == 0
+        token.unlink()
+        program.stdout.close()

@@ -1,0 +1,164 @@
+"""Data of the control room: floor plans, descriptions, numbers, requested changes, and the stream of changes."""
+
+import asyncio
+import json
+import math
+
+import numpy as np
+import pytest
+from support.builders import actuator, manifest, meter, sensor, view
+
+pytest.importorskip("starlette")
+
+from zenostat.topics.errors import InvalidConfig, NodeNotFound
+from zenostat.topics.messages import Geometry, SurfaceKind
+from zenostat.topics.messages.geometry import ZoneGeometry
+from zenostat.views.room.description import describe
+from zenostat.views.room.numbers import number, numbers, to_json
+from zenostat.views.room.operations import read_operation
+from zenostat.views.room.series import simulated_time
+from zenostat.views.room.state import zone_states
+from zenostat.views.room.storeys import storeys
+from zenostat.views.room.updates import Updates
+
+
+def floors(outlines: dict[str, list[tuple[float, float]]], *, unconditioned: tuple[str, ...] = ()) -> Geometry:
+    """A building of one storey whose zones have these floors."""
+    corners = [(x, y, 0.0) for outline in outlines.values() for x, y in outline]
+    return Geometry(
+        zones=tuple(
+            ZoneGeometry(name=name, storey=0, floor_area_m2=1.0, is_conditioned=name not in unconditioned)
+            for name in outlines
+        ),
+        storeys=(0.0,),
+        latitude_deg=0.0,
+        longitude_deg=0.0,
+        time_zone_h=0.0,
+        kinds=bytes([SurfaceKind.FLOOR] * len(outlines)),
+        zone_index=np.arange(len(outlines), dtype="<i2").tobytes(),
+        exposed=bytes(len(outlines)),
+        corner_counts=np.array([len(outline) for outline in outlines.values()], "<u2").tobytes(),
+        corners=np.array(corners, "<f4").tobytes(),
+    )
+
+
+RECTANGLE = [(0.0, 0.0), (10.0, 0.0), (10.0, 4.0), (0.0, 4.0)]
+ELL = [(0.0, 0.0), (12.0, 0.0), (12.0, 3.0), (3.0, 3.0), (3.0, 12.0), (0.0, 12.0)]
+
+
+def test_storeys__label_of_a_rectangle_is_in_its_middle() -> None:
+    (storey,) = storeys(floors({"ROOM": RECTANGLE}), {"room": 0})
+    (zone,) = storey["zones"]
+    assert (zone["zone"], zone["outlines"]) == (0, [[list(corner) for corner in RECTANGLE]])
+    assert zone["label"] == [5.0, 2.0, 2.0]
+
+
+@pytest.mark.parametrize("outline", [ELL, ELL[::-1], [(-y, x) for x, y in ELL]])
+def test_storeys__label_of_a_concave_zone_is_inside_it(outline: list[tuple[float, float]]) -> None:
+    (storey,) = storeys(floors({"ROOM": outline}), {"room": 0})
+    x, y, distance = storey["zones"][0]["label"]
+    if outline[1] == (0.0, 12.0):
+        x, y = y, -x  # as before the rotation
+    assert 0 < x < 12
+    assert 0 < y < 12
+    assert x < 3 or y < 3
+    assert 1.0 < distance <= 3 * (2 - math.sqrt(2)) + 0.01  # of the circle in the corner
+
+
+def test_storeys__plenum_without_a_temperature_is_left_out() -> None:
+    building = floors({"ROOM": RECTANGLE, "PLENUM": RECTANGLE, "SHAFT": RECTANGLE}, unconditioned=("PLENUM",))
+    (storey,) = storeys(building, {"room": 0})
+    assert [(zone["name"], zone["zone"]) for zone in storey["zones"]] == [("ROOM", 0), ("SHAFT", None)]
+    assert storeys(building, {}) == []
+
+
+def test_description__meters_are_shown_as_power_and_points_belong_to_zones() -> None:
+    of = manifest(
+        sensors=[sensor("room_air_temperature", key="ROOM"), sensor("fan_power", "Fan Electricity Rate", unit="W")],
+        meters=[meter("electricity")],
+        actuators=[actuator("cooling", 20.0, 30.0)],
+    )
+    content = describe(of, floors({"ROOM": RECTANGLE})).content
+    air, fan, electricity, cooling = content["points"]
+    assert (air["zone"], air["unit"]) == (0, "°C")
+    assert (fan["unit"], fan["factor"]) == ("kW", 1e-3)
+    assert (electricity["unit"], electricity["factor"]) == ("kW", pytest.approx(1.0 / 900_000.0))  # J in 15 min
+    assert (cooling["kind"], cooling["low"], cooling["high"]) == ("actuator", 20.0, 30.0)
+    assert content["storeys"][0]["zones"][0]["zone"] == 0
+    assert describe(of, None).content["storeys"] == []
+    to_json(content)
+
+
+def test_zone_states__deviation_has_the_sign_and_color_of_its_side() -> None:
+    names = ("cold_air_temperature", "good_air_temperature", "warm_air_temperature")
+    of = manifest(sensors=[sensor(name, key=name.upper()) for name in names])
+    values = dict(zip(names, (18.5, 22.0, 29.0), strict=True))
+    states = zone_states(describe(of, None), view(of, **values))
+    assert [state["deviation"] for state in states] == [-1.5, 0.0, 3.0]  # against 20 to 26 °C
+    red, blue = ([int(state["color"][at : at + 2], 16) for state in states] for at in (1, 5))
+    assert red[0] < blue[0]
+    assert red[2] > blue[2]
+
+
+def test_numbers__are_rounded_and_null_where_there_is_no_value() -> None:
+    assert numbers([1.23456789, math.nan, math.inf, -0.5]) == [1.234568, None, None, -0.5]
+    assert number(None) is None
+
+
+@pytest.mark.parametrize("text", ["\n", "\r\n\r\nevent: node\ndata: {}", "\u2028", "</script>", "\x00"])
+def test_to_json__text_cannot_end_a_line_of_a_stream(text: str) -> None:
+    encoded = to_json({"text": text})
+    assert json.loads(encoded) == {"text": text}
+    assert encoded.isascii()
+    assert not set(encoded) & set(b"\r\n")
+
+
+@pytest.mark.parametrize(
+    ("name", "body"),
+    [
+        ("write", b'{"point": "a", "value": "26"}'),
+        ("write", b'{"point": "a", "value": 26, "priority": 0}'),
+        ("write", b'{"point": "a", "value": 26, "source": "Grace"}'),
+        ("write", b'{"point": "a", "value": NaN}'),
+        ("write", b"[]"),
+        ("step", b'{"steps": true}'),
+        ("pace", b'{"speed": 0}'),
+        ("pause", b"{"),
+    ],
+)
+def test_operations__invalid_request_is_rejected(name: str, body: bytes) -> None:
+    with pytest.raises(InvalidConfig):
+        read_operation(name, body)
+
+
+@pytest.mark.parametrize("name", ["stop", "__class__", "wrte"])
+def test_operations__others_do_not_exist(name: str) -> None:
+    with pytest.raises(NodeNotFound, match="no operation"):
+        read_operation(name, b"{}")
+
+
+def test_simulated_time__utc_stands_for_standard_time() -> None:
+    assert simulated_time("2017-07-03T06:00:00.000Z") == "2017-07-03T06:00:00"
+    assert simulated_time("2017-07-03T06:00:00+02:00") == "2017-07-03T04:00:00"
+    assert simulated_time("2017-07-03T06:00") == "2017-07-03T06:00"
+    assert simulated_time("yesterday") == "yesterday"
+
+
+async def test_updates__slow_page_gets_only_the_latest_of_each_topic() -> None:
+    updates = Updates()
+    updates.publish("node:a", b"0")
+    updates.start()
+    stream = updates.follow(["node:a", "overview"])
+    assert await anext(stream) == b"retry: 1000\n\n"
+    assert await anext(stream) == b"event: node\ndata: 0\n\n"
+    for count in range(1, 1001):
+        updates.publish("node:a", b"%d" % count)
+        updates.publish("node:b", b"%d" % count)
+    await asyncio.sleep(0)
+    updates.publish("overview", b"[]")
+    assert await anext(stream) == b"event: node\ndata: 1000\n\n"
+    assert await anext(stream) == b"event: overview\ndata: []\n\n"
+    assert updates.followers == 1
+    updates.close()
+    assert [message async for message in stream] == []
+    assert updates.followers == 0
