@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from zenoh import QueryTarget
 
 from zenostat.bridge.client import fork_guard
-from zenostat.bridge.client.priorities import PriorityValue, decode_priorities
+from zenostat.bridge.client.priorities import PriorityValue, decode_priorities, decode_remaining
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.timer import Timer
@@ -334,6 +334,13 @@ class Connection:
             RequestRejected: The node has no keys, or it is its own name.
         """
         return self.ask(keys.REVOKE, node, build(Revoke, name=name, source=source), Ack)
+
+    def remaining_durations(self, node: str) -> dict[str, dict[int, float]]:
+        """Return by actuator and priority the simulated seconds after which a written value is relinquished.
+
+        Values without a duration are left out.
+        """
+        return decode_remaining(self.ask(keys.PRIORITIES, node, Query(), PriorityArrays), self.manifest(node))
 
     # Pace
 

@@ -17,6 +17,21 @@ class PriorityValue(NamedTuple):
     source: str | None
 
 
+def decode_remaining(message: PriorityArrays, manifest: Manifest) -> dict[str, dict[int, float]]:
+    """Return by the actuator's name and the priority the simulated seconds after which a value is relinquished.
+
+    Raises:
+        BadMessage: The array does not have the manifest's shape.
+    """
+    if not message.remaining_s:
+        return {actuator.name: {} for actuator in manifest.actuators}
+    remaining = codec.floats(message.remaining_s, (len(manifest.actuators), 16), "remaining_s")
+    return {
+        actuator.name: {int(index) + 1: float(row[index]) for index in np.flatnonzero(~np.isnan(row))}
+        for actuator, row in zip(manifest.actuators, remaining, strict=True)
+    }
+
+
 def decode_priorities(message: PriorityArrays, manifest: Manifest, slot: int = 0) -> dict[str, list[PriorityValue]]:
     """Return the priority arrays of a slot by the actuator's name.
 

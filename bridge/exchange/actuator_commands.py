@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.bridge.exchange.claims import ClaimHolder
-from zenostat.bridge.exchange.priority_array import PriorityArray
+from zenostat.bridge.exchange.priority_array import PRIORITIES, PriorityArray
 from zenostat.topics import codec
 from zenostat.topics.errors import BadMessage
 from zenostat.topics.messages import Actuator, Command, CommandOp, Write
@@ -211,6 +211,18 @@ class ActuatorCommands:
     def has_expiries(self) -> bool:
         """Whether any written value has an expiry."""
         return bool(self._expiries)
+
+    def remaining_s(self, elapsed_s: float) -> bytes:
+        """Return raw float64 of shape (actuators, 16): seconds until each value expires, NaN for never.
+
+        It is empty if no value expires.
+        """
+        if not self._expiries:
+            return b""
+        remaining = np.full((self.array.shape[1], PRIORITIES), np.nan, "<f8")
+        for e in self._expiries:
+            remaining[e.actuator, e.priority - 1] = e.at_s - elapsed_s
+        return remaining.tobytes()
 
     def expire(self, elapsed_s: float) -> list[tuple[str, str]]:
         """Relinquish written values that have expired; return a description and the source of each."""

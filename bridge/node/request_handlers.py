@@ -189,6 +189,7 @@ class RequestHandlers:
             values=values.astype("<f8").tobytes(),
             source_index=source_index.astype("<u2").tobytes(),
             sources=exchange.source_names,
+            remaining_s=exchange.commands.remaining_s(self._server.elapsed_s),
         )
 
     def _history(self, query: HistoryQuery) -> Message:

@@ -2,6 +2,7 @@
 
 import math
 
+import numpy as np
 import pytest
 from support.builders import NAN, advance, answer, claim, exchange, ruling
 from support.exchange_checks import KEEP, RELEASE, check_event, running, same, unchanged
@@ -102,6 +103,16 @@ def test_step_exchange__each_write_has_a_time_of_its_own() -> None:
         (2, "heat relinquished at priority 8"),
         (3, "cool relinquished at priority 9"),
     ]
+
+
+def test_step_exchange__remaining_time_is_that_of_each_write() -> None:
+    at = exchange(mode=Mode.FREE)
+    assert at.commands.remaining_s(0.0) == b""
+    at.intake.write("cool", Write(value=28.0, duration_s=1800.0), 0.0)
+    at.intake.write("heat", Write(value=16.0, priority=3), 0.0)
+    remaining_s = np.frombuffer(at.commands.remaining_s(900.0), "<f8").reshape(2, 16)
+    assert remaining_s[1, 7] == 900.0
+    assert np.isnan(np.delete(remaining_s, 16 + 7)).all()
 
 
 def test_step_exchange__write_without_a_time_after_one_with_a_time_stays() -> None:

@@ -82,7 +82,7 @@ def bus(office: NodeProgram) -> Iterator[zenostat.Bus]:
 
 
 @pytest.fixture(scope="module")
-def room(office: NodeProgram, bus: zenostat.Bus) -> Iterator[Any]:  # noqa: ARG001
+def room(office: NodeProgram, bus: zenostat.Bus) -> Iterator[Any]:
     with control_room(office.endpoint, api_token=API_TOKEN) as server:
         yield server
 
@@ -98,7 +98,7 @@ def ada(browser: Any, room: Any) -> Iterator[Visitor]:
     visitor.close()
 
 
-def events(bus: zenostat.Bus, room: Any) -> list[str]:  # noqa: ARG001
+def events(bus: zenostat.Bus, room: Any) -> list[str]:
     """Texts of the events that the control room has."""
     return [event["text"] for event in room.room.watch.find("office").events()]
 
@@ -160,9 +160,7 @@ def cookies(page: Any) -> dict[str, str]:
     return {cookie["name"]: cookie["value"] for cookie in page.context.cookies()}
 
 
-def test_room__override_is_written_with_its_source_and_relinquished(
-    ada: Visitor, room: Any, bus: zenostat.Bus
-) -> None:
+def test_room__override_is_written_with_its_source_and_relinquished(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
     page = ada.open(f"{room.url}/?node=office&table=points")
     page.locator("input[type=search]").fill("core cooling")
     page.get_by_role("button", name="Core zone cooling setpoint", exact=True).click()
@@ -171,7 +169,9 @@ def test_room__override_is_written_with_its_source_and_relinquished(
     row = page.locator(".drawer tr.effective")
     row.get_by_text("Ada").wait_for()
     assert row.inner_text().startswith("8 · manual operator")
+    assert "3 Jul 08:" in row.inner_text()  # two hours after six
     entry = bus.priorities("office")[SETPOINT][7]
+    assert bus.remaining_durations("office")[SETPOINT] == {8: 7200.0}
     assert (entry.value, entry.source) == (27.5, "Ada")
     page.locator("#override").fill("99")  # beyond the bounds: the browser does not send it
     page.get_by_role("button", name="Override", exact=True).click()
@@ -224,16 +224,18 @@ def test_room__fault_is_injected_and_ended(ada: Visitor, room: Any, bus: zenosta
     page.locator("#fault-point").fill("core_zn_air_temperature")
     page.locator("#fault-value").fill("3")
     page.get_by_role("button", name="Inject").click()
+    page.locator(".toast", has_text="injected from the next sample on: bias 1").wait_for()
+    bus.step("office")  # from the next sample on
     until(lambda: bus.status("office").faults == ["bias 1"], "the fault is active")
     page.get_by_text("Active now: bias 1", exact=True).wait_for()
     page.get_by_role("button", name="End all faults").click()
+    page.locator(".toast", has_text="no fault is injected any more").wait_for()
+    bus.step("office")
     page.get_by_text("No injected fault is active.").wait_for()
     assert bus.status("office").faults == []
 
 
-def test_room__recording_begins_and_ends(
-    ada: Visitor, room: Any, bus: zenostat.Bus, module_folder: Path
-) -> None:
+def test_room__recording_begins_and_ends(ada: Visitor, room: Any, bus: zenostat.Bus, module_folder: Path) -> None:
     page = ada.open(f"{room.url}/?node=office")
     page.get_by_role("button", name="Record", exact=True).click()
     page.locator("#path").fill(str(module_folder / "run.mcap"))
@@ -277,7 +279,7 @@ def test_room__names_with_markup_are_text(ada: Visitor, room: Any, bus: zenostat
         page.locator(".tab-panel .log", has_text=HOSTILE).wait_for()
         assert page.locator("header").inner_text().endswith(HOSTILE)
         assert page.locator("img[src=x]").count() == 0
-        assert page.title() == "office – Control room"
+        assert page.title() == "office \N{EN DASH} Control room"
         assert mallory.complaints == []
     finally:
         mallory.close()
@@ -301,8 +303,8 @@ def test_room__controls_have_names(ada: Visitor, room: Any) -> None:
     page = ada.open(f"{room.url}/?node=office&point={SETPOINT}&tab=faults")
     page.locator(".drawer tr.effective").wait_for()
     unnamed = page.evaluate(
-        """() => [...document.querySelectorAll('button, a, input, select, [role=button]')].filter(e => e.checkVisibility()
-          && !(e.getAttribute('aria-label') || e.textContent.trim() || e.labels?.length)).map(e => e.outerHTML)"""
+        """() => [...document.querySelectorAll('button, a, input, select, [role=button]')].filter(e =>
+          e.checkVisibility() && !(e.getAttribute('aria-label') || e.textContent.trim() || e.labels?.length)).map(e => e.outerHTML)"""
     )
     assert unnamed == []
 
@@ -318,8 +320,8 @@ def test_room__strangers_requests_are_rejected(ada: Visitor, room: Any, bus: zen
             {"origin": room.url, "sec-fetch-site": "cross-site"},
             {"origin": room.url, "content-type": "text/plain"},
         ):
-            given = {"content-type": "application/json", **headers}
-            assert client.post(url, headers=given, content="{}").status_code in (403, 415, 421)
+            sent = {"content-type": "application/json", **headers}
+            assert client.post(url, headers=sent, content="{}").status_code in (403, 415, 421)
         assert client.post(url, headers={"origin": room.url}, json={"x": 1}).status_code == 400
         large = client.post(url, headers={"origin": room.url}, json={"x": "x" * (2 << 20)})
         assert large.status_code == 413

@@ -91,7 +91,9 @@ def test_access__numbers_of_tokens_and_sessions_are_limited(access: Access) -> N
     assert sum(status(access, scope(path="/api/stream", cookie=cookie)) == 200 for cookie in cookies) == 64
 
 
-@pytest.mark.parametrize("host", ["evil.example:8600", "127.0.0.1", "127.0.0.1:8601", "127.0.0.1:8600.evil.example", ""])
+@pytest.mark.parametrize(
+    "host", ["evil.example:8600", "127.0.0.1", "127.0.0.1:8601", "127.0.0.1:8600.evil.example", ""]
+)
 def test_access__another_host_is_rejected(access: Access, host: str) -> None:
     assert status(access, scope(host=host, cookie=signed_in(access))) == 421
 

@@ -203,7 +203,8 @@ class PriorityArrays(Message):
 
     `values` is raw, of shape (slots, actuators, 16): element p - 1 is the value at priority p, NaN where it is
     relinquished (BACnet: Null). `source_index`, of the same shape, has the source of each value, an index into
-    `sources`; it is 0 where a value is relinquished.
+    `sources`; it is 0 where a value is relinquished. `remaining_s` is raw, of shape (actuators, 16): simulated seconds
+    after which a written value is relinquished, NaN for values without a duration; empty if there is none with one.
     """
 
     episode: list[Count]
@@ -211,6 +212,7 @@ class PriorityArrays(Message):
     values: bytes
     source_index: bytes
     sources: list[str]
+    remaining_s: bytes = b""
 
 
 class Query(Message):

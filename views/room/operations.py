@@ -143,7 +143,8 @@ class Faults(Operation):
         except ValidationError as error:
             raise InvalidConfig(codec.describe_validation_errors(error)) from None
         bus.faults(node, plan)
-        return f"{len(plan.faults)} faults injected" if plan.faults else "no faults injected"
+        names = ", ".join(plan.names)
+        return f"injected from the next sample on: {names}" if names else "no fault is injected any more"
 
 
 class Record(Operation):

@@ -1,0 +1,90 @@
+"""Pictures of the control room for the documentation: `python tests/support/room_pictures.py` draws them again."""
+
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import zenostat
+from support.control_room import Visitor, chromium, control_room
+from support.nodes import NodeProgram
+from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
+
+IMAGES = Path(__file__).parents[2] / "docs" / "images"
+BUILDING = {
+    "building": "office-medium",
+    "weather": "USA_CO_Denver",
+    "begin": "07-01",
+    "end": "07-07",
+    "monitoring": True,
+}
+STEPS = 3 * 144 + 93  # 15:30 of the fourth day
+ALARMS = """
+alarms:
+  - name: zone_too_warm
+    points: "*_air_temperature"
+    high: 26.0
+    unit: degC
+    deadband: 0.5
+    delay_s: 900
+    occupied: true
+    priority: high
+    text: Check the cooling of this zone.
+"""
+
+
+def control(bus: zenostat.Bus) -> zenostat.ControllerLink:
+    """Control the office by rules until the picture's time, with two overrides of its operator in between."""
+    agent = Agent(make_controller(load_controller("rbc"), bus.manifest("office"), {}))
+    link = bus.controller("office", name="rbc")
+    for sample in link:
+        if sample.step == STEPS:
+            return link
+        if sample.step == STEPS - 30:
+            day_s = 86400.0
+            bus.write("office", "perimeter_mid_zn_3_cooling_setpoint", 28.0, duration_s=day_s, source="Ada Lovelace")
+            bus.write("office", "core_mid_cooling_setpoint", 23.0, duration_s=day_s, source="Ada Lovelace")
+        sample.send(agent.values(sample))
+    return link
+
+
+def picture(page: Any, name: str, *, full: bool = False) -> None:
+    page.wait_for_timeout(1500)  # fonts, charts and the next poll
+    page.screenshot(path=IMAGES / name, full_page=full)
+
+
+def main() -> None:
+    with tempfile.TemporaryDirectory(prefix="zt-", dir="/tmp") as folder:
+        rules = Path(folder) / "alarms.yaml"
+        rules.write_text(ALARMS)
+        with (
+            NodeProgram(Path(folder) / "node", **BUILDING, alarms=str(rules)) as node,
+            zenostat.connect(node.endpoint, affinity="off") as bus,
+            control_room(node.endpoint, operator="Ada Lovelace") as room,
+            chromium() as browser,
+        ):
+            until_end = control(bus)
+            dark = Visitor(browser, width=1440)
+            dark.open(room.link).locator(".card").wait_for()
+            page = dark.open(f"{room.url}/?node=office&range=72")
+            page.locator(".trend-panel canvas").wait_for()
+            picture(page, "room.png", full=True)
+            page = dark.open(f"{room.url}/?node=office&point=core_mid_cooling_setpoint")
+            page.locator(".drawer tr.effective").wait_for()
+            picture(page, "room-point.png")
+            light = Visitor(browser, width=1440, scheme="light")
+            light.open(room.room.link("Grace Hopper")).locator(".card").wait_for()
+            page = light.open(f"{room.url}/?node=office&zone=7&tab=what-if")
+            page.get_by_role("button", name="All cooling setpoints").click()
+            page.get_by_role("spinbutton", name="All cooling setpoints").fill("26")
+            page.get_by_role("button", name="Simulate").click()
+            page.locator("table.totals").wait_for()
+            page.evaluate("scrollTo(0, document.body.scrollHeight)")
+            picture(page, "room-what-if.png")
+            until_end.close()
+
+
+if __name__ == "__main__":
+    main()
