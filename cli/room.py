@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import os
+import re
 import secrets
 from pathlib import Path
 from typing import Annotated
@@ -15,6 +16,7 @@ from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
+from zenostat.topics.keys import Role, safe_name
 
 _SHORTEST_TOKEN = 32
 
@@ -35,18 +37,21 @@ def room(
 ) -> None:
     """Serve a web page to watch and operate all nodes of a bus, until Ctrl-C.
 
-    Example: `zenostat room --operator "Ada Lovelace"`
+    Example: `zenostat room --operator ada.lovelace`
 
-    The link that it prints signs one browser in, once. With keys, it uses the controller role.
+    The link that it prints signs one browser in, once. With keys, it uses the gateway role.
     """
     with requires_extra("room", "the control room", "starlette and uvicorn"):
+        from zenostat.views.room.access import OPERATOR
         from zenostat.views.room.server import RoomServer
     token = None if api_token_file is None else _api_token(api_token_file)
-    name = _user() if operator is None else operator
-    if not name.strip() or len(name) > 64 or not name.isprintable():
-        raise InvalidConfig("--operator: a name of 1 to 64 printable characters expected")
+    name = safe_name(_user())[:64] if operator is None else operator
+    if not re.fullmatch(OPERATOR, name):
+        raise InvalidConfig(
+            f"--operator {name!r}: a name of up to 64 letters, digits, '_', '.' and '-' expected, such as ada.lovelace"
+        )
     with (
-        options.open_bus() as bus,
+        options.open_bus(Role.GATEWAY) as bus,
         RoomServer(bus, address, operator=name, api_token=token) as server,
         override_signals(lambda *_: server.stop(), *TERMINATION_SIGNALS),
     ):

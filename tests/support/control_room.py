@@ -29,7 +29,7 @@ def control_room(endpoint: str, **settings: Any) -> Iterator[Any]:
     """A server of the control room on a free port, in a thread."""
     from zenostat.views.room.server import RoomServer
 
-    settings = {"operator": "Ada", **settings}
+    settings = {"operator": "ada", **settings}
     with (
         zenostat.connect(endpoint, affinity="off", wait=True) as bus,
         RoomServer(bus, "127.0.0.1:0", **settings) as server,

@@ -44,8 +44,8 @@ def control(bus: zenostat.Bus) -> zenostat.ControllerLink:
             return link
         if sample.step == STEPS - 30:
             day_s = 86400.0
-            bus.write("office", "perimeter_mid_zn_3_cooling_setpoint", 28.0, duration_s=day_s, source="Ada Lovelace")
-            bus.write("office", "core_mid_cooling_setpoint", 23.0, duration_s=day_s, source="Ada Lovelace")
+            bus.write("office", "perimeter_mid_zn_3_cooling_setpoint", 28.0, duration_s=day_s, source="ada.lovelace")
+            bus.write("office", "core_mid_cooling_setpoint", 23.0, duration_s=day_s, source="ada.lovelace")
         sample.send(agent.values(sample))
     return link
 
@@ -62,7 +62,7 @@ def main() -> None:
         with (
             NodeProgram(Path(folder) / "node", **BUILDING, alarms=str(rules)) as node,
             zenostat.connect(node.endpoint, affinity="off") as bus,
-            control_room(node.endpoint, operator="Ada Lovelace") as room,
+            control_room(node.endpoint, operator="ada.lovelace") as room,
             chromium() as browser,
         ):
             until_end = control(bus)
@@ -75,7 +75,7 @@ def main() -> None:
             page.locator(".drawer tr.effective").wait_for()
             picture(page, "room-point.png")
             light = Visitor(browser, width=1440, scheme="light")
-            light.open(room.room.link("Grace Hopper")).locator(".card").wait_for()
+            light.open(room.room.link("grace.hopper")).locator(".card").wait_for()
             page = light.open(f"{room.url}/?node=office&zone=7&tab=what-if")
             page.get_by_role("button", name="All cooling setpoints").click()
             page.get_by_role("spinbutton", name="All cooling setpoints").fill("26")

@@ -20,6 +20,9 @@ from starlette.responses import JSONResponse
 
 ASGIApp = Callable[[MutableMapping[str, Any], Callable[[], Awaitable[Any]], Callable[[Any], Awaitable[None]]], Any]
 
+OPERATOR = r"^[A-Za-z0-9_][A-Za-z0-9_.\-]{0,63}$"
+"""Pattern of an operator's name, which is part of the keys of this operator's requests."""
+
 MAX_BODY_BYTES = 1 << 20
 """Largest body of a request; a fault plan is the largest of them."""
 

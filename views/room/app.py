@@ -19,7 +19,7 @@ from starlette.staticfiles import StaticFiles
 from zenostat.bridge.client.bus import Bus
 from zenostat.topics import VERSION
 from zenostat.topics.errors import BusError, PeerError, RequestRejected, UsageError, ZenostatError
-from zenostat.views.room.access import Access, BodyTooLarge, Guard, Session
+from zenostat.views.room.access import OPERATOR, Access, BodyTooLarge, Guard, Session
 from zenostat.views.room.bus_watch import BusWatch
 from zenostat.views.room.dashboards import (
     METRICS_TYPE,
@@ -52,7 +52,7 @@ class _SignIn(BaseModel):
 class _Invitation(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
-    operator: Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
+    operator: Annotated[str, Field(pattern=OPERATOR)]
 
 
 class Room:

@@ -23,6 +23,7 @@ from zenostat.views.room.description import NodeDescription
 from zenostat.views.room.numbers import number, numbers
 
 _MAX_STEPS = 1000
+_STEPS_PER_REQUEST = 48  # so that a large building answers in time
 _LOWEST_PRIORITY = 16
 _REPLY_BYTES = codec.MAX_BYTES // 2
 
@@ -52,9 +53,9 @@ def what_if(bus: Bus, description: NodeDescription, request: WhatIf, operator: s
     if steps < 1:
         raise InvalidConfig(f"hours: at least a timestep of {manifest.step_s / 3600:g} h expected")
     with ExitStack() as stack:
-        owner = f"{keys.safe_name(operator)[:80]}-what-if"
+        owner = bus.sender(f"{operator}-what-if")
         # Its end ends the branches, even if this program is killed.
-        token = bus.session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, name=owner))
+        token = bus.session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, sender=owner))
         stack.enter_context(token)
         snapshot = bus.snapshot(manifest.node, owner)
         stack.callback(_end, bus.drop, manifest.node, snapshot.snapshot)
@@ -106,7 +107,7 @@ def _simulate(bus: Bus, branch: str, steps: int) -> list[Sample]:
 
 def _steps_per_request(manifest: Manifest) -> int:
     size = 16 * len(manifest.points) + 24 * len(manifest.actuators) + 4000
-    return max(1, min(_MAX_STEPS, _REPLY_BYTES // size))
+    return max(1, min(_STEPS_PER_REQUEST, _REPLY_BYTES // size))
 
 
 def _content(description: NodeDescription, futures: dict[str, list[Sample]]) -> dict[str, Any]:
