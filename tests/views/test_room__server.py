@@ -1,0 +1,131 @@
+"""The control room's server with a plant without zones, as programs use it; no browser."""
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.control_room import control_room
+from support.nodes import NodeProgram
+
+import zenostat
+
+httpx = pytest.importorskip("httpx")
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+pytestmark = pytest.mark.process
+
+TANK = '''
+class Tank:
+    """A tank whose level rises by 0.01 m each minute for each W of its pump, which has 5 W by default."""
+    step_s = 60.0
+    begin = "2026-01-12T00:00"
+    duration_s = 86400.0
+    sensors = {"level": ("m", 0.0, None)}
+    actuators = {"pump": ("W", 0.0, 100.0, 5.0)}
+    forkable = True
+
+    def reset(self, seed):
+        self.level = 0.0
+        return {"level": self.level}
+
+    def step(self, commands):
+        self.level += 0.01 * commands["pump"]
+        return {"level": self.level}
+'''
+
+
+@pytest.fixture(scope="module")
+def tank(module_folder: Path) -> Iterator[NodeProgram]:
+    (module_folder / "tank.py").write_text(TANK)
+    with NodeProgram(module_folder / "node", plant=f"{module_folder}/tank.py:Tank", name="tank") as node:
+        yield node
+
+
+@pytest.fixture(scope="module")
+def client(tank: NodeProgram) -> Iterator[Any]:
+    """A client that has signed in; the node is paused at the first sample."""
+    with zenostat.connect(tank.endpoint, affinity="off") as bus, control_room(tank.endpoint) as server:
+        bus.pause("tank")
+        bus.pace("tank", mode="free")
+        with httpx.Client(base_url=server.url, headers={"origin": server.url}, timeout=60) as started:
+            token = server.link.partition("#token=")[2]
+            assert started.post("/api/session", json={"token": token}).json() == {"operator": "ada"}
+            following(started, lambda state: state["online"])
+            yield started
+
+
+def following(client: Any, holds: Any) -> dict[str, Any]:
+    """The first state of the tank, as pages receive it, for which `holds` is true."""
+    with client.stream("GET", "/api/stream?node=tank") as stream:
+        kind = ""
+        for line in stream.iter_lines():
+            name, _, text = line.partition(": ")
+            kind = text if name == "event" else kind
+            if name == "data" and kind == "node" and holds(state := json.loads(text)):
+                return state
+    raise AssertionError("the stream ended")
+
+
+def change(client: Any, operation: str, **content: Any) -> Any:
+    return client.post(f"/api/nodes/tank/{operation}", json=content)
+
+
+def test_room__write_is_streamed_with_its_source_and_its_end(client: Any) -> None:
+    assert change(client, "write", point="pump", value=20, duration_s=120).status_code == 200
+    array = client.get("/api/nodes/tank/priorities", params={"point": "pump"}).json()["entries"]
+    assert array[7] == {"value": 20.0, "source": "ada", "expires": "2026-01-12T00:02:00"}
+    assert [entry["value"] for entry in array[:7] + array[8:]] == [None] * 15
+    assert change(client, "step", steps=3).json() == {"text": "3 timesteps"}
+    state = following(client, lambda state: state.get("sample_step") == 3)
+    assert state["values"][0] == pytest.approx(0.2 + 0.2 + 0.05)  # two minutes of 20 W, then 5 W
+    history = client.get("/api/nodes/tank/history", params={"point": "level"}).json()
+    assert history["points"][0]["values"] == pytest.approx([0.0, 0.2, 0.4, 0.45])
+    kinds = [event["kind"] for event in client.get("/api/nodes/tank/events").json()["events"]]
+    assert kinds[-2:] == ["written", "expired"]
+
+
+def test_room__what_if_changes_a_copy_only(client: Any) -> None:
+    before = client.get("/api/nodes/tank/history", params={"point": "level"}).json()["points"][0]["values"]
+    answer = change(client, "what_if", values={"pump": 10}, hours=1).json()
+    hours = answer["as_is"]["totals"]["hours"]
+    assert (hours, len(answer["time"])) == (1.0, 60)
+    level = before[-1]
+    assert answer["as_is"]["series"][0] == pytest.approx([level + 0.05 * k for k in range(1, 61)])
+    assert answer["changed"]["series"][0] == pytest.approx([level + 0.1 * k for k in range(1, 61)])
+    after = client.get("/api/nodes/tank/history", params={"point": "level"}).json()["points"][0]["values"]
+    assert after == before
+    array = client.get("/api/nodes/tank/priorities", params={"point": "pump"}).json()["entries"]
+    assert all(entry["value"] is None for entry in array)
+
+
+@pytest.mark.parametrize(
+    ("operation", "content", "status", "text"),
+    [
+        ("write", {"point": "pmp", "value": 1}, 400, "pump"),
+        ("write", {"point": "pump", "value": 101}, 409, "0 to 100 W"),
+        ("what_if", {"values": {"pump": 101}}, 409, "0 to 100 W"),
+        ("what_if", {"values": {}}, 400, "values"),
+        ("acknowledge", {"alarm": "warm"}, 400, "no alarm 'warm'"),
+        ("record", {"path": "run.mcap"}, 400, "absolute path"),
+        ("stop_recording", {}, 409, "recording"),
+        ("faults", {"plan": {"faults": [{"kind": "bais"}]}}, 400, "bias"),
+        ("stop", {}, 404, "no operation 'stop'"),
+    ],
+)
+def test_room__invalid_change_is_answered_with_the_reason(
+    client: Any, operation: str, content: dict[str, Any], status: int, text: str
+) -> None:
+    answer = change(client, operation, **content)
+    assert answer.status_code == status
+    assert text in answer.json()["message"]
+
+
+def test_room__unknown_node_and_point_are_named(client: Any) -> None:
+    answer = client.get("/api/nodes/tnk")
+    assert (answer.status_code, "'tank'" in answer.json()["message"]) == (404, True)
+    answer = client.get("/api/nodes/tank/history", params={"point": "lvel"})
+    assert (answer.status_code, "'level'" in answer.json()["message"]) == (400, True)
+    for query in ({"max": "x"}, {"point": "level", "max": "1"}, {"point": ["level"] * 65}):
+        assert client.get("/api/nodes/tank/history", params=query).status_code == 400
