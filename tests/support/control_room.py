@@ -10,6 +10,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 import zenostat
+from zenostat.bridge.runtime.affinity import Affinity
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 ARGUMENTS = (
@@ -31,7 +32,7 @@ def control_room(endpoint: str, **settings: Any) -> Iterator[Any]:
 
     settings = {"operator": "ada", **settings}
     with (
-        zenostat.connect(endpoint, affinity="off", wait=True) as bus,
+        zenostat.connect(endpoint, affinity=Affinity.OFF, wait=True) as bus,
         RoomServer(bus, "127.0.0.1:0", **settings) as server,
     ):
         thread = threading.Thread(target=server.run)

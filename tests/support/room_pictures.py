@@ -11,9 +11,10 @@ import zenostat
 from support.control_room import Visitor, chromium, control_room
 from support.nodes import NodeProgram
 from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
+from zenostat.bridge.runtime.affinity import Affinity
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
-BUILDING = {
+BUILDING: dict[str, Any] = {
     "building": "office-medium",
     "weather": "USA_CO_Denver",
     "begin": "07-01",
@@ -61,7 +62,7 @@ def main() -> None:
         rules.write_text(ALARMS)
         with (
             NodeProgram(Path(folder) / "node", **BUILDING, alarms=str(rules)) as node,
-            zenostat.connect(node.endpoint, affinity="off") as bus,
+            zenostat.connect(node.endpoint, affinity=Affinity.OFF) as bus,
             control_room(node.endpoint, operator="ada.lovelace") as room,
             chromium() as browser,
         ):

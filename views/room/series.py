@@ -40,8 +40,8 @@ class HistoryCache:
         if not 2 <= max_samples <= MAX_SAMPLES:
             raise InvalidConfig(f"max: 2 to {MAX_SAMPLES} samples expected, not {max_samples}")
         state = watch.state or {}
-        key = (watch.node, state.get("instance"), state.get("episode"), state.get("step"))
-        key += (tuple(points), start, end, max_samples)
+        present = (watch.node, state.get("instance"), state.get("episode"), state.get("step"))
+        key = (*present, tuple(points), start, end, max_samples)
         with self._lock:
             if key in self._replies:
                 self._replies.move_to_end(key)
