@@ -14,19 +14,21 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from statistics import median
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from rich.console import Console
 from rich.table import Table
 
 import zenostat  # noqa: F401  # registers the environments
 from bench import programs
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.cosim.solver import Floats, Outcome, Problem, solve_in_bracket
 
 DAY = {"begin": "07-03", "end": "07-03", "steps_per_hour": 4}
 BUILDINGS = {
@@ -39,14 +41,7 @@ BUILDINGS = {
 GAINS_K = (3.0, 1.5)
 DAMPING = (1.0, 0.5, 0.2)
 MIDDLE_DEGC = 24.0
-TOLERANCE_K, LIMIT, NOTICEABLE_K, JUMP = 0.02, 24, 0.05, 0.1
-
-_SECANTS = 8
-"""Trials before the bracket is only halved, so that the limit of trials decides whether there is a fixed point."""
-
-Function = Callable[[float], float]
-_End = tuple[float, float | None]
-"""An end of a bracket, and its residual if it was evaluated."""
+TOLERANCE_K, LIMIT, NOTICEABLE_K = 0.02, 24, 0.05
 
 
 def measure(*, quick: bool) -> dict[str, Any]:
@@ -110,6 +105,8 @@ class Loop:
         self._cooling = [actuator.name for actuator in cooling]
         self._low = max(actuator.low for actuator in cooling if actuator.low is not None)
         self._high = min(actuator.high for actuator in cooling if actuator.high is not None)
+        low, high, tolerance = (np.array([number]) for number in (self._low, self._high, TOLERANCE_K))
+        self._problem = Problem(self._tried_law, tolerance, low, high, LIMIT)
 
     def law(self, power_kw: float) -> float:
         """Return the setpoint for a power, degC."""
@@ -122,10 +119,10 @@ class Loop:
     def _command(self, setpoint: float) -> dict[str, float | None]:
         return dict.fromkeys(self._cooling, setpoint)
 
-    def tried_law(self, setpoint: float) -> float:
-        """Return the law at the power that the next timestep would have with a setpoint."""
-        (sample,) = self._env.link.try_step([self._command(setpoint)])
-        return self.law(self._power_kw(sample))
+    def _tried_law(self, setpoint: Floats) -> Floats:
+        """Return the law at the power that the next timestep would have with a setpoint; shapes (1,)."""
+        (sample,) = self._env.link.try_step([self._command(float(setpoint[0]))])
+        return np.array([self.law(self._power_kw(sample))])
 
     def _step(self, day: Day, setpoint: float) -> None:
         link = self._env.link
@@ -154,50 +151,14 @@ class Loop:
         day, setpoint = Day(), MIDDLE_DEGC
         for _ in self._steps():
             begin_s = time.perf_counter()
-            setpoint, trials, outcome = solve(self.tried_law, setpoint, self._low, self._high)
-            day.trial_s.append((time.perf_counter() - begin_s) / trials)
-            day.trials += trials
-            day.jumps += outcome == "jump"
-            day.unsolved += outcome == "limit"
+            solution = solve_in_bracket(self._problem, np.array([setpoint]))
+            setpoint = float(solution.best.x[0])
+            day.trial_s.append((time.perf_counter() - begin_s) / solution.trials)
+            day.trials += solution.trials
+            day.jumps += solution.outcome is Outcome.JUMP
+            day.unsolved += solution.outcome is Outcome.LIMIT
             self._step(day, setpoint)
         return day
-
-
-def solve(function: Function, start: float, lowest: float, highest: float) -> tuple[float, int, str]:
-    """Solve x = G(x) by secants in a bracket; return the best x, the number of trials and the outcome.
-
-    Args:
-        function: G; its values are between `lowest` and `highest`, which are therefore a bracket.
-        start: first x.
-        lowest, highest: bounds of x.
-    """
-    low: _End
-    high: _End
-    low, high = (lowest, None), (highest, None)  # G is within the bounds: its residual is >= 0 and <= 0 there
-    x, best, previous = start, (float("inf"), start), None
-    for trial in range(1, LIMIT + 1):
-        residual = function(x) - x
-        best = min(best, (abs(residual), x))
-        if abs(residual) <= TOLERANCE_K:
-            return x, trial, "solved"
-        low, high = ((x, residual), high) if residual > 0.0 else (low, (x, residual))
-        width = high[0] - low[0]
-        if width < JUMP * TOLERANCE_K:
-            return best[1], trial, "jump"
-        slope = (residual - previous[1]) / (x - previous[0]) if previous is not None else -1.0
-        previous, x = (x, residual), x - residual / slope if slope else float("nan")
-        if trial > _SECANTS or not low[0] < x < high[0]:
-            x = _inner(low, high, x)
-    return best[1], LIMIT, "limit"
-
-
-def _inner(low: _End, high: _End, x: float) -> float:
-    """Return an end that was not evaluated, if a secant points there; else the middle."""
-    if x <= low[0] and low[1] is None:
-        return low[0]
-    if x >= high[0] and high[1] is None:
-        return high[0]
-    return 0.5 * (low[0] + high[0])
 
 
 def main() -> None:
