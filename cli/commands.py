@@ -20,7 +20,7 @@ from zenostat.topics import VERSION
 
 GROUPS: dict[str, tuple[str, ...]] = {
     "Simulate and control": (
-        "demo.demo", "node.node", "cosim.cosim", "run.run", "evaluate.evaluate", "dataset.dataset", "probe.probe",
+        "demo.demo", "node.node", "run.run", "cosim.cosim", "evaluate.evaluate", "dataset.dataset", "probe.probe",
     ),
     "Train agents": ("train.train", "tune.tune", "benchmark.benchmark", "bounds.bounds"),
     "Watch a bus": (

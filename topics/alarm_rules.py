@@ -53,7 +53,8 @@ class _Fields(_Part):
         if unknown:
             raise ValueError(
                 "; ".join(
-                    f"there is no field {name!r}; {did_you_mean(str(name), cls.model_fields)}" for name in unknown
+                    f"there is no field {name[:64]!r}; {did_you_mean(name[:64], cls.model_fields)}"
+                    for name in map(str, unknown[:8])
                 )
             )
         return value

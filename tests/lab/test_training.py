@@ -298,5 +298,5 @@ def test_training__files_that_are_no_models(tmp_path: Path) -> None:
 def test_training__without_the_extra_it_is_one_sentence() -> None:
     program = "import sys; sys.modules['stable_baselines3'] = None; import zenostat.lab.training"
     done = run_python("-c", program, timeout=60)
-    assert "InvalidConfig: training needs stable-baselines3" in done.stderr
+    assert "MissingExtra: training needs stable-baselines3" in done.stderr
     assert "[train]'" in done.stderr.splitlines()[-1]

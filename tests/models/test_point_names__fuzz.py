@@ -121,7 +121,7 @@ def test_point_names__one_bad_value_among_ten_thousand_is_named_and_changes_noth
 def test_source_name__has_a_bounded_length() -> None:
     longest = Write(value=25.0, source="x" * 128)
     assert codec.decode(Write, codec.encode(longest)) == longest
-    with pytest.raises(BadMessage, match=r"source.*128"):
+    with pytest.raises(BadMessage, match=r"source.*127"):
         codec.decode(Write, codec.pack(value=25.0, priority=8, duration_s=None, source="x" * 129))
 
 

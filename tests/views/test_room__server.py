@@ -83,7 +83,7 @@ def test_room__write_is_streamed_with_its_source_and_its_end(client: Any) -> Non
     history = client.get("/api/nodes/tank/history", params={"point": "level"}).json()
     assert history["points"][0]["values"] == pytest.approx([0.0, 0.2, 0.4, 0.45])
     kinds = [event["kind"] for event in client.get("/api/nodes/tank/events").json()["events"]]
-    assert kinds[-2:] == ["written", "expired"]
+    assert [kind for kind in kinds if kind in ("written", "expired")] == ["written", "expired"]
 
 
 def test_room__what_if_changes_a_copy_only(client: Any) -> None:
