@@ -338,4 +338,4 @@ def nothing_left(folder: Path) -> Iterator[None]:
         "all processes that the test started have ended",
     )
     until(lambda: not programs_of(folder), "all nodes and engines have ended")
-    assert remains(folder) == []
+    assert not (left := remains(folder)), left

@@ -4,6 +4,7 @@ import importlib.util
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -202,7 +203,7 @@ def test_district__lost_plant_comes_back_to_the_bit(scratch: Path) -> None:
                         p for p in psutil.Process(program.pid).children() if "bridge.python_plant" in p.cmdline()[-1]
                     ]
                     nodes[0].kill()
-                    until(lambda: has_ended(nodes[0]), "the node has ended")
+                    until(partial(has_ended, nodes[0]), "the node has ended")
                 sample.send({"house.outdoor": -4.0 + sample.step})
                 sample = link.receive()
                 values.append(sample.message.values)
