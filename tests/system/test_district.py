@@ -1,6 +1,7 @@
 """Districts in real processes: exact, recorded, killed, and with plants that are lost."""
 
 import importlib.util
+import shutil
 import signal
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
@@ -180,6 +181,7 @@ def test_district__killed_leaves_no_process_and_verifies_up_to_its_end(scratch: 
         program.process.send_signal(signal.SIGKILL)
         program.process.wait()
         until(lambda: not programs_of(scratch), "all plants have ended")
+        shutil.rmtree(program.folder)  # its socket, which a killed node cannot remove
     sweep()
     result = verify_district(path, file)
     assert result.passed, str(result)
