@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 
+from zenostat.bridge.transport import name_list
 from zenostat.bridge.transport.access_control import Permission, may
 from zenostat.topics import keys
 from zenostat.topics.keys import Role, Topic
@@ -40,7 +41,7 @@ class Access:
         """Return the name of the certificate under which a sender's name is; empty if there is none."""
         holder = self._holders.get(sender)
         if holder is None:
-            holder = next((name for name in self._names if keys.is_own(name, sender)), "")
+            holder = name_list.holder(self._names, sender)
             if len(self._holders) < 10_000:
                 self._holders[sender] = holder
         return holder
