@@ -170,8 +170,8 @@ class PlantContext:
         return len(self.placement)
 
 
-class RunningPlant(Protocol):
-    """A plant that waits at the latest sample of each slot: a node's own, a snapshot's or a branch's."""
+class SampleSource(Protocol):
+    """The part of a plant from which its samples are encoded; see `RunningPlant`."""
 
     @property
     def description(self) -> PlantDescription:
@@ -185,6 +185,16 @@ class RunningPlant(Protocol):
     def has_baseline(self) -> bool:
         """Whether `baseline_values` and `baseline_effective` return anything."""
 
+    def baseline_values(self) -> bytes:
+        """Return the latest values of the copies without commands; empty without a baseline."""
+
+    def baseline_effective(self) -> bytes:
+        """Return the effective values of these copies."""
+
+
+class RunningPlant(SampleSource, Protocol):
+    """A plant that waits at the latest sample of each slot: a node's own, a snapshot's or a branch's."""
+
     def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
         """Simulate a timestep in the active slots; return for each of them whether it was its last.
 
@@ -194,12 +204,6 @@ class RunningPlant(Protocol):
 
     def values(self) -> bytes:
         """Return the latest sensor and meter values."""
-
-    def baseline_values(self) -> bytes:
-        """Return the latest values of the copies without commands; empty without a baseline."""
-
-    def baseline_effective(self) -> bytes:
-        """Return the effective values of these copies."""
 
     def check(self) -> None:
         """Raise the `SimulatorError` of a simulator that has ended while it waited; quick, called when woken."""

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from datetime import datetime, timedelta
-from typing import Protocol
 
 from zenostat.bridge.exchange.step_exchange import StepExchange
-from zenostat.bridge.node.plant import PlantDescription
+from zenostat.bridge.node.plant import SampleSource
 from zenostat.topics import codec
 from zenostat.topics.messages import Flag
 
@@ -34,28 +33,6 @@ class SampleHead:
             exchange.episode, exchange.step, exchange.done, exchange.fallback_active, exchange.commanded,
             exchange.source_index, [*exchange.source_names],
         )  # fmt: skip
-
-
-class SampleSource(Protocol):
-    """The part of a plant from which its samples are encoded; see `RunningPlant`."""
-
-    @property
-    def description(self) -> PlantDescription:
-        """Description of the plant."""
-
-    @property
-    def effective(self) -> bytes:
-        """Effective values in the latest timestep."""
-
-    @property
-    def has_baseline(self) -> bool:
-        """Whether there are values of a baseline."""
-
-    def baseline_values(self) -> bytes:
-        """Return the latest values of the copies without commands."""
-
-    def baseline_effective(self) -> bytes:
-        """Return their effective values."""
 
 
 class SampleEncoder:
