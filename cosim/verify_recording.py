@@ -18,7 +18,6 @@ from zenostat.bridge.runtime.scratch import Scratch, sweep
 from zenostat.cosim.file import DistrictFile, read_district
 from zenostat.cosim.launch import PlantSet, input_files
 from zenostat.cosim.plant import DistrictPlant, describe
-from zenostat.topics import VERSION
 from zenostat.topics.errors import InvalidRecording
 
 
@@ -61,9 +60,6 @@ def verify_district(
         verifier = Verifier(reader, plant, scratch.folder / "copies", tolerance=tolerance, progress=progress)
         stack.callback(verifier.close)
         verifier.result.notes += changes
-        recorded_version = reader.about.get("zenostat", "")
-        if recorded_version != VERSION:
-            verifier.result.notes.append(f"recorded by Zenostat {recorded_version}, verified by {VERSION}")
         return verifier.run()
 
 

@@ -24,7 +24,7 @@ from zenostat.eplus_node.config import read_config
 from zenostat.eplus_node.plan import REPEATED_SETTINGS, input_files, plan
 from zenostat.eplus_node.plant import EnergyPlusPlant
 from zenostat.models.scenario.schema import Scenario
-from zenostat.topics import VERSION, yaml12
+from zenostat.topics import yaml12
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, InvalidRecording, UsageError
 from zenostat.topics.messages import Lines
@@ -75,9 +75,6 @@ def verify(
         verifier = Verifier(reader, new_plant, scratch.folder / "copies", tolerance=tolerance, progress=progress)
         stack.callback(verifier.close)
         verifier.result.notes += changes
-        recorded_version = reader.about.get("zenostat", "")
-        if recorded_version != VERSION:
-            verifier.result.notes.append(f"recorded by Zenostat {recorded_version}, verified by {VERSION}")
         return verifier.run()
 
 

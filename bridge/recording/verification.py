@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from zenostat.bridge.node.plant import PlantDescription, RepeatablePlant, RunningPlant
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
-from zenostat.topics import codec
+from zenostat.topics import VERSION, codec
 from zenostat.topics.errors import BadMessage, InvalidRecording
 from zenostat.topics.messages import Flag
 from zenostat.topics.printable import replace_controls
@@ -201,6 +201,9 @@ class Verifier:
             SimulatorError: the new plant failed.
         """
         result = self.result
+        recorded_version = self._reader.about.get("zenostat", "")
+        if recorded_version != VERSION:
+            result.notes.append(f"recorded by Zenostat {recorded_version}, verified by {VERSION}")
         self._scan()
         for item in self._reader.messages(_SCHEMAS):
             self._process(item)
