@@ -11,7 +11,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, OpenSession, default_endpoint, open_session
+from zenostat.bridge.transport.session import (
+    DEFAULT_ENDPOINT,
+    OpenSession,
+    certificate_file,
+    default_endpoint,
+    open_session,
+)
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 
@@ -58,8 +64,12 @@ class BusOptions:
         """The endpoint of the bus: the default one if none is named."""
         return self.connect or default_endpoint(self.keys)
 
-    def open_bus(self, role: Role = Role.CONTROLLER) -> Bus:
+    def open_bus(self, role: Role = Role.CONTROLLER, *, resets: bool = False) -> Bus:
         """Connect to the bus; with keys, by the certificate of this role.
+
+        Args:
+            role: Role that the certificate must have.
+            resets: Whether the command also resets the node; the certificate is then by default an environment's.
 
         Raises:
             NodeNotFound: No process listens at the endpoint.
@@ -67,7 +77,8 @@ class BusOptions:
         """
         from zenostat import connect
 
-        return connect(self.endpoint, keys=self.keys, role=role, certificate=self.certificate)
+        keys = certificate_file(self.keys) if resets and self.certificate is None else self.keys
+        return connect(self.endpoint, keys=keys, role=role, certificate=self.certificate)
 
     def open_session(self, role: Role = Role.CONTROLLER, *, wait: bool = False) -> OpenSession:
         """Open a Zenoh session instead, for programs without requests; arguments and errors as of `open_bus`."""

@@ -109,7 +109,7 @@ def _drive(file: Path, node: str, options: BusOptions, name: str, priority: int 
     from zenostat.cli.console import err
     from zenostat.lab.drive import drive
 
-    with options.open_bus() as bus, progress() as bars:
+    with options.open_bus(resets=True) as bus, progress() as bars:
         task = bars.add_task(f"{node}: commands of {file.name}", total=None, rate="")
         result = drive(
             file, bus, node, name=name, priority=priority or 10, speed=speed,

@@ -75,7 +75,7 @@ def run(
     starts_episode = reset or episodes > 1
     arguments = _with_seed(factory, read_parameters(parameters or []), seed, starts_episode, controller)
     name = safe_name(controller.rpartition(":")[2])
-    with options.open_bus() as bus:
+    with options.open_bus(resets=starts_episode) as bus:
         agent = Agent(make_controller(factory, bus.manifest(node), arguments))
         results: dict[str, tuple[EpisodeMetrics, float]] = {}
         trace = _trace(bus, node, controller, rates) if outputs.wanted else None

@@ -15,9 +15,9 @@ from zenostat.bridge.client.local_node import LocalNode
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.trials import trial_message
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.transport.session import certificate_file
 from zenostat.cosim.coupled import Floats, Rows
 from zenostat.topics.errors import BusError, ZenostatError
-from zenostat.topics.keys import Role
 from zenostat.topics.messages import CommandOp, Manifest, Mode
 
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
@@ -230,7 +230,7 @@ class FoundPlant(NodePlant):
 
     def open_bus(self) -> Bus:
         """Connect to the bus."""
-        return connect(self._endpoint, affinity=Affinity.OFF, keys=self._keys, role=Role.CONTROLLER)
+        return connect(self._endpoint, affinity=Affinity.OFF, keys=certificate_file(self._keys))
 
     def is_reachable(self) -> bool:
         """Return whether the node answers."""

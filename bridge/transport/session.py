@@ -178,12 +178,12 @@ def open_session(
 
 
 def keys_folder(keys: Path | None) -> Path | None:
-    """Return the folder of keys, which may be given as a certificate in it."""
+    """Return the folder of keys, also where a certificate in it is named."""
     return keys.parent if keys is not None and keys.suffix == ".pem" else keys
 
 
 def certificate_file(keys: Path | None) -> Path | None:
-    """Return the certificate with which an environment connects: in a folder of keys, that of the trainer."""
+    """Return the certificate of a controller that also resets: in a folder of keys, that of the trainer."""
     return keys if keys is None or keys.suffix == ".pem" else keys / f"{TRAINER}.pem"
 
 

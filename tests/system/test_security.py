@@ -31,6 +31,7 @@ from zenostat.bridge.transport.certificates import add, identity, make
 from zenostat.bridge.transport.name_list import CERTIFIED
 from zenostat.bridge.transport.session import check_endpoint, exposure, open_session
 from zenostat.bridge.transport.tls_diagnosis import diagnose_tls
+from zenostat.cosim.node_plant import FoundPlant
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import AddressInUse, InvalidConfig, NodeNotFound, UsageError
 from zenostat.topics.keys import TOPICS, Role
@@ -284,6 +285,21 @@ def test_security__same_attacks_work_under_the_own_name_of_an_operator_who_contr
         while EventKind.REJECTED not in {event.kind for event in received}:  # commands have a way of their own
             received.append(codec.decode(Event, events.recv().payload.to_bytes()))
         assert bus.status("office").episode == episode
+
+
+def test_security__programs_that_reset_connect_with_the_trainer_s_certificate(node: NodeProgram, pki: Path) -> None:
+    plant = FoundPlant("office", node.endpoint, pki)
+    try:
+        assert plant.reset(3).values.shape == (1, len(plant.manifest.names))
+    finally:
+        plant.close()
+    bus_options = ("--connect", node.endpoint, "--keys", str(pki))
+    done = run_program("run", "--node", "office", "--controller", "rbc", "--reset", "--seed", "3", *bus_options)
+    assert done.returncode == 0, done.stderr
+    certificate = ("--certificate", "controller")
+    done = run_program("run", "--node", "office", "--controller", "rbc", "--reset", *bus_options, *certificate)
+    assert done.returncode != 0
+    assert "may not query rpc/reset" in " ".join(done.stderr.split())
 
 
 def test_security__operator_may_stop_a_node_and_a_monitor_not(scratch: Path, pki: Path) -> None:
