@@ -10,7 +10,7 @@ committed: the plants themselves step with its commands, and have its values to 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import fsum
 
@@ -211,14 +211,14 @@ class Orchestrator:
             done[name] = self._plants[name].finish()
         self._report(block, self.loops[number], solution)
 
-    def _search(self, block: Block, evaluate: object) -> Solution:
+    def _search(self, block: Block, evaluate: Callable[[Floats], Floats]) -> Solution:
         transfers = [self._transfers[position] for position in block.solved]
 
         def of_each(values: Sequence[float]) -> Floats:
             return np.repeat(np.array(values), [transfer.target_steps for transfer in transfers])
 
         problem = Problem(
-            evaluate,  # type: ignore[arg-type]
+            evaluate,
             tolerance=of_each([transfer.tolerance or 0.0 for transfer in transfers]),
             low=of_each([transfer.low for transfer in transfers]),
             high=of_each([transfer.high for transfer in transfers]),
