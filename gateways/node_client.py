@@ -75,7 +75,7 @@ class NodeClient:
         NodeNotFound: on entering the context, no node of that name is on the bus.
 
     Attributes:
-        name: as given.
+        name: the node's name.
         source: the default name of the writer, below the identity.
         manifest: the node's latest manifest.
         sample: slot 0 of its latest sample; None before the first one.

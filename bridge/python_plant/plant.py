@@ -205,7 +205,7 @@ class PythonPlant(PythonEngines):
             except (EngineDied, ForkFailed) as error:
                 if self._context.registry.closing:
                     raise
-                self._warnings.append(f"the process that waits at sample 0 is given up: {error}")
+                self._warnings.append(f"the process that waits at sample 0 is abandoned: {error}")
                 self._first.close()
                 self._first = None
         clients[slot] = self._start(slot)

@@ -61,7 +61,7 @@ def point_name(name: str) -> str:
 
 
 class PointNames:
-    """Names of points, each of which is given once."""
+    """Names of points, each of which is used once."""
 
     def __init__(self) -> None:
         self._used: set[str] = set()

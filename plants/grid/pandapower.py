@@ -66,7 +66,7 @@ def convert(net: Any) -> dict[str, Any]:
 
 
 class BusNames:
-    """Names of the buses of a network, of which closed switches make one; further names are given once.
+    """Names of the buses of a network, of which closed switches make one; further names are used once.
 
     Args:
         net: the network.
