@@ -6,6 +6,7 @@ links of revoked names, also those that they open again.
 
 from __future__ import annotations
 
+import ipaddress
 import os
 import socket
 from collections.abc import Callable, Iterable
@@ -148,14 +149,20 @@ class DenyList:
 
 def shut_down(links: Iterable[zenoh.Link]) -> None:
     """End links of this process: Zenoh has no call for that, so their sockets are shut down."""
-    ports = {_port(link.dst) for link in links}
-    for connection in psutil.Process().net_connections("tcp") if ports else ():
-        if connection.raddr and connection.raddr.port in ports and connection.fd >= 0:
+    peers = {_locator_peer(str(link.dst)) for link in links}
+    for connection in psutil.Process().net_connections("tcp") if peers else ():
+        if connection.raddr and connection.fd >= 0 and _peer(*connection.raddr) in peers:
             with suppress(OSError), socket.socket(fileno=os.dup(connection.fd)) as link:
                 link.shutdown(socket.SHUT_RDWR)
 
 
-def _port(locator: object) -> int:
-    """Return the port of a locator, `tls/HOST:PORT`; 0 if it has none."""
-    digits = str(locator).partition("?")[0].rpartition(":")[2]
-    return int(digits) if digits.isdigit() else 0
+def _locator_peer(locator: str) -> tuple[str, int]:
+    """Return the address in a locator of a link, `tls/IP:PORT`."""
+    host, _, port = locator.partition("/")[2].partition("?")[0].rpartition(":")
+    return _peer(host, port)
+
+
+def _peer(host: str, port: str | int) -> tuple[str, int]:
+    """Return an address in one form: of IPv4, also where it is mapped to IPv6, and without brackets and zone."""
+    address = ipaddress.ip_address(host.strip("[]").partition("%")[0])
+    return str(getattr(address, "ipv4_mapped", None) or address), int(port)

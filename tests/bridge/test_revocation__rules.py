@@ -1,11 +1,17 @@
 """Revocation in the step exchange, and the permissions of senders: no bus."""
 
+import socket
+from contextlib import ExitStack
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 from support.builders import NAN, advance, answer, claim, exchange, ruling
 from support.exchange_checks import same
 
 from zenostat.bridge.exchange.revocation import revoke
 from zenostat.bridge.node.access import Access
+from zenostat.bridge.transport.deny_list import shut_down
 from zenostat.topics import keys
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import EventKind, Write
@@ -92,3 +98,26 @@ def test_access__revoked_name_is_denied_from_the_next_message_on() -> None:
     revoked.add("ppo-7")
     assert access.denial(keys.COMMAND, "ppo-7.a") == "ppo-7 is revoked"
     assert access.denial(keys.COMMAND, "rbc") == ""
+
+
+@pytest.mark.parametrize("locator", ["tls/127.0.0.1:{}", "tls/[::ffff:127.0.0.1]:{}?rel=0"])
+def test_shut_down__ends_the_link_of_one_address_not_of_another_with_the_same_port(locator: str) -> None:
+    """Two peers on two hosts may have the same port."""
+    with ExitStack() as stack:
+        listener = stack.enter_context(socket.create_server(("127.0.0.1", 0)))
+
+        def connected(host: str, port: int) -> tuple[socket.socket, socket.socket]:
+            peer = stack.enter_context(socket.socket())
+            peer.bind((host, port))
+            peer.connect(("127.0.0.1", listener.getsockname()[1]))
+            peer.settimeout(20)
+            return peer, stack.enter_context(listener.accept()[0])
+
+        revoked, _ = connected("127.0.0.1", 0)
+        port = revoked.getsockname()[1]
+        other, accepted = connected("127.0.0.2", port)
+        link: Any = SimpleNamespace(dst=locator.format(port))
+        shut_down([link])
+        assert revoked.recv(1) == b"", "it is ended"
+        accepted.sendall(b"x")
+        assert other.recv(1) == b"x"
