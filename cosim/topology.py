@@ -13,7 +13,7 @@ from zenostat.topics.errors import did_you_mean
 MAX_NAME = 100
 """Longest name of a connection or a loop: the names of points have 128 characters at most."""
 
-_KINDS = "`building` with `weather`, `scenario`, `plant`, `district` or `node`"
+_KINDS = "`building` with `weather`, `scenario`, `plant`, `fmu`, `grid`, `district` or `node`"
 
 
 @dataclass(frozen=True, slots=True)

@@ -134,6 +134,33 @@ def test_district__equals_its_plants_called_by_hand_to_the_bit(scratch: Path) ->
         assert (values[1]["temperature"], values[2]["temperature"], heat["cop"]) == tuple(row)
 
 
+def test_district__feeder_carries_what_a_house_demands(scratch: Path) -> None:
+    """The powers of a grid balance: what it imports is what its loads take and what it loses."""
+    pytest.importorskip("power_grid_model")
+    for name in ("feeder.yaml", "feeder.csv"):
+        shutil.copy(EXAMPLES / name, scratch)
+    text = """name: pair
+timestep: 15min
+duration: 2.5h
+plants:
+  feeder: {grid: feeder.yaml}
+  house: {plant: "plants.py:House"}
+connections:
+  - {from: house.demand, to: feeder.office_demand}
+"""
+    with running(scratch, district(scratch, text)) as (_, bus, name), bus.controller(name) as link:
+        values = episode(link)
+        rows = dict(zip(link.manifest.names, np.array([np.frombuffer(row) for row in values]).T, strict=True))
+    demand = rows["house.demand"][1:]
+    assert np.ptp(demand) > 10.0
+    assert (rows["feeder.office_power"][1:] == demand).all()
+    taken = sum(
+        rows[f"feeder.{load}_power"] for load in ("homes", "office", "battery", "home_charger", "office_charger")
+    )
+    balance = taken + rows["feeder.losses"] - rows["feeder.roof_power"]
+    assert rows["feeder.import"] - rows["feeder.export"] == pytest.approx(balance, abs=1e-3)
+
+
 def test_district__controller_reset_and_solved_loop(scratch: Path) -> None:
     """Equal seeds and commands have equal trajectories; each step of the loop is solved within its tolerance."""
     with running(scratch, district(scratch, SOLVED)) as (_, bus, name), bus.controller(name) as link:
