@@ -18,7 +18,7 @@ from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.ems_programs import program_findings
 from zenostat.models.building.external_files import versions_of_files
-from zenostat.models.building.nodes import unconnected_nodes
+from zenostat.models.building.nodes import nodes_without_setpoint, outdoor_nodes_without_air, unconnected_nodes
 from zenostat.models.building.plausibility import plausibility_findings
 from zenostat.models.building.schedule_limits import limit_findings
 from zenostat.models.building.schedule_rules import schedule_findings
@@ -28,7 +28,7 @@ from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.source_model import SourceModel
 from zenostat.topics.errors import list_errors
 
-FORMAT = "6"
+FORMAT = "8"
 """Version of the stored files."""
 
 REQUIRED = ("Building", "GlobalGeometryRules")
@@ -165,7 +165,12 @@ def _rule_diagnostics(
         for kind, items in valid.items()
     }
     for finding in chain(
-        schedule_findings(sound), limit_findings(sound), program_findings(valid), plausibility_findings(valid)
+        schedule_findings(sound),
+        limit_findings(sound),
+        program_findings(valid),
+        plausibility_findings(valid),
+        nodes_without_setpoint(valid),
+        outdoor_nodes_without_air(valid),
     ):
         severity = Severity.ERROR if finding.is_fatal else Severity.WARNING
         yield Diagnostic(severity, finding.kind, finding.name, finding.field, finding.text)

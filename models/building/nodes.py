@@ -1,4 +1,8 @@
-"""Find nodes of a model that only one object names: the connection is missing, mostly because of a typing error."""
+"""Find nodes of a model that only one object names, and nodes without the setpoint that equipment needs there.
+
+Both are mostly typing errors: with the first a connection is missing. EnergyPlus reports the second, in plant loops,
+only when a run has ended; a coil without a setpoint is off.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +11,18 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
+from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
 from zenostat.topics.errors import did_you_mean
 
 _NODE = re.compile(r"(\w*_)?node(_or_nodelist)?(_\w*)?name|\w*_node_or_nodelist_name")
 _MAY_BE_ALONE = re.compile(r"outlet|relief|exhaust|return|zone_air_node|zone_node|^node_name$|^node_or_nodelist_name$")
 """Fields whose node nothing else needs to name: air that leaves the building, the air of a zone, lists of nodes."""
+
+_ANY_NODE = re.compile(r"\w*node\w*")
+_OUTLET_NODE = re.compile(r"\w*outlet\w*node\w*")
+_OUTDOOR_AIR = "outdoor_air_stream_node_name"
+_SETPOINT_NODE = re.compile(r"\w*(setpoint|sensor)_node_name")
+_NEED_SETPOINT = ("PlantLoop", "CondenserLoop", "Controller:WaterCoil", "CoilSystem:", "Coil:Heating:")
 
 _LISTS = ("NodeList", "OutdoorAir:NodeList")
 _IGNORED = ("Output", "EnergyManagementSystem")
@@ -54,13 +65,73 @@ def unconnected_nodes(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[Unco
             yield UnconnectedNode(kind, name, field, spelling, known)
 
 
-def _node_fields(fields: Mapping[str, Any], path: str = "") -> Iterator[tuple[str, str, str]]:
-    """Yield path, name and value of each field that names a node."""
+def nodes_without_setpoint(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[RuleFinding]:
+    """Yield a warning for each node whose setpoint an object needs, and that no setpoint manager or EMS actuator sets.
+
+    A plug-in or an external interface may set any node, so a model with one of these has no such warnings.
+    """
+    if any(kind.startswith(("PythonPlugin:", "ExternalInterface")) for kind in objects):
+        return
+    managed = _managed_nodes(objects)
+    for kind, items in objects.items():
+        if kind.startswith(_NEED_SETPOINT):
+            for name, fields in items.items():
+                for path, _, node in _node_fields(fields, pattern=_SETPOINT_NODE):
+                    if node.casefold() not in managed:
+                        text = f": {path} is {node!r}, but no setpoint manager or EMS actuator sets that node"
+                        yield finding(kind, name, FieldFinding(path, text, is_fatal=False))
+
+
+def _managed_nodes(objects: Mapping[str, Mapping[str, Any]]) -> set[str]:
+    """Return the nodes, case-folded, that a setpoint manager or an EMS actuator may set."""
+    managed = {
+        node.casefold()
+        for kind, items in objects.items()
+        if kind.startswith("SetpointManager:")
+        for fields in items.values()
+        for _, _, node in _node_fields(fields, pattern=_ANY_NODE)
+    }
+    for fields in objects.get("EnergyManagementSystem:Actuator", {}).values():
+        if str(fields.get("actuated_component_type", "")).casefold() == "system node setpoint":
+            managed.add(str(fields.get("actuated_component_unique_name", "")).casefold())
+    return _with_list_members(objects, managed)
+
+
+def _with_list_members(objects: Mapping[str, Mapping[str, Any]], names: set[str]) -> set[str]:
+    """Return names of nodes and node lists, case-folded, with the nodes in these lists."""
+    lists = [fields for name, fields in objects.get("NodeList", {}).items() if name.casefold() in names]
+    return names | {str(node.get("node_name", "")).casefold() for each in lists for node in each.get("nodes", ())}
+
+
+def outdoor_nodes_without_air(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[RuleFinding]:
+    """Yield a warning for each mixer whose outdoor air comes neither from outdoors nor from other equipment.
+
+    EnergyPlus reports it as a severe error, and simulates the mixer nevertheless.
+    """
+    sources = {name.casefold() for name in objects.get("OutdoorAir:Node", {})}
+    for kind, items in objects.items():
+        pattern = _OUTLET_NODE if kind != "OutdoorAir:NodeList" else _ANY_NODE
+        sources |= {node.casefold() for f in items.values() for _, _, node in _node_fields(f, pattern=pattern)}
+    sources = _with_list_members(objects, sources)
+    for name, fields in objects.get("OutdoorAir:Mixer", {}).items():
+        node = str(fields.get(_OUTDOOR_AIR, ""))
+        if node and node.casefold() not in sources:
+            text = (
+                f": {_OUTDOOR_AIR} is {node!r}, which no OutdoorAir:Node or OutdoorAir:NodeList names, and where no "
+                "other equipment has its outlet"
+            )
+            yield finding("OutdoorAir:Mixer", name, FieldFinding(_OUTDOOR_AIR, text, is_fatal=False))
+
+
+def _node_fields(
+    fields: Mapping[str, Any], path: str = "", pattern: re.Pattern[str] = _NODE
+) -> Iterator[tuple[str, str, str]]:
+    """Yield path, name and value of each field whose name matches a pattern, by default that of names of nodes."""
     for member, value in fields.items():
         if isinstance(value, str):
-            if value and _NODE.fullmatch(member):
+            if value and pattern.fullmatch(member):
                 yield path + member, member, value
         elif isinstance(value, list):
             for index, entry in enumerate(value):
                 if isinstance(entry, Mapping):
-                    yield from _node_fields(entry, f"{path}{member}[{index}].")
+                    yield from _node_fields(entry, f"{path}{member}[{index}].", pattern)

@@ -28,6 +28,8 @@ from zenostat.topics.errors import InvalidConfig, did_you_mean, list_errors
 _COMMENT = re.compile(r"!.*")
 _VERSION = re.compile(r"(?:^|;)\s*version\s*,([^,;]*)[,;]", re.IGNORECASE)
 _SEPARATOR = re.compile(r"([,;])")
+_MERGE_CONFLICT = re.compile(r"^<{7} .*", re.MULTILINE)
+_CONFLICT_MARK = re.compile(r"^(<{7} .*|={7}|>{7} .*)$", re.MULTILINE)
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 _INTEGER = re.compile(r"[+-]?\d+")
 _TYPE_FIELD = re.compile("type|class|key|name|field|line")  # fields that may hold the name of an object type
@@ -56,10 +58,16 @@ def version_line(text: str) -> int:
 
 def parse_idf(text: str, layout: Layout) -> SourceModel:
     """Read an IDF of the layout's version; the result has the errors of its syntax."""
+    conflict = _MERGE_CONFLICT.search(text)
+    text = _CONFLICT_MARK.sub("", text) if conflict else text
     reader = _Reader(layout, text.splitlines())
     for values, is_ended in _objects(text):
         reader.add(values, is_ended=is_ended)
     issues = sorted([*reader.issues, *repeated_objects(reader.known)])
+    if conflict:  # what the two versions have in common is in the file twice
+        line = conflict.string.count("\n", 0, conflict.start()) + 1
+        what = f"{conflict[0]!r} begins two versions of the lines after it, which git could not merge; keep one of them"
+        issues = [SyntaxIssue(line, "", "", what)]
     return SourceModel(tuple(reader.entries), reader.objects, tuple(issues), reader.hints)
 
 
@@ -142,7 +150,7 @@ class _Reader:
         entry = SourceObject(layout.kind, name, line)
         text, at = self._error(entry, layout, rest, is_ended=is_ended)
         hint = shift_hint(layout, [(value.line, value.text) for value in rest], self._lines)
-        if hint is not None:
+        if hint is not None and not any(value.is_split for value in rest):
             self.hints[entry.kind, entry.name] = hint
         if text:
             self.issues.append(SyntaxIssue(at, entry.kind, entry.name, text))

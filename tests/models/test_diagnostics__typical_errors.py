@@ -6,7 +6,7 @@ import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from support.data_packs import sinergym
@@ -233,6 +233,58 @@ def test_diagnose__too_many_fields_of_an_idf(name: str) -> None:
     (reported,) = errors_of(model.with_line(number, lambda line: line.replace(";", ", , , 1, 2, 3;", 1)))
     assert (reported.kind, reported.name, reported.line) == ("ScheduleTypeLimits", entry.name, number)
     assert re.search(r"has \d fields, but the type has 5", reported.text)
+
+
+@pytest.mark.parametrize("name", ["office-small", "warehouse"])
+def test_diagnose__a_value_too_many_is_found_by_the_comments_of_an_idf(name: str) -> None:
+    model, entry = model_text(name), first_object(name, "Lights", "watts_per_floor_area")
+    line = entry.fields["watts_per_floor_area"].line
+    (reported,) = errors_of(model.with_line(line, lambda old: f"    1.5,\n{old}"))
+    assert (reported.kind, reported.name, reported.line) == ("Lights", entry.name, line)
+    assert "'1.5', but the comments after it name the fields before: a value too many" in reported.text
+
+
+@pytest.mark.parametrize("name", ["office-small", "warehouse"])
+def test_diagnose__a_missing_value_is_found_by_the_comments_of_an_idf(name: str) -> None:
+    model, entry = model_text(name), first_object(name, "Lights", "design_level_calculation_method")
+    line = entry.fields["design_level_calculation_method"].line
+    (reported,) = errors_of(model.with_line(line, lambda _: ""))
+    assert (reported.kind, reported.name, reported.line) == ("Lights", entry.name, line)
+    assert "the comment names lighting_level: a value is missing" in reported.text
+
+
+@pytest.mark.parametrize("name", ["office-small", "warehouse"])
+def test_diagnose__merge_that_git_could_not_finish(name: str) -> None:
+    model, entry = model_text(name), first_object(name, "Lights", "design_level_calculation_method")
+    begin = entry.line
+    end = max(value.line for value in entry.fields.values())
+    lines = model.text.splitlines()
+    own = lines[begin - 1 : end]
+    conflict = ["<<<<<<< HEAD", *own, "=======", *own, ">>>>>>> mine"]
+    changed = model._replace(text="\n".join([*lines[: begin - 1], *conflict, *lines[end:], ""]))
+    (reported,) = errors_of(changed)
+    assert reported.line == begin
+    assert reported.text.startswith("'<<<<<<< HEAD' begins two versions of the lines after it")
+
+
+def without(objects: dict[str, Any], kind: str) -> dict[str, Any]:
+    return {own: items for own, items in objects.items() if own != kind}
+
+
+def test_diagnose__plant_loop_without_a_setpoint() -> None:
+    objects = source_of("office-medium").objects
+    (loop,) = objects["PlantLoop"].values()
+    node = loop["loop_temperature_setpoint_node_name"]
+    (reported,) = diagnose(without(objects, "SetpointManager:Scheduled"))
+    assert (reported.severity, reported.kind) == (Severity.WARNING, "PlantLoop")
+    assert f"is {node!r}, but no setpoint manager or EMS actuator sets that node" in reported.text
+
+
+def test_diagnose__mixer_without_outdoor_air() -> None:
+    objects = without(source_of("office-medium").objects, "OutdoorAir:NodeList")
+    reported = [each for each in diagnose(objects) if each.kind == "OutdoorAir:Mixer"]
+    assert {each.name for each in reported} == set(objects["OutdoorAir:Mixer"])
+    assert all(each.field == "outdoor_air_stream_node_name" for each in reported)
 
 
 def test_diagnose__unknown_field_of_an_epjson() -> None:
