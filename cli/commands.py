@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator, MutableMapping
+from enum import StrEnum
 from functools import cache
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 import typer.core
@@ -163,6 +164,13 @@ app = typer.Typer(
 )
 
 
+class LogFormat(StrEnum):
+    """Form of what is printed."""
+
+    TEXT = "text"
+    JSON = "json"
+
+
 def _version(is_set: bool) -> None:
     if is_set:
         typer.echo(f"zenostat {VERSION}")
@@ -171,8 +179,15 @@ def _version(is_set: bool) -> None:
 
 @app.callback()
 def _root(
-    version: bool = typer.Option(
-        False, "--version", callback=_version, is_eager=True, help="Print the version and exit."
-    ),
+    _: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+    log: Annotated[
+        LogFormat, typer.Option(help="Print text, or a JSON object in each line, for services.")
+    ] = LogFormat.TEXT,
 ) -> None:
     """Zenostat."""
+    if log is LogFormat.JSON:
+        from zenostat.cli.console import log_as_json
+
+        log_as_json()

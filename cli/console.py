@@ -6,10 +6,12 @@ text reaches the terminal.
 
 from __future__ import annotations
 
+import json
 import threading
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from typing import Any
 
 from rich.console import Console
@@ -23,10 +25,34 @@ from zenostat.topics.typing_compat import override
 
 
 class _PlainConsole(Console):
-    """A console on which texts are plain."""
+    """A console on which texts are plain.
+
+    Attributes:
+        is_json: whether it prints a JSON object for each text, in a line.
+    """
 
     def __init__(self, *, stderr: bool = False) -> None:
         super().__init__(stderr=stderr, highlight=False, markup=False, emoji=False)
+        self.is_json = False
+
+    @override
+    def print(self, *objects: Any, **options: Any) -> None:
+        if not self.is_json:
+            super().print(*objects, **options)
+            return
+        with self.capture() as printed:
+            super().print(*objects, **(options | {"style": None, "soft_wrap": True}))
+        text = printed.get().strip()
+        level = "warning" if text.startswith("warning: ") or "yellow" in str(options.get("style")) else "info"
+        self.entry(level, text.removeprefix("warning: "))
+
+    def entry(self, level: str, message: str, **fields: Any) -> None:
+        """Print an entry of a log: time, level and message, and further fields without those that are empty."""
+        now = datetime.now(UTC).isoformat(timespec="milliseconds")
+        known = {name: value for name, value in fields.items() if value not in (None, "")}
+        line = json.dumps({"time": now, "level": level, "message": message, **known}, ensure_ascii=False)
+        self.file.write(replace_controls(line) + "\n")
+        self.file.flush()
 
     @override
     def render_str(self, text: str, **options: Any) -> Text:
@@ -59,8 +85,16 @@ def warnings_printed() -> Iterator[None]:
         err.print(str(warning.message), soft_wrap=True)
 
 
+def log_as_json() -> None:
+    """Print a JSON object in each line from now on, on both consoles."""
+    out.is_json = err.is_json = True
+
+
 def print_error(text: str) -> None:
     """Print an error."""
+    if err.is_json:
+        err.entry("error", text)
+        return
     err.print("error:", style="bold red", end=" ")
     err.print(text, soft_wrap=True)
 
@@ -76,7 +110,7 @@ def progress() -> Iterator[Progress]:
         TimeRemainingColumn(),
         console=out,
         transient=False,
-        disable=not out.is_interactive,
+        disable=out.is_json or not out.is_interactive,
     )
     stop = bars.stop
     bars.start()

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Protocol
 
 import typer
 
+from zenostat.bridge.runtime.service_manager import reported
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.cli.boptest import boptest
 from zenostat.cli.console import err, out
@@ -210,6 +211,7 @@ async def _serve(
                 lambda is_online: out.print(f"{node}: {'on the bus again' if is_online else 'gone; waiting for it'}")
             )
             out.print(f"ready: {running.description}; press Ctrl-C to stop", soft_wrap=True, markup=False)
+            stack.enter_context(reported(asyncio.get_running_loop().call_soon_threadsafe))
             serving = asyncio.create_task(running.run())
             if await _ends_before(serving, stopped):
                 await serving  # it has failed

@@ -21,7 +21,7 @@ from zenostat.cli.scenarios import check_scenario
 from zenostat.cli.statistics import statistics_table
 from zenostat.topics.calendar import format_duration
 from zenostat.topics.errors import AddressInUse, InvalidConfig, NodeNotFound
-from zenostat.topics.messages import Mode, OnFull, Policy, RecordingStatus, State
+from zenostat.topics.messages import REJECTIONS, Event, EventKind, Mode, OnFull, Policy, RecordingStatus, State
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -29,6 +29,9 @@ if TYPE_CHECKING:
     from zenostat.bridge.node.node import Node
     from zenostat.bridge.node.server import NodeServer
     from zenostat.bridge.node.settings import NodeSettings
+
+_WARNINGS = (*REJECTIONS, EventKind.WARNING, EventKind.FALLBACK, EventKind.EXPIRED)
+"""Kinds of events with the level `warning` in a log."""
 
 
 def node(
@@ -127,12 +130,22 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
             bars.console.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
         if running.recording is not None:
             print_line(f"{config.name}: {describe_recording(running.recording)}")
+        if out.is_json:
+            running.server.on_event = partial(_log_event, config.name)
         running.serve()
         statistics = statistics_table(running.server.statistics(), running.exchange.controllers())
-    out.print(statistics)
+    if not out.is_json:
+        out.print(statistics)
     if running.recording is not None:
         out.print(f"{config.name}: {describe_recording(running.recording)}", markup=False, soft_wrap=True)
     out.print(f"{config.name}: ended")
+
+
+def _log_event(node: str, event: Event) -> None:
+    """Add an event of a node to the log."""
+    fields = event.model_dump(mode="json", include={"kind", "source", "error", "episode", "step", "late_s"})
+    level = "error" if event.kind is EventKind.FAILED else "warning" if event.kind in _WARNINGS else "info"
+    out.entry(level, event.text, node=node, **fields)
 
 
 def _read(settings: dict[str, Any]) -> tuple[NodeSettings, Callable[..., Node]]:

@@ -26,6 +26,7 @@ def router(
 
     Example: `zenostat router --listen tcp/127.0.0.1:7447`
     """
+    from zenostat.bridge.runtime.service_manager import reported
     from zenostat.bridge.runtime.timer import Timer
     from zenostat.bridge.transport.session import Mode, default_endpoint, exposure, keys_folder, open_session
     from zenostat.topics.keys import Role
@@ -57,4 +58,5 @@ def router(
             )
             stack.callback(revoked.close)
         out.print(f"router on {', '.join(endpoints)}; press Ctrl-C to stop", markup=False)
-        stop.wait()
+        with reported(lambda report: report()):
+            stop.wait()

@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
+from typing import Annotated
+
+import typer
 
 from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
@@ -16,26 +19,31 @@ from zenostat.topics.messages import Mode, Status
 
 @on_bus
 def status(
+    node: Annotated[str | None, typer.Argument(help="Show only this node; the exit code is 1 without it.")] = None,
     options: BusOptions = DEFAULTS,
 ) -> None:
     """List the nodes and controllers on a bus. With keys, it uses the monitor role.
 
     Example: `zenostat status`
+
+    With a node it is a health check: the exit code is 1 unless the node answers and its episode has not failed.
     """
     with options.open_bus(Role.MONITOR) as bus:
-        nodes = []
-        for name in bus.nodes():
+        nodes = [] if node is None else [bus.status(node, memory=True)]
+        for name in bus.nodes() if node is None else ():
             with suppress(NodeNotFound):  # a branch may end meanwhile
                 nodes.append(bus.status(name, memory=True))
     if not nodes:
         out.print(f"no nodes on {options.endpoint}")
-    for node in nodes:
-        _print_node(node)
+    for each in nodes:
+        _print_node(each)
     _print_controllers(nodes)
     _print_forks(nodes)
-    for node in nodes:
-        if node.failure:
-            out.print(f"{node.node}: {node.failure}", style="red", markup=False)
+    failed = [each for each in nodes if each.failure]
+    for each in failed:
+        out.print(f"{each.node}: {each.failure}", style="red", markup=False)
+    if failed and node is not None:
+        raise typer.Exit(1)
 
 
 def _print_node(node: Status) -> None:

@@ -26,6 +26,7 @@ from zenostat.bridge.node.settings import NodeSettings
 from zenostat.bridge.node.shutdown import SHUTDOWN_TIMEOUT_S, ShutdownGuard
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.scratch import Scratch, sweep
+from zenostat.bridge.runtime.service_manager import reported
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.bridge.transport.session import keys_folder, open_session
 from zenostat.topics import codec, keys
@@ -294,7 +295,7 @@ class Node:
     def serve(self) -> None:
         """Serve until stopped by a request, a signal, or the end of the node's owner."""
         gc.freeze()  # objects loaded so far stay; the garbage collector need not scan them
-        with override_signals(self._on_signal, *TERMINATION_SIGNALS):
+        with override_signals(self._on_signal, *TERMINATION_SIGNALS), reported(self.server.subscriptions.post):
             self.server.serve()
 
     def status(self, query: Query) -> bytes:

@@ -70,6 +70,7 @@ class NodeServer:
         samples: encodes samples.
         trials: answers the requests for trials.
         latest_sample: the encoded latest sample.
+        on_event: called with each event.
     """
 
     def __init__(
@@ -99,6 +100,7 @@ class NodeServer:
         self._sampled_s = 0.0
         self.access: Access | None = None
         self.stopping = False
+        self.on_event: Callable[[Event], None] | None = None
         self.on_stop = self.cancel_step
         self._stopped = False
         self.failure = self.failure_error = ""
@@ -302,6 +304,8 @@ class NodeServer:
     def event(self, event: Event) -> None:
         """Publish an event."""
         self.publications.event(event, event.source if event.source in self.exchange.claims.by_name else "")
+        if self.on_event is not None:
+            self.on_event(event)
         if self._observer is not None:
             self._observer(self)
 

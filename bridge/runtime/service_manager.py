@@ -4,7 +4,13 @@ from __future__ import annotations
 
 import os
 import socket
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+from zenostat.bridge.runtime.timer import Timer
+
+_REPORTS_PER_PERIOD = 2
+"""Reports within `WatchdogSec=`, as systemd's manual recommends."""
 
 
 def notify(state: str) -> None:
@@ -16,7 +22,35 @@ def notify(state: str) -> None:
         sender.sendto(state.encode(), address.replace("@", "\0", 1) if address[0] == "@" else address)
 
 
-def notify_alive() -> None:
-    """Report that this program is alive, if its unit has a watchdog (`WatchdogSec=`)."""
-    if os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid()) and "WATCHDOG_USEC" in os.environ:
-        notify("WATCHDOG=1")
+def watchdog_s() -> float | None:
+    """Return the time, in s, within which systemd expects a report (`WatchdogSec=`); None without a watchdog."""
+    period = os.environ.get("WATCHDOG_USEC", "")
+    is_watched = os.environ.get("WATCHDOG_PID", str(os.getpid())) == str(os.getpid())
+    return int(period) / 1e6 if is_watched and period.isdecimal() and int(period) else None
+
+
+@contextmanager
+def reported(post: Callable[[Callable[[], None]], object]) -> Iterator[None]:
+    """Report that this program is ready, in the body of a `with` statement that it is alive, and then that it ends.
+
+    Args:
+        post: makes the program's main loop call a function. If the loop hangs, the reports end, and systemd restarts
+            the program.
+    """
+    notify("READY=1")
+    period_s = watchdog_s()
+    with Timer() as timer:
+
+        def report() -> None:
+            notify("WATCHDOG=1")
+            timer.at(timer.clock() + (period_s or 0.0) / _REPORTS_PER_PERIOD, post_report)
+
+        def post_report() -> None:
+            post(report)
+
+        if period_s is not None:
+            post_report()
+        try:
+            yield
+        finally:
+            notify("STOPPING=1")

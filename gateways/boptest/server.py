@@ -7,13 +7,14 @@ import errno
 import ipaddress
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from types import TracebackType
 from typing import Any, cast
 
 import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
+from zenostat.bridge.runtime.service_manager import reported
 from zenostat.gateways.boptest.app import Service
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 
@@ -81,8 +82,14 @@ class _Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config, service: Service) -> None:
         super().__init__(config)
         self._service = service
+        self._reported = ExitStack()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        await super().startup(sockets)
+        self._reported.enter_context(reported(asyncio.get_running_loop().call_soon_threadsafe))
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        self._reported.close()
         await asyncio.to_thread(self._service.manager.interrupt)
         await super().shutdown(sockets)
 

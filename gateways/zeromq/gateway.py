@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import zenoh
 
+from zenostat.bridge.runtime.service_manager import reported
 from zenostat.gateways.bus_side import BusMessage, BusSide
 from zenostat.gateways.zeromq.delivery_queues import DeliveryQueues, NodeView
 from zenostat.gateways.zeromq.frames import Peer, Request, answer, denied, read, split
@@ -135,16 +136,21 @@ class Gateway:
 
     def run(self) -> None:
         """Forward messages until it is stopped."""
-        while not self._stopped:
-            has_messages = self._sockets.wait()
-            self._sockets.run_pending()
-            if not has_messages:
-                continue
-            for prefix in self._sockets.subscriptions():
-                self._catch_up(prefix)
-            for frames, fd in self._sockets.requests(self._queues.gone):
-                self._queues.drop_superseded(frames[0], fd)
-                self._request(frames, fd)
+        with reported(self._sockets.post):
+            while not self._stopped:
+                self._forward_pending()
+
+    def _forward_pending(self) -> None:
+        """Wait for messages, and forward them."""
+        has_messages = self._sockets.wait()
+        self._sockets.run_pending()
+        if not has_messages:
+            return
+        for prefix in self._sockets.subscriptions():
+            self._catch_up(prefix)
+        for frames, fd in self._sockets.requests(self._queues.gone):
+            self._queues.drop_superseded(frames[0], fd)
+            self._request(frames, fd)
 
     # From the bus
 

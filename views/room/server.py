@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import asyncio
 import errno
 import ipaddress
 import socket
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from types import TracebackType
 
 import uvicorn
@@ -89,18 +90,15 @@ class _Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config, room: Room) -> None:
         super().__init__(config)
         self._room = room
+        self._reported = ExitStack()
 
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         await super().startup(sockets)
-        service_manager.notify("READY=1")
-
-    async def on_tick(self, counter: int) -> bool:
-        if counter % 10 == 0:  # each second
-            service_manager.notify_alive()
-        return await super().on_tick(counter)
+        loop = asyncio.get_running_loop()
+        self._reported.enter_context(service_manager.reported(loop.call_soon_threadsafe))
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        service_manager.notify("STOPPING=1")
+        self._reported.close()
         self._room.updates.close()
         await super().shutdown(sockets)
 
