@@ -273,7 +273,7 @@ def test_certificates__command_makes_adds_and_shows(tmp_path: Path) -> None:
     def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
         return run_program("keys", *arguments, cwd=tmp_path)
 
-    first = run_zenostat("init", "--host", "lab.example.org", "--days", "30")
+    first = run_zenostat("init", "--host", "lab.example.org", "--days", "90")
     assert first.returncode == 0, first.stderr
     assert run_zenostat("add", "annex", "--role", "controller", "--role", "operator").returncode == 0
     shown = run_zenostat("show").stdout
@@ -284,6 +284,8 @@ def test_certificates__command_makes_adds_and_shows(tmp_path: Path) -> None:
         ("controller,", "annex"),
         ("operator", ""),
         ("controller", "controller"),
+        ("controller,", "trainer"),
+        ("operator", ""),
     ]
     assert [row for row in rows if any(row)] == [
         *expected,

@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import shutil
 from pathlib import Path
 from typing import Any
@@ -221,8 +222,10 @@ def test_cli__tensorboards_own_reader_reads_the_log(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.process
-def test_cli__weights_and_biases_offline(tmp_path: Path) -> None:
+def test_cli__weights_and_biases_offline(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("wandb")
+    for name in [name for name in os.environ if name.startswith("WANDB")]:
+        monkeypatch.delenv(name)  # the service that another test of this process started
     settings = {"mode": "offline", "project": "office"}
     write(tmp_path, "t.yaml", TRAINING, log=["wandb"], wandb=settings, steps=1000)
     done = run_program("train", "t.yaml", cwd=tmp_path)
