@@ -207,6 +207,7 @@ if __name__ == "__main__":
     assert (done.stdout, done.returncode) == ("equal\n", 0), done.stderr[-2000:]
 
 
+@pytest.mark.slow
 def test_env__environment_goes_to_one_file_and_returns_equal(scratch: Path) -> None:
     from zenostat import load_env, save_env
     from zenostat.agent_sdk.rewards import LinearReward

@@ -150,6 +150,7 @@ def test_env__reset_after_going_back_draws_as_if_nothing_had_been(scratch: Path)
     env.close()
 
 
+@pytest.mark.slow
 def test_env__rewards_and_limits_remember_what_they_did(scratch: Path) -> None:
     """A month's peak, and hours outside a range that end an episode: both need the past."""
     limit = {"points": ["core_zn_air_temperature"], "high": 27.0, "duration_h": 2.0}
@@ -219,6 +220,7 @@ def go_and_tell(env: BuildingEnv, actions: Any) -> dict[str, Any]:
 # What cannot be
 
 
+@pytest.mark.slow
 def test_env__killed_snapshot_is_a_clear_error_and_the_episode_goes_on(office: BuildingEnv) -> None:
     env = office
     mine = plan(env, 1)

@@ -46,6 +46,7 @@ def test_env__plant_without_a_reward_states_that_it_pays_nothing(
     assert not [warning for warning in recwarn if "has no reward" in str(warning.message)]
 
 
+@pytest.mark.slow
 def test_env__model_without_a_run_period_states_that_it_simulates_a_year(scratch: Path) -> None:
     objects = dict(read_building(find_building("ref-small-office")).objects)
     del objects["RunPeriod"]

@@ -97,6 +97,7 @@ def actions_for(env: VectorEnv[Any, Any, Any], count: int = STEPS) -> list[Any]:
     return [env.action_space.sample() for _ in range(count)]
 
 
+@pytest.mark.variants
 @each_mode
 def test_fleet_env__equal_to_the_sync_vector_to_the_bit(nodes: list[NodeProgram], mode: AutoresetMode) -> None:
     with closing(fleet(nodes, mode)) as env:
@@ -234,6 +235,7 @@ def victim(scratch: Path) -> Iterator[Restartable]:
         yield node
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @each_mode
 def test_fleet_env__lost_node_is_one_slots_error(

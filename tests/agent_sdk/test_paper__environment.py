@@ -37,6 +37,7 @@ def run(env: Any, action: list[float]) -> list[tuple[dict[str, float], float, di
     return steps
 
 
+@pytest.mark.slow
 def test_paper__reward_is_half_the_weighted_power_and_half_the_deviation_of_the_west_zone(datacenter: Any) -> None:
     assert datacenter.observation_space.shape == (28,)
     np.testing.assert_array_equal([datacenter.action_space.low, datacenter.action_space.high], [[15, 22], [22, 30]])

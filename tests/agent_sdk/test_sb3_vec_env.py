@@ -196,6 +196,7 @@ def test_sb3_vec_env__evaluation_by_stable_baselines() -> None:
     assert evaluations[0][1] == [24] * 4
 
 
+@pytest.mark.slow
 def test_sb3_vec_env__ppo_learns_on_the_slots_of_a_node(scratch: Path) -> None:
     """Through the end of an episode; the same seed gives the same weights."""
     learnt = []

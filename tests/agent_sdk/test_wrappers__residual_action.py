@@ -89,6 +89,7 @@ def test_residual_action__is_applied_before_wrappers_that_change_units() -> None
             w.ResidualAction(scaled)
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_residual_action__slots_of_a_vector_equal_single_environments() -> None:
     """Beyond the end of an episode, which the slots reset themselves."""

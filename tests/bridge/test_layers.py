@@ -17,6 +17,7 @@ def check() -> dict[str, Any]:
     return runpy.run_path(str(ROOT / ".ci" / "check_source.py"))
 
 
+@pytest.mark.slow
 def test_layers__this_source_passes(check: dict[str, Any]) -> None:
     assert check["main"]() == 0
 

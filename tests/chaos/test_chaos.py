@@ -27,6 +27,7 @@ from zenostat.topics.messages import Actuator, Event, EventKind, Flag, Manifest,
 PAGE = Path(__file__).parents[2] / "docs" / "reliability.md"
 
 
+@pytest.mark.slow
 @pytest.mark.long
 @pytest.mark.variants
 @pytest.mark.timeout(600)

@@ -21,6 +21,7 @@ def test_node__that_is_ended_while_it_starts_leaves_nothing(scratch: Path, numbe
     interrupted(command, simulates, "its engine runs", cwd=scratch, number=number)
 
 
+@pytest.mark.slow
 def test_node_controller_and_monitor__are_three_programs(scratch: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     node = subprocess.Popen(

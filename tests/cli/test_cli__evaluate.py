@@ -111,6 +111,7 @@ def test_cli__unknown_scenario_lists_near_ones(scratch: Path) -> None:
     assert "ref-small-office-USA_CO_Denver-continuous-v1" in error
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_evaluate__a_signal_leaves_nothing(scratch: Path, number: signal.Signals) -> None:

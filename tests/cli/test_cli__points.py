@@ -53,6 +53,7 @@ def actuator_of(endpoint: str) -> dict[str, Any]:
 # write and release
 
 
+@pytest.mark.slow
 def test_cli__write_rules_until_it_is_released(bus: zenostat.Bus) -> None:
     """ann writes 26 → node@1 → ann releases → node@2; by programs"""
     connect = ("--connect", bus.endpoint)

@@ -211,6 +211,7 @@ def scalars(folder: Path, name: str) -> dict[int, float]:
     return values
 
 
+@pytest.mark.slow
 def test_cli__tensorboards_own_reader_reads_the_log(tmp_path: Path) -> None:
     accumulator = pytest.importorskip("tensorboard.backend.event_processing.event_accumulator")
     pytest.importorskip("tensorboardX")

@@ -57,6 +57,7 @@ def test_fork__equals_a_fresh_start_to_the_bit(kind: str, scratch: Path) -> None
     forking.close()
 
 
+@pytest.mark.slow
 def test_resets__leak_no_resources(scratch: Path) -> None:
     """After fifty episodes there are as many processes, descriptors, files and folders as after three."""
     env = make(SMALL)

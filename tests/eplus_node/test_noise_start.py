@@ -54,9 +54,9 @@ def dates(**settings: str) -> dict[str, Any]:
 
 CASES = {
     "small office": (SMALL, LATE),
-    "five zones, a fifth of an hour": (KINDS["five zones"], LATE | {"steps_per_hour": 12, "end": "07-05"}),
 }
 SLOW_CASES = {
+    "five zones, a fifth of an hour": (KINDS["five zones"], LATE | {"steps_per_hour": 12, "end": "07-05"}),
     "data centre, end of the year": (KINDS["data centre, DX"], dates(begin="12-28", end="12-31")),
     "chilled water, a minute": (KINDS["data centre, chilled water"], LATE | {"steps_per_hour": 60, "end": "07-05"}),
     "medium office with EMS": (KINDS["medium office with EMS"], LATE | {"steps_per_hour": 4, "end": "07-12"}),

@@ -174,6 +174,7 @@ def test_search__finds_the_optimum_of_a_toy_and_counts_the_charge(charge: float)
     assert max(toy.batches) == BATCH
 
 
+@pytest.mark.slow
 def test_search__continues_as_if_it_had_not_been_interrupted() -> None:
     toy = Toy(2.0)
     whole = list(search(SPACE, toy, toy.best_of(START), simulations=440, seed=3))

@@ -273,6 +273,7 @@ def test_training__warns_once_of_rewards_that_are_too_large(tmp_path: Path) -> N
     assert sum("discounted returns" in str(warning.message) for warning in caught) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_training__references_run_through_the_evaluation_episodes(tmp_path: Path) -> None:
     scenario, day = "ref-small-office-USA_CO_Denver-continuous-v1", {"begin": "07-03", "end": "07-03"}

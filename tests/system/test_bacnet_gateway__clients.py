@@ -147,6 +147,7 @@ def test_bacnet_gateway__node_that_does_not_exist_is_one_line(shared_node: NodeP
     assert "Traceback" not in ended.stderr
 
 
+@pytest.mark.slow
 def test_bacnet_gateway__example_steps_the_node_and_commands_it_in_the_afternoon(
     episode_bus: Bus, shared_node: NodeProgram
 ) -> None:

@@ -178,6 +178,7 @@ def test_boptest_gateway__scenario_begins_a_week_before_its_day_and_ends_after_t
     assert test.get("kpi")["cost_tot"] > 0
 
 
+@pytest.mark.slow
 def test_boptest_gateway__snapshots_and_branches_continue_independently(test):
     override = {f"{COOLING}_u": 295.65, f"{COOLING}_activate": 1}
     test.advance()

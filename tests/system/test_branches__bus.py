@@ -173,6 +173,7 @@ def test_branches__killed_node_takes_its_branches_along(scratch: Path) -> None:
     node.close()
 
 
+@pytest.mark.slow
 def test_branches__branch_whose_name_would_be_too_long_is_refused(scratch: Path) -> None:
     name = "x" * 127
     with node_on_bus(scratch / "node", **SMALL | {"name": name}) as (_, bus), bus.controller(name) as link:

@@ -346,6 +346,7 @@ def test_bus__faults_of_the_link_apply_to_commands_in_both_forms(client: Client)
     assert "link (2 messages)" in bus.status("office").faults, "whoever has no claim has no link"
 
 
+@pytest.mark.slow
 def test_bus__key_with_wildcards_names_no_controller_and_no_actuator(client: Client) -> None:
     client.claim("c")
     for name in ("*", "c$*", "**"):

@@ -42,6 +42,7 @@ def test_cli_failures__exception_shows_the_users_frames_alone(node: NodeProgram,
     assert done.stderr.splitlines()[-1] == "error: mine.py, line 6: ZeroDivisionError: float division by zero"
 
 
+@pytest.mark.slow
 def test_cli_failures__error_of_ours_in_the_users_code_states_where(node: NodeProgram, scratch: Path) -> None:
     done = run(node, MINE.replace("gain(sample)}", "sample['core_zn_air']}"), scratch)
     assert done.returncode in (1, 2)

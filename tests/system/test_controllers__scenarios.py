@@ -126,6 +126,7 @@ def day(controller: type[Controller], env: gym.Env[Any, Any], **parameters: Any)
     return comfort
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("name", ["5zone-hot-continuous-v1", "5zone-hot-discrete-v1", "ref-small-office"])
 def test_controllers__rules_are_more_comfortable_than_chance(name: str) -> None:

@@ -218,6 +218,7 @@ def test_district__killed_leaves_no_process_and_verifies_up_to_its_end(scratch: 
         verify_district(path, file)
 
 
+@pytest.mark.slow
 def test_district__lost_plant_comes_back_to_the_bit(scratch: Path) -> None:
     """The node of a plant is killed at step 4: the district waits, starts it again, and continues as if nothing was."""
     file = district(scratch, PAIR.replace("name: pair", "name: pair\non_lost: wait"))
@@ -239,6 +240,7 @@ def test_district__lost_plant_comes_back_to_the_bit(scratch: Path) -> None:
         assert values == expected
 
 
+@pytest.mark.slow
 def test_district__lost_plant_stops_the_episode_and_a_reset_begins_another(scratch: Path) -> None:
     with running(scratch, district(scratch)) as (program, bus, name), bus.controller(name) as link:
         expected = episode(link)
@@ -252,6 +254,7 @@ def test_district__lost_plant_stops_the_episode_and_a_reset_begins_another(scrat
         assert episode(link) == expected
 
 
+@pytest.mark.slow
 def test_district__plant_on_a_bus_that_is_restarted(scratch: Path) -> None:
     """A plant that somebody else runs: it is controlled, left alone at the end, and awaited when it is restarted."""
     text = f"""name: pair

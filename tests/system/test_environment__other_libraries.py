@@ -137,6 +137,7 @@ def fake() -> Any:
     return FakeEnv(**DAY)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_environment__torchrl_checks_and_collects() -> None:
     envs = pytest.importorskip("torchrl.envs")
@@ -170,6 +171,7 @@ def test_environment__torchrl_steps_a_vector_that_resets_itself() -> None:
     assert tuple(steps["next", "reward_terms.energy"].shape) == (2, 30)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_environment__torchrl_makes_a_vector_of_its_own(tmp_path: Path) -> None:
     envs = pytest.importorskip("torchrl.envs")
@@ -184,6 +186,7 @@ def test_environment__torchrl_makes_a_vector_of_its_own(tmp_path: Path) -> None:
     assert steps["next", "done"].sum(1).flatten().tolist() == [1, 1]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_environment__minari_collects_with_infos(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))

@@ -130,6 +130,7 @@ def test_examples__mpc_by_branching(scratch):
     assert (scratch / "a.png").read_bytes().startswith(b"\x89PNG")
 
 
+@pytest.mark.slow
 def test_examples__two_floors(scratch):
     with NodeProgram(scratch / "node", **SMALL, policy="hold", grace_s=2, deadline_s=60) as node:
         output = _run("two_floors.py", "--connect", node.endpoint)

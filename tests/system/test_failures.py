@@ -236,6 +236,7 @@ def test_model__refused_if_it_is_no_building(scratch: Path) -> None:
             make(building=path)
 
 
+@pytest.mark.slow
 def test_failures__energyplus_gives_up_in_mid_episode() -> None:
     """A heating setpoint above the cooling setpoint ends the run; the words are EnergyPlus's."""
     actuators = {
@@ -535,6 +536,7 @@ gym.make("zenostat/Building-v1", building="office-medium", weather={WEATHER!r}, 
         assert stderr.strip().splitlines()[-1] == "KeyboardInterrupt"
 
 
+@pytest.mark.slow
 def test_environment__ends_its_node_if_it_is_never_closed(scratch: Path) -> None:
     """The next weather's engine is being prepared when the program ends."""
     text = """

@@ -103,10 +103,11 @@ def status_of(bus: zenostat.Bus, name: str) -> ControllerStatus:
     ("policy", "bus_of"),
     [
         ("wait", "unix"),
-        ("hold", "unix"),
-        ("relinquish", "unix"),
         ("hold", "tcp"),
-        pytest.param("wait", "tcp", marks=pytest.mark.slow),
+        *(
+            pytest.param(*case, marks=pytest.mark.slow)
+            for case in (("hold", "unix"), ("relinquish", "unix"), ("wait", "tcp"))
+        ),
     ],
 )
 def test_fallback_policies__killed_controller_is_noticed_and_the_policy_follows(

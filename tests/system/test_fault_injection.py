@@ -102,6 +102,7 @@ def true(samples: Sequence[Sample], clean: Sequence[Sample]) -> bool:
 # The undisturbed run
 
 
+@pytest.mark.slow
 def test_fault_injection__empty_plan_leaves_all_as_it_is(scratch: Path, stage: Stage) -> None:
     (scratch / "none.yaml").write_text("seed: 5\nfaults: []\n")
     with (

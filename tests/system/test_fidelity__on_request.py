@@ -21,6 +21,7 @@ from zenostat.topics.points import bound_arrays
 CASE = Case("warehouse", WEATHER, "07-01", "07-02", 4)
 
 
+@pytest.mark.slow
 def test_each_variable__equals_the_report_and_is_not_constant(folder: Path) -> None:
     """The oscillating temperatures, of which some are 0 in each building, are only compared."""
     points = discover(read_building(find_building(CASE.building)), find_weather(WEATHER).path)

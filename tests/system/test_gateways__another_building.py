@@ -99,6 +99,7 @@ def test_gateways__mqtt_removes_the_retained_values_of_points_that_are_gone(rout
             assert broker.retained("zenostat/building/status") == "online"
 
 
+@pytest.mark.slow
 async def test_gateways__client_has_no_sample_of_the_former_building_beside_the_new_manifest(
     router: str, tmp_path: Path
 ) -> None:

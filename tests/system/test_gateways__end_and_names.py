@@ -118,6 +118,7 @@ def test_bacnet__relinquishes_what_its_clients_commanded(room: NodeProgram, bus:
     assert commands(bus) == OTHERS
 
 
+@pytest.mark.slow
 def test_gateways__end_of_the_episode_is_no_error_of_a_gateway_that_ends(tmp_path: Path) -> None:
     with (
         node_on_bus(tmp_path / "room", plant=PLANT, name="room") as (room, bus),
@@ -193,6 +194,7 @@ def test_gateways__signal_ends_a_gateway_that_is_not_ready_yet(room: NodeProgram
     assert (program.returncode, out, err) == (128 + end, "", "")
 
 
+@pytest.mark.slow
 def test_gateways__frozen_node_does_not_keep_a_gateway_from_ending(tmp_path: Path) -> None:
     with (
         NodeProgram(tmp_path / "room", plant=PLANT, name="room") as room,
@@ -216,6 +218,7 @@ def until_line(lines: IO[str], begin: str) -> str:
     return next(line for line in lines if line.startswith(begin))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "options",
     [

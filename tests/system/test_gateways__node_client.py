@@ -84,6 +84,7 @@ async def test_gateways__too_many_requests_at_once_are_rejected_and_the_others_a
     assert len([reply for reply in replies if not isinstance(reply, Exception)]) == 10
 
 
+@pytest.mark.slow
 async def test_gateways__node_that_is_killed_ends_all_waits_and_one_that_returns_is_used_again(tmp_path: Path) -> None:
     settings = {**SMALL, "listen": [], "name": "office"}
 

@@ -67,6 +67,7 @@ def test_integer_variables__they_have_a_kind_and_a_unit(catalog: PointCatalog) -
         assert default_aggregation(variable) is (Aggregation.SUM if variable.summed else Aggregation.INSTANT)
 
 
+@pytest.mark.slow
 def test_integer_variables__they_equal_energyplus_alone_to_the_bit(folder: Path) -> None:
     sensors = {f"v{i}": [name, key] for i, (name, key) in enumerate((SYSTEM | ZONE).items())}
     averaged = [name for name in SYSTEM | ZONE if not name.endswith("Count")]

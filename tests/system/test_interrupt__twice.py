@@ -39,6 +39,7 @@ def node_of(program: Program) -> psutil.Process | None:
     return next((child for child in children if "zenostat.eplus_node" in command_of(child)), None)
 
 
+@pytest.mark.slow
 def test_interrupt__second_does_not_disturb_what_the_first_began() -> None:
     with Program(PROGRAM, json.dumps(SMALL)) as program:
         program.line()

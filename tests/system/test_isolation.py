@@ -28,6 +28,7 @@ print("stepped to", info["step"])
 """
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("from_its_folder", [True, False])
 def test_isolation__script_beside_a_models_file_of_its_own(scratch: Path, from_its_folder: bool) -> None:

@@ -50,6 +50,7 @@ def outcome(client: Any, request: str) -> str:
             return str(reply["content"].get("ename", reply["content"]["status"]))
 
 
+@pytest.mark.slow
 def test_jupyter__kernel_is_interrupted_and_restarted(kernel: tuple[Any, Any]) -> None:
     manager, client = kernel
     assert outcome(client, client.execute(MAKE)) == "ok"

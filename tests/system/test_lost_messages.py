@@ -95,6 +95,7 @@ def test_lost_messages__controller_that_connects_late_asks_for_the_sample_after_
             assert lost
 
 
+@pytest.mark.slow
 def test_lost_messages__failure_whose_event_is_lost_is_raised(bus: Bus, node: NodeProgram) -> None:
     with bus.controller("office") as link:
         link.reset()
@@ -121,6 +122,7 @@ def test_lost_messages__reset_by_another_controller_is_raised_though_its_message
     assert lost
 
 
+@pytest.mark.slow
 def test_lost_messages__controller_that_receives_nothing_for_long_gets_replies_and_the_latest_samples(
     episode_bus: Bus,
 ) -> None:

@@ -218,6 +218,7 @@ def test_node__node_has_no_file_in_shared_memory(shared_node: NodeProgram) -> No
     assert not [m.path for m in maps if m.path.startswith("/dev/shm")]
 
 
+@pytest.mark.slow
 def test_node__environment_ends_a_node_that_hangs(scratch: Path) -> None:
     env = gym.make("zenostat/Building-v1", **SMALL, affinity="off").unwrapped
     env.reset(seed=0)

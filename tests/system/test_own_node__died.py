@@ -95,6 +95,7 @@ def test_own_node__it_dies_again_and_again() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_own_node__vector_environment() -> None:
     env = gym.make_vec("zenostat/Building-v1", 2, "vector_entry_point", **SMALL, affinity="off")
     first, _ = env.reset(seed=7)

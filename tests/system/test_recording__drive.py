@@ -95,6 +95,7 @@ def manifest_without_an_actuator(manifest: Manifest) -> Manifest:
     return manifest.model_copy(update={"actuators": (first, *manifest.actuators[1:])})
 
 
+@pytest.mark.slow
 def test_recording__what_does_not_fit_is_one_error_before_anything_starts(
     driven: Path, twin: Any, scratch: Path
 ) -> None:

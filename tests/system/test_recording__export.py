@@ -74,6 +74,7 @@ def logged(path: Path) -> tuple[dict[tuple[str, str], dict[int, Any]], dict[tupl
     return moving, static
 
 
+@pytest.mark.slow
 def test_recording__rerun_recording_is_what_the_monitor_saved(watched: Any, scratch: Path) -> None:
     target = scratch / "run.rrd"
     result = run("export", str(watched.path), "--to", "rrd", "--out", str(target))

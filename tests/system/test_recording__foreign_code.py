@@ -125,6 +125,7 @@ def test_recording__digests_are_compared_before_anything_is_imported(counter: Pa
     assert not (tmp_path / "imported").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_recording__class_of_a_module_has_the_digest_of_the_file_that_defines_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

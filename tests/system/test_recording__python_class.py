@@ -77,6 +77,7 @@ def walk(module_scratch: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_recording__seeds_and_snapshots_verify(walk: Path) -> None:
     result = verify(walk, plant=plant_of(walk))
     assert result.passed, str(result)

@@ -131,6 +131,7 @@ def test_recording__episode_in_part_is_reported_where_no_episode_is_complete(int
         compare_recordings([nothing])
 
 
+@pytest.mark.slow
 def test_recording__recordings_that_cannot_be_compared_are_one_error(
     evaluated: Any, interrupted: Path, tmp_path: Path
 ) -> None:

@@ -308,6 +308,7 @@ def test_recording__full_disk_stops_the_recording_by_name_and_not_the_node(scrat
     assert events[0].kind is EventKind.RECORDING
 
 
+@pytest.mark.slow
 def test_recording__recording_that_cannot_begin_is_an_error_before_anything_starts(scratch: Path) -> None:
     path = scratch / "run.mcap"
     path.write_text("mine")

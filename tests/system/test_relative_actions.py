@@ -57,6 +57,7 @@ def test_relative__zero_is_the_baseline_to_the_bit() -> None:
     assert rewards == own_rewards
 
 
+@pytest.mark.slow
 def test_relative__offsets_add_to_the_schedule_of_the_same_timestep() -> None:
     env = BuildingEnv(**settings())
     try:
@@ -76,6 +77,7 @@ def test_relative__offsets_add_to_the_schedule_of_the_same_timestep() -> None:
         env.close()
 
 
+@pytest.mark.slow
 def test_relative__observes_the_schedule_one_timestep_ahead_at_the_end_as_well() -> None:
     env = BuildingEnv(
         **settings(sensors={"power": ("Facility Total HVAC Electricity Demand Rate", "Whole Building")}, reward=None)
@@ -95,6 +97,7 @@ def test_relative__observes_the_schedule_one_timestep_ahead_at_the_end_as_well()
     assert heating[-1] == np.float32(15.6)  # the last timestep's value stays
 
 
+@pytest.mark.slow
 def test_relative__slots_have_the_trajectories_of_single_environments() -> None:
     rng = np.random.default_rng(2)
     actions = rng.uniform(-3.0, 3.0, (40, 2, 2)).astype(np.float32)
@@ -118,6 +121,7 @@ def test_relative__slots_have_the_trajectories_of_single_environments() -> None:
         single.close()
 
 
+@pytest.mark.slow
 def test_relative__plans_give_the_rewards_of_their_steps() -> None:
     env = BuildingEnv(**settings())
     try:
@@ -196,6 +200,7 @@ def test_relative__refuses_bounds_of_its_own_actions() -> None:
         BuildingEnv(**settings(actions=actions))
 
 
+@pytest.mark.slow
 def test_lead__reports_a_schedule_hours_ahead() -> None:
     sensors = {
         "occupancy": ("Schedule Value", "BLDG_OCC_SCH"),

@@ -165,6 +165,7 @@ def test_scenarios__same_seed_gives_the_same_trajectory_to_the_bit(scratch: Path
     second.close()
 
 
+@pytest.mark.slow
 def test_forecasts__read_the_weather_that_is_simulated(scratch: Path) -> None:
     """At whole hours EnergyPlus's outdoor air is the row of the disturbed file, and not of the original."""
     env = make(f"{SMALL}-continuous-stochastic-v1", aggregation="instant")

@@ -70,6 +70,7 @@ def _cursor(pixels: NDArray[np.int16]) -> int:
     return int(np.percentile(rows, 5, axis=0).argmax())
 
 
+@pytest.mark.slow
 @needs_vulkan
 def test_screenshot__draws_each_view_at_the_requested_time(scratch):
     path, columns = _recording(scratch / "run.rrd"), []
@@ -152,6 +153,7 @@ def _open_views(drawing: Drawing) -> dict[str, NDArray[np.int16]]:
     return pictures
 
 
+@pytest.mark.slow
 @needs_vulkan
 def test_screenshot__cursor_of_nodes_of_different_years_is_where_simulated_time_is(scratch):
     """Two nodes, nine years apart, six hours after each began."""

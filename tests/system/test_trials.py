@@ -343,6 +343,7 @@ with zenostat.connect(sys.argv[1], affinity="off") as bus:
 """
 
 
+@pytest.mark.slow
 def test_trial__requester_is_killed_in_the_middle(tank: tuple[NodeProgram, Bus]) -> None:
     """The copy that hangs is killed in time, and the node answers the next request."""
     node, bus = tank

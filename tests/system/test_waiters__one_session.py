@@ -133,6 +133,7 @@ def test_waiters__strangers_message_to_the_key_of_a_wake_up_ends_nothing(episode
         assert [future.result(60) for future in futures] == [1, 1]
 
 
+@pytest.mark.slow
 def test_waiters__all_that_wait_for_a_node_notice_its_loss(bus: Bus, node: NodeProgram, wakes: list[str]) -> None:
     bus.pause("office")
     bus.pace("office", mode=Mode.FREE)

@@ -72,6 +72,7 @@ def pixels(page: Any) -> np.ndarray:
     return picture
 
 
+@pytest.mark.slow
 def test_report__light_and_dark_pages_are_drawn_and_differ(opened: Any) -> None:
     light, dark = pixels(opened()), pixels(opened(scheme="dark"))
     assert light.mean() > 0.85
@@ -271,6 +272,7 @@ def test_report__figures_are_read_with_the_keyboard(opened: Any) -> None:
     assert page.locator(".tip:visible").count() == drawing(page, "weather").locator(".zoomed").count() == 0
 
 
+@pytest.mark.slow
 def test_report__without_scripts_the_page_is_the_same_but_for_the_hint(browser: Any, report: Path, opened: Any) -> None:
     context = browser.new_context(viewport={"width": 1000, "height": 900}, java_script_enabled=False)
     try:

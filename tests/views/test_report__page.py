@@ -70,6 +70,7 @@ def text(comparison: Comparison) -> str:
     return page(comparison)
 
 
+@pytest.mark.slow
 def test_report__totals_are_those_of_the_evaluation(comparison: Comparison, text: str) -> None:
     rows = dict(re.findall(r'<tr data-metric="([^"]+)">(.*?)</tr>', text))
     assert "03 Jul 08:15" in rows.pop("peak_time")
@@ -213,6 +214,7 @@ def test_report__texts_and_lines_have_contrast(colors: dict[str, str]) -> None:
     assert len(set(colors.values())) == len(colors)  # the color tells the variable
 
 
+@pytest.mark.slow
 def test_report__figures_for_papers(comparison: Comparison, tmp_path: Path) -> None:
     from matplotlib.image import imread
 

@@ -354,6 +354,7 @@ def test_room__prometheus_and_grafana_read_with_their_token(room: Any, bus: zeno
         assert client.post("/grafana/query", json=query).json() == []
 
 
+@pytest.mark.slow
 def test_room__node_that_dies_and_comes_back(browser: Any, scratch: Path) -> None:
     (scratch / "tank.py").write_text(TANK)
     settings = {"plant": f"{scratch}/tank.py:Tank", "name": "tank", "listen": [f"tcp/127.0.0.1:{free_port()}"]}
