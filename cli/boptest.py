@@ -8,12 +8,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
-from zenostat.cli.console import err, out
+from zenostat.cli.console import out
+from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import Emissions, Price, read_rates
+from zenostat.gateways.addresses import is_loopback
 from zenostat.topics.extras import requires_extra
 
 if TYPE_CHECKING:
     from zenostat.gateways.boptest.server import HttpServer
+    from zenostat.gateways.clients import Clients
 
 
 def boptest(
@@ -29,6 +32,8 @@ def boptest(
     emissions: Emissions = None,
     timeout: Annotated[float, typer.Option(min=1.0, help="Seconds without a request after which a test ends.")] = 900.0,
     max_tests: Annotated[int, typer.Option(min=1, help="Maximum number of tests at a time.")] = 16,
+    clients: ClientsFile = None,
+    allow: Allow = None,
     expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
 ) -> None:
     """Serve BOPTEST's REST interface until Ctrl-C; each test starts a building of its own.
@@ -45,28 +50,26 @@ def boptest(
     from zenostat.gateways.boptest.manager import TestManager
     from zenostat.gateways.boptest.prices import read_rates as rates_of
 
+    known = clients_of(clients, allow, is_exposed=not is_loopback(address.rpartition(":")[0].strip("[]")))
     rates = rates_of(read_rates("--price", prices), read_rates("--emissions", emissions))
-
-    def notify(text: str) -> None:
-        err.print(text, soft_wrap=True, markup=False)
-
     manager = TestManager(BundledTestCases(files or ()), rates, timeout_s=timeout, max_tests=max_tests, notify=notify)
-    service = Service(manager, single=testcase is not None)
+    service = Service(manager, single=testcase is not None, clients=known)
     with HttpServer(service, address, expose=expose) as server:
         if testcase is not None:
             service.testid = manager.select(testcase, keep=True)
-        _serve(server, testcase)
+        _serve(server, testcase, known)
 
 
-def _serve(server: HttpServer, testcase: str | None) -> None:
+def _serve(server: HttpServer, testcase: str | None, clients: Clients) -> None:
     """Serve until a signal, and report how many requests there were."""
     with override_signals(lambda *_: server.stop(), *TERMINATION_SIGNALS):
         single = f", {testcase} on the paths without a test id" if testcase else ""
-        out.print(
-            f"ready: {server.url}{single}; no authentication: whoever reaches this address can use it; "
-            "press Ctrl-C to stop",
-            soft_wrap=True,
+        access = (
+            clients.description
+            if clients.is_restricted
+            else ("no authentication: whoever reaches this address can use it")
         )
+        out.print(f"ready: {server.url}{single}; {access}; press Ctrl-C to stop", soft_wrap=True, markup=False)
         server.run()
     counts = server.service.counts
     rejected = sum(count for status, count in counts.items() if status >= 400)

@@ -16,6 +16,7 @@ from zenostat.bridge.runtime.service_manager import reported
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.cli.boptest import boptest
 from zenostat.cli.console import err, out
+from zenostat.cli.gateway_clients import Allow, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
 from zenostat.topics.extras import install_command
@@ -56,6 +57,7 @@ def zeromq(
     lease: Annotated[
         float, typer.Option(help="Seconds without a heartbeat after which a client counts as disconnected.")
     ] = 10.0,
+    allow: Allow = None,
     wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
 ) -> None:
@@ -66,7 +68,9 @@ def zeromq(
     if importlib.util.find_spec("zmq") is None:
         raise InvalidConfig(f"pyzmq is not installed: {install_command('zeromq')}")
     from zenostat.gateways.zeromq import Gateway
+    from zenostat.gateways.zeromq.sockets import is_local
 
+    clients = clients_of(None, allow, is_exposed=not is_local(command), name_themselves=True)
     served = "all nodes" if node == "*" else f"node {node}"
 
     waiting = _Waiting(wait)
@@ -83,11 +87,16 @@ def zeromq(
                     lease_s=lease,
                     expose=expose,
                     identity=opened.name,
+                    clients=clients,
+                    notify=notify,
                 ) as running,
                 override_signals(lambda *_: running.stop(), *TERMINATION_SIGNALS),
             ):
                 addresses = f"samples on {running.publish}, requests on {running.command}"
-                out.print(f"ready: {served} of {options.endpoint}; {addresses}; press Ctrl-C to stop", soft_wrap=True)
+                may = f"; {clients.description}" if clients.is_restricted else ""
+                out.print(
+                    f"ready: {served} of {options.endpoint}; {addresses}{may}; press Ctrl-C to stop", soft_wrap=True
+                )
                 running.run()
             break
         except NodeNotFound as error:

@@ -10,6 +10,7 @@ import typer
 
 from zenostat.cli.console import err, out
 from zenostat.cli.gateway import serve
+from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.gateways.addresses import parse_address
 from zenostat.topics.errors import InvalidConfig
@@ -36,6 +37,8 @@ def bacnet(
     objects: Annotated[
         Path | None, typer.Option(help="Write the objects, with their instance numbers, to FILE.csv, and end.")
     ] = None,
+    clients: ClientsFile = None,
+    allow: Allow = None,
     expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
 ) -> None:
     """Run a BACnet/IP device for a node until Ctrl-C. With keys, it uses the gateway role.
@@ -54,9 +57,12 @@ def bacnet(
         _write_objects(node, number, objects, options)
         return
     interface = find_interface(*parse_address(address, "BACnet/IP", expose=expose, default_port=DEFAULT_PORT))
-    err.print(
-        f"BACnet/IP has no authentication: whoever reaches {interface.address.ip} can command {node}", soft_wrap=True
-    )
+    known = clients_of(clients, allow, is_exposed=not interface.address.ip.is_loopback)
+    if not known.is_read_only:
+        err.print(
+            f"BACnet/IP has no authentication: whoever reaches {interface.address.ip} can command {node}",
+            soft_wrap=True,
+        )
     serve(
         node,
         lambda client: BacnetGateway(
@@ -64,7 +70,8 @@ def bacnet(
             interface,
             instance=number,
             source=source,
-            notify=lambda text: err.print(text, markup=False, soft_wrap=True),
+            clients=known,
+            notify=notify,
         ),
         source=source,
         options=options,

@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from zenostat.cli.console import err, out
+from zenostat.cli.console import out
 from zenostat.cli.gateway import serve
+from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
@@ -33,6 +34,8 @@ def modbus(
     map_file: Annotated[
         Path | None, typer.Option("--map", help="Write the map of registers to FILE.csv or FILE.md, and end.")
     ] = None,
+    clients: ClientsFile = None,
+    allow: Allow = None,
     options: BusOptions = DEFAULTS,
     wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow addresses reachable from other machines.")] = False,
@@ -41,7 +44,7 @@ def modbus(
 
     Example: `zenostat gateway modbus office --address 127.0.0.1:1502`
     """
-    from zenostat.gateways.addresses import parse_address
+    from zenostat.gateways.addresses import is_loopback, parse_address
     from zenostat.gateways.modbus.gateway import ModbusGateway
 
     if word_order not in ("big", "little"):
@@ -50,6 +53,7 @@ def modbus(
         _write_map(node, map_file, options)
         return
     host, port = parse_address(address, "Modbus TCP", expose=expose, default_port=DEFAULT_PORT)
+    known = clients_of(clients, allow, is_exposed=not is_loopback(host))
     serve(
         node,
         lambda client: ModbusGateway(
@@ -58,7 +62,8 @@ def modbus(
             port,
             priority=priority,
             is_little_endian=word_order == "little",
-            notify=lambda text: err.print(text, markup=False, soft_wrap=True),
+            clients=known,
+            notify=notify,
         ),
         source=source,
         options=options,

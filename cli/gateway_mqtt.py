@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import os
 import re
-from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from zenostat.cli.console import err
 from zenostat.cli.gateway import serve
+from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
+from zenostat.gateways.addresses import is_loopback
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.user_file import user_file
@@ -46,6 +46,8 @@ def mqtt(
     broker_certificate: Annotated[Path | None, typer.Option(help="Certificate to present to the broker (PEM).")] = None,
     broker_key: Annotated[Path | None, typer.Option(help="Private key of --broker-certificate (PEM).")] = None,
     mqtt_version: Annotated[str, typer.Option(metavar="5|3.1.1", help="Version of the protocol.")] = "5",
+    clients: ClientsFile = None,
+    allow: Allow = None,
     options: BusOptions = DEFAULTS,
     wait: Wait = False,
     expose: Annotated[bool, typer.Option("--expose", help="Allow a broker on another machine without --tls.")] = False,
@@ -64,7 +66,7 @@ def mqtt(
     if mqtt_version not in versions:
         raise InvalidConfig(f"--mqtt-version {mqtt_version}: expected 5 or 3.1.1")
     host, port = _address(broker, default_port=8883 if tls else 1883)
-    if not (tls or expose or _is_loopback(host)):
+    if not (tls or expose or is_loopback(host)):
         raise InvalidConfig(
             f"--broker {broker}: the connection to another machine would not be encrypted; use --tls, or allow it with "
             "--expose"
@@ -80,11 +82,11 @@ def mqtt(
     at = Broker(host, port, username, _password(username, password_file), parameters, versions[mqtt_version])
     root = check_root(f"{PREFIX}/{node}" if topic is None else topic)
     prefix = check_root(discovery_prefix) if home_assistant else None
+    known = clients_of(clients, allow, is_exposed=not is_loopback(host), name_themselves=True)
     serve(
         node,
         lambda client: MqttGateway(
-            client, at, root=root, priority=priority, home_assistant=prefix,
-            notify=lambda text: err.print(text, markup=False, soft_wrap=True),
+            client, at, root=root, priority=priority, clients=known, home_assistant=prefix, notify=notify,
         ),
         source=source, options=options, wait=wait,
         exclusive={f"{root} on {at}": "choose another topic with --topic"},
@@ -96,13 +98,6 @@ def _address(text: str, default_port: int) -> tuple[str, int]:
     if match is None or not 0 < int(match["port"] or default_port) < 65536:
         raise InvalidConfig(f"--broker {text}: expected HOST:PORT, for example 127.0.0.1:{default_port}")
     return match["host"].strip("[]"), int(match["port"] or default_port)
-
-
-def _is_loopback(host: str) -> bool:
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _password(username: str | None, file: Path | None) -> str | None:

@@ -10,12 +10,13 @@ from math import gcd, inf
 import numpy as np
 
 from zenostat.bridge.node.plant import RunPeriod
-from zenostat.cosim.file import BUILDING_KINDS, Connection, DistrictFile, FileErrors, Resample, kind_of
+from zenostat.cosim.file import BUILDING_KINDS, Connection, DistrictFile, Resample, kind_of
 from zenostat.cosim.resampling import Floats, Resampler
 from zenostat.cosim.topology import Topology, plant_of
 from zenostat.topics.calendar import format_duration, parse_day
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
+from zenostat.topics.model_file import FileErrors
 from zenostat.topics.points import bounds, describe_bounds
 from zenostat.topics.units import conversion, quantity
 

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Mapping
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError, create_model
-from pydantic_core import InitErrorDetails
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model
 
-from zenostat.topics import yaml12
 from zenostat.topics.calendar import parse_duration
-from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import InvalidConfig, list_errors
+from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages.base import SafeName
+from zenostat.topics.model_file import FileErrors, read_with_lines
 from zenostat.topics.scenario_fields import MEANING, NodeArguments
-from zenostat.topics.user_file import user_file
 from zenostat.topics.yaml12 import Lines
 
 RESERVED = ("exchange", "loop", "plant", "residual")
@@ -208,32 +205,6 @@ def _connections(spec: DistrictSpec) -> tuple[Connection, ...]:
     return tuple(connections)
 
 
-@dataclass
-class FileErrors:
-    """Errors of a district's file, each with its line, which are reported together.
-
-    Attributes:
-        path: the file.
-        lines: of its values.
-        texts: the errors so far.
-    """
-
-    path: Path
-    lines: Lines
-    texts: list[tuple[int, str]] = field(default_factory=list)
-
-    def add(self, location: Sequence[str | int], text: str) -> None:
-        """Add an error of the value at a path of names and indices."""
-        self.texts.append((self.lines.at(location), text))
-
-    def raise_if_any(self) -> None:
-        """Raise `InvalidConfig` with all errors in the order of their lines, each in a line of its own."""
-        if not self.texts:
-            return
-        ordered = [f"{self.path}:{line}: {text}" for line, text in sorted(set(self.texts))]
-        raise InvalidConfig(ordered[0] if len(ordered) == 1 else list_errors(f"{self.path} has errors:", ordered))
-
-
 @dataclass(frozen=True)
 class DistrictFile:
     """A district's file that has the right form.
@@ -267,35 +238,8 @@ def read_district(path: Path) -> DistrictFile:
     Raises:
         InvalidConfig: the file cannot be read, or a field is unknown, missing or wrong; lists all errors with lines.
     """
-    with user_file(path):
-        path = path.expanduser()
-    with user_file(path, expected="a YAML file"):
-        text = yaml12.read_text(path)
-    mapping, lines = yaml12.parse_with_lines(text, str(path))
-    errors = FileErrors(path, lines)
-    try:
-        spec = DistrictSpec.model_validate(mapping)
-    except ValidationError as error:
-        for detail in error.errors(include_url=False):
-            location = _without_types(detail["loc"], lines)
-            errors.add(location, describe_validation_errors(_single(error, detail), DistrictSpec.model_fields))
-        errors.raise_if_any()
-        raise
-    return DistrictFile(path, spec, mapping["plants"], lines, _connections(spec))
-
-
-def _single(error: ValidationError, detail: Any) -> ValidationError:
-    """Return a validation error with one of its details."""
-    fields = InitErrorDetails(type=detail["type"], loc=detail["loc"], input=detail["input"], ctx=detail.get("ctx", {}))
-    return ValidationError.from_exception_data(error.title, [fields])
-
-
-def _without_types(location: Sequence[str | int], lines: Lines) -> tuple[str | int, ...]:
-    """Return the parts of a path that the file has: pydantic adds the names of types to those of unions."""
-    path: tuple[str | int, ...] = ()
-    for part in location:
-        path = (*path, part) if (*path, part) in lines else path
-    return path
+    spec, mapping, errors = read_with_lines(path, DistrictSpec)
+    return DistrictFile(errors.path, spec, mapping["plants"], errors.lines, _connections(spec))
 
 
 def kind_of(plant: Any) -> tuple[str, ...]:

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from zenostat.cosim.file import Connection, DistrictFile, FileErrors, kind_of, read_district
+from zenostat.cosim.file import Connection, DistrictFile, kind_of, read_district
 from zenostat.cosim.graph import components, find_cycle, graph_of, is_loop, levels
 from zenostat.topics.errors import did_you_mean
+from zenostat.topics.model_file import FileErrors
 
 MAX_NAME = 100
 """Longest name of a connection or a loop: the names of points have 128 characters at most."""

@@ -38,3 +38,11 @@ def parse_address(text: str, protocol: str, *, expose: bool, default_port: int) 
             "if that is intended, allow it with --expose"
         )
     return str(address), port
+
+
+def is_loopback(host: str) -> bool:
+    """Return whether a host is this machine alone: a loopback address, or `localhost`."""
+    try:
+        return ipaddress.ip_address(host.partition("%")[0]).is_loopback
+    except ValueError:
+        return host == "localhost"

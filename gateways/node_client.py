@@ -119,6 +119,10 @@ class NodeClient:
     async def __aexit__(self, *_: object) -> None:
         await self._close.aclose()
 
+    def source_of(self, client: str) -> str:
+        """Return the name on the bus of a client of the gateway, below the gateway's own; that one for no name."""
+        return f"{self.source}.{client}" if client else self.source
+
     # Requests
 
     async def write(

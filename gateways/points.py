@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from math import isnan
 
 from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.keys import is_own
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
 
 _RATES = {"J": "W", "L": "L/s", "kg": "kg/s", "m3": "m3/s"}
@@ -79,5 +80,5 @@ def effective_value(sample: SampleView, actuator: int) -> float | None:
 
 
 def is_effective(sample: SampleView, actuator: Actuator, source: str) -> bool:
-    """Return whether a source's value was in effect for an actuator in the latest timestep."""
-    return sample.value_source.get(actuator.name) == source
+    """Return whether the value of a source, or of a name below it, was in effect in the latest timestep."""
+    return is_own(source, sample.value_source.get(actuator.name) or "")

@@ -14,6 +14,7 @@ class BacnetCounts:
         requests: confirmed requests, which have an answer.
         rejected: confirmed requests that were answered with an error, a reject or an abort.
         writes: properties written.
+        denied: writes that their client may not make.
         malformed: datagrams that are no valid message, and so have no answer.
         notifications: COV notifications sent.
     """
@@ -22,5 +23,6 @@ class BacnetCounts:
     requests: int = 0
     rejected: int = 0
     writes: int = 0
+    denied: int = 0
     malformed: int = 0
     notifications: int = 0

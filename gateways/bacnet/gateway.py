@@ -16,6 +16,7 @@ from zenostat.gateways.bacnet.point_objects import AnalogInput, AnalogOutput, No
 from zenostat.gateways.bacnet.points import ObjectKind, PointSpec, point_specs
 from zenostat.gateways.bacnet.services import NodeApplication
 from zenostat.gateways.bacnet.simulation_objects import Paused, control_objects
+from zenostat.gateways.clients import UNRESTRICTED, Clients
 from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.notices import Notices
 from zenostat.topics.messages import Manifest
@@ -29,7 +30,8 @@ class BacnetGateway:
         interface: the network interface to listen on.
         instance: instance number of the device, 0 to 4,194,302.
         source: beginning of the writers' names on the bus; the client's address follows.
-        notify: called with the reasons of writes that the node rejected, for which BACnet has only a class and a code.
+        clients: names of clients, and what they may write.
+        notify: called with the reasons of writes that were rejected, for which BACnet has only a class and a code.
 
     Raises:
         AddressInUse: on entering the context, another program uses the address.
@@ -45,10 +47,11 @@ class BacnetGateway:
         *,
         instance: int,
         source: str = "bacnet",
+        clients: Clients = UNRESTRICTED,
         notify: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.counts = BacnetCounts()
-        self._rejections = Notices(notify)
+        self._clients, self._rejections = clients, Notices(notify)
         self._node, self._interface, self._instance, self._source = node, interface, instance, source
         self._changed = asyncio.Event()
         self._specs: list[PointSpec] = []
@@ -66,6 +69,7 @@ class BacnetGateway:
             port,
             self._interface,
             source=self._source,
+            clients=self._clients,
             counts=self.counts,
             rejections=self._rejections,
         )
@@ -76,6 +80,7 @@ class BacnetGateway:
         self._node.listeners.manifests.append(self._set_manifest)
         await asyncio.gather(self._state.arrays.get(), self._state.status.get())
         self._application.i_am()
+        self._application.ask_for_clients()
         return self
 
     async def __aexit__(self, *_: object) -> None:
@@ -88,7 +93,7 @@ class BacnetGateway:
         return (
             f"node {self._node.name} is BACnet device {self._instance} on {interface.address.ip}:{interface.port}, "
             f"{sum(spec.kind is ObjectKind.INPUT for spec in self._specs)} inputs, "
-            f"{sum(spec.kind is ObjectKind.OUTPUT for spec in self._specs)} outputs"
+            f"{sum(spec.kind is ObjectKind.OUTPUT for spec in self._specs)} outputs; {self._clients.description}"
         )
 
     async def run(self) -> None:
@@ -108,7 +113,8 @@ class BacnetGateway:
         counts = self.counts
         return (
             f"{counts.datagrams} datagrams, {counts.requests} requests, {counts.rejected} of them rejected, "
-            f"{counts.malformed} malformed, {counts.writes} writes, {counts.notifications} notifications"
+            f"{counts.malformed} malformed, {counts.writes} writes, {counts.denied} denied, "
+            f"{counts.notifications} notifications"
         )
 
     def _set_manifest(self, manifest: Manifest) -> None:

@@ -39,10 +39,17 @@ NULL = PriorityValue(None, None)
 
 @dataclass(frozen=True, slots=True)
 class BacnetRequest:
-    """A request of a BACnet client: name of the source on the bus, and time of arrival on the loop's clock."""
+    """A request of a BACnet client.
+
+    Attributes:
+        source: name of the source on the bus.
+        arrived: time of arrival on the loop's clock.
+        client: name of the client; empty if it has none.
+    """
 
     source: str
     arrived: float
+    client: str = ""
 
 
 current_request: ContextVar[BacnetRequest | None] = ContextVar("current_request", default=None)

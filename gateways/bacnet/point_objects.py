@@ -97,6 +97,11 @@ class NodeObject(Object):
             await self._state.arrays.get()
         return await super().read_property(attr, index)
 
+    @property
+    def point_name(self) -> str:
+        """The name by which permissions know it: of a point that on the bus, of others the object's."""
+        return str(self.objectName)
+
     def is_writable(self, attr: str) -> bool:
         """Whether clients can write a property."""
         return attr in self._writable
@@ -141,6 +146,11 @@ class _Analog(NodeObject):
             if bound is not None:
                 properties[name] = real(bound)
         super().__init__(state, **properties)
+
+    @property
+    def point_name(self) -> str:
+        """The point's name on the bus."""
+        return self._spec.name
 
     @property
     def presentValue(self) -> Real:

@@ -5,7 +5,13 @@ from __future__ import annotations
 import asyncio
 from typing import Any
 
-from bacpypes3.apdu import ErrorRejectAbortNack, SimpleAckPDU, WritePropertyMultipleError
+from bacpypes3.apdu import (
+    ErrorRejectAbortNack,
+    SimpleAckPDU,
+    WritePropertyMultipleError,
+    WritePropertyMultipleRequest,
+    WritePropertyRequest,
+)
 from bacpypes3.app import Application
 from bacpypes3.basetypes import (
     COVSubscription,
@@ -30,11 +36,14 @@ from bacpypes3.netservice import NetworkServiceAccessPoint, NetworkServiceElemen
 from bacpypes3.pdu import Address
 from bacpypes3.primitivedata import Null, ObjectType, TagClass, TagNumber, Unsigned
 
+from zenostat.gateways.bacnet.client_devices import ClientDevices
 from zenostat.gateways.bacnet.counts import BacnetCounts
 from zenostat.gateways.bacnet.device import NodeDevice, NodePort
 from zenostat.gateways.bacnet.network import Interface, NodeLink, host_and_port
 from zenostat.gateways.bacnet.node_state import BacnetRequest, current_request
+from zenostat.gateways.bacnet.point_objects import NodeObject
 from zenostat.gateways.bacnet.transactions import TransactionServer
+from zenostat.gateways.clients import Clients
 from zenostat.gateways.notices import Notices
 from zenostat.topics import keys
 from zenostat.topics.errors import (
@@ -65,8 +74,9 @@ class NodeApplication(Application):
         port: the network port object.
         interface: the network interface.
         source: beginning of the writers' names on the bus; the client's address follows.
+        clients: names of clients, and what they may write.
         counts: counts of messages.
-        rejections: notices of writes that the node rejected.
+        rejections: notices of writes that the node rejected, or that their client may not make.
     """
 
     def __init__(
@@ -76,11 +86,13 @@ class NodeApplication(Application):
         interface: Interface,
         *,
         source: str,
+        clients: Clients,
         counts: BacnetCounts,
         rejections: Notices,
     ) -> None:
         super().__init__()
-        self._source, self._counts, self._rejections = source, counts, rejections
+        self._source, self._clients, self._counts, self._rejections = source, clients, counts, rejections
+        self._devices = ClientDevices(clients.bacnet_instances, self.request)
         self._notifying: dict[Any, bool] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self.link = NodeLink(interface, counts)
@@ -106,9 +118,22 @@ class NodeApplication(Application):
 
     async def indication(self, apdu: Any) -> None:
         """Process a request; what it does on the bus has the client's address as its source."""
-        now = asyncio.get_running_loop().time()
-        current_request.set(BacnetRequest(f"{self._source}.{keys.safe_name(address_text(apdu.pduSource))}", now))
+        now, address = asyncio.get_running_loop().time(), address_text(apdu.pduSource)
+        current_request.set(BacnetRequest(f"{self._source}.{keys.safe_name(address)}", now))
+        if isinstance(apdu, WritePropertyRequest | WritePropertyMultipleRequest):
+            instance = await self._devices.instance_at(apdu.pduSource)
+            if name := self._clients.of_bacnet(_host(address), instance):
+                current_request.set(BacnetRequest(f"{self._source}.{name}", now, name))
         await super().indication(apdu)
+
+    def ask_for_clients(self) -> None:
+        """Ask the devices that the file of clients names for their addresses."""
+        self._devices.ask_all()
+
+    async def do_IAmRequest(self, apdu: Any) -> None:
+        """Note the address of a device that the file of clients names."""
+        self._devices.add(apdu.pduSource, int(apdu.iAmDeviceIdentifier[1]))
+        await super().do_IAmRequest(apdu)
 
     # Reading
 
@@ -176,6 +201,7 @@ class NodeApplication(Application):
             raise PropertyError("writeAccessDenied")
         if priority is not None and not 1 <= priority <= 16:
             raise ParameterOutOfRange("priority")
+        self._check_permission(obj)
         try:
             await obj.write_property(attr, _decoded(value, Unsigned if index == 0 else kind), index, priority)
         except ZenostatError as error:
@@ -183,6 +209,14 @@ class NodeApplication(Application):
                 self._rejections.add(f"a write was rejected: {error}")
             raise bacnet_error(error) from None
         self._counts.writes += 1
+
+    def _check_permission(self, obj: NodeObject) -> None:
+        """Raise BACnet's error unless the client whose request is being answered may write an object."""
+        request = current_request.get()
+        if request is not None and (reason := self._clients.denial(request.client, obj.point_name)):
+            self._counts.denied += 1
+            self._rejections.add(f"a write of {request.source} was denied: {reason}")
+            raise PropertyError("writeAccessDenied")
 
     def get_services_supported(self) -> ServicesSupported:
         """Return the services that the device executes; bacpypes3 lists others in place of the unconfirmed ones."""
@@ -284,6 +318,11 @@ def address_text(address: Address) -> str:
         host, port = host_and_port(address)
         return f"{host}:{port}"
     return str(address)
+
+
+def _host(address: str) -> str:
+    """Return the IP address of a client; of one behind a router, its whole address, which is none."""
+    return address.rpartition(":")[0] if "." in address else address
 
 
 def bacnet_error(error: ZenostatError) -> ExecutionError:

@@ -15,12 +15,14 @@ from starlette.responses import HTMLResponse, PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
 from zenostat.gateways.boptest import parsing
+from zenostat.gateways.boptest.access import TestAccess, UnknownToken
 from zenostat.gateways.boptest.manager import TestManager, TooManyTests, UnknownTest
 from zenostat.gateways.boptest.operations import OPERATIONS, Operation
 from zenostat.gateways.boptest.page import page
 from zenostat.gateways.boptest.parsing import BadRequest, PeriodNotOver
+from zenostat.gateways.clients import UNRESTRICTED, Clients
 from zenostat.topics import VERSION
-from zenostat.topics.errors import UnknownName, UsageError, ZenostatError
+from zenostat.topics.errors import AccessDenied, UnknownName, UsageError, ZenostatError
 
 Handler = Callable[..., Coroutine[Any, Any, Response]]
 
@@ -36,6 +38,7 @@ class Service:
     Args:
         manager: the tests.
         single: serve the paths without a test id.
+        clients: names of clients, and what they may write.
 
     Attributes:
         testid: the test of the paths without a test id.
@@ -43,8 +46,9 @@ class Service:
         counts: numbers of answers by HTTP status.
     """
 
-    def __init__(self, manager: TestManager, *, single: bool = False) -> None:
+    def __init__(self, manager: TestManager, *, single: bool = False, clients: Clients = UNRESTRICTED) -> None:
         self.manager, self.counts = manager, Counter[int]()
+        self._access = TestAccess(clients, manager.notify)
         self.testid, self._single = "", single
         self._handlers: dict[tuple[str, str], Handler] = {}
         self._threads = ThreadPoolExecutor(_MAX_THREADS, "boptest")
@@ -139,6 +143,12 @@ class Service:
                 "location": "params",
             }  # fmt: skip
             return self._answer(400, {"errors": [message]})
+        if isinstance(error, UnknownToken):
+            answer = self._envelope(401, "Unauthorized", str(error))
+            answer.headers["WWW-Authenticate"] = "Bearer"
+            return answer
+        if isinstance(error, AccessDenied):
+            return self._envelope(403, "Forbidden", str(error))
         if isinstance(error, BadRequest):
             return self._envelope(400, "Bad Request", str(error))
         if isinstance(error, PeriodNotOver):
@@ -170,8 +180,9 @@ class Service:
         async def handle(request: Request) -> Response:
             testid = request.path_params.get("testid", self.testid)
             try:
+                client = self._access.client(request.headers)
                 fields = await _fields(request) if needs_body else {}
-            except BadRequest as error:
+            except (BadRequest, UnknownToken) as error:
                 return self._error(error)
 
             def work() -> Response:
@@ -179,6 +190,7 @@ class Service:
                 with test.lock:
                     if test.is_stopped:  # while this request waited for another one
                         raise UnknownTest(testid)
+                    self._access.check_operation(client, operation, test, fields)
                     try:
                         message, payload = operation.call(test, fields)
                     except ZenostatError:
@@ -194,10 +206,15 @@ class Service:
 
     async def _branch(self, request: Request, testid: str) -> Response:
         try:
-            fields = await _fields(request)
-        except BadRequest as error:
+            client, fields = self._access.client(request.headers), await _fields(request)
+        except (BadRequest, UnknownToken) as error:
             return self._error(error)
-        return await self._run(lambda: self._answer(200, {"testid": self.manager.branch(testid, fields)}))
+
+        def work() -> Response:
+            self._access.check_change(client, self.manager.client_of(testid))
+            return self._answer(200, {"testid": self.manager.branch(testid, fields)})
+
+        return await self._run(work)
 
     # Test management
 
@@ -213,12 +230,13 @@ class Service:
     async def _select_async(self, request: Request) -> Response:
         return await self._start(request, self.manager.select_async)
 
-    async def _start(self, request: Request, start: Callable[[str], str]) -> Response:
+    async def _start(self, request: Request, start: Callable[[str, str], str]) -> Response:
         name = "/".join(request.path_params[part] for part in ("namespace", "name") if part in request.path_params)
 
         def work() -> Response:
+            self._access.check_start(client)
             try:
-                return self._answer(200, {"testid": start(name)})
+                return self._answer(200, {"testid": start(name, client)})
             except UnknownName as error:
                 return self._text(404, f"Not Found: {error}")
             except TooManyTests as error:
@@ -227,16 +245,23 @@ class Service:
                 return self._text(400, str(error))
 
         try:
+            client = self._access.client(request.headers)
             await _body(request)
-        except BadRequest as error:
+        except (BadRequest, UnknownToken) as error:
             return self._error(error)
         return await self._run(work)
 
     async def _status(self, testid: str) -> Response:
         return await self._run(lambda: self._answer(200, self.manager.status(testid)))
 
-    async def _stop(self, testid: str) -> Response:
+    async def _stop(self, request: Request, testid: str) -> Response:
+        try:
+            client = self._access.client(request.headers)
+        except UnknownToken as error:
+            return self._error(error)
+
         def work() -> Response:
+            self._access.check_change(client, self.manager.client_of(testid))
             self.manager.stop(testid)
             return self._text(200, "OK")
 

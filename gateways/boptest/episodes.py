@@ -46,6 +46,7 @@ class Episodes:
     Args:
         arguments: arguments of the scenario.
         interruption: ends the node from another thread.
+        name: name of the node's controller.
 
     Attributes:
         table: the points.
@@ -55,10 +56,10 @@ class Episodes:
         weather: weather of its run period.
     """
 
-    def __init__(self, arguments: Mapping[str, Any], interruption: Interruption) -> None:
-        self._arguments, self.interruption = arguments, interruption
+    def __init__(self, arguments: Mapping[str, Any], interruption: Interruption, name: str = "boptest") -> None:
+        self._arguments, self.interruption, self._name = arguments, interruption, name
         self._kept: dict[tuple[int, int], Beginning] = {}
-        self.building = Building(arguments, interruption=interruption)
+        self.building = Building(arguments, interruption=interruption, name=name)
         try:
             manifest = self.building.main.manifest
             self.table = PointTable(manifest)
@@ -98,7 +99,7 @@ class Episodes:
             return
         self._kept.clear()
         self.building.close()
-        self.building = Building(self._arguments, first_day, interruption=self.interruption)
+        self.building = Building(self._arguments, first_day, interruption=self.interruption, name=self._name)
         self.weather = _weather(self.building)
 
     def _simulate(self, start: int, begin: int) -> Beginning:

@@ -44,9 +44,10 @@ class ExtendedTest(BuildingTest):
         episodes: Episodes | None = None,
         simulation: Simulation | None = None,
         interruption: Interruption | None = None,
+        client: str = "",
     ) -> None:
         self._saved: dict[str, _Saved] = {}
-        super().__init__(case, rates, days, episodes, simulation, interruption)
+        super().__init__(case, rates, days, episodes, simulation, interruption, client)
 
     def take_snapshot(self) -> Answer:
         """Take a snapshot of the test."""
@@ -94,7 +95,7 @@ class ExtendedTest(BuildingTest):
         relinquished = fields.get("baseline")
         is_relinquished = relinquished is not None and parsing.switch(relinquished, "baseline")
         simulation = self.simulation.branch(relinquished=is_relinquished)
-        branch = ExtendedTest(self.case, self._rates, self._days, self.episodes, simulation)
+        branch = ExtendedTest(self.case, self._rates, self._days, self.episodes, simulation, client=self.client)
         saved = _Saved(
             simulation, "", self.beginning, self.recorder, self.first_row, self.end_s, self.is_over, self.step_s,
             self.scenario,

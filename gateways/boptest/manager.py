@@ -34,6 +34,7 @@ class _Entry:
     """A test: being started, running, or failed to start."""
 
     case: TestCase
+    client: str = ""
     started: threading.Event = field(default_factory=threading.Event)
     test: ExtendedTest | None = None
     error: ZenostatError | None = None
@@ -82,11 +83,12 @@ class TestManager:
 
     # Selection
 
-    def select(self, name: str, *, keep: bool = False) -> str:
+    def select(self, name: str, client: str = "", *, keep: bool = False) -> str:
         """Start a test, and return its id when it runs.
 
         Args:
             name: the test case.
+            client: name of the client that starts it; empty if it has none.
             keep: do not end it for want of requests.
 
         Raises:
@@ -94,33 +96,37 @@ class TestManager:
             TooManyTests: as many tests run as may.
             ZenostatError: the building cannot be started.
         """
-        testid, entry = self._reserve(self.cases.find(name))
+        testid, entry = self._reserve(self.cases.find(name), client)
         entry.is_kept = keep
         self._start(testid, entry)
         if entry.error is not None:
             raise entry.error
         return testid
 
-    def select_async(self, name: str) -> str:
+    def select_async(self, name: str, client: str = "") -> str:
         """Start a test in the background, and return its id at once; see `select` for the errors."""
-        testid, entry = self._reserve(self.cases.find(name))
+        testid, entry = self._reserve(self.cases.find(name), client)
         threading.Thread(target=self._start, args=(testid, entry), name=f"boptest-{testid}", daemon=True).start()
         return testid
 
-    def _reserve(self, case: TestCase) -> tuple[str, _Entry]:
+    def _reserve(self, case: TestCase, client: str) -> tuple[str, _Entry]:
         with self._lock:
             if self._closing.is_set():
                 raise TooManyTests("the service is ending, and starts no more tests")
             if len(self._entries) >= self._max_tests:
                 raise TooManyTests(f"{self._max_tests} tests are running, the maximum of this service; stop one first")
-            testid, entry = str(uuid4()), _Entry(case)
+            testid, entry = str(uuid4()), _Entry(case, client)
             self._entries[testid] = entry
             return testid, entry
 
     def _start(self, testid: str, entry: _Entry) -> None:
         try:
             entry.test = ExtendedTest(
-                entry.case, self._rates, lambda: self.days_of(entry.case), interruption=entry.interruption
+                entry.case,
+                self._rates,
+                lambda: self.days_of(entry.case),
+                interruption=entry.interruption,
+                client=entry.client,
             )
         except ZenostatError as error:
             entry.error = error
@@ -156,6 +162,10 @@ class TestManager:
         entry.used_s = monotonic()
         return entry.test
 
+    def client_of(self, testid: str) -> str:
+        """Return the name of the client that started a test, empty without one; `UnknownTest` if there is none."""
+        return self._entry(testid).client
+
     def status(self, testid: str) -> str:
         """Return `Queued` or `Running`; `UnknownTest` if there is no such test."""
         return "Running" if self._entry(testid).started.is_set() else "Queued"
@@ -169,7 +179,7 @@ class TestManager:
     def branch(self, testid: str, fields: Mapping[str, Any]) -> str:
         """Branch a test, and return the branch's id."""
         test = self.get(testid)
-        branchid, entry = self._reserve(test.case)
+        branchid, entry = self._reserve(test.case, test.client)
         entry.parent = testid
         try:
             with test.lock:

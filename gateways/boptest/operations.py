@@ -12,6 +12,7 @@ from zenostat.gateways.boptest.session import Answer
 _BEYOND = "Beyond BOPTEST"
 _NUMBER = {"type": "number"}
 _TEXT = {"type": "string"}
+_READING = ("/results", "/forecast")
 _NAMES = {"type": "array", "items": _TEXT}
 
 
@@ -39,6 +40,11 @@ class Operation:
     def takes_fields(self) -> bool:
         """Whether it has a body."""
         return self.fields is not None
+
+    @property
+    def is_reading(self) -> bool:
+        """Whether it leaves the test as it is."""
+        return self.method == "GET" or self.path in _READING
 
     def schema(self) -> dict[str, Any]:
         """Return its part of an OpenAPI document."""

@@ -45,8 +45,10 @@ class BuildingTest:
         episodes: the node, of which `simulation` is a branch; None starts one.
         simulation: the branch.
         interruption: ends a node that it starts from another thread.
+        client: name of the client that started it; empty if it has none.
 
     Attributes:
+        client: as above.
         lock: held during each request.
         is_stopped: whether it has been stopped; another thread sets it, and a request in progress then ends.
     """
@@ -59,11 +61,13 @@ class BuildingTest:
         episodes: Episodes | None = None,
         simulation: Simulation | None = None,
         interruption: Interruption | None = None,
+        client: str = "",
     ) -> None:
-        self.case, self.lock, self.is_stopped = case, RLock(), False
+        self.case, self.client, self.lock, self.is_stopped = case, client, RLock(), False
         self._rates, self._days = rates, days
         self._branch = simulation
-        self.episodes = episodes or Episodes(case.arguments, interruption or Interruption())
+        name = f"boptest.{client}" if client else "boptest"
+        self.episodes = episodes or Episodes(case.arguments, interruption or Interruption(), name)
         self.table, self._timestep_s = self.episodes.table, self.episodes.building.step_s
         self.forecaster = Forecaster(self.episodes.weather, rates, self.episodes.schedules)
         self.step_s = DEFAULT_STEP_S
@@ -171,6 +175,15 @@ class BuildingTest:
         self.time_ratio.end_advance()
         text = f"Advanced simulation successfully from {float(begin_s)}s to {float(self.time_s)}s."
         return (f"{text} {warnings}" if warnings else text), self.state()
+
+    def overridden(self, fields: Mapping[str, Any]) -> list[str]:
+        """Return the names on the bus of the actuators that inputs activate."""
+        actuators, activated = self.simulation.manifest.actuators, self.table.activated
+        return [
+            actuators[activated[name]].name
+            for name, value in fields.items()
+            if name in activated and value is not None and parsing.switch(value, name)
+        ]
 
     def _steps(self, duration_s: float) -> int:
         timestep_s = self._timestep_s

@@ -56,15 +56,19 @@ def row_range(start_s: float, final_s: float, begin_s: int, step_s: int, count: 
 class Simulation:
     """One engine that is stepped by its test: that of the node, or of a branch.
 
+    Args:
+        bus, node: the bus and the node's name.
+        name: the controller's, which is made unique.
+
     Attributes:
         bus, node: the bus and the node's name.
         manifest: its manifest.
         sample: the sample that it has reached.
     """
 
-    def __init__(self, bus: Bus, node: str) -> None:
-        self.bus, self.node = bus, node
-        self._link = bus.controller(node, name="boptest")
+    def __init__(self, bus: Bus, node: str, name: str = "boptest") -> None:
+        self.bus, self.node, self._name = bus, node, name
+        self._link = bus.controller(node, name=name)
         self.manifest: Manifest = self._link.manifest
         self.sample: SampleView = self._link.current()
         self._relinquished = bytes([_RELINQUISH]) * len(self.manifest.actuators)
@@ -114,7 +118,7 @@ class Simulation:
     def branch(self, *, snapshot: str = "", relinquished: bool = False) -> Simulation:
         """Return a simulation that continues independently, from this sample or from a snapshot."""
         branch = CreateBranch(controller=self.owner, snapshot=snapshot, relinquished=relinquished)
-        return Simulation(self.bus, self.bus.branch(self.node, branch))
+        return Simulation(self.bus, self.bus.branch(self.node, branch), self._name)
 
     def close(self) -> None:
         """Disconnect; a branch ends by that."""
@@ -156,6 +160,7 @@ class Building:
         first_day: day of the year on which its run period begins, from 0.
         last_day: last day of its run period.
         interruption: can end it from another thread.
+        name: name of its controller.
 
     Raises:
         ZenostatError: the node cannot start.
@@ -168,6 +173,7 @@ class Building:
         last_day: str = LAST_DAY,
         *,
         interruption: Interruption | None = None,
+        name: str = "boptest",
     ) -> None:
         self.first_day = first_day
         begin: date = moment(first_day * DAY_S).date()
@@ -181,7 +187,7 @@ class Building:
             self._close.callback(self._node.close)
             bus = connect(self._node.endpoint, affinity=placement, core=self._node.core)
             self._close.enter_context(bus)
-            self.main = Simulation(bus, _NODE)
+            self.main = Simulation(bus, _NODE, name)
             undo.pop_all()
         step_s = self.main.manifest.step_s
         if step_s != int(step_s) or self.main.manifest.slots != 1:

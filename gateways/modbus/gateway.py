@@ -9,12 +9,14 @@ from collections.abc import Callable, Sequence
 from contextlib import AsyncExitStack
 from datetime import datetime
 
+from zenostat.gateways.clients import UNRESTRICTED, Clients
 from zenostat.gateways.modbus.register_map import FIRST_VALUE, HEADER, MAP_VERSION, STATES, RegisterMap, Table
-from zenostat.gateways.modbus.server import ExceptionCode, ModbusException, ModbusServer
+from zenostat.gateways.modbus.server import ExceptionCode, ModbusException, ModbusServer, Peer
 from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.notices import Notices
 from zenostat.gateways.points import effective_value, is_effective, readings
-from zenostat.topics.errors import InvalidAction, RequestRejected, UnknownName, ZenostatError
+from zenostat.topics.errors import AccessDenied, InvalidAction, RequestRejected, UnknownName, ZenostatError
+from zenostat.topics.keys import is_own
 from zenostat.topics.messages import Actuator, Manifest
 from zenostat.topics.points import contains
 
@@ -29,6 +31,7 @@ class ModbusGateway:
         host, port: address to listen on.
         priority: priority of all commands, 1 (highest) to 16.
         is_little_endian: whether the low word of a value comes first.
+        clients: names of clients, and what they may write.
         notify: called with a text when the map changes, and with the reasons of rejected writes, for which Modbus has
             only a number.
     """
@@ -41,9 +44,11 @@ class ModbusGateway:
         *,
         priority: int = 8,
         is_little_endian: bool = False,
+        clients: Clients = UNRESTRICTED,
         notify: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._node, self._priority = node, priority
+        self._node, self._priority, self._clients = node, priority, clients
+        self._denied = 0
         self._is_little_endian = is_little_endian
         identity = {0: "Zenostat", 1: "zenostat-gateway-modbus", 2: node.manifest.versions.zenostat, 4: node.name}
         self.server = ModbusServer(self, host, port, identity)
@@ -81,7 +86,8 @@ class ModbusGateway:
     def description(self) -> str:
         """Node and address, for the first line."""
         address = f"{self.server.host}:{self.server.port}"
-        return f"node {self._node.name} as Modbus TCP on {address}, without encryption or password"
+        safety = f"without encryption or password; {self._clients.description}"
+        return f"node {self._node.name} as Modbus TCP on {address}, {safety}"
 
     async def run(self) -> None:
         """Serve until cancelled."""
@@ -92,7 +98,8 @@ class ModbusGateway:
         counts = self.server.counts
         return (
             f"{counts.requests} requests, {counts.exceptions} answered with an exception, "
-            f"{counts.malformed} connections closed for malformed frames, {counts.displaced} idle ones for new ones"
+            f"{self._denied} of them for writes that were denied, {counts.malformed} connections closed for malformed "
+            f"frames, {counts.displaced} idle ones for new ones"
         )
 
     # Reading
@@ -149,14 +156,15 @@ class ModbusGateway:
         return header + self._float_registers(values)
 
     async def _commands(self) -> list[float]:
-        """Return the gateway's command for each actuator, as the node has it; NaN while relinquished."""
+        """Return the gateway's command for each actuator, of any client, as the node has it; NaN while relinquished."""
         try:
             arrays = await self._node.priorities()
         except ZenostatError as error:
             raise _exception(error) from None
         entries = [arrays[actuator.name][self._priority - 1] for actuator in self._actuators]
         return [
-            math.nan if entry.value is None or entry.source != self._node.source else entry.value for entry in entries
+            entry.value if entry.value is not None and is_own(self._node.source, entry.source or "") else math.nan
+            for entry in entries
         ]
 
     def _float_registers(self, values: Sequence[float | None]) -> list[int]:
@@ -172,32 +180,44 @@ class ModbusGateway:
 
     # Writing
 
-    async def write_registers(self, address: int, values: Sequence[int]) -> None:
+    async def write_registers(self, peer: Peer, address: int, values: Sequence[int]) -> None:
         """Command actuators; whole values only, all of them or, where one is invalid, none."""
         _check_range(address, len(values), 2 * len(self._actuators))
         if address % 2 or len(values) % 2:
             raise ModbusException(ExceptionCode.ILLEGAL_DATA_VALUE)
         numbers = [self._float_of(values[i : i + 2]) for i in range(0, len(values), 2)]
         targets = self._actuators[address // 2 : address // 2 + len(numbers)]
+        self._check(peer, targets)
         numbers = [_snapped(actuator, number) for actuator, number in zip(targets, numbers, strict=True)]
         if not all(contains(actuator, number) for actuator, number in zip(targets, numbers, strict=True)):
             raise ModbusException(ExceptionCode.ILLEGAL_DATA_VALUE)
-        await self._write(dict(zip((a.name for a in targets), numbers, strict=True)))
+        await self._write(peer, dict(zip((a.name for a in targets), numbers, strict=True)))
 
-    async def write_coils(self, address: int, values: Sequence[bool]) -> None:
+    async def write_coils(self, peer: Peer, address: int, values: Sequence[bool]) -> None:
         """Relinquish actuators with 0; 1 is valid only for those that are commanded already."""
         _check_range(address, len(values), len(self._actuators))
         targets = self._actuators[address : address + len(values)]
+        self._check(peer, targets)
         commands = (await self._commands())[address : address + len(values)]
         if any(bit and math.isnan(command) for bit, command in zip(values, commands, strict=True)):
             raise ModbusException(ExceptionCode.ILLEGAL_DATA_VALUE)  # there is no value to command
-        await self._write({a.name: None for a, bit in zip(targets, values, strict=True) if not bit})
+        await self._write(peer, {a.name: None for a, bit in zip(targets, values, strict=True) if not bit})
 
-    async def _write(self, values: dict[str, float | None]) -> None:
+    def _check(self, peer: Peer, actuators: Sequence[Actuator]) -> None:
+        """Raise the exception of an illegal function unless a client may write all of some actuators."""
+        try:
+            self._clients.check(self._clients.of_modbus(*peer), (actuator.name for actuator in actuators))
+        except AccessDenied as error:
+            self._denied += 1
+            self._rejections.add(f"a write of {peer.host}, unit {peer.unit}, was denied: {error}")
+            raise ModbusException(ExceptionCode.ILLEGAL_FUNCTION) from None
+
+    async def _write(self, peer: Peer, values: dict[str, float | None]) -> None:
+        source = self._node.source_of(self._clients.of_modbus(*peer))
         async with self._writing:
             try:
                 for name, value in values.items():
-                    await self._node.write(name, value, priority=self._priority)
+                    await self._node.write(name, value, priority=self._priority, source=source)
             except ZenostatError as error:
                 if isinstance(error, RequestRejected):
                     self._rejections.add(f"a write was rejected: {error}")

@@ -13,7 +13,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 from time import monotonic
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from zenostat.gateways.modbus.register_map import Table
 from zenostat.topics.errors import AddressInUse, InvalidConfig
@@ -42,6 +42,13 @@ class ExceptionCode(IntEnum):
     GATEWAY_TARGET_DEVICE_FAILED_TO_RESPOND = 11
 
 
+class Peer(NamedTuple):
+    """The sender of a request: its IP address, and the unit id that it asks for. Neither is proven."""
+
+    host: str
+    unit: int
+
+
 class ModbusException(Exception):
     """A request cannot be carried out; the client gets the code."""
 
@@ -59,10 +66,10 @@ class DataModel(Protocol):
     async def read_registers(self, table: Table, address: int, count: int) -> Sequence[int]:
         """Return input or holding registers."""
 
-    async def write_coils(self, address: int, values: Sequence[bool]) -> None:
+    async def write_coils(self, peer: Peer, address: int, values: Sequence[bool]) -> None:
         """Set coils."""
 
-    async def write_registers(self, address: int, values: Sequence[int]) -> None:
+    async def write_registers(self, peer: Peer, address: int, values: Sequence[int]) -> None:
         """Set holding registers."""
 
 
@@ -117,7 +124,7 @@ class ModbusServer:
         self.host, self.port, self.counts = host, port, Counts()
         self._model, self._identity = model, identity or {}
         self._connections: dict[asyncio.StreamWriter, _Connection] = {}
-        self._functions: dict[int, Callable[[bytes], Awaitable[bytes]]] = {
+        self._functions: dict[int, Callable[[Peer, bytes], Awaitable[bytes]]] = {
             1: self._reader_of_bits(Table.COIL),
             2: self._reader_of_bits(Table.DISCRETE_INPUT),
             3: self._reader_of_registers(Table.HOLDING_REGISTER),
@@ -173,6 +180,7 @@ class ModbusServer:
         assert task is not None
         connection = self._connections[writer] = _Connection(task, monotonic())
         _keep_alive(writer.get_extra_info("socket"))
+        host = str((writer.get_extra_info("peername") or ("",))[0])
         try:
             while True:
                 frame = await self._frame(reader)
@@ -180,7 +188,7 @@ class ModbusServer:
                     break
                 transaction, unit, pdu = frame
                 connection.idle_since_s = None
-                reply = await self.answer(pdu)
+                reply = await self.answer(pdu, Peer(host, unit))
                 writer.write(_HEADER.pack(transaction, 0, len(reply) + 1, unit) + reply)
                 async with asyncio.timeout(FRAME_TIMEOUT_S):
                     await writer.drain()
@@ -203,7 +211,7 @@ class ModbusServer:
                 return None
             return transaction, unit, await reader.readexactly(length - 1)
 
-    async def answer(self, pdu: bytes) -> bytes:
+    async def answer(self, pdu: bytes, peer: Peer) -> bytes:
         """Return the reply to a request's PDU: its function code and data, or an exception."""
         self.counts.requests += 1
         function = pdu[0]
@@ -211,15 +219,15 @@ class ModbusServer:
             handler = self._functions.get(function)
             if handler is None:
                 raise ModbusException(ExceptionCode.ILLEGAL_FUNCTION)
-            return bytes([function]) + await handler(pdu[1:])
+            return bytes([function]) + await handler(peer, pdu[1:])
         except ModbusException as error:
             self.counts.exceptions += 1
             return bytes([function | 0x80, error.code])
 
     # Function codes
 
-    def _reader_of_bits(self, table: Table) -> Callable[[bytes], Awaitable[bytes]]:
-        async def read(data: bytes) -> bytes:
+    def _reader_of_bits(self, table: Table) -> Callable[[Peer, bytes], Awaitable[bytes]]:
+        async def read(_: Peer, data: bytes) -> bytes:
             address, count = _fields(data, ">HH")
             _check(1 <= count <= 2000)
             packed = _pack_bits(await self._model.read_bits(table, address, count))
@@ -227,45 +235,45 @@ class ModbusServer:
 
         return read
 
-    def _reader_of_registers(self, table: Table) -> Callable[[bytes], Awaitable[bytes]]:
-        async def read(data: bytes) -> bytes:
+    def _reader_of_registers(self, table: Table) -> Callable[[Peer, bytes], Awaitable[bytes]]:
+        async def read(_: Peer, data: bytes) -> bytes:
             address, count = _fields(data, ">HH")
             _check(1 <= count <= 125)
             return _pack_registers(await self._model.read_registers(table, address, count))
 
         return read
 
-    async def _write_coil(self, data: bytes) -> bytes:
+    async def _write_coil(self, peer: Peer, data: bytes) -> bytes:
         address, value = _fields(data, ">HH")
         _check(value in (_ON, _OFF))
-        await self._model.write_coils(address, [value == _ON])
+        await self._model.write_coils(peer, address, [value == _ON])
         return data
 
-    async def _write_register(self, data: bytes) -> bytes:
+    async def _write_register(self, peer: Peer, data: bytes) -> bytes:
         address, value = _fields(data, ">HH")
-        await self._model.write_registers(address, [value])
+        await self._model.write_registers(peer, address, [value])
         return data
 
-    async def _write_coils(self, data: bytes) -> bytes:
+    async def _write_coils(self, peer: Peer, data: bytes) -> bytes:
         address, count, size = _fields(data[:5], ">HHB")
         _check(1 <= count <= 1968 and size == (count + 7) // 8 == len(data) - 5)
         bits = [bool(data[5 + i // 8] >> (i % 8) & 1) for i in range(count)]
-        await self._model.write_coils(address, bits)
+        await self._model.write_coils(peer, address, bits)
         return data[:4]
 
-    async def _write_registers(self, data: bytes) -> bytes:
+    async def _write_registers(self, peer: Peer, data: bytes) -> bytes:
         address, values = _written_registers(data, 123)
-        await self._model.write_registers(address, values)
+        await self._model.write_registers(peer, address, values)
         return data[:4]
 
-    async def _read_and_write_registers(self, data: bytes) -> bytes:
+    async def _read_and_write_registers(self, peer: Peer, data: bytes) -> bytes:
         read_address, count = _fields(data[:4], ">HH")
         _check(1 <= count <= 125)
         address, values = _written_registers(data[4:], 121)
-        await self._model.write_registers(address, values)
+        await self._model.write_registers(peer, address, values)
         return _pack_registers(await self._model.read_registers(Table.HOLDING_REGISTER, read_address, count))
 
-    async def _identify(self, data: bytes) -> bytes:
+    async def _identify(self, _: Peer, data: bytes) -> bytes:
         """Answer Read Device Identification (MEI type 14): basic and regular objects, or one of them."""
         if data[:1] != b"\x0e":
             raise ModbusException(ExceptionCode.ILLEGAL_FUNCTION)

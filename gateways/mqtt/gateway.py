@@ -6,7 +6,6 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 from contextlib import AsyncExitStack
-from dataclasses import dataclass
 from typing import TypeVar
 
 import aiomqtt
@@ -15,7 +14,9 @@ from paho.mqtt.properties import Properties
 from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from zenostat.bridge.client.sample import SampleView
+from zenostat.gateways.clients import UNRESTRICTED, Clients
 from zenostat.gateways.mqtt.broker import Broker, connect, disconnect
+from zenostat.gateways.mqtt.commands import Counts, Received, Result
 from zenostat.gateways.mqtt.home_assistant import discovery
 from zenostat.gateways.mqtt.messages import (
     accepted,
@@ -29,9 +30,11 @@ from zenostat.gateways.mqtt.messages import (
 from zenostat.gateways.mqtt.retained import RetainedMessages, point_topics
 from zenostat.gateways.mqtt.topic_names import PREFIX, is_below, is_topic
 from zenostat.gateways.node_client import NodeClient
+from zenostat.gateways.notices import Notices
 from zenostat.gateways.points import effective_value, readings
 from zenostat.gateways.tasks import cancel
-from zenostat.topics.errors import BadMessage, BusError, NodeLost, RequestRejected, ZenostatError
+from zenostat.topics.errors import AccessDenied, BadMessage, BusError, NodeLost, RequestRejected, ZenostatError
+from zenostat.topics.keys import own_name
 from zenostat.topics.messages import Event, Manifest
 
 MAX_WAITING = 1000
@@ -48,44 +51,6 @@ _SHOWN = 200
 _ATTEMPTS = 2  # a broker may end the connection because of a response topic, for example one with too many levels
 
 
-@dataclass(slots=True)
-class Counts:
-    """Numbers of published samples, of samples dropped since the broker was slow or away, and of commands."""
-
-    samples: int = 0
-    dropped: int = 0
-    accepted: int = 0
-    rejected: int = 0
-    reconnections: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class _Received:
-    """A command as received: the actuator's name, the payload, and where an MQTT 5 client wants the result.
-
-    Attributes:
-        reply_topic: the response topic, unless it is a gateway's own, or none to which can be published.
-        own_topic: the response topic if it is a gateway's own.
-    """
-
-    actuator: str
-    payload: bytes
-    is_retained: bool
-    reply_topic: str | None
-    own_topic: str | None
-    correlation: bytes | None
-
-
-@dataclass(slots=True)
-class _Result:
-    """A result to be published; `attempts_left` on its topic, None for any number."""
-
-    topic: str
-    text: str
-    correlation: bytes | None
-    attempts_left: int | None = None
-
-
 class MqttGateway:
     """Publishes one node to a broker and carries out commands: `async with MqttGateway(node, broker) as gateway`.
 
@@ -97,6 +62,7 @@ class MqttGateway:
         broker: the broker.
         root: topic below which all topics of the node are; None for `zenostat/NODE`.
         priority: priority of commands that name none.
+        clients: names of users, and what they may write.
         home_assistant: discovery prefix of Home Assistant; None for no discovery messages.
         notify: called with a text when the broker is lost and when it is back.
 
@@ -114,20 +80,22 @@ class MqttGateway:
         *,
         root: str | None = None,
         priority: int = 8,
+        clients: Clients = UNRESTRICTED,
         home_assistant: str | None = None,
         notify: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.counts = Counts()
         self._node, self._broker, self._priority = node, broker, priority
         self._root = f"{PREFIX}/{node.name}" if root is None else root
-        self._home_assistant, self._notify = home_assistant, notify
+        self._home_assistant, self._notify, self._clients = home_assistant, notify, clients
+        self._denials = Notices(notify)
         # Nobody may use the gateway's rights on the broker to publish where other clients believe what is there.
         own = self._root if not is_below(self._root, PREFIX) else PREFIX
         self._own_roots = [*dict.fromkeys(root for root in (PREFIX, own, home_assistant) if root is not None)]
         self._samples: deque[str] = deque(maxlen=MAX_WAITING)
         self._events: deque[str] = deque(maxlen=MAX_WAITING)
-        self._results: deque[_Result] = deque(maxlen=MAX_RESULTS)
-        self._commands: deque[_Received] = deque()
+        self._results: deque[Result] = deque(maxlen=MAX_RESULTS)
+        self._commands: deque[Received] = deque()
         self._has_output, self._has_commands = asyncio.Event(), asyncio.Event()
         self._retained = RetainedMessages()
         self._cleared_for: Manifest | None = None
@@ -161,14 +129,18 @@ class MqttGateway:
         """Node and broker, for the first line."""
         safety = "encrypted" if self._broker.tls else "without encryption"
         password = "with a password" if self._broker.password else "without a password"
-        return f"node {self._node.name} on the MQTT broker {self._broker} under {self._root}/, {safety}, {password}"
+        return (
+            f"node {self._node.name} on the MQTT broker {self._broker} under {self._root}/, {safety}, {password}; "
+            f"{self._clients.description}"
+        )
 
     def summary(self) -> str:
         """Return counts for the last line."""
         counts = self.counts
         return (
             f"{counts.samples} samples published, {counts.dropped} dropped; "
-            f"{counts.accepted} commands accepted, {counts.rejected} rejected; {counts.reconnections} reconnections"
+            f"{counts.accepted} commands accepted, {counts.rejected} rejected, {counts.denied} of them denied; "
+            f"{counts.reconnections} reconnections"
         )
 
     async def run(self) -> None:
@@ -274,7 +246,7 @@ class MqttGateway:
             await client.publish(f"{self._root}/sample", self._samples.popleft())
             self.counts.samples += 1
 
-    async def _publish_result(self, client: aiomqtt.Client, result: _Result) -> None:
+    async def _publish_result(self, client: aiomqtt.Client, result: Result) -> None:
         if result.attempts_left is not None:
             if result.attempts_left == 0:
                 return
@@ -312,17 +284,20 @@ class MqttGateway:
         # Else a broker shows only at the next connection that a command is retained; MQTT 3.1.1 has no such option.
         flags = {"options": SubscribeOptions(1, retainAsPublished=True)} if self._broker.version == 5 else {"qos": 1}
         await client.subscribe(f"{self._root}/actuator/+/set", **flags)
+        await client.subscribe(f"{self._root}/client/+/actuator/+/set", **flags)
         async for message in client.messages:
             self._take(message)
 
     def _take(self, message: aiomqtt.Message) -> None:
         """Queue a command."""
-        properties, actuator = message.properties, str(message.topic).split("/")[-2]
+        properties, levels = message.properties, str(message.topic).removeprefix(f"{self._root}/").split("/")
+        user, actuator = levels[1] if len(levels) > 3 else None, levels[-2]
         reply_topic = getattr(properties, "ResponseTopic", None)
-        if not is_topic(reply_topic) or reply_topic == self._result_topic(actuator):
+        if not is_topic(reply_topic) or reply_topic == self._result_topic(actuator, user):
             reply_topic = None
         is_own = reply_topic is not None and any(is_below(reply_topic, root) for root in self._own_roots)
-        received = _Received(
+        received = Received(
+            user,
             actuator,
             message.payload if isinstance(message.payload, bytes) else str(message.payload or "").encode(),
             bool(message.retain),
@@ -346,7 +321,7 @@ class MqttGateway:
                 self._executing = asyncio.create_task(self._carry_out(self._commands.popleft()))
                 await asyncio.shield(self._executing)
 
-    async def _carry_out(self, received: _Received) -> None:
+    async def _carry_out(self, received: Received) -> None:
         try:
             if received.is_retained:
                 raise BadMessage("a retained command is ignored: it would be repeated at each connection")
@@ -354,9 +329,14 @@ class MqttGateway:
                 own = " and ".join(f"{root}/" for root in self._own_roots)
                 raise BadMessage(
                     f"response topic {received.own_topic[:_SHOWN]!r} is a gateway's own; choose one that is not below "
-                    f"{own}, or {self._result_topic(received.actuator)}"
+                    f"{own}, or {self._result_topic(received.actuator, received.user)}"
                 )
-            command = read_command(received.payload, priority=self._priority, source=self._node.source)
+            client = "" if received.user is None else self._clients.of_mqtt(received.user)
+            self._clients.check(client, (received.actuator,))
+            own_source = self._node.source_of(client)
+            command = read_command(received.payload, priority=self._priority, source=own_source)
+            if self._clients.is_restricted or client:
+                command = command.model_copy(update={"source": own_name(own_source, command.source)})
             ack = await self._node.write(
                 received.actuator, command.value, priority=command.priority, duration_s=command.duration_s,
                 source=command.source,
@@ -365,22 +345,28 @@ class MqttGateway:
             error = NodeLost("the gateway has ended before the node answered; the command may take effect")
             self._reply(received, rejected(error), is_accepted=False)
             raise
+        except AccessDenied as error:
+            self.counts.denied += 1
+            user = "" if received.user is None else f" of the user {received.user[:_SHOWN]}"
+            self._denials.add(f"a command{user} was denied: {error}")
+            self._reply(received, rejected(error), is_accepted=False)
         except ZenostatError as error:
             self._reply(received, rejected(error), is_accepted=False)
         else:
             at = (ack.episode[0] if ack.episode else 0, ack.step[0] if ack.step else 0)
             self._reply(received, accepted(command, ack.text, *at), is_accepted=True)
 
-    def _result_topic(self, actuator: str) -> str:
-        return f"{self._root}/actuator/{actuator}/result"
+    def _result_topic(self, actuator: str, user: str | None) -> str:
+        root = self._root if user is None else f"{self._root}/client/{user}"
+        return f"{root}/actuator/{actuator}/result"
 
-    def _reply(self, received: _Received, text: str, *, is_accepted: bool) -> None:
+    def _reply(self, received: Received, text: str, *, is_accepted: bool) -> None:
         """Queue the result for `…/actuator/NAME/result`, and for the response topic of an MQTT 5 client."""
         self.counts.accepted += is_accepted
         self.counts.rejected += not is_accepted
-        own = self._result_topic(received.actuator)
+        own = self._result_topic(received.actuator, received.user)
         if is_topic(own):  # it is longer than the topic of the command
-            self._results.append(_Result(own, text, received.correlation))
+            self._results.append(Result(own, text, received.correlation))
         if received.reply_topic:
-            self._results.append(_Result(received.reply_topic, text, received.correlation, _ATTEMPTS))
+            self._results.append(Result(received.reply_topic, text, received.correlation, _ATTEMPTS))
         self._has_output.set()

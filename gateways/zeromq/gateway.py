@@ -7,6 +7,7 @@ router's monitor (ended connections) and a task queue, to which Zenoh's threads 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 
@@ -14,6 +15,8 @@ import zenoh
 
 from zenostat.bridge.runtime.service_manager import reported
 from zenostat.gateways.bus_side import BusMessage, BusSide
+from zenostat.gateways.clients import EVERYTHING, UNRESTRICTED, Clients
+from zenostat.gateways.notices import Notices
 from zenostat.gateways.zeromq.delivery_queues import DeliveryQueues, NodeView
 from zenostat.gateways.zeromq.frames import Peer, Request, answer, denied, read, split
 from zenostat.gateways.zeromq.sockets import DEFAULT_COMMAND, DEFAULT_PUBLISH, Sockets, check_endpoint
@@ -29,7 +32,7 @@ from zenostat.topics.errors import (
     did_you_mean,
 )
 from zenostat.topics.keys import Delivery, Role
-from zenostat.topics.messages import ErrorReply, Event, EventKind, Manifest, Message
+from zenostat.topics.messages import Claim, ErrorReply, Event, EventKind, Manifest, Message
 
 LEASE_S = 10.0
 
@@ -71,6 +74,8 @@ class Gateway:
         lease_s: a peer that answers no heartbeat for this time is disconnected; 0.1 to 3600.
         expose: allow endpoints that other machines can reach.
         identity: the name in the gateway's certificate; its clients send under that name, or names below it.
+        clients: what the clients may write by the names under which they send; `*` permits all requests.
+        notify: called with a line for the operator about each denied request, once.
 
     Raises:
         InvalidConfig: an invalid endpoint or lease.
@@ -92,6 +97,8 @@ class Gateway:
         lease_s: float = LEASE_S,
         expose: bool = False,
         identity: str = "",
+        clients: Clients = UNRESTRICTED,
+        notify: Callable[[str], None] = lambda _: None,
     ) -> None:
         if not 0.1 <= lease_s <= 3600:
             raise InvalidConfig(f"a lease of {lease_s} s; 0.1 to 3600 expected")
@@ -99,7 +106,7 @@ class Gateway:
         for endpoint in (publish, command):
             check_endpoint(endpoint, expose=expose)
         self.counts = Counts()
-        self._identity = identity
+        self._identity, self._clients, self._notices = identity, clients, Notices(notify)
         self._stopped = False
         self._nodes: dict[str, NodeView] = {}
         self._announced: dict[str, _Announced] = {}
@@ -276,6 +283,7 @@ class Gateway:
                     f"this gateway sends as {self._identity!r}, and for its clients under names below it; send as "
                     f"{keys.own_name(self._identity, request.sender)!r}"
                 )
+            self._check_permission(request)
         except ZenostatError as error:
             self._send(peer, rest[0][:_ECHO] if rest else b"", denied(error))
             return
@@ -290,6 +298,19 @@ class Gateway:
                 request,
                 denied(RequestRejected(f"the manifest of node {request.node!r} has not arrived; try again later")),
             )
+
+    def _check_permission(self, request: Request) -> None:
+        """Raise `AccessDenied` unless a client may send a request; those that only read are everybody's."""
+        if not self._clients.is_restricted or not request.row.has_sender:
+            return
+        client = self._clients.of_sender(request.sender.removeprefix(f"{self._identity}."))
+        if request.row is keys.COMMAND_REQUEST and self._clients.may_write(client):
+            return  # the actuators are those of its claim
+        try:
+            self._clients.check(client, _written(request))
+        except AccessDenied as error:
+            self._notices.add(f"{request.row.key} of {request.sender} was denied: {error}")
+            raise
 
     def _process(self, request: Request) -> None:
         if request.node not in self._nodes:
@@ -325,6 +346,15 @@ class Gateway:
             message = answered
         self.counts.denied += message.encoding == codec.encoding(ErrorReply)
         self._sockets.send(answer(peer, topic, message.encoding, message.payload))
+
+
+def _written(request: Request) -> list[str]:
+    """Return the actuators that a request writes or claims; `*` for all of them, and for any other request."""
+    if request.row is keys.WRITE_REQUEST:
+        return [request.name]
+    if isinstance(request.message, Claim) and request.message.actuators is not None:
+        return request.message.actuators
+    return [EVERYTHING]
 
 
 def _frames(message: BusMessage) -> list[bytes]:

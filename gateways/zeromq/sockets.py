@@ -30,6 +30,11 @@ _PING = 3  # of a lease: a peer that has answered none of three pings is gone
 _MOST_SUBSCRIBED = 1024  # bytes of a subscription; the longest topic has some 300
 
 
+def is_local(endpoint: str) -> bool:
+    """Return whether no other machine can reach an endpoint."""
+    return _LOOPBACK.fullmatch(endpoint) is not None
+
+
 def check_endpoint(endpoint: str, *, expose: bool) -> str:
     """Return a valid endpoint.
 
@@ -41,7 +46,7 @@ def check_endpoint(endpoint: str, *, expose: bool) -> str:
             f"{endpoint!r} is not a ZeroMQ endpoint to listen on; "
             f"write tcp://ADDRESS:PORT (for example {DEFAULT_PUBLISH}) or ipc:///PATH"
         )
-    if not _LOOPBACK.fullmatch(endpoint) and not expose:
+    if not is_local(endpoint) and not expose:
         raise InvalidConfig(
             f"{endpoint} can be reached from other machines, without encryption or a password; "
             "if that is intended, allow it with --expose"

@@ -18,6 +18,7 @@ from bacpypes3.primitivedata import Enumerated, Null, ObjectIdentifier, Real
 from zenostat.bridge.transport.session import open_session
 from zenostat.gateways.bacnet import BacnetGateway
 from zenostat.gateways.bacnet.network import find_interface
+from zenostat.gateways.clients import UNRESTRICTED, Clients
 from zenostat.gateways.node_client import NodeClient
 
 INSTANCE = 4711
@@ -113,13 +114,15 @@ def error_text(error: Any) -> str:
 
 
 @asynccontextmanager
-async def served(endpoint: str, name: str = "office") -> AsyncIterator[tuple[BacnetGateway, Client, int]]:
+async def served(
+    endpoint: str, name: str = "office", clients: Clients = UNRESTRICTED
+) -> AsyncIterator[tuple[BacnetGateway, Client, int]]:
     """The gateway of a node, a client that knows its objects, and the gateway's port."""
     port = free_udp_port()
     with open_session(connect=[endpoint]) as session:
         async with (
             NodeClient(session, name) as node,
-            BacnetGateway(node, find_interface("127.0.0.1", port), instance=INSTANCE) as gateway,
+            BacnetGateway(node, find_interface("127.0.0.1", port), instance=INSTANCE, clients=clients) as gateway,
             client(port) as reader,
         ):
             await reader.learn()
@@ -127,11 +130,11 @@ async def served(endpoint: str, name: str = "office") -> AsyncIterator[tuple[Bac
 
 
 @asynccontextmanager
-async def client(port: int) -> AsyncIterator[Client]:
-    """A client of a device."""
+async def client(port: int, instance: int = 1) -> AsyncIterator[Client]:
+    """A client of a device; `instance` is that of its own device."""
     own = NetworkPortObject(f"127.0.0.1/32:{free_udp_port()}", objectIdentifier=("network-port", 1), objectName="port")
     device = DeviceObject(
-        objectIdentifier=("device", 1), objectName="client", vendorIdentifier=999, maxApduLengthAccepted=1476
+        objectIdentifier=("device", instance), objectName="client", vendorIdentifier=999, maxApduLengthAccepted=1476
     )
     app = Application.from_object_list([device, own])
     try:

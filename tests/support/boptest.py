@@ -12,6 +12,7 @@ from zenostat.gateways.boptest.app import Service
 from zenostat.gateways.boptest.manager import TestManager
 from zenostat.gateways.boptest.prices import read_rates
 from zenostat.gateways.boptest.server import HttpServer
+from zenostat.gateways.clients import UNRESTRICTED, Clients
 
 DAY_S = 86400
 
@@ -52,10 +53,10 @@ class Client:
 
 
 @contextmanager
-def serving(*, single: str | None = None, **options: Any) -> Iterator[Client]:
+def serving(*, single: str | None = None, clients: Clients = UNRESTRICTED, **options: Any) -> Iterator[Client]:
     """Run a service on a free port of loopback; in the end all tests are ended."""
     manager = TestManager(BundledTestCases(), read_rates(), **options)
-    service = Service(manager, single=single is not None)
+    service = Service(manager, single=single is not None, clients=clients)
     with HttpServer(service, "127.0.0.1:0") as server:
         if single is not None:
             service.testid = manager.select(single, keep=True)

@@ -15,7 +15,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -62,16 +62,19 @@ class Broker:
         folder: of its files.
         security: None for any client, without encryption.
         port: None for a free one.
+        settings: further lines of mosquitto's configuration.
 
     Attributes:
         port: for clients of MQTT 5.
         port_v3: for clients of MQTT 3.1.1; mosquitto has the same for both.
     """
 
-    def __init__(self, folder: Path, security: Security | None = None, *, port: int | None = None) -> None:
+    def __init__(
+        self, folder: Path, security: Security | None = None, *, port: int | None = None, settings: Sequence[str] = ()
+    ) -> None:
         self.port = port or free_port()
         self.port_v3 = self.port if BROKER == "mosquitto" else free_port()
-        self._security = security
+        self._security, self._settings = security, settings
         self._command = self._mosquitto(folder) if BROKER == "mosquitto" else self._iotcore(folder)
         self.start()
 
@@ -91,7 +94,7 @@ class Broker:
                 "user root",
             ]
         file = folder / "mosquitto.conf"
-        file.write_text("\n".join(lines))
+        file.write_text("\n".join([*lines, *self._settings]))
         return [MOSQUITTO or "", "-c", str(file)]
 
     def _iotcore(self, folder: Path) -> list[str]:
@@ -134,7 +137,7 @@ class Broker:
         self.process.wait()
 
     @contextmanager
-    def client(self) -> Iterator[paho.Client]:
+    def client(self, username: str | None = None, password: str | None = None) -> Iterator[paho.Client]:
         """A client of MQTT 5 that is connected."""
         # The tests of the lowest versions, with the same conftest.py, have none.
         import paho.mqtt.client as paho
@@ -144,6 +147,8 @@ class Broker:
         if self._security is not None:
             client.username_pw_set(self._security.username, self._security.password)
             client.tls_set(str(self._security.certificate))
+        elif username is not None:
+            client.username_pw_set(username, password)
         client.connect("127.0.0.1", self.port)
         client.loop_start()
         try:
