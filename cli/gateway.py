@@ -243,7 +243,7 @@ async def _start(
     from zenostat.gateways.node_client import NodeClient
 
     client = await stack.enter_async_context(NodeClient(session, node, source=source, identity=identity))
-    await stack.enter_async_context(reserved_names(session, node, names))
+    await stack.enter_async_context(reserved_names(session, node, names, identity))
     stack.push_async_callback(_relinquish, client)
     return client, await stack.enter_async_context(gateway(client))
 

@@ -16,25 +16,33 @@ from zenostat.topics import keys
 from zenostat.topics.errors import NameInUse
 from zenostat.topics.printable import replace_controls
 
+_TOKEN_PARTS = 4
+"""Parts of a token's last chunk: the reserved name, host, process and instance, separated by colons."""
+
 
 @asynccontextmanager
-async def reserved_names(session: zenoh.Session, node: str, names: Mapping[str, str]) -> AsyncIterator[None]:
+async def reserved_names(
+    session: zenoh.Session, node: str, names: Mapping[str, str], identity: str = ""
+) -> AsyncIterator[None]:
     """Reserve names for a gateway of a node for as long as the context or the session lasts.
 
-    Each name is a liveliness token, so the name of a gateway that dies is free again.
+    Each name is a liveliness token, so the name of a gateway that dies is free again. The token's key has the name in
+    the gateway's certificate, so no other gateway can declare it.
 
     Args:
         session: an open session.
         node: name of the node.
         names: the names, each with advice for the case that it is in use: `choose another name with --source`.
+        identity: the name in the gateway's certificate; empty without keys.
 
     Raises:
-        NameInUse: another gateway of the node has one of the names; the text has its host and process.
+        NameInUse: another gateway of the node has one of the names; the text has its certificate, host and process.
     """
     own = str(session.zid())
     await _check(session, node, names, lambda instance: instance != own)
     declare = session.liveliness().declare_token
-    declared = [declare(keys.GATEWAY_TOKEN.at(node, name=_token_name(name, own))) for name in names]
+    sender = keys.own_name(identity, "")
+    declared = [declare(keys.GATEWAY_TOKEN.at(node, sender=sender, name=_token_name(name, own))) for name in names]
     try:
         # Of two gateways that start at the same time, the one with the lower id remains.
         await _check(session, node, names, lambda instance: instance < own)
@@ -68,9 +76,14 @@ def _token_name(name: str, instance: str) -> str:
 
 
 async def _check(session: zenoh.Session, node: str, names: Mapping[str, str], precedes: Callable[[str], bool]) -> None:
-    for token in await liveliness_tokens(session, keys.GATEWAY_TOKEN.at(node, name="*")):
-        name, host, process, instance = (replace_controls(unquote(part)) for part in keys.last_chunk(token).split(":"))
+    for token in await liveliness_tokens(session, keys.GATEWAY_TOKEN.everywhere(node)):
+        sender, last = keys.GATEWAY_TOKEN.names_in(token)
+        parts = [replace_controls(unquote(part)) for part in last.split(":")]
+        if len(parts) != _TOKEN_PARTS:
+            continue  # no gateway of Zenostat
+        name, host, process, instance = parts
         if name in names and precedes(instance):
+            whose = f"{sender}, " if sender != keys.own_name("", "") else ""
             raise NameInUse(
-                f"a gateway of node {node!r} uses {name!r} already (process {process} on {host}); {names[name]}"
+                f"a gateway of node {node!r} uses {name!r} already ({whose}process {process} on {host}); {names[name]}"
             )

@@ -195,7 +195,7 @@ GEOMETRY = Topic("rpc/geometry", Role.ANYONE, Query, Delivery.QUERY, reply=Geome
 PRIORITIES = Topic("rpc/priorities", Role.ANYONE, Query, Delivery.QUERY, reply=PriorityArrays)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
 CONTROLLER_TOKEN = Topic("@live/controller/{sender}", Role.CONTROLLER, None, Delivery.TOKEN)
-GATEWAY_TOKEN = Topic("@live/gateway/{name}", Role.GATEWAY, None, Delivery.TOKEN)
+GATEWAY_TOKEN = Topic("@live/gateway/{sender}/{name}", Role.GATEWAY, None, Delivery.TOKEN)
 
 TOPICS = (
     MANIFEST,

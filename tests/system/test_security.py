@@ -153,7 +153,7 @@ SENDERS = {  # topic: roles that send it, or query, under their own names
     "rpc/plan/{sender}": CONTROLS,
     "rpc/try/{sender}": CONTROLS,
     "@live/controller/{sender}": CONTROLS,
-    "@live/gateway/{name}": {Role.GATEWAY},
+    "@live/gateway/{sender}/{name}": {Role.GATEWAY},
     "@live/node/{name}": set(),
 }
 CLIENTS = tuple(role for role in CERTIFIED if role is not Role.NODE)

@@ -64,7 +64,7 @@ def test_keys__sender_and_name_are_read_from_a_key(topic: Topic) -> None:
 
 @rows
 def test_keys__what_changes_something_names_its_sender(topic: Topic) -> None:
-    reads = topic.sender in (Role.NODE, Role.ANYONE) or topic is keys.GATEWAY_TOKEN
+    reads = topic.sender in (Role.NODE, Role.ANYONE)
     assert topic.has_sender is not reads
 
 
