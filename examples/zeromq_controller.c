@@ -6,7 +6,7 @@
  *     zenostat gateway zeromq --node office
  *
  * Then: cc -o controller zeromq_controller.c -lzmq && ./controller
- * Usage: controller [PUBLISH COMMAND [NODE]]
+ * Usage: controller [PUBLISH COMMAND [NODE [NAME]]]
  *
  * Of msgpack it knows what these messages have: maps, arrays, texts, bytes, small unsigned numbers.
  */
@@ -17,13 +17,12 @@
 #include <string.h>
 #include <zmq.h>
 
-#define ME "from-c"
 #define SETPOINT "core_zn_cooling_setpoint"
 #define MOST 65536
 
 typedef unsigned char byte;
 
-static char root[200];
+static char root[200], claim[200], command[200]; /* of keys */
 static void *requests, *published;
 static byte answer[8 * 1024 * 1024], sample[MOST], event[2 * MOST];
 
@@ -181,7 +180,10 @@ int main(int argc, char **argv) {
     const byte *at;
     byte *end;
 
+    const char *me = argc > 4 ? argv[4] : "from-c";
     snprintf(root, sizeof root, "zenostat/v3/%s", argc > 3 ? argv[3] : "office");
+    snprintf(claim, sizeof claim, "rpc/claim/%s", me);
+    snprintf(command, sizeof command, "command/%s", me);
     requests = zmq_socket(context, ZMQ_REQ);
     published = zmq_socket(context, ZMQ_SUB);
     if (zmq_connect(published, argc > 2 ? argv[1] : "tcp://127.0.0.1:5556")) fail("PUBLISH is not an endpoint");
@@ -200,11 +202,11 @@ int main(int argc, char **argv) {
     next_sample(); /* a new subscriber receives the latest sample */
     end = request;
     *end++ = 0x82;
-    end = put_text(put_text(end, "controller"), ME);
+    end = put_text(put_text(end, "controller"), me);
     end = put_text(end, "actuators");
     *end++ = 0x91;
     end = put_text(end, SETPOINT);
-    ask("rpc/claim/" ME, request, (size_t)(end - request));
+    ask(claim, request, (size_t)(end - request));
 
     while (!(number(sample, "flags") & 2)) { /* 2: the run period is over */
         episode = number(sample, "episode");
@@ -216,7 +218,7 @@ int main(int argc, char **argv) {
         end = put_list(put_list(end, "episode", episode), "step", step);
         end = put_bytes(put_text(end, "operations"), operations, actuators);
         end = put_bytes(put_text(end, "values"), values, actuators * sizeof(double)); /* little-endian machines */
-        ask("command/" ME, request, (size_t)(end - request));
+        ask(command, request, (size_t)(end - request));
         while (number(sample, "episode") == episode && number(sample, "step") == step) next_sample();
     }
     at = field(sample, "time");

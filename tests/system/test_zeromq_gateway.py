@@ -492,9 +492,29 @@ def test_zeromq_gateway__c_example(gateway, scratch):
     assert build.returncode == 0, build.stderr
     done = subprocess.run([program, gateway.publish, gateway.command], capture_output=True, text=True, timeout=90)
     assert (done.stdout, done.stderr) == ("96 timesteps to 2017-07-04T00:00:00\n", "")
+    assert setpoint_and_source(gateway) == (26.0, "from-c")
+
+
+def test_zeromq_gateway__javascript_example(gateway):
+    node = shutil.which("node")
+    if node is None:
+        pytest.skip("Node.js is not installed; on Debian: apt install nodejs")
+    done = subprocess.run(
+        [node, EXAMPLES / "zeromq_controller.js", gateway.publish, gateway.command],
+        capture_output=True,
+        text=True,
+        timeout=90,
+    )
+    last = f"96 timesteps to 2017-07-04T00:00:00, {SETPOINT} by from-javascript\n"
+    assert (done.stdout, done.stderr) == (last, "")
+    assert setpoint_and_source(gateway) == (26.0, "from-javascript")
+
+
+def setpoint_and_source(gateway: GatewayProgram) -> tuple[float, str]:
+    """Return the effective setpoint of the latest sample, and the name that the node has for who set it."""
     with Peer(gateway) as peer:
         peer.listen("sample")
         sample = peer.hear(Sample)
         names = [a["name"] for a in peer.ask("manifest")[1]["actuators"]]
-    assert np.frombuffer(sample.effective)[names.index(SETPOINT)] == 26.0
-    assert sample.sources[np.frombuffer(sample.source_index, "<u2")[names.index(SETPOINT)]] == "from-c"
+    index = names.index(SETPOINT)
+    return np.frombuffer(sample.effective)[index], sample.sources[np.frombuffer(sample.source_index, "<u2")[index]]
