@@ -18,12 +18,14 @@ class CuttableLink:
 
     Attributes:
         endpoint: where others connect.
+        forwarded: the first bytes that it has forwarded, up to 1 MB, in the order in which they came.
     """
 
     def __init__(self, port: int) -> None:
         self._target = port
         self._open: list[socket.socket] = []
         self._is_down = False
+        self.forwarded = bytearray()
         self._server = socket.create_server(("127.0.0.1", 0))
         self.endpoint = f"tcp/127.0.0.1:{self._server.getsockname()[1]}"
         self._threads: list[threading.Thread] = []
@@ -81,6 +83,8 @@ class CuttableLink:
         with source:
             with suppress(OSError):
                 while data := source.recv(65536):
+                    if len(self.forwarded) < 1_000_000:
+                        self.forwarded += data
                     target.sendall(data)
             for one in (source, target):
                 with suppress(OSError):
