@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from datetime import datetime
+from collections.abc import Mapping, Sequence
 from typing import Any, cast
 
-import numpy as np
-from gymnasium.spaces import Box, Discrete, MultiDiscrete, Space
-from numpy.typing import ArrayLike, NDArray
-
 from zenostat.agent_sdk.envs import arguments
-from zenostat.agent_sdk.envs.action_values import as_array
-from zenostat.agent_sdk.envs.building_env import BuildingEnv, Observation
-from zenostat.agent_sdk.envs.connection import AGENT, BUSY
-from zenostat.agent_sdk.envs.space_names import by_name
-from zenostat.agent_sdk.envs.zone_partition import BUILDING, ZoneAgent, partition
+from zenostat.agent_sdk.envs.agents_env import AgentRewards, AgentsEnv, RewardFunctionOfAgents, RewardsOfAgents
+from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.zone_partition import BUILDING, partition
 from zenostat.agent_sdk.envs.zone_rewards import SharedReward
 from zenostat.agent_sdk.rewards import AnyReward, read_reward
-from zenostat.agent_sdk.rewards.custom import NamedValues
-from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.python_plant.shipped import PLANT_SETTINGS
-from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, did_you_mean
-from zenostat.topics.extras import requires_extra
-
-with requires_extra("multi-agent", "an environment of zone agents", "PettingZoo"):
-    from pettingzoo import ParallelEnv
+from zenostat.topics.errors import InvalidConfig
 
 __all__ = ["BUILDING", "ZoneRewards", "ZonesEnv"]
 
-ZoneRewards = Callable[[Mapping[str, float], datetime], Mapping[str, float]]
+ZoneRewards = AgentRewards
 """`(values, begin)` to a reward by agent; values by name of sensor or meter, and the timestep's beginning."""
 
 
-class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
+class ZonesEnv(AgentsEnv):
     """One building with an agent for each of its zones; all agents act simultaneously on one `BuildingEnv`.
 
     An agent has the actions that set the thermostat of its zone, and is named after the zone (`core_zn`). Actions that
@@ -85,188 +72,15 @@ class ZonesEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
             control = "zone"
         is_data = building_reward is None or isinstance(building_reward, str | Mapping)
         env_reward: Any = building_reward if is_data else read_reward(cast("AnyReward", building_reward))
-        self.env = BuildingEnv(building, weather, control=control, reward=env_reward, **env_arguments)
-        manifest = self.env.manifest
+        env = BuildingEnv(building, weather, control=control, reward=env_reward, **env_arguments)
         try:
-            self._agents = partition(manifest, shared, self.env.observation_names)
-            self._shared_reward = SharedReward(self._agents, manifest, building_reward) if reward == "own" else None
-        except InvalidConfig:
-            self.env.close()
+            agents = partition(env.manifest, shared, env.observation_names)
+            rewards: RewardsOfAgents | None = None
+            if callable(reward):
+                rewards = RewardFunctionOfAgents(reward, env.manifest, agents)
+            elif reward == "own":
+                rewards = SharedReward(agents, env.manifest, building_reward)
+            super().__init__(env, agents, rewards)
+        except BaseException:
+            env.close()
             raise
-        self._reward_function, self._named_values = reward if callable(reward) else None, NamedValues(manifest)
-        self.render_mode = self.env.render_mode
-        self.possible_agents = list(self._agents)
-        self.agents: list[str] = []
-        self.state_space = self.env.observation_space
-        self.observation_spaces = {name: self._observation_space(agent) for name, agent in self._agents.items()}
-        self.action_spaces = {name: self._action_space(agent) for name, agent in self._agents.items()}
-        self._timestep = manifest.timestep
-        self._busy = False
-        self._state: Observation = np.zeros(0, np.float32)
-
-    def _observation_space(self, agent: ZoneAgent) -> Box[np.float32]:
-        space = self.state_space
-        assert isinstance(space, Box)
-        return Box(space.low[agent.observation_indices], space.high[agent.observation_indices], dtype=np.float32)
-
-    def _action_space(self, agent: ZoneAgent) -> Space[Any]:
-        space = self.env.action_space
-        if isinstance(space, Box):
-            return Box(space.low[agent.action_indices], space.high[agent.action_indices], dtype=np.float32)
-        discrete_actions = self.env.manifest.task.discrete_actions
-        counts = [len(discrete_actions[index].values) for index in agent.action_indices]
-        return Discrete(counts[0]) if len(counts) == 1 else MultiDiscrete(counts)
-
-    @property
-    def unwrapped(self) -> ZonesEnv:
-        """The environment itself."""
-        return self
-
-    def observation_space(self, agent: str) -> Space[Any]:
-        """Return an agent's observation space, always the same object."""
-        return self.observation_spaces[self._check_agent(agent)]
-
-    def action_space(self, agent: str) -> Space[Any]:
-        """Return an agent's action space, always the same object."""
-        return self.action_spaces[self._check_agent(agent)]
-
-    def observation_names(self, agent: str) -> tuple[str, ...]:
-        """Return the names of the values that an agent observes."""
-        names = self.env.observation_names
-        return tuple(names[index] for index in self._agents[self._check_agent(agent)].observation_indices)
-
-    def action_names(self, agent: str) -> tuple[str, ...]:
-        """Return the names of an agent's actions; if they are discrete, those of the actions that its choices set."""
-        return self._agents[self._check_agent(agent)].actions
-
-    def actuator_names(self, agent: str) -> tuple[str, ...]:
-        """Return the names of the actuators that an agent sets, in the order of `infos[agent]["effective"]`."""
-        actuators = self.env.manifest.actuators
-        return tuple(actuators[index].name for index in self._agents[self._check_agent(agent)].actuator_indices)
-
-    def observation_dict(self, agent: str, observation: ArrayLike) -> dict[str, float]:
-        """Return an agent's observation by name, in the units of the manifest."""
-        return by_name(self.observation_names(agent), observation, f"observation_dict of {agent}")
-
-    def _check_agent(self, agent: str) -> str:
-        if agent not in self._agents:
-            raise InvalidConfig(f"no agent {agent!r}; {did_you_mean(str(agent), self._agents)}")
-        return agent
-
-    @one_thread(BUSY)
-    def reset(
-        self,
-        seed: int | None = None,
-        options: dict[str, Any] | None = None,  # noqa: ARG002
-    ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Start an episode; see `BuildingEnv.reset`. Options are ignored, because PettingZoo's own checks pass some."""
-        observation, info = self.env.reset(seed=seed)
-        self.agents = self.possible_agents[:]
-        if self._shared_reward is not None:
-            self._shared_reward.reset()
-        return self._split(observation), self._split_info(info)
-
-    @one_thread(BUSY)
-    def step(
-        self, actions: Mapping[str, ArrayLike]
-    ) -> tuple[dict[str, Observation], dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Simulate one timestep under the actions of all agents.
-
-        The info of each agent is that of `BuildingEnv.step`, with `effective`, `action` and `value_source` (the agent's
-        own name where it is the source) only for its own actuators, and the terms of its own reward as `reward_terms`.
-
-        Raises:
-            InvalidAction: An action is missing, of the wrong shape, out of bounds, or of an unknown agent; nothing was
-                simulated.
-            EpisodeChanged: The episode is over; and as for `BuildingEnv.step`.
-        """
-        if not self.agents:
-            raise EpisodeChanged("the episode is over or has not started; call reset() first")
-        observation, reward, terminated, truncated, info = self.env.step(self._join(actions))
-        rewards, terms = self._rewards(reward, info)
-        infos = self._split_info(info)
-        for name, own_terms in terms.items():
-            infos[name]["reward_terms"] = own_terms
-        all_terminated, all_truncated = dict.fromkeys(self.agents, terminated), dict.fromkeys(self.agents, truncated)
-        if terminated or truncated:
-            self.agents = []
-        return self._split(observation), rewards, all_terminated, all_truncated, infos
-
-    def _join(self, actions: Mapping[str, ArrayLike]) -> Any:
-        """Return the building's action."""
-        missing, unknown = [a for a in self.agents if a not in actions], [a for a in actions if a not in self.agents]
-        if missing or unknown:
-            errors = [f"no action of {', '.join(map(repr, missing))}"] if missing else []
-            errors += [f"no agent {name!r}; {did_you_mean(str(name), self.agents)}" for name in unknown]
-            raise InvalidAction("; ".join(errors))
-        space = self.env.action_space
-        continuous = isinstance(space, Box)
-        count = sum(len(agent.action_indices) for agent in self._agents.values())
-        joined: NDArray[Any] = np.zeros(count, float if continuous else int)
-        for name, agent in self._agents.items():
-            joined[agent.action_indices] = self._check_action(name, agent, actions[name], continuous=continuous)
-        return int(joined[0]) if isinstance(space, Discrete) else joined
-
-    def _check_action(self, name: str, agent: ZoneAgent, action: ArrayLike, *, continuous: bool) -> NDArray[Any]:
-        try:
-            values = as_array(action, np.float64 if continuous else None)
-        except InvalidAction as error:
-            raise InvalidAction(f"agent {name!r}: {error}") from None
-        values = values if continuous else np.atleast_1d(values)
-        if values.shape != (len(agent.action_indices),) or not (continuous or np.issubdtype(values.dtype, np.integer)):
-            expected = f"{self.action_spaces[name]} expected: {', '.join(agent.actions)}"
-            raise InvalidAction(f"agent {name!r}: action {action!r}; {expected}")
-        return values
-
-    def _rewards(self, reward: float, info: dict[str, Any]) -> tuple[dict[str, float], dict[str, dict[str, float]]]:
-        """Return each agent's reward, and its terms."""
-        if self._shared_reward is None and self._reward_function is None:
-            terms = {name: dict(info.get("reward_terms", {})) for name in self.agents}
-            return dict.fromkeys(self.agents, reward), terms
-        sample = self.env.sample
-        values, begin = sample.fault_free_values, sample.time - self._timestep
-        if self._shared_reward is not None:
-            terms = self._shared_reward(values, begin, reward)
-        else:
-            assert self._reward_function is not None
-            rewards = self._reward_function(self._named_values(values.tolist()), begin)
-            if not isinstance(rewards, Mapping) or set(rewards) != set(self.agents):
-                raise InvalidConfig(
-                    f"reward: the function returned {rewards!r}; a reward for each of {', '.join(self.agents)} expected"
-                )
-            terms = {name: {"reward": float(rewards[name])} for name in self.agents}
-        return {name: sum(own_terms.values()) for name, own_terms in terms.items()}, terms
-
-    def _split(self, observation: Observation) -> dict[str, Observation]:
-        self._state = observation
-        return {name: observation[agent.observation_indices] for name, agent in self._agents.items()}
-
-    def _split_info(self, info: dict[str, Any]) -> dict[str, dict[str, Any]]:
-        common = {key: value for key, value in info.items() if key not in ("effective", "action", "value_source")}
-        infos = {}
-        for name, agent in self._agents.items():
-            own = {"effective": info["effective"][agent.actuator_indices]}
-            if "action" in info:
-                own["action"] = info["action"][agent.actuator_indices]
-            sources = [info["value_source"][index] for index in agent.actuator_indices]
-            value_source = tuple(name if source == AGENT else source for source in sources)
-            infos[name] = {**common, **own, "value_source": value_source}
-        return infos
-
-    def state(self) -> Observation:
-        """Return the building's observation, float32.
-
-        Raises:
-            EpisodeChanged: Before the first reset.
-        """
-        if not self._state.size:
-            raise EpisodeChanged("call reset() first")
-        return self._state.copy()
-
-    def render(self) -> Any:
-        """Return a picture of the building's last day; see `BuildingEnv.render`."""
-        return self.env.render()
-
-    def close(self) -> None:
-        """Close the building's environment; idempotent."""
-        self.env.close()

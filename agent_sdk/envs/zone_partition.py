@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
+from zenostat.agent_sdk.envs.agent_parts import AgentPart, indices_of
 from zenostat.topics.energyplus_names import THERMOSTAT
-from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import safe_name
 from zenostat.topics.messages import Action, Manifest, Sensor
 
@@ -17,23 +18,15 @@ _THERMOSTAT = THERMOSTAT.casefold()
 _OUTDOORS = "environment"
 
 
-@dataclass(frozen=True)
-class ZoneAgent:
+@dataclass(frozen=True, kw_only=True)
+class ZoneAgent(AgentPart):
     """The parts of a building that belong to one agent.
 
     Attributes:
         zone: Key of its zone; empty for the agent of the building.
-        actions: Names of its actions.
-        action_indices: Positions in the building's action, or of its discrete actions.
-        actuator_indices: Positions of the actuators that it sets.
-        observation_indices: Positions of its observation in the building's observation.
     """
 
     zone: str
-    actions: tuple[str, ...]
-    action_indices: list[int]
-    actuator_indices: list[int]
-    observation_indices: list[int]
 
 
 def partition(manifest: Manifest, shared: Sequence[str], observation_names: Sequence[str]) -> dict[str, ZoneAgent]:
@@ -47,7 +40,7 @@ def partition(manifest: Manifest, shared: Sequence[str], observation_names: Sequ
     Raises:
         InvalidConfig: No action belongs to a single zone, or `shared` has an unknown name.
     """
-    shared_indices = _indices_of(shared, observation_names)
+    shared_indices = indices_of(shared, observation_names)
     task = manifest.task
     actions_by_name = {action.name: action for action in task.actions}
     dimensions = [[actions_by_name[name] for name in discrete.actions] for discrete in task.discrete_actions] or [
@@ -67,11 +60,11 @@ def partition(manifest: Manifest, shared: Sequence[str], observation_names: Sequ
         actions = [action for index in action_indices for action in dimensions[index]]
         actuators = {name for action in actions for name in action.actuators}
         agents[names[zone]] = ZoneAgent(
-            zone,
-            tuple(action.name for action in actions),
-            action_indices,
-            [index for index, actuator in enumerate(manifest.actuators) if actuator.name in actuators],
-            _observed_by(zone, manifest, shared_indices),
+            zone=zone,
+            actions=tuple(action.name for action in actions),
+            action_indices=action_indices,
+            actuator_indices=[index for index, actuator in enumerate(manifest.actuators) if actuator.name in actuators],
+            observation_indices=_observed_by(zone, manifest, shared_indices),
         )
     return agents
 
@@ -107,11 +100,3 @@ def _observed_by(zone: str, manifest: Manifest, shared: set[int]) -> list[int]:
         if isinstance(point, Sensor) and point.key.casefold() in keys
     }
     return [index for index in range(count) if index < first or index in related or index in shared]
-
-
-def _indices_of(shared: Sequence[str], names: Sequence[str]) -> set[int]:
-    shared = [shared] if isinstance(shared, str) else shared
-    for name in shared:
-        if name not in names:
-            raise InvalidConfig(f"shared: no observation is named {name!r}; {did_you_mean(name, names)}")
-    return {names.index(name) for name in shared}

@@ -335,5 +335,5 @@ def test_zone_agents__without_pettingzoo_one_sentence_states_what_to_do() -> Non
     done = run_python("-P", "-c", text)
     assert done.returncode != 0
     last = done.stderr.strip().splitlines()[-1]
-    assert last.startswith("zenostat.topics.errors.MissingExtra: an environment of zone agents needs PettingZoo (")
+    assert last.startswith("zenostat.topics.errors.MissingExtra: an environment of several agents needs PettingZoo (")
     assert last.endswith(f": {install_command('multi-agent')}")
