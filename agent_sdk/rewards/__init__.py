@@ -6,6 +6,7 @@ from zenostat.agent_sdk.rewards.base import BoundReward, Outcome, Reward
 from zenostat.agent_sdk.rewards.carbon import CarbonReward
 from zenostat.agent_sdk.rewards.config import RewardConfig
 from zenostat.agent_sdk.rewards.custom import RewardFunction, from_function
+from zenostat.agent_sdk.rewards.district import DistrictReward
 from zenostat.agent_sdk.rewards.energy_cost import EnergyCostReward, TariffReward
 from zenostat.agent_sdk.rewards.exponential import ExponentialReward
 from zenostat.agent_sdk.rewards.hourly import HourlyReward
@@ -23,6 +24,7 @@ __all__ = [
     "AnyReward",
     "BoundReward",
     "CarbonReward",
+    "DistrictReward",
     "EnergyCostReward",
     "ExponentialReward",
     "HourlyReward",

@@ -11,6 +11,7 @@ from zenostat.agent_sdk.rewards.base import Reward
 from zenostat.agent_sdk.rewards.carbon import CarbonReward
 from zenostat.agent_sdk.rewards.config import RewardConfig
 from zenostat.agent_sdk.rewards.custom import RewardFunction, from_function, instantiate
+from zenostat.agent_sdk.rewards.district import DistrictReward
 from zenostat.agent_sdk.rewards.energy_cost import EnergyCostReward, TariffReward
 from zenostat.agent_sdk.rewards.exponential import ExponentialReward
 from zenostat.agent_sdk.rewards.hourly import HourlyReward
@@ -37,6 +38,7 @@ REWARDS: dict[str, type[RewardConfig]] = {
     "occupied": OccupiedReward,
     "occupied_cost": OccupiedCostReward,
     "thermal_sensation": ThermalSensationReward,
+    "district": DistrictReward,
 }
 """Reward classes by the `kind` that a scenario names."""
 

@@ -146,6 +146,7 @@ for kind, more in {
     "occupied": {"by": st.sampled_from(["presence", "people"]), "occupants": st.just({"north": "n"})},
     "occupied_cost": {"demand": st.just("power"), "gas_price": st.just({"value": 50.0, "unit": "EUR/MWh"})},
     "thermal_sensation": {"by": st.sampled_from(["pmv", "ppd"]), "met": st.floats(0.8, 4), "pmv": st.just("p")},
+    "district": {"price": st.just("tariff"), "ramping": st.floats(0, 9), "generation": st.just(("a", "b"))},
 }.items():
     optional[kind] |= more
 described = st.sampled_from(sorted(MINIMAL_FIELDS)).flatmap(

@@ -66,6 +66,13 @@ MINIMAL_FIELDS: dict[str, dict[str, Any]] = {
     "occupied": {},
     "occupied_cost": {"price": {"table": PERIODS, "otherwise": 100.0, "unit": "EUR/MWh"}},
     "thermal_sensation": {},
+    "district": {
+        "consumption": "electricity",
+        "generation": "fans",
+        "limits": [{"point": "north_humidity", "high": 80.0}],
+        "temperatures": ["north", "south"],
+        "feed_in": 0.1,
+    },
 }
 """Fields that each kind needs."""
 
