@@ -2,6 +2,7 @@
 
 from zenostat.agent_sdk.controllers.agent import Agent, action_of
 from zenostat.agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol, Values
+from zenostat.agent_sdk.controllers.coordinator import DistrictCoordinator
 from zenostat.agent_sdk.controllers.fixed import FixedSetpoints
 from zenostat.agent_sdk.controllers.incremental import IncrementalRules
 from zenostat.agent_sdk.controllers.loader import CONTROLLERS, load_controller
@@ -21,6 +22,7 @@ CONTROLLERS |= {
     "incremental": IncrementalRules,
     "pid": PIDController,
     "oracle": OracleController,
+    "coordinator": DistrictCoordinator,
 }
 
 __all__ = [
@@ -29,6 +31,7 @@ __all__ = [
     "BaselineController",
     "Controller",
     "ControllerProtocol",
+    "DistrictCoordinator",
     "FixedSetpoints",
     "IncrementalRules",
     "OracleController",

@@ -204,7 +204,7 @@ SITE = node(
 )
 
 
-@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"baseline", "oracle", "pid"}))
+@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"baseline", "coordinator", "oracle", "pid"}))
 @given(
     samples=st.lists(
         st.tuples(

@@ -169,7 +169,17 @@ def test_controllers__file_that_is_written_again_within_a_second_is_the_new_one(
 
 
 def test_controllers__short_names() -> None:
-    assert set(CONTROLLERS) == {"baseline", "rbc", "random", "fixed", "setback", "incremental", "oracle", "pid"}
+    assert set(CONTROLLERS) == {
+        "baseline",
+        "rbc",
+        "random",
+        "fixed",
+        "setback",
+        "incremental",
+        "oracle",
+        "pid",
+        "coordinator",
+    }
     assert load_controller("rbc") is RuleBasedController
     assert all(issubclass(controller, Controller) for controller in CONTROLLERS.values())
 
