@@ -2,18 +2,22 @@
 
 from zenostat.lab.evaluate import Evaluation, evaluate, run_episode
 from zenostat.lab.probe import ProbeReport, probe
+from zenostat.metrics.district_kpis import DistrictPoints, district_kpis, relative
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 
 __all__ = [
+    "DistrictPoints",
     "EpisodeMetrics",
     "Evaluation",
     "MetricsAccumulator",
     "ProbeReport",
     "Trajectory",
     "TrajectoryRecorder",
+    "district_kpis",
     "evaluate",
     "probe",
+    "relative",
     "run_episode",
 ]
