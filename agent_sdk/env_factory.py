@@ -8,7 +8,9 @@ from typing import Any
 import gymnasium as gym
 from gymnasium.vector import VectorEnv
 
+from zenostat.agent_sdk.envs.arguments import check_arguments
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.agent_sdk.envs.district_env import DistrictEnv
 from zenostat.agent_sdk.envs.fleet_env import FleetVectorEnv
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 from zenostat.agent_sdk.rewards import Reward
@@ -35,6 +37,19 @@ def make(**arguments: Any) -> gym.Env[Any, Any]:
         env.close()
         raise
     return wrapped
+
+
+def make_district(**arguments: Any) -> DistrictEnv:
+    """Make the environment of a district, as `gym.make("zenostat/District-v1", file=...)` does.
+
+    Args:
+        arguments: As for `DistrictEnv`.
+
+    Raises:
+        UsageError, BusError, SimulatorError: See `DistrictEnv`; everything that was started is closed again.
+    """
+    check_arguments(arguments, DistrictEnv)
+    return DistrictEnv(**arguments)
 
 
 def make_vec(num_envs: int = 1, **arguments: Any) -> VectorEnv[Any, Any, Any]:

@@ -23,11 +23,12 @@ def register() -> None:
     _add("Fake-v1", _FAKE, _FAKE_VECTOR)
     for name in _GENERAL:
         _add(name, _ENTRY, _VECTOR)
+    _add("District-v1", "zenostat.agent_sdk.env_factory:make_district")
     for name in all_ids():
         _add(name, _ENTRY, _VECTOR, scenario=name)
 
 
-def _add(name: str, entry: str, vector_entry: str, **arguments: str) -> None:
+def _add(name: str, entry: str, vector_entry: str | None = None, **arguments: str) -> None:
     env_id = f"zenostat/{name}"
     registry[env_id] = EnvSpec(
         env_id,

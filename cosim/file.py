@@ -164,6 +164,9 @@ class DistrictSpec(_Part):
     on_lost: OnLost = Field(OnLost.STOP, description="Reaction to the end of a plant: wait, continue or stop.")
     lost_timeout: Duration = Field(300.0, description="Longest wait for a plant that is lost, in wall time.")
     solver: SolverSpec = Field(SolverSpec(), description="Limits of the solver of loops.")
+    reward: dict[str, Any] | None = Field(
+        None, description="Reward of environments: kind and parameters; points are named PLANT.POINT."
+    )
     plants: dict[PlantName, PlantSpec] = Field(min_length=1, description="Plants by name.")
     connections: tuple[ConnectionSpec, ...] = Field((), description="Connections between points.")
 

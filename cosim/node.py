@@ -82,7 +82,7 @@ class DistrictNode(Node):
         settings, file = self.settings, self._file
         binding = self._plants.open()
         provenance = Provenance("district", {}, input_files(file))
-        description = describe(binding, settings.name, read_text(file.path), provenance)
+        description = describe(binding, settings.name, read_text(file.path), provenance, file.spec.reward)
         if settings.faults is not None:  # so that its errors are reported before the episode begins
             FaultInjection(read_plan(settings.faults), description, settings.slots)
         if settings.alarms is not None:

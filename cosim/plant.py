@@ -43,7 +43,9 @@ _UNCOPIED = (
 )
 
 
-def describe(binding: Binding, name: str, scenario: str, provenance: Provenance) -> PlantDescription:
+def describe(
+    binding: Binding, name: str, scenario: str, provenance: Provenance, reward: dict[str, Any] | None = None
+) -> PlantDescription:
     """Return the description of a district: the points of its plants, and its own.
 
     Args:
@@ -51,6 +53,7 @@ def describe(binding: Binding, name: str, scenario: str, provenance: Provenance)
         name: of the district.
         scenario: text of its file.
         provenance: what creates it again.
+        reward: of environments; None: there is none.
     """
     sensors = [*_plant_sensors(binding), *_own_sensors(binding)]
     meters = [
@@ -66,7 +69,7 @@ def describe(binding: Binding, name: str, scenario: str, provenance: Provenance)
         meters=tuple(meters),
         actuators=tuple(actuators),
         versions=Versions(zenostat=VERSION, energyplus=_energyplus(binding)),
-        task=_task(binding, name, {actuator.name for actuator in actuators}),
+        task=_task(binding, name, {actuator.name for actuator in actuators}, reward),
         scenario=scenario,
         warnings=(
             *binding.warnings,
@@ -140,7 +143,7 @@ def free_actuators(binding: Binding) -> dict[str, list[tuple[int, Actuator]]]:
     }
 
 
-def _task(binding: Binding, name: str, actuators: set[str]) -> Task:
+def _task(binding: Binding, name: str, actuators: set[str], reward: dict[str, Any] | None) -> Task:
     """Return the actions of all plants whose actuators are free; the time features are those of the first plant."""
     actions = []
     for m in binding.members.values():
@@ -150,7 +153,7 @@ def _task(binding: Binding, name: str, actuators: set[str]) -> Task:
                 fields = action.model_copy(update={"name": f"{m.name}.{action.name}", "actuators": renamed})
                 actions.append(Action.model_validate(fields.model_dump()))
     first = next(iter(binding.members.values())).manifest.task
-    return Task(scenario=name, time=first.time, actions=tuple(actions))
+    return Task(scenario=name, time=first.time, actions=tuple(actions), reward=reward)
 
 
 class DistrictPlant:

@@ -58,7 +58,7 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
     if "file" in settings:
         settings["scenario"] = settings.pop("file")
     # Relative paths refer to the caller's working directory, which may differ from the node's.
-    files = ("alarms", "config", "faults", "output_dir", "record")
+    files = ("alarms", "config", "district", "faults", "output_dir", "record")
     for key in (*files, "building", "scenario", "weather"):
         if key in settings:
             settings[key] = _absolute(settings[key], always=key in files)
@@ -71,7 +71,7 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
 
 
 def _check_sources(settings: Mapping[str, Any]) -> None:
-    sources = [key for key in ("scenario", "file", "config", "plant", *SHIPPED) if key in settings]
+    sources = [key for key in ("scenario", "file", "config", "plant", "district", *SHIPPED) if key in settings]
     if len(sources) > 1:
         raise InvalidConfig(f"{' and '.join(sources)} both define the simulation; use only one of them")
     if not sources and not {"building", "weather"} <= set(settings):
@@ -139,7 +139,7 @@ def check_agent_settings(reward: AnyReward | None, settings: Mapping[str, Any], 
     Raises:
         InvalidConfig: Invalid reward or wrappers, together with all other errors.
     """
-    fields = _fields_of_file(settings.get("scenario", ""))
+    fields = _fields_of_file(settings.get("scenario") or settings.get("district", ""))
     if reward != FROM_SCENARIO:
         fields["reward"] = reward
     errors = ErrorCollector()

@@ -102,29 +102,35 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
     ) -> None:
         arguments.check_arguments(node_arguments, BuildingEnv)
         settings = {"building": building, "weather": weather, **node_arguments}
-        self._connection = NodeConnection(
+        connection = NodeConnection(
             {name: value for name, value in settings.items() if value is not None},
             reward=reward, connect=connect, node=node, priority=priority, affinity=affinity, render_mode=render_mode,
             keys=keys, link=link,
         )  # fmt: skip
         with ExitStack() as undo:
-            undo.callback(self._connection.abandon)
-            manifest = self.manifest = self._connection.manifest
-            self.observation_space = spaces.observation_space(manifest)
-            self._actions = Actions(manifest)
-            self.action_space = self._actions.space
-            self.reward = self._connection.reward
-            self._state: EpisodeState[dict[int, float | None]] = EpisodeState(
-                self.reward.bind(manifest) if self.reward is not None else None,
-                TerminationLimits(manifest) if manifest.task.terminate else None,
-                {},
-            )
-            self.wrappers = self._state.wrappers
-            self._renderer = EpisodeRenderer(manifest, self.reward) if render_mode == "rgb_array" else None
-            self._history = self._renderer.histories[0] if self._renderer is not None else None
-            if render_mode == "rerun":
-                self._connection.open_monitor()
+            undo.callback(connection.abandon)
+            self._open(connection, priority, render_mode)
             undo.pop_all()
+        self._connection.warn(stacklevel=3)
+
+    def _open(self, connection: NodeConnection, priority: int, render_mode: str | None) -> None:
+        """Create spaces, reward and state from the manifest of the connected node."""
+        self._connection = connection
+        manifest = self.manifest = connection.manifest
+        self.observation_space = spaces.observation_space(manifest)
+        self._actions = Actions(manifest)
+        self.action_space = self._actions.space
+        self.reward = connection.reward
+        self._state: EpisodeState[dict[int, float | None]] = EpisodeState(
+            self.reward.bind(manifest) if self.reward is not None else None,
+            TerminationLimits(manifest) if manifest.task.terminate else None,
+            {},
+        )
+        self.wrappers = self._state.wrappers
+        self._renderer = EpisodeRenderer(manifest, self.reward) if render_mode == "rgb_array" else None
+        self._history = self._renderer.histories[0] if self._renderer is not None else None
+        if render_mode == "rerun":
+            connection.open_monitor()
         self.render_mode, self._priority = render_mode, priority
         self._timestep = manifest.timestep
         self._time, self._observed_indices = manifest.task.time, observed_indices(manifest)
@@ -134,7 +140,6 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         self._ended = self._busy = False
         self._pending: tuple[ArrayLike, NDArray[np.float64]] | None = None
         self._infos = SampleInfos(has_limits=self._state.limits is not None)
-        self._connection.warn(stacklevel=3)
 
     @property
     def link(self) -> Link:

@@ -107,7 +107,7 @@ class NodeConnection:
             self._check_slots()
             chosen = self.manifest.task.reward if reward == arguments.FROM_SCENARIO else reward
             self.reward: Reward | None = None if chosen is None else read_reward(chosen)
-            is_plant = not self.manifest.versions.energyplus and link is None
+            is_plant = (not self.manifest.versions.energyplus or "district" in node_arguments) and link is None
             self._is_without_reward = reward == arguments.FROM_SCENARIO and self.reward is None and is_plant
             self.adopt(self.manifest)
             undo.pop_all()
