@@ -16,6 +16,7 @@ from zenostat.topics.messages import Geometry, Manifest, Sample
 from zenostat.views.live.building_view import BuildingView
 from zenostat.views.live.carpet import CarpetView
 from zenostat.views.live.comfort_scale import ComfortScale
+from zenostat.views.live.grid_series import grid_series
 from zenostat.views.live.meshes import BuildingModel
 from zenostat.views.live.recording import EpisodeLog, episode_path
 from zenostat.views.live.samples import BlockReader, Floats, RewardTerms, SampleBlock
@@ -73,7 +74,7 @@ class EpisodeView:
         self._node, self._reward = node, reward
         manifest, roles, comfort = node.manifest, node.roles, node.comfort
         self.log = EpisodeLog(recording, episode_path(manifest.node, episode), manifest.begin)
-        self.series = all_series(manifest, roles, has_comfort=comfort is not None)
+        self.series = [*all_series(manifest, roles, has_comfort=comfort is not None), *grid_series(manifest)]
         for series in self.series:
             self.log.static(series.path, series.style())
         self.numbers = NodeNumbers()

@@ -19,6 +19,7 @@ from zenostat.views.live.building_view import BUILDING
 from zenostat.views.live.carpet import CARPET
 from zenostat.views.live.comfort_scale import COMFORT_SCALE
 from zenostat.views.live.episode import EpisodeView, NodeModel
+from zenostat.views.live.grid_series import GRID_PATHS
 from zenostat.views.live.meshes import BuildingModel
 from zenostat.views.live.recording import ELAPSED, SIMULATED, entity_path
 from zenostat.views.live.series import Lines
@@ -111,7 +112,7 @@ class _NodePage:
 
     def tabs(self) -> rrb.Container:
         """Return all tabs."""
-        parts = [self.main(), self.zones(), self.energy(), self.control(), self.others(), self.events()]
+        parts = [self.main(), self.zones(), self.energy(), self.grid(), self.control(), self.others(), self.events()]
         return rrb.Tabs(*(part for part in parts if part is not None), active_tab=0, name=self.title)
 
     def preview(self) -> rrb.Container:
@@ -128,7 +129,7 @@ class _NodePage:
         """Return the first tab: the building, its numbers, zones over time and the most important plots."""
         numbers = rrb.TextDocumentView(origin=self._path(NUMBERS), name="Now")
         if not self._model.roles.zones:
-            plots = [self._plot(series) for series in self._view.series]
+            plots = [self._plot(series) for series in self._view.series if series.path not in GRID_PATHS]
             return rrb.Vertical(numbers, rrb.Grid(*plots), self._events(), row_shares=[1, 7, 2], name="Plant")
         building = self._building(f"{self._model.manifest.building}: zones against the comfort band")
         scale = None if building is None or self._model.comfort is None else self._scale()
@@ -224,6 +225,11 @@ class _NodePage:
         """Return the tab of power and energy."""
         plots = self._plots([names.END_USES, names.POWER, names.ENERGY], _WIDTH_PX)
         return rrb.Vertical(*plots, name="Energy") if plots else None
+
+    def grid(self) -> rrb.Container | None:
+        """Return the tab of an electric grid: loading and voltage by line and bus, and who draws how much."""
+        plots = self._plots(GRID_PATHS, _WIDTH_PX)
+        return rrb.Vertical(*plots, name="Grid") if plots else None
 
     def control(self) -> rrb.Container | None:
         """Return the tab of setpoints, value sources and the reward."""

@@ -7,7 +7,7 @@ from typing import Any
 from zenostat.topics.errors import InvalidConfig, ViewerError, did_you_mean
 
 OVERVIEW_TAB = "Overview"
-NODE_TABS = ("Building", "Zones", "Energy", "Control", "Other points", "Events")
+NODE_TABS = ("Building", "Zones", "Energy", "Grid", "Control", "Other points", "Events")
 PLANT_TAB = "Plant"
 """First tab of a node without zones, in place of `Building`."""
 
