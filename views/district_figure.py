@@ -62,6 +62,8 @@ def _points(run: Trajectory) -> GridPoints:
 
 
 def _draw_loading(axes: Any, run: Trajectory, limits: Mapping[str, float]) -> None:
+    highest = max((float(run[name].max()) for name in limits), default=0.0)
+    axes.set_ylim(0.0, 1.25 * max(highest, *limits.values(), axes.get_ylim()[1] / 1.25))
     for place, (name, high) in enumerate(limits.items()):
         ratio = run[name]
         axes.step(run.time, ratio, where="pre", color=SERIES[1 + place], linewidth=1.4)
