@@ -11,6 +11,7 @@ import numpy as np
 
 from zenostat.bridge.node.plant import RunPeriod
 from zenostat.cosim.file import BUILDING_KINDS, Connection, DistrictFile, Resample, kind_of
+from zenostat.cosim.market_plant import Market
 from zenostat.cosim.resampling import Floats, Resampler
 from zenostat.cosim.topology import Topology, plant_of
 from zenostat.topics.calendar import format_duration, parse_day
@@ -131,6 +132,7 @@ class Binding:
         topology: the order of a step.
         run_period: begin, step and number of steps of an episode.
         warnings: what may be wrong.
+        markets: by the names of their plants.
     """
 
     members: Mapping[str, Member]
@@ -139,6 +141,7 @@ class Binding:
     topology: Topology
     run_period: RunPeriod
     warnings: tuple[str, ...] = field(default=())
+    markets: Mapping[str, Market] = field(default_factory=dict)
 
 
 def bind(file: DistrictFile, topology: Topology, manifests: Mapping[str, Manifest]) -> Binding:
@@ -163,8 +166,35 @@ def bind(file: DistrictFile, topology: Topology, manifests: Mapping[str, Manifes
     transfers = [_transfer(file, connection, members, errors, warnings) for connection in file.connections]
     errors.raise_if_any()
     bound = _with_common_bounds(file, [transfer for transfer in transfers if transfer is not None], errors)
+    markets = _markets(file, members, errors)
     errors.raise_if_any()
-    return Binding(members, bound, _inputs(bound, members), topology, run_period, tuple(warnings))
+    return Binding(members, bound, _inputs(bound, members), topology, run_period, tuple(warnings), markets)
+
+
+def _markets(file: DistrictFile, members: Mapping[str, Member], errors: FileErrors) -> dict[str, Market]:
+    markets = {}
+    for name, plant in file.spec.plants.items():
+        if plant.market is None:
+            continue
+        plants, columns, factors = list[str](), list[int](), list[float]()
+        for number, bidder in enumerate(plant.market.bidders):
+            location = ("plants", name, "market", "bidders", number)
+            member, point = members[plant_of(bidder.demand)], bidder.demand.partition(".")[2]
+            if point not in member.manifest.names:
+                near = did_you_mean(point, member.manifest.names)
+                errors.add(location, f"{bidder.demand}: plant {member.name!r} has no sensor or meter {point!r}; {near}")
+                continue
+            column = member.manifest.names.index(point)
+            demand = member.manifest.points[column]
+            linear = _conversion(demand, member.step_s, "W", member.step_s)
+            if linear is None:
+                errors.add(location, f"{bidder.demand} is in {demand.unit}; a demand is a power, or an energy")
+                continue
+            plants.append(member.name)
+            columns.append(column)
+            factors.append(linear[0])
+        markets[name] = Market(name, plant.market, tuple(plants), tuple(columns), tuple(factors))
+    return markets
 
 
 def _timestep(file: DistrictFile, manifests: Mapping[str, Manifest], errors: FileErrors) -> float:

@@ -10,6 +10,7 @@ from typing import Annotated, Any, get_type_hints
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model
 
+from zenostat.cosim.market import MarketSpec
 from zenostat.topics.calendar import parse_duration
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages.base import SafeName
@@ -90,6 +91,7 @@ class _PlantFields(_Part):
     connect: str | None = Field(None, description="Endpoint of the bus of `node`, such as tcp/127.0.0.1:7447.")
     keys: Path | None = Field(None, description="Folder of the keys for the bus of `node`.")
     district: Path | None = Field(None, description="File of another district, which is a plant of this one.")
+    market: MarketSpec | None = Field(None, description="A market, whose price reaches bidders by connections.")
     on_lost: OnLost | None = Field(None, description="Reaction to the end of its node; by default the district's.")
 
 
@@ -247,7 +249,11 @@ def read_district(path: Path) -> DistrictFile:
 
 def kind_of(plant: Any) -> tuple[str, ...]:
     """Return the fields that say what a plant is, of which there should be one; those of a building count as one."""
-    kinds = [name for name in ("plant", "fmu", "grid", "district", "node") if getattr(plant, name, None) is not None]
+    kinds = [
+        name
+        for name in ("plant", "fmu", "grid", "district", "node", "market")
+        if getattr(plant, name, None) is not None
+    ]
     if any(getattr(plant, name, None) is not None for name in BUILDING_KINDS):
         kinds.insert(0, "building")
     return tuple(kinds)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from datetime import timedelta
 from pathlib import Path
@@ -12,7 +12,9 @@ from typing import Any
 from zenostat.bridge.client.local_node import LocalNode
 from zenostat.cosim.binding import Binding, bind, is_building
 from zenostat.cosim.coupled import GuardedPlant
-from zenostat.cosim.file import OWN_FIELDS, DistrictFile
+from zenostat.cosim.file import OWN_FIELDS, DistrictFile, FileErrors
+from zenostat.cosim.market import Bids
+from zenostat.cosim.market_plant import MarketPlant, market_manifest
 from zenostat.cosim.node_plant import FoundPlant, NodePlant, StartedPlant
 from zenostat.cosim.topology import Topology, check_file
 from zenostat.topics.calendar import parse_day
@@ -39,7 +41,7 @@ class PlantSet:
     def __init__(self, file: DistrictFile) -> None:
         self.file = file
         self.stop = threading.Event()
-        self._plants: dict[str, NodePlant] = {}
+        self._plants: dict[str, NodePlant | MarketPlant] = {}
         self._processes: list[LocalNode] = []
         self._lock = threading.Lock()
 
@@ -65,8 +67,10 @@ class PlantSet:
         """Open all plants at the same time; report the errors of all."""
         errors = self.file.errors()
         failures: list[Exception] = []
+        markets = {name: p.market for name, p in self.file.spec.plants.items() if p.market is not None}
+        nodes = {name: each for name, each in settings.items() if name not in markets}
         with ThreadPoolExecutor(max_workers=min(len(settings), 8)) as pool:
-            futures = {name: pool.submit(self._open, name, each) for name, each in settings.items()}
+            futures = {name: pool.submit(self._open, name, each) for name, each in nodes.items()}
             try:
                 for name, future in futures.items():
                     try:
@@ -81,7 +85,12 @@ class PlantSet:
         errors.raise_if_any()
         if failures:
             raise failures[0]
-        return {name: self._plants[name].manifest for name in settings}
+        manifests = {name: self._plants[name].manifest for name in nodes}
+        step_s = None if self.file.spec.timestep is None else float(self.file.spec.timestep)
+        for name, spec in markets.items():
+            self._plants[name] = MarketPlant(market_manifest(name, spec, manifests, step_s), spec)
+        self._plants = {name: self._plants[name] for name in settings}  # seeds depend on the order of the file
+        return {name: plant.manifest for name, plant in self._plants.items()}
 
     def _open(self, name: str, settings: dict[str, Any]) -> NodePlant:
         spec = self.file.spec.plants[name]
@@ -144,13 +153,21 @@ class PlantSet:
         errors = self.file.errors()
         for block in topology.loops:
             for name in block.plants:
-                plant = self._plants[name]
-                try:
-                    plant.check_copy()
-                except ForkFailed as error:
-                    location = self.file.connections[block.solved[0]].location
-                    errors.add(location, f"loop {block.name!r} cannot be solved by trials: plant {name!r}: {error}")
+                location = self.file.connections[block.solved[0]].location
+                self._check_copy(name, location, f"loop {block.name!r} cannot be solved by trials", errors)
+        for name, spec in self.file.spec.plants.items():
+            if spec.market is not None and spec.market.bids is Bids.TRIALS:
+                for number, bidder in enumerate(spec.market.bidders):
+                    location = ("plants", name, "market", "bidders", number)
+                    text = f"the bids of {name!r} are trials"
+                    self._check_copy(bidder.demand.partition(".")[0], location, text, errors)
         errors.raise_if_any()
+
+    def _check_copy(self, name: str, location: Sequence[str | int], text: str, errors: FileErrors) -> None:
+        try:
+            self._plants[name].check_copy()
+        except ForkFailed as error:
+            errors.add(location, f"{text}: plant {name!r}: {error}")
 
     def guarded(self) -> dict[str, GuardedPlant]:
         """Return the plants with their reaction to a loss."""

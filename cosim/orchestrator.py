@@ -9,10 +9,13 @@ committed: the plants themselves step with its commands, and have its values to 
 
 from __future__ import annotations
 
+import copy
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from math import fsum
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,10 +24,15 @@ from zenostat.cosim.balance import Balance, Ledger
 from zenostat.cosim.binding import Binding, Input, Transfer
 from zenostat.cosim.coupled import GuardedPlant, Rows
 from zenostat.cosim.file import SolverSpec
+from zenostat.cosim.market import Bids, Clearing, Demand, LinearBids, clear
+from zenostat.cosim.market_plant import PRICE, SENSORS, Market, MarketPlant
 from zenostat.cosim.solver import Outcome, Problem, Solution, solve
 from zenostat.cosim.topology import Block
 
 Floats = NDArray[np.float64]
+
+_STATE = ("rows", "loops", "_flows", "_ledgers", "_orders", "_step", "_clearings")
+"""Attributes of the orchestrator that change from step to step."""
 
 
 @dataclass(slots=True)
@@ -97,6 +105,7 @@ class Orchestrator:
         self._orders: dict[str, Floats] = {}
         self._warnings: list[str] = []
         self._step = 0
+        self._clearings: dict[str, Clearing] = {}
 
     # Episodes
 
@@ -118,6 +127,15 @@ class Orchestrator:
         flow.received, flow.residual = flow.unknown, np.zeros(transfer.target_steps)
         return flow
 
+    def capture(self) -> dict[str, Any]:
+        """Return a copy of the state at the present sample."""
+        return copy.deepcopy({name: getattr(self, name) for name in _STATE})
+
+    def adopt(self, state: Mapping[str, Any]) -> None:
+        """Continue from a state that `capture` returned; it is kept, so pass a copy to use it again."""
+        for name in _STATE:
+            setattr(self, name, state[name])
+
     # A step
 
     def step(self, commands: Mapping[str, Floats]) -> None:
@@ -137,11 +155,16 @@ class Orchestrator:
             single = [block.plants[0] for block in group if not block.solved]
             for name in single:
                 self._begin(name, commands, done)
+                if name in self._binding.markets:
+                    self._clear(self._binding.markets[name], commands, done)
             for block in group:
                 if block.solved:
                     self._solve(block, next(loops), commands, done)
             for name in single:
                 done[name] = self._plants[name].finish()
+        for name, market in self._binding.markets.items():
+            demands = market.demands({plant: done[plant].values for plant in market.plants})
+            done[name] = self._market(name).settle(self._clearings[name], float(demands.sum()))
         self.rows = done
         for transfer, flow in zip(self._transfers, self._flows, strict=True):
             self._settle(transfer, flow)
@@ -182,6 +205,44 @@ class Orchestrator:
         transfer, flow = self._transfers[position], self._flows[position]
         converted = transfer.convert(values[:, transfer.column])
         return transfer.clip(transfer.resample(converted, flow.previous))
+
+    # Markets
+
+    def _market(self, name: str) -> MarketPlant:
+        plant = self._plants[name].plant
+        assert isinstance(plant, MarketPlant)
+        return plant
+
+    def _clear(self, market: Market, own: Mapping[str, Floats], done: Mapping[str, Rows]) -> None:
+        """Find the price of a step, which the plants after it get."""
+        plant, spec = self._market(market.name), market.spec
+        if spec.bids is Bids.LINEAR:
+            last = {name: self.rows[name].values for name in market.plants}
+            slopes = np.array([bidder.slope_w for bidder in spec.bidders])
+            demand: Demand = LinearBids(slopes, float(self.rows[market.name].values[-1, PRICE]), market.demands(last))
+        else:
+            demand = partial(self._bids, market, own, done)
+        clearing = self._clearings[market.name] = clear(demand, spec, plant.limit_w)
+        plant.settle(clearing, clearing.demand_w)
+        if not clearing.is_cleared:
+            self._warnings.append(
+                f"market {market.name!r} does not clear in step {self._step}: at the highest price {clearing.price:g}, "
+                f"{clearing.demand_w:.6g} W are asked for, and {plant.limit_w:g} W are the limit"
+            )
+
+    def _bids(self, market: Market, own: Mapping[str, Floats], done: Mapping[str, Rows], prices: Floats) -> Floats:
+        """Return the sum of what the bidders would draw at several prices, W: one request for trials to each."""
+        settled = [dict(done) for _ in prices]
+        for rows, price in zip(settled, prices.tolist(), strict=True):
+            row = np.zeros((1, len(SENSORS)))
+            row[0, PRICE] = price
+            rows[market.name] = Rows(row, np.empty((1, 0)))
+        tried: list[dict[str, Floats]] = [{} for _ in prices]
+        for name in dict.fromkeys(market.plants):
+            commands = [self._commands(name, own, rows) for rows in settled]
+            for values, sample in zip(tried, self._plants[name].try_step(commands), strict=True):
+                values[name] = sample
+        return np.array([market.demands(values).sum() for values in tried])
 
     # Loops
 

@@ -14,7 +14,7 @@ from zenostat.topics.model_file import FileErrors
 MAX_NAME = 100
 """Longest name of a connection or a loop: the names of points have 128 characters at most."""
 
-_KINDS = "`building` with `weather`, `scenario`, `plant`, `fmu`, `grid`, `district` or `node`"
+_KINDS = "`building` with `weather`, `scenario`, `plant`, `fmu`, `grid`, `district`, `market` or `node`"
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +67,7 @@ def check_file(file: DistrictFile) -> Topology:
     for connection in file.connections:
         _check_connection(file, connection, errors)
     _check_inputs(file, errors)
+    _check_markets(file, errors)
     errors.raise_if_any()
     topology = _order(file, errors)
     errors.raise_if_any()
@@ -170,6 +171,30 @@ def _check_inputs(file: DistrictFile, errors: FileErrors) -> None:
                 )
 
 
+def _check_markets(file: DistrictFile, errors: FileErrors) -> None:
+    """Report bidders that the price does not reach, or that need other plants' values of the same step."""
+    for name, plant in file.spec.plants.items():
+        if plant.market is None:
+            continue
+        if extra := sorted(set(file.raw[name]) - {"market", "on_lost"}):
+            errors.add(("plants", name), f"{name!r} is a market; leave out {', '.join(extra)}")
+        direct = [c for c in file.connections if c.spec.delay is None]
+        for number, bidder in enumerate(plant.market.bidders):
+            location, other = ("plants", name, "market", "bidders", number), plant_of(bidder.demand)
+            if other not in file.spec.plants or file.spec.plants[other].market is not None:
+                plants = [p for p, spec in file.spec.plants.items() if spec.market is None]
+                errors.add(location, f"{bidder.demand}: no plant {other!r}; {did_you_mean(other, plants)}")
+                continue
+            sources = {plant_of(c.source): c for c in direct if plant_of(c.target) == other}
+            if name not in sources:
+                errors.add(location, f"the price does not reach {other!r}: a connection from {name}.price is missing")
+            for source in sorted(sources.keys() - {name}):
+                errors.add(
+                    sources[source].location,
+                    f"{other!r} bids before {source!r} is simulated; give this connection `delay: 1`",
+                )
+
+
 def _order(file: DistrictFile, errors: FileErrors) -> Topology:
     connections = file.connections
     direct = [index for index, connection in enumerate(connections) if connection.spec.delay is None]
@@ -194,6 +219,11 @@ def _order(file: DistrictFile, errors: FileErrors) -> Topology:
     for connection in connections:
         if connection.spec.solve and connection.entry not in in_loops:
             errors.add((*connection.location, "solve"), "this connection is part of no loop; leave out `solve`")
+    for block in blocks.values():
+        for name in block.plants if block.solved else ():
+            if file.spec.plants[name].market is not None:
+                text = f"the market {name!r} is part of a loop, which trials cannot solve; give it `delay: 1`"
+                errors.add(connections[block.solved[0]].location, text)
     groups = levels(order, graph)
     return Topology(tuple(tuple(blocks[tuple(c)] for c in group) for group in groups))
 
