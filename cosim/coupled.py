@@ -38,6 +38,21 @@ class Rows:
     effective: Floats
 
 
+@dataclass(frozen=True, slots=True)
+class PlantState:
+    """State of a coupled plant's guard in its episode.
+
+    Attributes:
+        history: commands of each step so far.
+        seed: of the episode.
+        last: the latest samples.
+    """
+
+    history: tuple[Floats, ...]
+    seed: int
+    last: Rows
+
+
 class CoupledPlant(Protocol):
     """A plant of a district: it steps, and tries a step.
 
@@ -123,6 +138,15 @@ class GuardedPlant:
         except LOST as error:
             raise self._failure(error) from None
         return self._last
+
+    def capture(self) -> PlantState:
+        """Return what is remembered of the episode."""
+        return PlantState(tuple(self._history), self._seed, self._last)
+
+    def adopt(self, state: PlantState) -> None:
+        """Continue from a state that `capture` returned, to which the plant has returned."""
+        self._history, self._seed, self._last = [*state.history], state.seed, state.last
+        self._error, self.is_available = None, True
 
     def begin(self, commands: Floats) -> None:
         """Begin the timesteps of a step, unless the plant is lost."""

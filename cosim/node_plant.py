@@ -17,8 +17,8 @@ from zenostat.bridge.client.trials import trial_message
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import certificate_file
 from zenostat.cosim.coupled import Floats, Rows
-from zenostat.topics.errors import BusError, ZenostatError
-from zenostat.topics.messages import CommandOp, Manifest, Mode
+from zenostat.topics.errors import BusError, RequestRejected, ZenostatError
+from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Mode
 
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
 _CONTROLLER = "orchestrator"
@@ -127,6 +127,34 @@ class NodePlant:
         self._sample = self._sample or self.link.current()
         self.try_step([np.full((1, len(self.manifest.actuators)), np.nan)])
 
+    # Snapshots and branches; see `zenostat.cosim.copies.CopiedPlant`
+
+    def snapshot(self) -> tuple[str, int]:
+        """Take a snapshot of the node; return its name, and the step of its episode."""
+        taken = self.bus.snapshot(self._node, self.link.name)
+        return taken.snapshot, taken.step[0]
+
+    def drop(self, snapshot: str) -> None:
+        """Free a snapshot; does nothing if it is gone, such as with its node."""
+        bus = self._bus
+        if bus is not None:
+            with suppress(BusError, RequestRejected):
+                bus.drop(self._node, snapshot)
+
+    def restore(self, snapshot: str) -> Rows:
+        """Return to a snapshot; return its sample."""
+        self._sample = self.link.reset(snapshot=snapshot)
+        return _rows([self._sample])
+
+    def branch(self, snapshot: str) -> NodePlant:
+        """Create a branch of the node that continues from a snapshot."""
+        name = self.bus.branch(self._node, CreateBranch(controller=self.link.name, snapshot=snapshot))
+        return BranchPlant(name, self.connect_again, self.manifest)
+
+    def connect_again(self) -> Bus:
+        """Connect to the node's bus once more, for a branch, which runs in another thread."""
+        return self.open_bus()
+
     def is_reachable(self) -> bool:
         """Return whether the node answers; see `CoupledPlant.is_reachable`."""
         return False
@@ -186,6 +214,11 @@ class StartedPlant(NodePlant):
         """Connect to the private bus of the node."""
         return connect(self.start().endpoint, affinity=Affinity.OFF)
 
+    def connect_again(self) -> Bus:
+        """Connect to the bus of the node that runs."""
+        assert self._local is not None
+        return connect(self._local.endpoint, affinity=Affinity.OFF)
+
     def terminate(self) -> None:
         """Let the process end, without waiting for it; thread-safe."""
         process = self._process
@@ -212,6 +245,33 @@ class StartedPlant(NodePlant):
     def close(self) -> None:
         """End the node; idempotent."""
         self._end()
+
+
+class BranchPlant(NodePlant):
+    """A branch of a plant's node, which ends with it; it has one episode, and cannot be reset.
+
+    Args:
+        node: name of the branch.
+        open_bus: connects to its bus.
+        manifest: of the plant.
+    """
+
+    def __init__(self, node: str, open_bus: Callable[[], Bus], manifest: Manifest) -> None:
+        super().__init__(node)
+        self._open, self.manifest = open_bus, manifest
+        self._sample = self.link.current()
+
+    def open_bus(self) -> Bus:
+        """Connect to the bus."""
+        return self._open()
+
+    def close(self) -> None:
+        """End the branch; idempotent."""
+        bus = self._bus
+        if bus is not None:
+            with suppress(ZenostatError):
+                bus.stop(self._node)
+        super().close()
 
 
 class FoundPlant(NodePlant):

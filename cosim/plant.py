@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from math import fsum
 from pathlib import Path
 from typing import Any
 
@@ -19,16 +18,16 @@ from zenostat.bridge.node.plant import (
     without_weather,
 )
 from zenostat.cosim.balance import Balance
-from zenostat.cosim.binding import Binding, Member
-from zenostat.cosim.coupled import Floats, GuardedPlant, Rows
+from zenostat.cosim.binding import Binding
+from zenostat.cosim.copies import DistrictCopy, PlantSnapshots
+from zenostat.cosim.coupled import GuardedPlant
 from zenostat.cosim.file import SolverSpec
-from zenostat.cosim.orchestrator import LoopState, Orchestrator
+from zenostat.cosim.orchestrator import LoopState
+from zenostat.cosim.run import DistrictRun, free_actuators
 from zenostat.topics import VERSION
-from zenostat.topics.errors import ForkFailed, InvalidRecording
+from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, ZenostatError
 from zenostat.topics.messages import (
     Action,
-    Actuator,
-    Aggregation,
     EngineStart,
     EpisodeStart,
     Meter,
@@ -37,10 +36,6 @@ from zenostat.topics.messages import (
     Versions,
 )
 from zenostat.topics.seed_validation import MAX_SEED
-
-_UNCOPIED = (
-    "a district has no snapshots and branches: its plants are nodes of their own; take snapshots of these, or reset it"
-)
 
 
 def describe(
@@ -119,30 +114,6 @@ def _own_sensors(binding: Binding) -> list[Sensor]:
     return [*sensors, *(own(f"plant.{name}.available", "on_off", 0.0, 1.0) for name in binding.members)]
 
 
-def free_actuators(binding: Binding) -> dict[str, list[tuple[int, Actuator]]]:
-    """Return the actuators of each plant that no connection feeds: column in the plant, and the district's actuator."""
-    fed = {(target.plant, target.column) for target in binding.inputs}
-    return {
-        m.name: [
-            (
-                column,
-                Actuator(
-                    name=f"{m.name}.{actuator.name}",
-                    unit=actuator.unit,
-                    low=actuator.low,
-                    high=actuator.high,
-                    default=actuator.default,
-                    feedback=actuator.feedback,
-                    baseline_sensor=actuator.baseline_sensor and f"{m.name}.{actuator.baseline_sensor}",
-                ),
-            )
-            for column, actuator in enumerate(m.manifest.actuators)
-            if (m.name, column) not in fed
-        ]
-        for m in binding.members.values()
-    }
-
-
 def _task(binding: Binding, name: str, actuators: set[str], reward: dict[str, Any] | None) -> Task:
     """Return the actions of all plants whose actuators are free; the time features are those of the first plant."""
     actions = []
@@ -178,14 +149,11 @@ class DistrictPlant:
         stop: threading.Event,
     ) -> None:
         self.description = description
-        self._binding, self._plants, self._stop = binding, plants, stop
-        self.orchestrator = Orchestrator(binding, plants, solver)
-        self._columns = {name: [column for column, _ in each] for name, each in free_actuators(binding).items()}
+        self._binding, self._plants, self._solver, self._stop = binding, plants, solver, stop
+        self.run = DistrictRun(binding, plants, solver)
         self._random = np.random.default_rng()
         self._seed = self._draw(None)
-        self._steps = 0
-        self._values = b""
-        self.effective = b""
+        self._broken = ""
 
     # Episodes
 
@@ -209,9 +177,8 @@ class DistrictPlant:
     def start(self, slots: Sequence[int]) -> None:  # noqa: ARG002
         """Begin an episode of all plants; see `Plant.start`."""
         self._stop.clear()
-        self.orchestrator.start(self._seeds())
-        self._steps = 0
-        self._keep()
+        self.run.start(self._seeds())
+        self._broken = ""
 
     def _seeds(self) -> dict[str, int]:
         """Return a seed for each plant, which depends on that of the episode and the order of the plants."""
@@ -238,55 +205,31 @@ class DistrictPlant:
 
     def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:  # noqa: ARG002
         """Simulate a step of all plants; see `RunningPlant.step`."""
-        row, own, first = np.frombuffer(commands), dict[str, Floats](), 0
-        for name, columns in self._columns.items():
-            own[name] = np.full(len(self._binding.members[name].manifest.actuators), np.nan)
-            own[name][columns] = row[first : first + len(columns)]
-            first += len(columns)
-        self.orchestrator.step(own)
-        self._steps += 1
-        self._keep()
-        return [self._steps == self.description.run_period.steps]
-
-    def _keep(self) -> None:
-        """Keep the values of the present sample."""
-        orchestrator, members = self.orchestrator, self._binding.members.values()
-        rows = orchestrator.rows
-        sensors = [_combined(m, rows[m.name], range(len(m.manifest.sensors))) for m in members]
-        meters = [_combined(m, rows[m.name], range(len(m.manifest.sensors), len(m.manifest.points))) for m in members]
-        self._values = np.concatenate([*sensors, self._own_values(), *meters]).tobytes()
-        effective = [rows[name].effective[-1, columns] for name, columns in self._columns.items()]
-        self.effective = np.concatenate(effective).tobytes()
-
-    def _own_values(self) -> Floats:
-        orchestrator = self.orchestrator
-        is_solved = [transfer.tolerance is not None for transfer in self._binding.transfers]
-        loops = [
-            value
-            for state in orchestrator.loops
-            for value in (state.trials, state.error, state.is_solved, state.unsolved)
-        ]
-        available = [plant.is_available for plant in self._plants.values()]
-        return np.array(
-            [*orchestrator.received, *orchestrator.residuals[is_solved], *loops, *available], dtype=np.float64
-        )
+        if self._broken:
+            raise EngineDied(self._broken)
+        return [self.run.step(commands)]
 
     def values(self) -> bytes:
         """Return the values of all plants, and of the orchestration; see `RunningPlant.values`."""
-        return self._values
+        return self.run.values
+
+    @property
+    def effective(self) -> bytes:
+        """Effective values of the actuators; see `RunningPlant`."""
+        return self.run.effective
 
     def balances(self) -> list[Balance]:
         """Return the balance of each connection since sample 0."""
-        return self.orchestrator.balances()
+        return self.run.orchestrator.balances()
 
     def loops(self) -> dict[str, LoopState]:
         """Return the state of each loop by its name."""
         names = [block.name for block in self._binding.topology.loops]
-        return dict(zip(names, self.orchestrator.loops, strict=True))
+        return dict(zip(names, self.run.orchestrator.loops, strict=True))
 
     def drain_warnings(self) -> list[str]:
         """Return texts about plants and loops since the last call; see `WarningPlant`."""
-        return self.orchestrator.drain_warnings()
+        return self.run.orchestrator.drain_warnings()
 
     drain_step_warnings = drain_warnings
 
@@ -314,13 +257,40 @@ class DistrictPlant:
         """Raise `RequestRejected`."""
         raise without_weather()
 
+    # Snapshots and branches
+
     def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> RunningPlant:  # noqa: ARG002
-        """Raise `ForkFailed`."""
-        raise ForkFailed(_UNCOPIED)
+        """Return a copy of all plants at the present step; see `RunningPlant.fork` and `zenostat.cosim.copies`."""
+        if self._broken:
+            raise ForkFailed(self._broken)
+        steps = {name: self.run.steps * member.steps for name, member in self._binding.members.items()}
+        snapshots = PlantSnapshots(self._plants, steps)
+        state = self.run.capture()
+
+        def create(plants: Mapping[str, GuardedPlant], _: threading.Event) -> DistrictRun:
+            run = DistrictRun(self._binding, plants, self._solver)
+            run.adopt(state)
+            return run
+
+        return DistrictCopy(
+            self.description, snapshots, create, state, slots=len(slots), site=self.site(0), notes=self.notes(0)
+        )
 
     def restore(self, saved: RunningPlant, episode: Sequence[int]) -> list[EpisodeStart]:  # noqa: ARG002
-        """Raise `ForkFailed`: there are no copies."""
-        raise ForkFailed(_UNCOPIED)
+        """Return all plants to a copy; see `Plant.restore`.
+
+        If a plant cannot return, the others may have: the episode then ends with its next step.
+        """
+        assert isinstance(saved, DistrictCopy)
+        self._stop.clear()
+        try:
+            saved.restore_plants()
+        except ZenostatError as error:
+            self._broken = f"the district cannot return to its snapshot, and must be reset: {error}"
+            raise EngineDied(self._broken) from None
+        self.run.adopt(saved.state)
+        self._broken = ""
+        return [EpisodeStart(engine_start=EngineStart.SNAPSHOT, weather="")]
 
     # Processes
 
@@ -352,18 +322,3 @@ class DistrictPlant:
         self.interrupt()  # all at once: a node takes a while to end
         for plant in self._plants.values():
             plant.plant.close()
-
-
-def _combined(member: Member, rows: Rows, columns: range) -> Floats:
-    """Return the values of some points over several timesteps: sums, means, or the last ones."""
-    values = rows.values[:, columns.start : columns.stop]
-    combined: Floats = values[-1].copy()
-    if len(values) == 1:
-        return combined
-    for position, column in enumerate(columns):
-        point = member.manifest.points[column]
-        kind = Aggregation.SUM if isinstance(point, Meter) else point.aggregation
-        if kind is not Aggregation.INSTANT:
-            total = fsum(values[:, position].tolist())
-            combined[position] = total if kind is Aggregation.SUM else total / len(values)
-    return combined

@@ -1,0 +1,229 @@
+"""Snapshots and branches of a whole district: all plants at the same step, or none.
+
+A copy is a snapshot in the node of each plant, with the state of the orchestration. A slot of it that is stepped
+continues in branches of these nodes.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from zenostat.bridge.node.plant import PlantDescription, RunningPlant, Site, WeatherTable, without_weather
+from zenostat.cosim.coupled import CoupledPlant, GuardedPlant, Rows
+from zenostat.cosim.file import OnLost
+from zenostat.topics.errors import EngineDied, ForkFailed, ZenostatError
+
+if TYPE_CHECKING:
+    from zenostat.cosim.run import DistrictRun, RunState
+
+
+@runtime_checkable
+class CopiedPlant(CoupledPlant, Protocol):
+    """A coupled plant with snapshots and branches. All methods are for one thread."""
+
+    def snapshot(self) -> tuple[str, int]:
+        """Take a snapshot; return its name, and the step of its episode; -1 of a plant without a state."""
+
+    def drop(self, snapshot: str) -> None:
+        """Free a snapshot; does nothing if it is gone."""
+
+    def restore(self, snapshot: str) -> Rows:
+        """Return to a snapshot; return its sample as one timestep."""
+
+    def branch(self, snapshot: str) -> CoupledPlant:
+        """Create a branch that continues from a snapshot."""
+
+
+class PlantSnapshots:
+    """The snapshots of all plants of a district at one step, dropped with the last copy that uses them.
+
+    Args:
+        plants: by name.
+        steps: number of timesteps of each plant so far.
+
+    Raises:
+        ForkFailed: a plant has no snapshots, is lost, or is at another step; there are none of the others either.
+    """
+
+    def __init__(self, plants: Mapping[str, GuardedPlant], steps: Mapping[str, int]) -> None:
+        self._plants: dict[str, CopiedPlant] = {}
+        self.names: dict[str, str] = {}
+        self._users, self._lock = 1, threading.Lock()
+        try:
+            for name, plant in plants.items():
+                self._add(name, plant, steps[name])
+        except BaseException:
+            self.release()
+            raise
+
+    def _add(self, name: str, guarded: GuardedPlant, steps: int) -> None:
+        plant = guarded.plant
+        if not guarded.is_available:
+            raise ForkFailed(f"plant {name!r} is lost, and a snapshot has all plants or none")
+        if not isinstance(plant, CopiedPlant):
+            raise ForkFailed(f"plant {name!r} has no snapshots")
+        try:
+            snapshot, at = plant.snapshot()
+        except ZenostatError as error:
+            raise ForkFailed(f"plant {name!r} has no snapshot: {error}; the others have none either") from None
+        self._plants[name], self.names[name] = plant, snapshot
+        if at >= 0 and at != steps:
+            raise ForkFailed(f"plant {name!r} is at its step {at}, and not at {steps}: somebody else steps it")
+
+    def use(self) -> PlantSnapshots:
+        """Return these snapshots for another copy, which releases them as well."""
+        with self._lock:
+            self._users += 1
+        return self
+
+    def release(self) -> None:
+        """Drop them if no copy uses them any more."""
+        with self._lock:
+            self._users -= 1
+            is_last = not self._users
+        if is_last:
+            for name, snapshot in self.names.items():
+                with suppress(ZenostatError):
+                    self._plants[name].drop(snapshot)
+
+    def restore(self) -> None:
+        """Return all plants to their snapshots; raises the error of the first one that cannot."""
+        for name, snapshot in self.names.items():
+            self._plants[name].restore(snapshot)
+
+    def branches(self, stop: threading.Event) -> dict[str, GuardedPlant]:
+        """Create a branch of each plant; raises `EngineDied` if one cannot be created."""
+        plants: dict[str, GuardedPlant] = {}
+        try:
+            for name, snapshot in self.names.items():
+                branch = self._plants[name].branch(snapshot)
+                plants[name] = GuardedPlant(name, branch, OnLost.STOP, timeout_s=1.0, stop=stop)
+        except ZenostatError as error:
+            for plant in plants.values():
+                plant.plant.close()
+            raise EngineDied(f"a branch of the district cannot be created: {error}") from None
+        return plants
+
+
+class DistrictCopy:
+    """A copy of a district with one or more slots; implements `zenostat.bridge.node.plant.RunningPlant`.
+
+    Args:
+        description: of the district.
+        snapshots: of its plants; the copy releases them.
+        create: creates the run of a slot in branches of the plants.
+        state: at which it was copied.
+        slots: number of slots.
+        site: of the episode.
+        notes: of the episode.
+    """
+
+    has_baseline = False
+
+    def __init__(
+        self,
+        description: PlantDescription,
+        snapshots: PlantSnapshots,
+        create: Callable[[Mapping[str, GuardedPlant], threading.Event], DistrictRun],
+        state: RunState,
+        *,
+        slots: int,
+        site: Site,
+        notes: list[str],
+    ) -> None:
+        self.description, self.snapshots, self.state = description, snapshots, state
+        self._create, self._site, self._notes = create, site, notes
+        self._runs: list[DistrictRun | None] = [None] * slots
+        self._stop = threading.Event()
+        self._is_closed = False
+
+    def _run(self, slot: int) -> DistrictRun:
+        run = self._runs[slot]
+        if run is None:
+            run = self._runs[slot] = self._create(self.snapshots.branches(self._stop), self._stop)
+        return run
+
+    def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
+        """Simulate a step in each active slot, one after the other; see `RunningPlant.step`."""
+        size = len(commands) // len(self._runs)
+        return [self._run(slot).step(commands[slot * size : (slot + 1) * size]) for slot in active_slots]
+
+    def restore_plants(self) -> None:
+        """Return all plants to their snapshots; raises the error of the first one that cannot."""
+        self.snapshots.restore()
+
+    def values(self) -> bytes:
+        """Return the values of all slots; see `RunningPlant.values`."""
+        return b"".join(self.state.values if run is None else run.values for run in self._runs)
+
+    @property
+    def effective(self) -> bytes:
+        """Effective values of all slots."""
+        return b"".join(self.state.effective if run is None else run.effective for run in self._runs)
+
+    def baseline_values(self) -> bytes:
+        """Return nothing."""
+        return b""
+
+    baseline_effective = baseline_values
+
+    def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> RunningPlant:  # noqa: ARG002
+        """Return a copy of slots that were not stepped yet; see `RunningPlant.fork`.
+
+        Raises:
+            ForkFailed: a slot was stepped: branches of nodes cannot be copied.
+        """
+        if any(self._runs[slot] is not None for slot in slots):
+            raise ForkFailed("a branch of a district has no snapshots, branches or trials of its own")
+        return DistrictCopy(
+            self.description, self.snapshots.use(), self._create, self.state, slots=len(slots), site=self._site,
+            notes=self._notes,
+        )  # fmt: skip
+
+    def site(self, slot: int) -> Site:  # noqa: ARG002
+        """Return the site of the district."""
+        return self._site
+
+    def notes(self, slot: int) -> list[str]:  # noqa: ARG002
+        """Return the notes of the district's episode."""
+        return self._notes
+
+    def weather(self, slot: int, columns: Sequence[str]) -> WeatherTable:  # noqa: ARG002
+        """Raise `RequestRejected`."""
+        raise without_weather()
+
+    def check(self) -> None:
+        """Do nothing: a plant that has ended is noticed in the next step."""
+
+    def memory_bytes(self, *, private: bool = False) -> int:  # noqa: ARG002
+        """Return 0: the copies belong to the plants' nodes."""
+        return 0
+
+    @property
+    def simulators(self) -> int:
+        """Number of copied plants."""
+        return len(self.snapshots.names) * len(self._runs)
+
+    def interrupt(self) -> None:
+        """Make a running step raise soon; thread-safe."""
+        self._stop.set()
+        for run in self._runs:
+            for plant in run.plants.values() if run is not None else ():
+                plant.plant.interrupt()
+
+    def end(self, *, failed: bool = False) -> None:
+        """Do nothing: the branches end with `close`."""
+
+    def close(self) -> None:
+        """End the branches, and release the snapshots; idempotent."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        for run in self._runs:
+            for plant in run.plants.values() if run is not None else ():
+                plant.plant.close()
+        self.snapshots.release()

@@ -1,0 +1,149 @@
+"""The running episode of a district: its plants, its orchestration, and the values of the present sample."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import fsum
+from typing import Any
+
+import numpy as np
+
+from zenostat.cosim.binding import Binding, Member
+from zenostat.cosim.coupled import Floats, GuardedPlant, PlantState, Rows
+from zenostat.cosim.file import SolverSpec
+from zenostat.cosim.orchestrator import Orchestrator
+from zenostat.topics.messages import Actuator, Aggregation, Meter
+
+
+def free_actuators(binding: Binding) -> dict[str, list[tuple[int, Actuator]]]:
+    """Return the actuators of each plant that no connection feeds: column in the plant, and the district's actuator."""
+    fed = {(target.plant, target.column) for target in binding.inputs}
+    return {
+        m.name: [
+            (
+                column,
+                Actuator(
+                    name=f"{m.name}.{actuator.name}",
+                    unit=actuator.unit,
+                    low=actuator.low,
+                    high=actuator.high,
+                    default=actuator.default,
+                    feedback=actuator.feedback,
+                    baseline_sensor=actuator.baseline_sensor and f"{m.name}.{actuator.baseline_sensor}",
+                ),
+            )
+            for column, actuator in enumerate(m.manifest.actuators)
+            if (m.name, column) not in fed
+        ]
+        for m in binding.members.values()
+    }
+
+
+@dataclass(frozen=True, slots=True)
+class RunState:
+    """The state of a run at a sample, besides that of the plants' nodes.
+
+    Attributes:
+        orchestration: of `Orchestrator.capture`.
+        plants: by name.
+        steps: number of steps so far.
+        values, effective: of the sample.
+    """
+
+    orchestration: dict[str, Any]
+    plants: dict[str, PlantState]
+    steps: int
+    values: bytes
+    effective: bytes
+
+
+class DistrictRun:
+    """An episode of a district.
+
+    Args:
+        binding: the district.
+        plants: its plants by name.
+        solver: limits of the solver.
+
+    Attributes:
+        steps: number of steps so far.
+        values: of the sensors and meters of the district, raw float64.
+        effective: of its actuators, raw float64.
+    """
+
+    def __init__(self, binding: Binding, plants: Mapping[str, GuardedPlant], solver: SolverSpec) -> None:
+        self.plants = plants
+        self._binding = binding
+        self.orchestrator = Orchestrator(binding, plants, solver)
+        self._columns = {name: [column for column, _ in each] for name, each in free_actuators(binding).items()}
+        self.steps, self.values, self.effective = 0, b"", b""
+
+    def start(self, seeds: Mapping[str, int]) -> None:
+        """Begin an episode of all plants with these seeds."""
+        self.orchestrator.start(seeds)
+        self.steps = 0
+        self._keep()
+
+    def step(self, commands: bytes) -> bool:
+        """Simulate a step of all plants; return whether it was the last one."""
+        row, own, first = np.frombuffer(commands), dict[str, Floats](), 0
+        for name, columns in self._columns.items():
+            own[name] = np.full(len(self._binding.members[name].manifest.actuators), np.nan)
+            own[name][columns] = row[first : first + len(columns)]
+            first += len(columns)
+        self.orchestrator.step(own)
+        self.steps += 1
+        self._keep()
+        return self.steps == self._binding.run_period.steps
+
+    def capture(self) -> RunState:
+        """Return the state at the present sample."""
+        plants = {name: plant.capture() for name, plant in self.plants.items()}
+        return RunState(self.orchestrator.capture(), plants, self.steps, self.values, self.effective)
+
+    def adopt(self, state: RunState) -> None:
+        """Continue from a state; the plants' nodes are there already."""
+        self.orchestrator.adopt(copy.deepcopy(state.orchestration))
+        for name, plant in self.plants.items():
+            plant.adopt(state.plants[name])
+        self.steps, self.values, self.effective = state.steps, state.values, state.effective
+
+    def _keep(self) -> None:
+        """Keep the values of the present sample."""
+        orchestrator, members = self.orchestrator, self._binding.members.values()
+        rows = orchestrator.rows
+        sensors = [_combined(m, rows[m.name], range(len(m.manifest.sensors))) for m in members]
+        meters = [_combined(m, rows[m.name], range(len(m.manifest.sensors), len(m.manifest.points))) for m in members]
+        self.values = np.concatenate([*sensors, self._own_values(), *meters]).tobytes()
+        effective = [rows[name].effective[-1, columns] for name, columns in self._columns.items()]
+        self.effective = np.concatenate(effective).tobytes()
+
+    def _own_values(self) -> Floats:
+        orchestrator = self.orchestrator
+        is_solved = [transfer.tolerance is not None for transfer in self._binding.transfers]
+        loops = [
+            value
+            for state in orchestrator.loops
+            for value in (state.trials, state.error, state.is_solved, state.unsolved)
+        ]
+        available = [plant.is_available for plant in self.plants.values()]
+        return np.array(
+            [*orchestrator.received, *orchestrator.residuals[is_solved], *loops, *available], dtype=np.float64
+        )
+
+
+def _combined(member: Member, rows: Rows, columns: range) -> Floats:
+    """Return the values of some points over several timesteps: sums, means, or the last ones."""
+    values = rows.values[:, columns.start : columns.stop]
+    combined: Floats = values[-1].copy()
+    if len(values) == 1:
+        return combined
+    for position, column in enumerate(columns):
+        point = member.manifest.points[column]
+        kind = Aggregation.SUM if isinstance(point, Meter) else point.aggregation
+        if kind is not Aggregation.INSTANT:
+            total = fsum(values[:, position].tolist())
+            combined[position] = total if kind is Aggregation.SUM else total / len(values)
+    return combined
