@@ -12,7 +12,7 @@ from typing import Any
 from zenostat.bridge.client.local_node import LocalNode
 from zenostat.cosim.binding import Binding, bind, is_building
 from zenostat.cosim.coupled import GuardedPlant
-from zenostat.cosim.file import OWN_FIELDS, DistrictFile, FileErrors
+from zenostat.cosim.file import OWN_FIELDS, DistrictFile
 from zenostat.cosim.market import Bids
 from zenostat.cosim.market_plant import MarketPlant, market_manifest
 from zenostat.cosim.node_plant import FoundPlant, NodePlant, StartedPlant
@@ -20,6 +20,7 @@ from zenostat.cosim.topology import Topology, check_file
 from zenostat.topics.calendar import parse_day
 from zenostat.topics.errors import BusError, EngineDied, ForkFailed, InvalidConfig, SimulatorError, UsageError
 from zenostat.topics.messages import Manifest
+from zenostat.topics.model_file import FileErrors
 
 _DAY_S = 86400.0
 _YEAR = 2017
