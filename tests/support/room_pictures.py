@@ -21,7 +21,7 @@ BUILDING: dict[str, Any] = {
     "end": "07-07",
     "monitoring": True,
 }
-STEPS = 3 * 144 + 93  # 15:30 of the fourth day
+STEPS = 5 * 96 + 45  # 11:15 of the sixth day
 ALARMS = """
 alarms:
   - name: zone_too_warm

@@ -48,7 +48,7 @@ export class Plans {
         if (event.key === "Enter" || event.key === " ") { event.preventDefault(); choose(); }
       });
       const [x, y, room] = zone.label;
-      const size = Math.min(5 * unit, 1.1 * room);
+      const size = Math.min(5 * unit, 0.8 * room); // four characters are as wide as the room
       const text = size > 1.6 * unit ? s("text", { x, y: -y + 0.35 * size, "font-size": size, "text-anchor": "middle" }) : null;
       if (text) labels.append(text);
       const entries = this.zones.get(zone.zone) ?? [];
