@@ -1,5 +1,7 @@
 """Fixtures of all tests: short private folders, and a count of what is left behind."""
 
+from __future__ import annotations
+
 import asyncio
 import inspect
 import os
