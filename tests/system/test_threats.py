@@ -22,6 +22,7 @@ from zenoh.handlers import RingChannel
 import zenostat
 from zenostat import Bus
 from zenostat.bridge.node.settings import NodeSettings
+from zenostat.bridge.transport import certificates
 from zenostat.bridge.transport.certificates import NAMES, add, make, names_of
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics import codec, keys
@@ -194,6 +195,18 @@ def test_threats__certificate_that_expires_soon_is_warned_of_and_renewed_while_t
         with warnings.catch_warnings(action="error"), zenostat.connect(node.endpoint, **arguments) as renewed:
             assert renewed.nodes() == ["office"]
             assert renewed.controller("office", name="agent").name.startswith("controller.agent")
+
+
+@pytest.mark.slow
+def test_threats__link_ends_when_its_certificate_expires(
+    node: NodeProgram, pki: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patch:
+        patch.setattr(certificates, "_check_days", lambda *_: None)
+        add(pki, Role.MONITOR, "brief", days=20 / 86400)  # type: ignore[arg-type]
+    with open_session(connect=[node.endpoint], keys=pki, certificate="brief") as session:
+        assert len(session.info.links()) == 1
+        until(lambda: session.info.links() == [], "its link has ended")
 
 
 def test_threats__copy_of_a_certificate_and_its_key_is_that_name(node: NodeProgram, pki: Path, tmp_path: Path) -> None:
