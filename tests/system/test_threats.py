@@ -100,11 +100,14 @@ def test_threats__page_has_no_statement_outside_of_its_tables() -> None:
 # Without keys
 
 
-@pytest.fixture
-def open_node(folder: Path) -> Iterator[NodeProgram]:
-    """A node without keys that listens as it does by default, on another port."""
-    listen = [f"tcp/{keys.DEFAULT_HOST}:{free_port()}"]
-    with NodeProgram(folder / "open", plant=PLANT, listen=listen) as running:
+def node_without_keys(folder: Path) -> NodeProgram:
+    """Start a node that listens as it does by default, on another port."""
+    return NodeProgram(folder / "open", plant=PLANT, listen=[f"tcp/{keys.DEFAULT_HOST}:{free_port()}"])
+
+
+@pytest.fixture(scope="module")
+def open_node(module_folder: Path) -> Iterator[NodeProgram]:
+    with node_without_keys(module_folder) as running:
         yield running
 
 
@@ -118,20 +121,22 @@ def test_threats__node_listens_on_loopback_alone_unless_exposed(open_node: NodeP
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root can become another user")
 
 
-def test_threats__without_keys_any_user_of_the_machine_writes_and_stops_under_any_name(open_node: NodeProgram) -> None:
+@pytest.mark.slow
+def test_threats__without_keys_any_user_of_the_machine_writes_and_stops_under_any_name(folder: Path) -> None:
     user = NOBODY if os.geteuid() == 0 else os.geteuid()
-    with zenostat.connect(open_node.endpoint, affinity="off") as bus:
+    with node_without_keys(folder) as own, zenostat.connect(own.endpoint, affinity="off") as bus:
         bus.manifest("office")
         with bus.session.declare_subscriber(keys.EVENT.at("office"), RingChannel(100)) as events:
             bus.status("office")
-            done = run_python("-c", STRANGER, str(user), open_node.endpoint, POINT)
+            done = run_python("-c", STRANGER, str(user), own.endpoint, POINT)
             written = until(events.try_recv, "the value is written")
-    assert done.stdout.splitlines() == ["application/msgpack;zenostat/3.Ack"] * 2, done.stderr
-    assert codec.decode(Event, written.payload.to_bytes()).source == "ppo-7"
-    assert open_node.process.wait() == 0
+        assert done.stdout.splitlines() == ["application/msgpack;zenostat/3.Ack"] * 2, done.stderr
+        assert codec.decode(Event, written.payload.to_bytes()).source == "ppo-7"
+        assert own.process.wait() == 0
 
 
 @needs_root
+@pytest.mark.slow
 def test_threats__node_on_a_unix_socket_in_a_private_folder_is_out_of_reach_of_other_users(folder: Path) -> None:
     with NodeProgram(folder / "socket", plant=PLANT) as node:
         (folder / "socket").chmod(0o700)
@@ -184,6 +189,7 @@ def test_threats__eavesdropper_reads_a_link_without_keys_and_nothing_of_one_with
             assert (words in link.forwarded) is is_readable
 
 
+@pytest.mark.slow
 def test_threats__certificate_that_expires_soon_is_warned_of_and_renewed_while_the_node_runs(folder: Path) -> None:
     make(folder / "keys", days=20)
     listen = [f"tls/127.0.0.1:{free_port()}"]
@@ -320,6 +326,7 @@ class Creates:
         return Path.touch, (self.path,)
 
 
+@pytest.mark.slow
 def test_threats__pickle_beside_a_policy_is_a_program(tmp_path: Path) -> None:
     normalization = pytest.importorskip(
         "zenostat.agent_sdk.vec_normalization", reason="stable-baselines3 is not installed", exc_type=ImportError
