@@ -147,6 +147,7 @@ NEEDED: dict[str, Any] = {
     "energy_cost": {"price": {"value": 0.2, "unit": "EUR/kWh"}},
     "occupied_cost": {"price": {"table": [{"value": 0.3, "hours": [12, 20]}], "otherwise": 0.1, "unit": "EUR/kWh"}},
     "tariff": {"periods": [{"value": 0.3, "hours": [12, 20]}], "otherwise": 0.1, "unit": "EUR/kWh"},
+    "district": {"consumption": "feeder.import"},
 }
 
 
