@@ -40,6 +40,7 @@ def run(env: BuildingEnv, actions: list[Any]) -> tuple[Rows, Rows]:
     return mine, its
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 def test_env__it_is_the_episode_that_nobody_commands(kind: str, scratch: Path) -> None:

@@ -243,6 +243,7 @@ def test_env__killed_snapshot_is_a_clear_error_and_the_episode_goes_on(office: B
     same(go(env, mine[20:]), straight[21:])
 
 
+@pytest.mark.slow
 def test_env__snapshot_that_cannot_be_gone_back_to_is_refused_by_name(office: BuildingEnv, scratch: Path) -> None:
     env, stranger = make(**FOUR), office
     with pytest.raises(EpisodeChanged, match="reset"):

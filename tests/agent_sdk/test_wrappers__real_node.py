@@ -85,6 +85,7 @@ def test_wrappers__context_is_what_the_building_gets(building: gym.Env[Any, Any]
         assert effective == [[26.0, 29.0]] * 36 + [[26.0, 24.5]] * 36 + [[26.0, 29.0]] * 24
 
 
+@pytest.mark.slow
 def test_wrappers__increments_are_what_the_building_gets(building: gym.Env[Any, Any]) -> None:
     env = w.SetpointDifference(
         w.IncrementalAction(building, {"cooling": [1.0, 0.5]}, {"cooling": 26.0}), {"excess": ["core", "core_setpoint"]}

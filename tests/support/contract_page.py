@@ -81,8 +81,9 @@ def _keys() -> str:
 
 def _arrays() -> str:
     rows = ["| message | field | elements |", "|---|---|---|"]
+    schemas = asyncapi.document()["components"]["schemas"]
     for kind in asyncapi.payload_classes():
-        for name, field in asyncapi.document()["components"]["schemas"][kind.__name__]["properties"].items():
+        for name, field in schemas[kind.__name__]["properties"].items():
             arrays = {
                 form["x-items"]
                 for form in (field, *field.get("anyOf", []), field.get("items", {}))

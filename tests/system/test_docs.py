@@ -249,6 +249,7 @@ def test_docs__landing_page_leads_to_each_guide_under_the_heading_of_its_section
         assert all(f"]({page})" in text for part in pages for page in part.values())
 
 
+@pytest.mark.slow
 def test_docs__site_fetches_nothing_from_elsewhere(site: Path) -> None:
     for page in site.rglob("*.html"):
         fetched = re.findall(r"<(?:script|img|iframe)\b[^>]*\bsrc=\"([^\"]+)\"", page.read_text(encoding="utf-8"))

@@ -45,6 +45,7 @@ def test_engine__process_is_idle_only_while_it_uses_no_processor_time() -> None:
     assert burns.look(5.0) >= 0.0, "it has ended"
 
 
+@pytest.mark.slow
 def test_engine__timestep_of_an_engine_that_hangs_fails_by_name() -> None:
     with gym.make("zenostat/Building-v1", **SMALL, **SOON) as env:
         env.reset(seed=1)

@@ -119,6 +119,7 @@ def test_lost_link__own_node_that_was_frozen(slots: int) -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("recorded", [False, True])
 def test_lost_link__own_node_that_is_frozen_is_ended(recorded: bool, scratch: Path) -> None:

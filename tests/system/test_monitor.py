@@ -128,6 +128,7 @@ def test_monitor__late_monitor_has_the_episode_from_its_beginning(scratch, episo
     assert plot == outdoor
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("fate", [signal.SIGSTOP, signal.SIGKILL])
 def test_monitor__that_is_frozen_or_killed_changes_nothing(scratch, episode_bus, fate):

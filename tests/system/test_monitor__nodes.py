@@ -42,6 +42,7 @@ def _pump_until(stream: RerunStream, holds: Callable[[], object], what: str) -> 
     until(is_reached, what)
 
 
+@pytest.mark.slow
 def test_monitor__zone_colors_and_overview_of_an_office_beside_a_tank(scratch, episode_bus, capsys):
     """The office has geometry, comfort band and reward of its scenario; the tank has none of them."""
     rr.set_strict_mode(True)

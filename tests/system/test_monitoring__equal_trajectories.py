@@ -34,6 +34,7 @@ def episode(**options: Any) -> tuple[Any, ...]:
         return np.array(observations), np.array(rewards), np.array(effective), building.manifest, np.array(values)
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_monitoring__agent_sees_the_same_to_the_bit_and_reports_see_more() -> None:
     observed, rewards, effective, manifest, values = episode()

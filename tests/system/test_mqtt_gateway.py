@@ -340,6 +340,7 @@ def test_mqtt_gateway__flood_of_commands_is_answered_one_by_one(
         assert bus.priorities("office")[COOLING][7].value == done[-1]
 
 
+@pytest.mark.slow
 def test_mqtt_gateway__broker_that_returns_has_everything_again_and_no_result_is_lost(bus: Bus, tmp_path: Path) -> None:
     topic = f"zenostat/office/actuator/{COOLING}"
     with Broker(tmp_path) as broker, gateway(bus.endpoint, broker, "--source", "returning"):

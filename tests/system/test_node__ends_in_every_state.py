@@ -178,6 +178,7 @@ def test_node__killed_node_leaves_no_engine(folder: Path, *, frozen: bool) -> No
         shutil.rmtree(node.folder)  # a killed node cannot clear it
 
 
+@pytest.mark.slow
 def test_node__what_a_killed_program_and_its_killed_node_left_is_swept_at_the_next_start(scratch: Path) -> None:
     text = f"""
 import gymnasium as gym, zenostat, os, signal

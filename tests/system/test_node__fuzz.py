@@ -242,6 +242,7 @@ def test_valid_messages__leave_the_node_in_order(scratch: Path) -> None:
     assert node.process.returncode == 0
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     "kind", ["malformed", "duplicates", "writes", "requests", "command requests", "write requests"]

@@ -22,6 +22,7 @@ def _entries(bus: Bus) -> dict[str, dict[int, tuple[float | None, str | None]]]:
     return {name: entries for name, entries in occupied.items() if entries}
 
 
+@pytest.mark.slow
 def test_priorities__writes_and_commands_are_shown_at_their_priorities_at_once(episode_bus: Bus) -> None:
     assert _entries(episode_bus) == {}
     episode_bus.write("office", COOLING, 26.0, source="panel")

@@ -129,6 +129,7 @@ def test_recording__what_does_not_fit_is_one_error_before_anything_starts(
         assert (after.episode, len(after.controllers)) == (before.episode, len(before.controllers))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("words", "text"),
     [

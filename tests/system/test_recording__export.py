@@ -106,6 +106,7 @@ def read(path: Path) -> dict[str, list[Any]]:
     return messages
 
 
+@pytest.mark.slow
 def test_recording__each_sample_is_a_protobuf_message_with_named_fields(watched: Any, scratch: Path) -> None:
     target = scratch / "run.plot.mcap"
     result = run("export", str(watched.path), "--to", "mcap", "--out", str(target))

@@ -175,6 +175,7 @@ def test_threats__other_users_cannot_read_keys(pki: Path) -> None:
     assert run_python("-c", READER, "0", f"{pki}/controller.key").returncode == 0
 
 
+@pytest.mark.slow
 def test_threats__eavesdropper_reads_a_link_without_keys_and_nothing_of_one_with_keys(
     node: NodeProgram, pki: Path, open_node: NodeProgram
 ) -> None:

@@ -81,6 +81,7 @@ def test_report__light_and_dark_pages_are_drawn_and_differ(opened: Any) -> None:
     assert dark.std() > 0.05
 
 
+@pytest.mark.slow
 def test_report__lines_and_texts_of_drawings_are_light_on_dark_pages(opened: Any) -> None:
     colors = "[...document.querySelectorAll('#load-duration-title')].map(e => getComputedStyle(e.closest('svg')"
     text = f"{colors}.querySelector('text')).fill)[0]"
