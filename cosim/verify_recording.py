@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.bridge.node.plant import Provenance
-from zenostat.bridge.recording.file import file_digest
+from zenostat.bridge.recording.file import changed_files
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.recording.verification import Progress, Verification, Verifier
 from zenostat.bridge.runtime.scratch import Scratch, sweep
@@ -65,19 +65,13 @@ def verify_district(
 
 def _changes(reader: RecordingReader, file: DistrictFile, *, exact: bool) -> list[str]:
     """Return a text for each file whose content is not the recorded one; raise if exact."""
-    recorded, present = _digests(reader.provenance), input_files(file)
-    texts = [f"the recording has no digest of the {role} {present[role]}" for role in present if role not in recorded]
-    texts += [f"the {role} of the recording is not in {file.path}" for role in recorded if role not in present]
-    texts += [
-        f"the {role} {present[role]} has changed"
-        for role in present
-        if role in recorded and file_digest(present[role]) != recorded[role]
-    ]
-    if texts and exact:
-        raise InvalidRecording(
-            f"{reader.path} cannot be verified to the bit: {'; '.join(texts)}; a tolerance compares it nevertheless"
-        )
-    return texts
+    return changed_files(
+        reader.path,
+        _digests(reader.provenance),
+        input_files(file),
+        exact=exact,
+        missing=lambda role: f"the {role} of the recording is not in {file.path}",
+    )
 
 
 def _digests(provenance: Mapping[str, Any]) -> dict[str, str]:

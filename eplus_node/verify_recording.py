@@ -16,7 +16,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from zenostat.bridge.engine.registry import UNRESPONSIVE_S, EngineRegistry
 from zenostat.bridge.node.plant import PlantContext, PlantFactory, RepeatablePlant, SlotPlacement
-from zenostat.bridge.recording.file import file_digest
+from zenostat.bridge.recording.file import changed_files
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.recording.verification import Progress, Verification, Verifier
 from zenostat.bridge.runtime.scratch import Scratch, sweep
@@ -195,21 +195,15 @@ class _RecordedPlant:
             roles: those that are compared; by default all.
         """
         recorded = self._provenance.files
-        texts = [*changes]
-        for role in dict.fromkeys((*recorded, *present)):
-            if roles is not None and role not in roles:
-                continue
-            if role not in present:
-                texts.append(f"the {role} {recorded[role].path} is missing")
-            elif role not in recorded:
-                texts.append(f"the recording has no digest of the {role} {present[role]}")
-            elif file_digest(present[role]) != recorded[role].sha256:
-                texts.append(f"the {role} {present[role]} has changed")
-        if texts and self._exact:
-            raise InvalidRecording(
-                f"{self._path} cannot be verified to the bit: {'; '.join(texts)}; a tolerance compares it nevertheless"
-            )
-        return texts
+        selected = {*recorded, *present} if roles is None else roles
+        return changed_files(
+            self._path,
+            {role: file.sha256 for role, file in recorded.items() if role in selected},
+            {role: path for role, path in present.items() if role in selected},
+            changes,
+            exact=self._exact,
+            missing=lambda role: f"the {role} {recorded[role].path} is missing",
+        )
 
 
 def _without_file(arguments: Mapping[str, Any]) -> dict[str, Any]:

@@ -9,10 +9,11 @@ import importlib
 import itertools
 import os
 import stat
+from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.recording import SUFFIX
 
@@ -158,3 +159,40 @@ def _exists(path: Path) -> str:
         f"{path} exists; choose another name, or a folder, in which each run has a file of its own, or replace it "
         "(--overwrite, Bus.record(..., overwrite=True))"
     )
+
+
+def changed_files(
+    recording: Path,
+    recorded: Mapping[str, str],
+    present: Mapping[str, Path],
+    changes: Sequence[str] = (),
+    *,
+    exact: bool,
+    missing: Callable[[str], str],
+) -> list[str]:
+    """Return a text for each file whose content is not the recorded one, after `changes`.
+
+    Args:
+        recording: path of the recording.
+        recorded: digests by the files' roles.
+        present: files by their roles.
+        changes: further texts.
+        exact: raise an error if there is any text.
+        missing: returns the text for a role that has no file.
+
+    Raises:
+        InvalidRecording: `exact`, and a file is not the recorded one.
+    """
+    texts = [*changes]
+    for role in dict.fromkeys((*recorded, *present)):
+        if role not in present:
+            texts.append(missing(role))
+        elif role not in recorded:
+            texts.append(f"the recording has no digest of the {role} {present[role]}")
+        elif file_digest(present[role]) != recorded[role]:
+            texts.append(f"the {role} {present[role]} has changed")
+    if texts and exact:
+        raise InvalidRecording(
+            f"{recording} cannot be verified to the bit: {'; '.join(texts)}; a tolerance compares it nevertheless"
+        )
+    return texts
