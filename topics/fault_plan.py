@@ -20,6 +20,7 @@ from pydantic import (
 from zenostat.topics.calendar import Weekday, check_hours, parse_moment
 from zenostat.topics.errors import did_you_mean
 from zenostat.topics.messages import Count, Finite, Message
+from zenostat.topics.messages.base import SourceName
 from zenostat.topics.points import check_order
 
 
@@ -295,10 +296,12 @@ class FaultPlan(_Part):
     Attributes:
         seed: seed of all random numbers of the faults.
         faults: the faults; none restores normal operation.
+        source: name of who injects them, as in the request's key; files need none.
     """
 
     seed: Annotated[int, Field(ge=0, lt=2**63, strict=True)] = 0
     faults: tuple[Fault, ...] = ()
+    source: SourceName = ""
 
     @property
     def names(self) -> tuple[str, ...]:

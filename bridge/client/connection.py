@@ -89,13 +89,14 @@ class Connection:
         session: The Zenoh session.
         affinity: Placement of its threads.
         timeout_s: Time after which a node that is present but does not answer fails a request with `PeerError`.
+        via: Protocol of those for whom it sends requests, which recordings show as the way in; empty for itself.
         timer: For the checks of controllers that have waited for long; its thread starts with the first controller.
     """
 
     def __init__(self, endpoint: str, session: OpenSession, affinity: Affinity) -> None:
         self.endpoint = endpoint
         self.identity, self.roles = session.name, session.roles
-        self.timeout_s = _REQUEST_TIMEOUT_S
+        self.timeout_s, self.via = _REQUEST_TIMEOUT_S, ""
         self._close, self._closed = ExitStack(), False
         self.affinity = affinity
         self._links: set[Link] = set()
@@ -161,8 +162,9 @@ class Connection:
             request, sender = self._signed(request)
         try:
             reply = ask(
-                self.session, topic, node, request, reply_type, name=name, sender=sender, timeout_s=self.timeout_s
-            )
+                self.session, topic, node, request, reply_type, name=name, sender=sender, via=self.via,
+                timeout_s=self.timeout_s,
+            )  # fmt: skip
         except zenoh.ZError:
             if not self._closed:
                 raise
@@ -213,12 +215,13 @@ class Connection:
         """Stop a node."""
         self.ask(keys.STOP, node, build(Stop, source=source), Ack)
 
-    def faults(self, node: str, plan: FaultPlan | Mapping[str, Any] | Path | None) -> None:
+    def faults(self, node: str, plan: FaultPlan | Mapping[str, Any] | Path | None, *, source: str = "") -> None:
         """Replace the faults that a node injects; None stops all injection.
 
         Args:
             node: The node's name.
             plan: A plan, its fields, or a YAML file; see docs/faults.md.
+            source: Name of who injects them, which events and recordings show.
 
         Raises:
             InvalidConfig: No such file, or faults that do not fit this node; the text lists all errors.
@@ -229,6 +232,8 @@ class Connection:
             plan = read_plan(plan)
         if not isinstance(plan, FaultPlan):
             plan = build(FaultPlan, **(plan or {}))
+        if source:
+            plan = build(FaultPlan, **{**dict(plan), "source": source})
         self.ask(keys.FAULTS, node, plan, Ack)
 
     def latest(self, node: str) -> Sample:

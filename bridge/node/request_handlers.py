@@ -165,7 +165,7 @@ class RequestHandlers:
         server.inject(faults)
         server.publications.manifest(server.manifest)
         names = ", ".join(faults.names) or "none"
-        server.event(server.exchange.event(EventKind.FAULT, f"faults are set: {names}"))
+        server.event(server.exchange.event(EventKind.FAULT, f"faults are set: {names}", faults.source))
         return Ack(episode=server.exchange.episode)
 
     def _weather(self, query: WeatherQuery) -> Message:

@@ -10,6 +10,7 @@ from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage, PeerError, from_wire
 from zenostat.topics.messages import ErrorReply, Message
 from zenostat.topics.printable import replace_controls
+from zenostat.topics.way_in import attachment
 
 M = TypeVar("M", bound=Message)
 
@@ -23,6 +24,7 @@ def ask(
     *,
     name: str = "",
     sender: str = "",
+    via: str = "",
     timeout_s: float,
 ) -> M | None:
     """Return a node's reply; None, at once, if no node of that name is on the bus or if it does not know the topic.
@@ -35,6 +37,7 @@ def ask(
         reply_type: class of the reply.
         name: the one in the topic's key, if it has one.
         sender: the sender's name in the topic's key, if it has one.
+        via: the way in of a request that is sent for a client of another protocol.
         timeout_s: time after which a node that is present but does not answer raises an error.
 
     Raises:
@@ -52,6 +55,7 @@ def ask(
         topic.at(node, name=name, sender=sender),
         payload=payload,
         encoding=zenoh.Encoding(codec.encoding(type(request))) if request else None,
+        attachment=attachment(via),
         timeout=timeout_s,
     )
     for reply in replies:

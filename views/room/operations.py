@@ -142,7 +142,7 @@ class Faults(Operation):
             plan = FaultPlan.model_validate(self.plan)
         except ValidationError as error:
             raise InvalidConfig(codec.describe_validation_errors(error)) from None
-        bus.faults(node, plan)
+        bus.faults(node, plan, source=operator)
         names = ", ".join(plan.names)
         return f"injected from the next sample on: {names}" if names else "no fault is injected any more"
 
