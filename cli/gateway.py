@@ -140,6 +140,7 @@ def serve(
     gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
     *,
     source: str,
+    via: str,
     options: BusOptions,
     wait: bool,
     exclusive: Mapping[str, str] | None = None,
@@ -152,6 +153,7 @@ def serve(
         node: name of the node.
         gateway: creates the gateway in the running loop.
         source: name of the gateway among the sources of values and events.
+        via: the protocol of its clients, the way in that recordings show.
         options: the bus; with keys, it uses the gateway role.
         wait: wait for the bus and the node instead of failing.
         exclusive: further names that no other gateway of the node may have, with what to do if one has.
@@ -169,6 +171,7 @@ def serve(
         node=node,
         gateway=gateway,
         source=source,
+        via=via,
         names=names,
         options=options,
     )
@@ -205,6 +208,7 @@ async def _serve(
     node: str,
     gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
     source: str,
+    via: str,
     names: Mapping[str, str],
     options: BusOptions,
 ) -> int:
@@ -212,7 +216,7 @@ async def _serve(
     opened = options.open_session(Role.GATEWAY)
     with opened as session:
         async with AsyncExitStack() as stack:
-            starting = asyncio.create_task(_start(stack, session, node, gateway, source, names, opened.name))
+            starting = asyncio.create_task(_start(stack, session, node, gateway, source, via, names, opened.name))
             if not await _ends_before(starting, stopped):
                 return stopped.result()
             client, running = await starting
@@ -235,6 +239,7 @@ async def _start(
     node: str,
     gateway: Callable[[NodeClient], AbstractAsyncContextManager[NodeGateway]],
     source: str,
+    via: str,
     names: Mapping[str, str],
     identity: str,
 ) -> tuple[NodeClient, NodeGateway]:
@@ -242,7 +247,7 @@ async def _start(
     from zenostat.gateways.exclusive_names import reserved_names
     from zenostat.gateways.node_client import NodeClient
 
-    client = await stack.enter_async_context(NodeClient(session, node, source=source, identity=identity))
+    client = await stack.enter_async_context(NodeClient(session, node, source=source, identity=identity, via=via))
     await stack.enter_async_context(reserved_names(session, node, names, identity))
     stack.push_async_callback(_relinquish, client)
     return client, await stack.enter_async_context(gateway(client))

@@ -74,6 +74,7 @@ def bacnet(
             notify=notify,
         ),
         source=source,
+        via="bacnet",
         options=options,
         wait=wait,
         exclusive={f"BACnet device {number}": "choose another number with --instance"},

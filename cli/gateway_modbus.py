@@ -66,6 +66,7 @@ def modbus(
             notify=notify,
         ),
         source=source,
+        via="modbus",
         options=options,
         wait=wait,
     )

@@ -88,7 +88,7 @@ def mqtt(
         lambda client: MqttGateway(
             client, at, root=root, priority=priority, clients=known, home_assistant=prefix, notify=notify,
         ),
-        source=source, options=options, wait=wait,
+        source=source, via="mqtt", options=options, wait=wait,
         exclusive={f"{root} on {at}": "choose another topic with --topic"},
     )  # fmt: skip
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -23,7 +24,8 @@ def log(
 ) -> None:
     """List the writes, commands, requests and alarms of a recording, with senders, times and results.
 
-    Consecutive accepted commands of a controller are one row.
+    `proven` is the name of the certificate that proves the sender's, `via` the way in. Consecutive accepted commands of
+    a controller are one row.
 
     Example: `zenostat log run.mcap --source plc7`
     """
@@ -33,6 +35,7 @@ def log(
 
     with warnings_printed():
         loaded = recording.load(file)
+        _check_chain(file)
     entries = loaded.log
     if source is not None:
         entries = tuple(entry for entry in entries if fnmatchcase(entry.source, source))
@@ -42,18 +45,20 @@ def log(
     if rejected:
         entries = tuple(entry for entry in entries if not entry.is_accepted)
     if as_json:
-        names = ("simulated", "source", "kind", "subject", "result", "count")
+        names = ("simulated", "source", "proven", "via", "kind", "subject", "result", "count")
         rows = [{name: getattr(entry, name) for name in names} for entry in entries]
         show_json([{"time": e.time.isoformat(timespec="milliseconds")} | r for e, r in zip(entries, rows, strict=True)])
         return
     show(
         str(file),
-        ("UTC", "simulated", "source", "kind", "subject", "result"),
+        ("UTC", "simulated", "source", "proven", "via", "kind", "subject", "result"),
         [
             (
                 f"{entry.time:%Y-%m-%d %H:%M:%S.%f}"[:-3],
                 entry.simulated,
                 entry.source,
+                entry.proven or ("" if entry.kind == "alarm" else "no"),
+                entry.via,
                 entry.kind,
                 entry.subject + (f" and {entry.count - 1:,} more" if entry.count > 1 else ""),
                 entry.result,
@@ -62,3 +67,16 @@ def log(
         ],
         wrap=("subject", "result"),
     )
+
+
+def _check_chain(file: Path) -> None:
+    """Warn if entries of the log have been removed, changed or moved."""
+    import warnings
+
+    from zenostat.bridge.recording.audit_chain import check_audit
+    from zenostat.bridge.recording.reader import RecordingReader
+
+    with RecordingReader(file) as reader:
+        result = check_audit(reader)
+    if result.problems:
+        warnings.warn(f"{file}: {result}", stacklevel=2)

@@ -57,6 +57,7 @@ def room(
     ):
         out.print(f"ready: {server.link}", soft_wrap=True)
         out.print("The link signs one browser in, once; press Ctrl-C to stop.", soft_wrap=True)
+        bus.via = "http"
         server.run()
 
 

@@ -15,6 +15,7 @@ from zenostat.cli.tables import show, show_json
 from zenostat.topics.errors import InvalidConfig
 
 if TYPE_CHECKING:
+    from zenostat.bridge.recording.audit_chain import AuditResult
     from zenostat.bridge.recording.verification import Verification
 
 File = Annotated[Path, typer.Argument(help="Recording (`.mcap`) of `zenostat node --record` or `zenostat record`.")]
@@ -49,15 +50,21 @@ def verify(
             "EnergyPlus. Default: equal to the bit.",
         ),
     ] = None,
+    audit_only: Annotated[
+        bool, typer.Option("--audit-only", help="Check only the audit log, without a simulation.")
+    ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Simulate a recording again with the actuator values of its plant, and compare all values and times.
 
-    The exit code is 1 if anything differs.
+    Also checks the hash chain of the audit log: which entries were removed, changed or moved. The exit code is 1 if
+    anything differs.
 
     Example: `zenostat verify run.mcap`
 
     Example: `zenostat verify run.mcap --tolerance 0.01`
+
+    Example: `zenostat verify run.mcap --audit-only`
 
     Example: `zenostat verify tank.mcap --plant tank.py:Tank`
 
@@ -70,6 +77,9 @@ def verify(
     with requires_extra("recording", "a recording", "mcap and zstandard"):
         from zenostat.cosim.verify_recording import verify_district
         from zenostat.eplus_node.verify_recording import verify as verify_recording
+    if audit_only:
+        _check_audit(file, as_json=as_json)
+        return
     if tolerance is not None and not tolerance < float("inf"):
         raise InvalidConfig(f"--tolerance {tolerance}: expected a finite number of at least 0")
     if district is not None and (plant or fmu or grid):
@@ -86,6 +96,26 @@ def verify(
         _show(result)
     if not result.passed:
         raise typer.Exit(1)
+
+
+def _check_audit(file: Path, *, as_json: bool) -> None:
+    from zenostat.bridge.recording.audit_chain import check_audit
+    from zenostat.bridge.recording.reader import RecordingReader
+
+    with RecordingReader(file) as reader:
+        result = check_audit(reader)
+        end = reader.end
+    if as_json:
+        passed = not (result.problems or end.is_damaged)
+        show_json({"passed": passed, "audit": _audit_json(result), "end": end.text})
+    else:
+        out.print(f"{result}{f'; {end.text}' if end.text else ''}", markup=False, soft_wrap=True)
+    if result.problems or end.is_damaged:
+        raise typer.Exit(1)
+
+
+def _audit_json(result: AuditResult) -> dict[str, object]:
+    return {"entries": result.entries, "head": result.head, "problems": result.problems}
 
 
 def _bar(stack: ExitStack, file: Path) -> Callable[[int, int], None]:
@@ -111,6 +141,7 @@ def _show(result: Verification) -> None:
         rows = [(name, f"{value:.6g}") for name, value in result.greatest.items() if value > 0.0]
         if rows:
             show("greatest differences", ("point", "difference"), rows, right=("difference",))
+    out.print(str(result.audit), markup=False, soft_wrap=True)
     out.print(str(result), markup=False, soft_wrap=True)
 
 
@@ -128,4 +159,5 @@ def _json(result: Verification) -> dict[str, object]:
         "skipped": result.skipped,
         "notes": result.notes,
         "end": result.end,
+        "audit": _audit_json(result.audit),
     }

@@ -20,6 +20,7 @@ from zenostat.topics import codec, errors, keys
 from zenostat.topics.errors import NodeNotFound, PeerError, did_you_mean
 from zenostat.topics.keys import Topic
 from zenostat.topics.messages import ErrorReply, Message
+from zenostat.topics.way_in import attachment
 
 _QUERY_S = 600.0  # a node's disconnection is noticed at once; the start of a large building takes long
 
@@ -50,10 +51,11 @@ class BusSide:
     Args:
         session: the session, which the caller closes.
         post: posts a task to the gateway's thread; Zenoh's threads call it.
+        via: the protocol of the gateway's clients, which recordings show as the way in.
     """
 
-    def __init__(self, session: zenoh.Session, post: Post) -> None:
-        self._session = session
+    def __init__(self, session: zenoh.Session, post: Post, via: str = "") -> None:
+        self._session, self._attachment = session, attachment(via)
         self._post = post
         self._close = ExitStack()
         self._tokens: dict[str, zenoh.LivelinessToken] = {}
@@ -146,6 +148,7 @@ class BusSide:
             Callback(on_reply, on_end, indirect=False),
             payload=question,
             encoding=_encoding(topic) if question is not None else None,
+            attachment=self._attachment if sender else None,
             timeout=timeout_s,
         )
 

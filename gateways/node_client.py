@@ -70,6 +70,7 @@ class NodeClient:
         name: the node's name.
         source: default name of the writer, which samples and events show.
         identity: the name in the gateway's certificate, below which all sources are; empty without keys.
+        via: the protocol of its clients, which recordings show as the way in.
 
     Raises:
         NodeNotFound: on entering the context, no node of that name is on the bus.
@@ -86,8 +87,10 @@ class NodeClient:
 
     manifest: Manifest
 
-    def __init__(self, session: zenoh.Session, name: str, *, source: str = "gateway", identity: str = "") -> None:
-        self._identity = identity
+    def __init__(
+        self, session: zenoh.Session, name: str, *, source: str = "gateway", identity: str = "", via: str = ""
+    ) -> None:
+        self._identity, self._via = identity, via
         self.name, self.source = name, keys.own_name(identity, source)
         self.sample: SampleView | None = None
         self.is_online = False
@@ -106,7 +109,7 @@ class NodeClient:
     async def __aenter__(self) -> NodeClient:
         self._loop = asyncio.get_running_loop()
         async with AsyncExitStack() as stack:
-            self._bus = BusSide(self._session, self._post)
+            self._bus = BusSide(self._session, self._post, self._via)
             stack.callback(self._bus.close)
             self._set_manifest(await self.ask(keys.MANIFEST, None, Manifest))
             self.is_online = True

@@ -30,7 +30,13 @@ GEOMETRY = "geometry.msgpack"
 WEATHER_COLUMNS = ("dry_bulb_temperature", "global_horizontal_radiation")
 """Columns of the weather that are recorded with an episode, in degC and Wh/m2 in the interval."""
 
+AUDIT, AUDIT_ENTRIES, AUDIT_HEAD = "audit", "audit_entries", "audit_head"
+"""Fields of the metadata records: the hash of the audit log's chain; in the summary, its length and its last link."""
+
+AUDIT_HASH = "sha256"
+
 ORDERS, EPISODES, SNAPSHOTS, OTHERS, WEATHER = "orders", "episodes", "snapshots", "others", "weather"
+SENDERS, AUDIT_CHAIN = "senders", "audit"
 """Channels, below the node's root, of the records that are not on the bus."""
 
 
@@ -82,6 +88,31 @@ class RecordedSnapshot(Message):
     snapshot: str
     episode: list[Count]
     step: list[Count]
+
+
+class RecordedSender(Message):
+    """A sender of the messages that follow: its name in their keys, and how it came to the bus.
+
+    `proven`: the name that a certificate proves, where keys are in use: the sender's name is that, or below it; empty
+    if nothing proves it. `via`: the way in, `zenoh` or the protocol of a gateway; of a gateway's clients, it is what
+    the gateway says. It is recorded before a sender's first message, and whenever it changes.
+    """
+
+    sender: str
+    proven: str = ""
+    via: str = ""
+
+
+class RecordedAudit(Message):
+    """Digests of the entries of the audit log since the previous such record; see `bridge/recording/audit_chain.py`.
+
+    `first`: number of entries before them. `previous`: link of the previous record, 32 bytes; zeros in the first one.
+    `digests`: 32 bytes for each entry, in the order of the file.
+    """
+
+    first: Count
+    previous: Raw
+    digests: Raw
 
 
 class RecordedRequest(Message):

@@ -34,6 +34,7 @@ from zenostat.topics import errors, keys
 from zenostat.topics.errors import EpisodeAborted, RequestRejected, SimulatorError, ZenostatError
 from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import Event, EventKind, Manifest, Mode, Query, State, Statistics
+from zenostat.topics.way_in import ZENOH
 
 if TYPE_CHECKING:
     from zenostat.bridge.alarms.monitor import AlarmMonitor
@@ -175,6 +176,8 @@ class NodeServer:
         controller, message = received
         payload, encoding = message.payload.to_bytes(), str(message.encoding)
         if self._recorder is not None:
+            if controller not in self._recorder.senders:
+                self._recorder.sender(controller, self.subscriptions.proven(controller), ZENOH)
             self._recorder.received(keys.COMMAND, keys.COMMAND.below(sender=controller), payload, encoding)
         if self.injection is not None and self.injection.link.disturbs_commands:
             self.deliver(controller, lambda: self._receive_command(controller, payload, encoding))

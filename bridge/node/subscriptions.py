@@ -23,6 +23,7 @@ from zenostat.bridge.transport.wakeup import Wake
 from zenostat.topics import codec, errors, keys
 from zenostat.topics.errors import AccessDenied, BadMessage, NodeLost, RequestRejected, ZenostatError
 from zenostat.topics.messages import ErrorReply, Message, Query
+from zenostat.topics.way_in import ZENOH, way_in
 
 if TYPE_CHECKING:
     from zenostat.bridge.node.access import Access
@@ -66,7 +67,7 @@ class Request:
         payload, encoding: its message.
     """
 
-    __slots__ = ("_key", "_query", "_subscriptions", "_topic", "encoding", "name", "payload", "sender")
+    __slots__ = ("_key", "_query", "_subscriptions", "_topic", "_via", "encoding", "name", "payload", "sender")
 
     def __init__(self, query: zenoh.Query, topic: keys.Topic, subscriptions: Subscriptions) -> None:
         self._query: zenoh.Query | None = query
@@ -74,6 +75,7 @@ class Request:
         self._topic, self._subscriptions = topic, subscriptions
         self._key = topic.at(subscriptions.node, name=self.name, sender=self.sender)
         self.payload, self.encoding = _content(query)
+        self._via = _way_in(query.attachment)
 
     def answer(self, handler: Callable[[], Message], *, is_recorded: bool = True) -> None:
         """Call `handler` and reply with what it returns or raises; only the first call replies and is recorded."""
@@ -89,9 +91,14 @@ class Request:
         recorder = self._subscriptions.recorder
         if recorder is not None and is_recorded and self._topic.sender is not keys.Role.ANYONE:  # those only read
             key = self._topic.below(name=self.name, sender=self.sender)
+            recorder.sender(self.sender, self._subscriptions.proven(self.sender), self._via)
             recorder.request(key, self.payload, self.encoding, payload, encoding)
         with query:
             query.reply(self._key, payload, encoding=zenoh.Encoding(encoding))
+
+
+def _way_in(attached: zenoh.ZBytes | None) -> str:
+    return ZENOH if attached is None else way_in(attached.to_bytes())
 
 
 def _mismatch(sender: str, named: str) -> str:
@@ -277,6 +284,10 @@ class Subscriptions:
             self.deny(topic, sender, reason)
         return message.model_copy(update={field: sender}) if field else message
 
+    def proven(self, sender: str) -> str:
+        """Return the certificate's name that proves a sender's name; empty without keys."""
+        return "" if self.access is None else self.access.holder(sender)
+
     def deny(self, topic: keys.Topic, sender: str, reason: str) -> NoReturn:
         """Report a denied message and raise `AccessDenied`; for the server's thread."""
         self.on_denied(f"{topic.key}: {reason}", sender)
@@ -314,8 +325,9 @@ class Subscriptions:
         """Subscribe to a topic; the server's thread handles its messages."""
         waiting = self._queue(topic)
 
-        def receive(sender: str, name: str, payload: bytes, encoding: str) -> None:
+        def receive(sender: str, name: str, payload: bytes, encoding: str, via: str) -> None:
             if self.recorder is not None:
+                self.recorder.sender(sender, self.proven(sender), via)
                 self.recorder.received(topic, topic.below(name=name, sender=sender), payload, encoding)
             handler(sender, name, payload, encoding)
 
@@ -324,8 +336,8 @@ class Subscriptions:
                 self.rate_limited += 1
                 return
             sender, name = topic.names_in(str(message.key_expr))
-            payload, encoding = message.payload.to_bytes(), str(message.encoding)
-            waiting.append(lambda: None if self._has_ended else receive(sender, name, payload, encoding))
+            payload, encoding, via = message.payload.to_bytes(), str(message.encoding), _way_in(message.attachment)
+            waiting.append(lambda: None if self._has_ended else receive(sender, name, payload, encoding, via))
             self._post_next(waiting)
 
         subscriber = self._session.declare_subscriber(topic.everywhere(self.node), Callback(on_message, indirect=False))

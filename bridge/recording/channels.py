@@ -4,9 +4,17 @@ from __future__ import annotations
 
 from zenostat.topics import keys, recording
 from zenostat.topics.messages import Event, Manifest, Message, Sample
-from zenostat.topics.recording import RecordedEpisode, RecordedMessage, RecordedOrder, RecordedSnapshot, RecordedWeather
+from zenostat.topics.recording import (
+    RecordedAudit,
+    RecordedEpisode,
+    RecordedMessage,
+    RecordedOrder,
+    RecordedSender,
+    RecordedSnapshot,
+    RecordedWeather,
+)
 
-SAMPLES, EVENTS, MANIFESTS, ORDERS, EPISODES, SNAPSHOTS, OTHERS, WEATHER = range(8)
+SAMPLES, EVENTS, MANIFESTS, ORDERS, EPISODES, SNAPSHOTS, OTHERS, WEATHER, SENDERS, AUDIT = range(10)
 """Numbers of the channels."""
 
 CHANNELS: tuple[tuple[str, type[Message]], ...] = (
@@ -18,5 +26,7 @@ CHANNELS: tuple[tuple[str, type[Message]], ...] = (
     (recording.SNAPSHOTS, RecordedSnapshot),
     (recording.OTHERS, RecordedMessage),
     (recording.WEATHER, RecordedWeather),
+    (recording.SENDERS, RecordedSender),
+    (recording.AUDIT_CHAIN, RecordedAudit),
 )
 """Topic below the node's root and class of each fixed channel, by its number."""

@@ -19,7 +19,8 @@ from pathlib import Path
 from time import monotonic, time_ns
 
 from zenostat.bridge.node.plant import PlantDescription
-from zenostat.bridge.recording.channels import CHANNELS, ORDERS, OTHERS
+from zenostat.bridge.recording.audit_chain import AuditChain
+from zenostat.bridge.recording.channels import AUDIT, CHANNELS, ORDERS, OTHERS, SENDERS
 from zenostat.bridge.recording.chunk_writer import ChunkWriter
 from zenostat.bridge.recording.file import file_digest
 from zenostat.bridge.runtime.affinity import supported
@@ -33,7 +34,7 @@ from zenostat.topics.messages import (
     RecordingState,
     RecordingStatus,
 )
-from zenostat.topics.recording import RecordedMessage, RecordedRequest
+from zenostat.topics.recording import RecordedMessage, RecordedRequest, RecordedSender
 
 BUFFER_BYTES = 64 << 20
 """Largest number of bytes that may wait to be written."""
@@ -74,6 +75,7 @@ class Recorder:
 
     Attributes:
         is_ending: returns whether the node is ending and must not wait for the disk.
+        senders: by the name in their keys, the senders of recorded messages: the proven name and the way in.
     """
 
     def __init__(
@@ -93,6 +95,8 @@ class Recorder:
         self._limit, self._cpus = buffer_bytes, cpus
         self._is_waiting = False
         self.is_ending: Callable[[], bool] = lambda: False
+        self.senders: dict[str, tuple[str, str]] = {}
+        self._chain, self._own_bytes = AuditChain(), 0
         self._pending: deque[tuple[int, int, bytes]] = deque()
         self._added = self._written = 0
         self._named: dict[str, int] = {}
@@ -129,6 +133,20 @@ class Recorder:
             if len(self._order_heads) < MAX_CHANNELS:
                 self._order_heads[key] = head
         self.add(ORDERS, head + values)
+
+    def sender(self, name: str, proven: str, via: str) -> None:
+        """Record who the sender of the next message is, unless that is known.
+
+        Args:
+            name: the sender's name in the message's key.
+            proven: the certificate's name that proves it; empty without keys.
+            via: the way in.
+        """
+        if self.senders.get(name) == (proven, via):
+            return
+        if len(self.senders) < MAX_CHANNELS:
+            self.senders[name] = (proven, via)
+        self.record(SENDERS, RecordedSender(sender=name, proven=proven, via=via))
 
     def received(self, topic: keys.Topic, key: str, payload: bytes, encoding: str) -> None:
         """Record a command or a write that the node received; `key` is below the node's root."""
@@ -236,6 +254,7 @@ class Recorder:
             "zenostat": VERSION,
             "schema_version": str(SCHEMA_VERSION),
             "root": self._root,
+            recording.AUDIT: recording.AUDIT_HASH,
         }
         writer.add_metadata(recording.ABOUT, about)
         for name, content in self._attachments().items():
@@ -248,8 +267,7 @@ class Recorder:
             if is_last:
                 break
             self._check_file()
-        writer.flush()
-        self._update(writer)
+        self._flush(writer)
         writer.add_metadata(recording.SUMMARY, self._summary())
         writer.finish()
         self._update(writer)
@@ -274,25 +292,35 @@ class Recorder:
                 if self._new_channels:  # announced before their first message was added
                     self._add_channels(writer)
                 writer.add(channel, at_ns, payload)
+                self._chain.add(channel, at_ns, payload)
             if writer.size >= _CHUNK_BYTES:
-                writer.flush()
-                self._update(writer)
+                self._flush(writer)
             self._check_file()
             os.sched_yield()
         if self._is_waiting or (writer.started_ns and time_ns() - writer.started_ns >= _CHUNK_NS):
-            writer.flush()
-            self._update(writer)
+            self._flush(writer)
+
+    def _flush(self, writer: ChunkWriter) -> None:
+        """Write the present chunk, with the digests of its entries of the audit log."""
+        record = self._chain.seal()
+        if record is not None:
+            payload = codec.encode(record)
+            writer.add(AUDIT, time_ns(), payload)
+            self._own_bytes += len(payload)
+        writer.flush()
+        self._update(writer)
 
     def _add_channels(self, writer: ChunkWriter) -> None:
         while self._new_channels:
             number, topic, kind = self._new_channels.popleft()
             schema = json.dumps(kind.model_json_schema()).encode()
             writer.add_channel(number, f"{self._root}/{topic}", kind.__name__, schema)
+            self._chain.add_channel(number, topic, kind.__name__)
 
     def _update(self, writer: ChunkWriter) -> None:
         """Update the counts after a chunk has been written."""
         self._messages, self._bytes = writer.messages, writer.offset
-        self._written = writer.payload_bytes
+        self._written = writer.payload_bytes - self._own_bytes
         if self._waits:
             with self._room:
                 self._room.notify_all()
@@ -303,6 +331,7 @@ class Recorder:
             "waits": str(self._waits),
             "waited_s": f"{self._waited_s:.3f}",
             "reason": self.reason,
+            **self._chain.summary(),
         }
 
 

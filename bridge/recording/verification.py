@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.bridge.node.plant import PlantDescription, RepeatablePlant, RunningPlant
+from zenostat.bridge.recording.audit_chain import AuditResult, check_audit
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
 from zenostat.topics import VERSION, codec
 from zenostat.topics.errors import BadMessage, InvalidRecording
@@ -77,6 +78,7 @@ class Verification:
         notes: what differs from the recording's software, model and weather.
         end: why the recording ends early; empty if it does not.
         is_damaged: whether the file is damaged, and could be verified only up to there.
+        audit: the chain of the audit log.
     """
 
     steps: int = 0
@@ -90,11 +92,12 @@ class Verification:
     notes: list[str] = field(default_factory=list)
     end: str = ""
     is_damaged: bool = False
+    audit: AuditResult = field(default_factory=AuditResult)
 
     @property
     def passed(self) -> bool:
-        """Whether something was compared, and all of it is equal, or within the tolerance."""
-        if not self.episodes or self.is_damaged or self.difference is not None:
+        """Whether values were compared, all of them are equal or within the tolerance, and the audit log is whole."""
+        if not self.episodes or self.is_damaged or self.difference is not None or self.audit.problems:
             return False
         return self.tolerance is None or all(value <= self.tolerance for value in self.greatest.values())
 
@@ -204,6 +207,7 @@ class Verifier:
         recorded_version = self._reader.about.get("zenostat", "")
         if recorded_version != VERSION:
             result.notes.append(f"recorded by Zenostat {recorded_version}, verified by {VERSION}")
+        result.audit = check_audit(self._reader)
         self._scan()
         for item in self._reader.messages(_SCHEMAS):
             self._process(item)

@@ -187,6 +187,7 @@ class Building:
             self._close.callback(self._node.close)
             bus = connect(self._node.endpoint, affinity=placement, core=self._node.core)
             self._close.enter_context(bus)
+            bus.via = "boptest"
             self.main = Simulation(bus, _NODE, name)
             undo.pop_all()
         step_s = self.main.manifest.step_s

@@ -116,7 +116,7 @@ class Gateway:
             undo.callback(self.close)
             self._sockets = self._close.enter_context(Sockets(publish, command, lease_s=lease_s))
             self.publish, self.command = self._sockets.publish, self._sockets.command
-            self._bus = BusSide(session, self._sockets.post)
+            self._bus = BusSide(session, self._sockets.post, "zeromq")
             self._close.callback(self._bus.close)
             self._queues = DeliveryQueues(self._bus, self._nodes, self._answer)
             names = self._bus.nodes(self.node)  # first: Zenoh replies without tokens while it transfers their history

@@ -13,7 +13,7 @@ from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage
 from zenostat.topics.messages import REJECTIONS, AlarmTransition, ErrorReply, Event, EventKind
 from zenostat.topics.printable import replace_controls
-from zenostat.topics.recording import RecordedMessage, RecordedRequest
+from zenostat.topics.recording import RecordedMessage, RecordedRequest, RecordedSender
 
 if TYPE_CHECKING:
     from zenostat.bridge.recording.reader import RecordedItem
@@ -44,6 +44,9 @@ class LogEntry:
         subject: The point that was written, what was requested, or what the alarm reports.
         result: `accepted`, or the reason why not; of an alarm, its new state.
         count: Number of consecutive accepted commands that the entry stands for.
+        proven: Name in the certificate that proves the sender's name, which is that or below it; empty if nothing
+            proves it.
+        via: Way in to the bus: `zenoh`, or the protocol of a gateway; empty for an alarm, and if it was not recorded.
     """
 
     time: datetime
@@ -53,6 +56,13 @@ class LogEntry:
     subject: str
     result: str = _ACCEPTED
     count: int = 1
+    proven: str = ""
+    via: str = ""
+
+    @property
+    def is_proven(self) -> bool:
+        """Whether a certificate proves who sent it; of a gateway's client, it proves the gateway."""
+        return bool(self.proven)
 
     @property
     def is_accepted(self) -> bool:
@@ -72,6 +82,7 @@ class LogBuilder:
         self._awaiting: LogEntry | None = None
         self._commands: dict[str, LogEntry] = {}
         self._latest: dict[str, LogEntry] = {}
+        self._senders: dict[str, tuple[str, str]] = {}
 
     def add_event(self, event: Event, time_ns: int) -> None:
         """Take the result of the latest message from an event, or add the transition of an alarm."""
@@ -96,6 +107,10 @@ class LogBuilder:
     def add(self, item: RecordedItem, simulated: str) -> None:
         """Add a received message; `simulated` is the time of the latest sample."""
         self._awaiting = None
+        if item.schema == RecordedSender.__name__:
+            sender = codec.decode(RecordedSender, item.payload)
+            self._senders[sender.sender] = (sender.proven, sender.via)
+            return
         topic, payload, encoding = item.topic, item.payload, ""
         if item.schema == RecordedMessage.__name__:
             message = codec.decode(RecordedMessage, payload)
@@ -112,15 +127,15 @@ class LogBuilder:
             self._add_command(sender, payload, time_ns, simulated)
             self._awaiting = self._commands[sender]
             return
-        entry = LogEntry(_utc(time_ns), simulated, sender, "write", _write_text(name, _fields(payload)))
+        entry = self._entry(time_ns, simulated, sender, "write", _write_text(name, _fields(payload)))
         self._entries.append(entry)
         self._awaiting = entry
 
     def _add_command(self, name: str, payload: bytes, time_ns: int, simulated: str) -> None:
         fields = _fields(payload)
-        latest = self._latest[name] = LogEntry(_utc(time_ns), simulated, name, "command", _answer_text(fields))
+        latest = self._latest[name] = self._entry(time_ns, simulated, name, "command", _answer_text(fields))
         entry = self._commands.get(name)
-        if entry is None:
+        if entry is None or (entry.proven, entry.via) != (latest.proven, latest.via):
             self._commands[name] = replace(latest)
             self._entries.append(self._commands[name])
         else:
@@ -147,8 +162,13 @@ class LogBuilder:
             subject = replace_controls(
                 ", ".join(f"{key} {value}" for key, value in fields.items() if _is_shown(key, value))
             )
-        entry = LogEntry(_utc(time_ns), simulated, source, kind, subject, _reply_text(request))
+        entry = self._entry(time_ns, simulated, source, kind, subject)
+        entry.result = _reply_text(request)
         self._entries.append(entry)
+
+    def _entry(self, time_ns: int, simulated: str, source: str, kind: str, subject: str) -> LogEntry:
+        proven, via = self._senders.get(source, ("", ""))
+        return LogEntry(_utc(time_ns), simulated, source, kind, subject, proven=proven, via=via)
 
     def finish(self) -> tuple[LogEntry, ...]:
         """Return all entries in the order of their times."""

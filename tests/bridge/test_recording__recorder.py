@@ -61,6 +61,7 @@ def test_recording__commands_with_an_encoding_of_their_own_have_a_channel_each_o
         ("command/rbc", "Command"),
         ("others", "RecordedMessage"),
         ("orders", "RecordedOrder"),
+        ("audit", "RecordedAudit"),
     ]
     assert items[0].payload == b"\x80"
 

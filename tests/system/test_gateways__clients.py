@@ -174,6 +174,7 @@ def test_mqtt__broker_binds_a_topic_to_its_user_who_writes_under_that_name(
 
 
 @needs_broker
+@pytest.mark.slow
 def test_mqtt__users_are_their_own_names_without_a_file(stepping_bus: Bus, tmp_path: Path) -> None:
     with Broker(tmp_path) as broker, gateway("mqtt", stepping_bus.endpoint, "--broker", f"127.0.0.1:{broker.port}"):
         until(lambda: broker.retained("zenostat/office/status") == "online", "it is online")
@@ -184,6 +185,7 @@ def test_mqtt__users_are_their_own_names_without_a_file(stepping_bus: Bus, tmp_p
         assert stepping_bus.priorities("office")[COOLING][7] == (26.5, "mqtt.panel_1")
 
 
+@pytest.mark.slow
 def test_boptest__client_has_tests_of_its_own_and_overrides_what_it_may(clients: Clients) -> None:
     with serving(clients=clients) as running:
         assert running.request("GET", "/testcases").status_code == 200
