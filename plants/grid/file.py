@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
+from pydantic_core import InitErrorDetails
 
 from zenostat.bridge.python_plant.shipped import PANDAPOWER
 from zenostat.plants.grid.schema import Grid, Profile, SessionFile
 from zenostat.topics import yaml12
 from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, list_errors
+from zenostat.topics.user_file import user_file
+from zenostat.topics.yaml12 import Lines
 
 _NETWORK = "network"
 
@@ -31,12 +34,14 @@ def read_grid(source: str, overrides: dict[str, Any]) -> tuple[Grid, Path, dict[
         InvalidConfig: the file cannot be read or is not valid; lists all errors.
     """
     if source.startswith(PANDAPOWER):
-        return _validate(_network(source) | overrides, source), Path.cwd(), {}
+        return _validate(_network(source) | overrides, source, Lines()), Path.cwd(), {}
     path = Path(source).absolute()
-    mapping = yaml12.read_mapping(path)
+    with user_file(path, expected="a YAML file"):
+        text = yaml12.read_text(path)
+    mapping, lines = yaml12.parse_with_lines(text, str(path))
     if _NETWORK in mapping:
-        mapping = _merge(_network(str(mapping.pop(_NETWORK))), mapping, path)
-    grid = _validate({"name": path.stem, **mapping, **overrides}, str(path))
+        mapping = _merge(_network(str(mapping.pop(_NETWORK))), mapping, path, lines)
+    grid = _validate({"name": path.stem, **mapping, **overrides}, str(path), lines)
     files = {f"profile {name}": str(path.parent / name) for name in sorted(set(_file_names(grid)))}
     return grid, path.parent, {"grid": str(path), **files}
 
@@ -49,25 +54,48 @@ def _network(source: str) -> dict[str, Any]:
     return read_network(source.removeprefix(PANDAPOWER))
 
 
-def _merge(network: dict[str, Any], mapping: Mapping[str, Any], path: Path) -> dict[str, Any]:
+def _merge(network: dict[str, Any], mapping: Mapping[str, Any], path: Path, lines: Lines) -> dict[str, Any]:
     """Return a network with what a file adds to it."""
     merged = dict(network)
     for name, value in mapping.items():
         present = merged.get(name)
         if isinstance(present, dict) and isinstance(value, dict) and name != "source":
             if twice := sorted(present.keys() & value.keys()):
-                raise InvalidConfig(f"{path}: {name}: the network has {', '.join(map(str, twice))} already")
+                line = lines.at((name, twice[0]))
+                raise InvalidConfig(f"{path}:{line}: {name}: the network has {', '.join(map(str, twice))} already")
             merged[name] = {**present, **value}
         else:
             merged[name] = value
     return merged
 
 
-def _validate(mapping: Mapping[str, Any], what: str) -> Grid:
+def _validate(mapping: Mapping[str, Any], what: str, lines: Lines) -> Grid:
+    """Validate a grid; each error has the line of what is wrong, if the file has it."""
     try:
         return Grid.model_validate(mapping)
     except ValidationError as error:
-        raise InvalidConfig(f"{what}: {describe_validation_errors(error, Grid.model_fields)}") from None
+        texts = [(_line(location, lines), text) for location, text in _errors(error)]
+    ordered = [f"{what}:{line}: {text}" if line else f"{what}: {text}" for line, text in sorted(texts)]
+    raise InvalidConfig(ordered[0] if len(ordered) == 1 else list_errors(f"{what} has errors:", ordered))
+
+
+def _errors(error: ValidationError) -> Iterator[tuple[Sequence[str | int], str]]:
+    """Yield the place and the text of each error; those of rules on several parts begin with the place of one."""
+    for detail in error.errors(include_url=False):
+        rules = detail.get("ctx", {}).get("errors")
+        if rules is None:
+            fields = InitErrorDetails(
+                type=detail["type"], loc=detail["loc"], input=detail["input"], ctx=detail.get("ctx", {})
+            )
+            single = ValidationError.from_exception_data(error.title, [fields])
+            yield detail["loc"], describe_validation_errors(single, Grid.model_fields)
+        for rule in rules or ():
+            yield rule.partition(":")[0].split("."), rule
+
+
+def _line(location: Sequence[str | int], lines: Lines) -> int:
+    """Return the line of a value, or of the nearest one around it; 0 if the file has none of them."""
+    return lines.at(location) if tuple(location[:1]) in lines else 0
 
 
 def _file_names(grid: Grid) -> Iterator[str]:

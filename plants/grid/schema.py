@@ -9,6 +9,7 @@ from math import inf
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic_core import PydanticCustomError
 
 from zenostat.topics.errors import did_you_mean
 from zenostat.topics.keys import check_name
@@ -279,7 +280,7 @@ class Grid(_Part):
         if not errors:
             errors = [*self._errors_of_voltages(), *self._errors_of_islands()]
         if errors:
-            raise ValueError("; ".join(errors))
+            raise PydanticCustomError("grid", "{text}", {"text": "; ".join(errors), "errors": errors})
         return self
 
     def parts(self) -> Iterator[tuple[str, str, Any]]:

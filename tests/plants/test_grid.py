@@ -247,6 +247,34 @@ def test_grid__wrong_file_is_named(tmp_path: Path, change: dict[str, Any], text:
         grid(tmp_path, SIMPLE | change)
 
 
+def test_grid__errors_have_the_lines_of_the_file(tmp_path: Path) -> None:
+    """Those of fields, of rules on several parts, and of merged parts, in the order of the file; all at once."""
+    (tmp_path / "grid.yaml").write_text(
+        "source: {bus: lv}\n"
+        "buses:\n"
+        "  lv: {voltage_kv: 0.4}\n"
+        "  a: {voltage_kv: 0.4}\n"
+        "lines:\n"
+        "  cable: &cable\n"
+        "    {from: lv, to: b, length_m: 400, resistance_ohm_km: 0.5, reactance_ohm_km: 0.1, ampacity_a: 100}\n"
+        "  second: {<<: *cable, to: c}\n"
+        "loads:\n"
+        "  house: {bus: d}\n"
+    )
+    with pytest.raises(InvalidConfig) as raised:
+        GridPlant(str(tmp_path / "grid.yaml"))
+    first, *others = str(raised.value).splitlines()
+    path = tmp_path / "grid.yaml"
+    assert first == f"{path} has errors:"
+    assert [line.strip().partition("; ")[0] for line in others] == [
+        f"{path}:6: lines.cable: there is no bus 'b'",
+        f"{path}:8: lines.second: there is no bus 'c'",
+        f"{path}:10: loads.house: there is no bus 'd'",
+    ]
+    with pytest.raises(InvalidConfig, match=r"grid\.yaml: step_s: .* got 0$"):  # an argument is in no line
+        grid(tmp_path, SIMPLE, step_s=0)
+
+
 @pytest.mark.parametrize(
     ("content", "text"),
     [("a,b\n1\n", "profile.csv:2: no value of 'b'"), ("a,b\n1,x\n", "profile.csv:2: b = 'x'; a finite number"),
