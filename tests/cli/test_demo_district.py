@@ -45,6 +45,6 @@ def test_demo_district__limit_is_exceeded_uncontrolled_and_kept_coordinated(scra
         energy = [run[f"feeder.{name}_power"].sum() for run in (uncontrolled, coordinated)]
         np.testing.assert_allclose(energy[0], energy[1], rtol=1e-6)
         assert coordinated[f"feeder.{name}_unmet"].max() == pytest.approx(0.0, abs=1.0)
-    assert "384 timesteps" in done.stdout
+    assert "identical: 384 steps" in done.stdout
     assert (scratch / "out" / "district.png").stat().st_size > 20_000
     assert yaml12.read_mapping(scratch / "out" / "district.yaml")["name"] == "district"
