@@ -34,7 +34,7 @@ def test_demo_district__has_no_options_of_a_building(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_demo_district__limit_is_exceeded_uncontrolled_and_kept_coordinated(scratch: Path) -> None:
     pytest.importorskip("power_grid_model")
-    done = run_program("demo", "district", "--folder", "out", cwd=scratch)
+    done = run_program("demo", "district", "--folder", "out", cwd=scratch, timeout_s=1200.0)  # five runs of buildings
     assert done.returncode == 0, done.stderr
     *_, uncontrolled, coordinated = load(scratch / "out" / "district.mcap").episodes
     before, after = (district_kpis(run) for run in (uncontrolled, coordinated))

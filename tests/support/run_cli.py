@@ -27,10 +27,12 @@ def run_python(*words: str, **options: Any) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, *words], stdin=subprocess.DEVNULL, capture_output=True, text=True, **options)
 
 
-def run_program(*arguments: str, cwd: Path | None = None, columns: int = 80) -> subprocess.CompletedProcess[str]:
+def run_program(
+    *arguments: str, cwd: Path | None = None, columns: int = 80, timeout_s: float = 120.0
+) -> subprocess.CompletedProcess[str]:
     """Run a command as a program of its own."""
     size = {**os.environ, "COLUMNS": str(columns), "TERMINAL_WIDTH": str(columns)}
-    return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, cwd=cwd, env=size, timeout=120)
+    return subprocess.run([*ZENOSTAT, *arguments], capture_output=True, text=True, cwd=cwd, env=size, timeout=timeout_s)
 
 
 def run_in_process(*arguments: str, cwd: Path | None = None, columns: int = 80) -> subprocess.CompletedProcess[str]:
