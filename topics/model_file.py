@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
-from pydantic_core import InitErrorDetails
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from zenostat.topics import yaml12
 from zenostat.topics.codec import describe_validation_errors
@@ -60,17 +60,26 @@ def read_with_lines(path: Path, model: type[M]) -> tuple[M, dict[str, Any], File
     try:
         return model.model_validate(mapping), mapping, errors
     except ValidationError as error:
-        for detail in error.errors(include_url=False):
-            location = _without_types(detail["loc"], lines)
-            errors.add(location, describe_validation_errors(_single(error, detail), model.model_fields))
+        for location, text in located_errors(error, model):
+            errors.add(_without_types(location, lines), text)
         errors.raise_if_any()
         raise
+
+
+def located_errors(error: ValidationError, model: type[BaseModel]) -> Iterator[tuple[Sequence[str | int], str]]:
+    """Yield the path and the text of each error of a validation."""
+    for detail in error.errors(include_url=False):
+        yield detail["loc"], describe_validation_errors(_single(error, detail), model.model_fields)
 
 
 def _single(error: ValidationError, detail: Any) -> ValidationError:
     """Return a validation error with one of its details."""
     fields = InitErrorDetails(type=detail["type"], loc=detail["loc"], input=detail["input"], ctx=detail.get("ctx", {}))
-    return ValidationError.from_exception_data(error.title, [fields])
+    try:
+        return ValidationError.from_exception_data(error.title, [fields])
+    except KeyError:  # a type of a model's own
+        fields["type"] = PydanticCustomError(detail["type"], "{text}", {"text": detail["msg"]})
+        return ValidationError.from_exception_data(error.title, [fields])
 
 
 def _without_types(location: Sequence[str | int], lines: Lines) -> tuple[str | int, ...]:

@@ -7,13 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from pydantic import ValidationError
-from pydantic_core import InitErrorDetails
 
 from zenostat.bridge.python_plant.shipped import PANDAPOWER
 from zenostat.plants.grid.schema import Grid, Profile, SessionFile
 from zenostat.topics import yaml12
-from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, list_errors
+from zenostat.topics.model_file import located_errors
 from zenostat.topics.user_file import user_file
 from zenostat.topics.yaml12 import Lines
 
@@ -81,14 +80,10 @@ def _validate(mapping: Mapping[str, Any], what: str, lines: Lines) -> Grid:
 
 def _errors(error: ValidationError) -> Iterator[tuple[Sequence[str | int], str]]:
     """Yield the place and the text of each error; those of rules on several parts begin with the place of one."""
-    for detail in error.errors(include_url=False):
+    for detail, (location, text) in zip(error.errors(include_url=False), located_errors(error, Grid), strict=True):
         rules = detail.get("ctx", {}).get("errors")
         if rules is None:
-            fields = InitErrorDetails(
-                type=detail["type"], loc=detail["loc"], input=detail["input"], ctx=detail.get("ctx", {})
-            )
-            single = ValidationError.from_exception_data(error.title, [fields])
-            yield detail["loc"], describe_validation_errors(single, Grid.model_fields)
+            yield location, text
         for rule in rules or ():
             yield rule.partition(":")[0].split("."), rule
 
