@@ -28,7 +28,7 @@ def episode(file: Path) -> list[bytes]:
 
 @pytest.mark.slow
 def test_district__behind_two_routers_equals_the_one_on_this_machine_to_the_bit(scratch: Path) -> None:
-    """The same file but for the places of two plants, of which each has a router of its own."""
+    """Two plants are elsewhere, each behind a router of its own; the rest of the file stays as it is."""
     local = episode(write_district(scratch))
     text, plant = DISTRICT, f"{scratch}/plants.py"
     with ExitStack() as stack:
