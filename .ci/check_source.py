@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -119,6 +119,14 @@ def unresolved(tree: ast.Module, defined: dict[str, set[str]]) -> Iterator[tuple
         yield from ((node.lineno, f"there is no {name}") for name in missing if name.startswith("zenostat"))
 
 
+def shared_file_names(paths: Iterable[Path], root: Path) -> Iterator[str]:
+    """Yield a fault for each test file whose name another one has: pytest collects one of them alone."""
+    first: dict[str, Path] = {}
+    for path in paths:
+        if path.name.startswith("test_") and first.setdefault(path.name, path) != path:
+            yield f"{path.relative_to(root)}:1: {first[path.name].relative_to(root)} has the same name"
+
+
 def layer(module: str) -> str:
     """Package of a module, or name of a simulator; the public names of `zenostat` belong to no package."""
     return module.removeprefix("zenostat.").partition(".")[0]
@@ -150,6 +158,7 @@ def main(root: Path = ROOT) -> int:
         errors = [*style_errors(tree), *(unresolved(tree, defined) if path in beside else ())]
         errors += test_name_errors(tree) if path.name.startswith("test_") else ()
         faults += [f"{path.relative_to(root)}:{line}: {text}" for line, text in errors]
+    faults += shared_file_names(beside, root)
     for module, path in modules.items():
         package, needs = layer(module), set(loaded(trees[path]))
         for line, name in imported(trees[path]):

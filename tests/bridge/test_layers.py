@@ -68,6 +68,16 @@ def test_source_check__prints_file_and_line_of_an_error(
     assert f"{path}:{fault}" in capsys.readouterr().out.splitlines()
 
 
+def test_source_check__test_files_have_names_of_their_own(
+    check: dict[str, Any], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for folder in ("tests/models", "tests/system"):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / "test_a.py").write_text("")
+    assert check["main"](tmp_path) == 1
+    assert "tests/system/test_a.py:1: tests/models/test_a.py has the same name" in capsys.readouterr().out
+
+
 def test_layers__allowed_imports_are_no_faults(check: dict[str, Any], tmp_path: Path) -> None:
     for path, text in (
         ("bridge/a.py", "import zenostat.topics\nimport zenostat.bridge.node\nimport json\n"),
