@@ -49,6 +49,7 @@ def main() -> None:
 
     client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2)
     client.on_connect, client.on_message = on_connect, on_message
+    client.on_subscribe = lambda *_: print("subscribed")
     client.connect("127.0.0.1", arguments.port)
     client.loop_forever()
 

@@ -360,6 +360,7 @@ def test_mqtt_gateway__example_sets_back_at_night(bus: Bus, served: RunningGatew
     example = Path(__file__).parents[2] / "examples" / "mqtt_client.py"
     command = [sys.executable, "-u", str(example), "--port", str(broker.port_v3)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as program:
+        assert program.stdout.readline() == "subscribed\n"
         until(lambda: bus.step("office") or bus.priorities("office")[COOLING][7] == (28.0, "night_setback"), "at night")
         bus.resume("office")
         out, _ = program.communicate(timeout=60)
