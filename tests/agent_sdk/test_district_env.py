@@ -91,6 +91,7 @@ def test_district_agents__each_is_paid_its_own_reward(agents: DistrictAgentsEnv)
     assert infos["feeder"]["reward_terms"] == pytest.approx({"peak": -0.5 * 3.8, "ramping": 0.0})
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("arguments", "error", "text"),
     [

@@ -368,6 +368,7 @@ os.waitpid(child, 0)
 """
 
 
+@pytest.mark.slow
 def test_env__forked_process_does_not_keep_its_parents_node(scratch: Path) -> None:
     """The node ends by itself, as its owner lets go, and is not killed after a long wait."""
     done = run_python("-P", "-c", _FORKS, check=True, cwd=scratch, timeout=120)

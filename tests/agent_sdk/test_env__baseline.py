@@ -115,6 +115,7 @@ def test_env__branch_has_none(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_env__its_engines_end_with_their_episodes(scratch: Path) -> None:
     """One for the episode, one beside it, one that waits: no more after many resets and goings back than before."""
     env = make(baseline=True, **FOUR)
@@ -163,6 +164,7 @@ def test_env__snapshot_of_which_the_baseline_was_killed_changes_nothing(scratch:
     env.close()
 
 
+@pytest.mark.slow
 def test_env__killed_baseline_is_an_error_that_is_reported_and_the_next_episode_runs(scratch: Path) -> None:
     env = make(baseline=True, **FOUR)
     mine = plan(env, 1)

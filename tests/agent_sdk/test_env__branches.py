@@ -87,6 +87,7 @@ def test_env__branch_goes_on_as_its_parent_and_nobody_feels_it(kind: str, scratc
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 def test_env__what_was_commanded_holds_in_a_branch_that_nobody_commands(kind: str, scratch: Path) -> None:
@@ -514,6 +515,7 @@ def test_env__branchs_manifest_names_its_own_weather(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_env__branch_of_a_time_without_faults_is_undisturbed(scratch: Path) -> None:
     env = make(**FOUR)
     env.reset()

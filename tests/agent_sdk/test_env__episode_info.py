@@ -74,6 +74,7 @@ def test_env__episode_ends_when_comfort_was_left_for_two_hours(scratch: Path) ->
     env.close()
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("limit", "words"),
     [
@@ -161,6 +162,7 @@ def test_env__render_mode_that_is_none_is_refused_before_anything_starts(scratch
         BuildingEnv("ref-small-office", "USA_CO_Denver", render_mode="human")
 
 
+@pytest.mark.slow
 def test_env__live_view_opens_with_the_environment_and_ends_with_it(
     scratch: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -83,6 +83,7 @@ ENVIRONMENTS: dict[str, Callable[[Any], Any]] = {
 }
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("kind", ENVIRONMENTS)
 def test_env__each_environment_has_it_before_and_after_a_reset(kind: str) -> None:
     with closing(ENVIRONMENTS[kind](own)) as env:

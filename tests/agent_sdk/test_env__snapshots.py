@@ -307,6 +307,7 @@ def test_env__branch_has_no_forks_of_its_own(office: BuildingEnv) -> None:
     same(go(env, mine[20:]), straight[21:])
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("limit", [0, 2])
 def test_env__there_are_no_more_forks_than_allowed(limit: int, scratch: Path) -> None:
     env = make(branches=limit, **FOUR)
@@ -377,6 +378,7 @@ def test_env__node_that_has_started_again_has_no_snapshots(scratch: Path) -> Non
     env.close()
 
 
+@pytest.mark.slow
 def test_env__clock_that_is_observed_goes_back_too(scratch: Path) -> None:
     """At an hour's end and at a day's, where the timestep began within the one before."""
     fields = ("month", "day_of_month", "day_of_week", "hour", "minutes", "current_time")
@@ -405,6 +407,7 @@ def test_env__wrappers_know_where_a_snapshot_is(office: BuildingEnv) -> None:
         np.testing.assert_array_equal(env.reset(options={"snapshot": kept})[0], seen)
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("slots", [0, 3])
 def test_env__wrappers_remember_what_they_did(slots: int, scratch: Path) -> None:

@@ -34,6 +34,7 @@ class Room:
 """
 
 
+@pytest.mark.slow
 def test_env__plant_without_a_reward_states_that_it_pays_nothing(
     tmp_path: Path, recwarn: pytest.WarningsRecorder
 ) -> None:

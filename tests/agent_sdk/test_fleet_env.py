@@ -191,6 +191,7 @@ def test_fleet_env__each_slot_is_an_environment(nodes: list[NodeProgram]) -> Non
         env.reset()
 
 
+@pytest.mark.slow
 def test_fleet_env__nodes_at_one_endpoint_share_a_connection(nodes: list[NodeProgram], scratch: Path) -> None:
     """A node routes between those that connect to it; a router does the same for many."""
     at = nodes[0].endpoint
@@ -378,6 +379,7 @@ def test_fleet_env__nodes_that_do_not_fit_are_named(arguments: dict[str, Any], w
         check_compatible(node_addresses("tcp/a:1", ["a", "b", "c"]), manifests)
 
 
+@pytest.mark.slow
 def test_fleet_env__node_with_slots_is_refused_and_nothing_is_claimed(nodes: list[NodeProgram], scratch: Path) -> None:
     with (
         NodeProgram(scratch / "slots", **DAYS, slots=2) as slots,

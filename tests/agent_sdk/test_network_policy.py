@@ -40,6 +40,7 @@ def trained(name: str, folder: Path, **changes: Any) -> Path:
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("name", sorted(PARAMETERS, reverse=True))
 def test_network_policy__acts_as_the_model_of_stable_baselines3(name: str, tmp_path: Path) -> None:

@@ -101,6 +101,7 @@ def test_paper__rule_moves_both_setpoints_while_the_mean_is_outside_the_band(
         assert tuple(rule.act(at_bounds).values()) == (15.0, 22.0)
 
 
+@pytest.mark.slow
 def test_paper__rule_keeps_the_buildings_own_setpoints_in_the_papers_environment(datacenter: Any) -> None:
     """The east zone stays near 27.8 degC and the west zone at 23: their mean is inside the band."""
     agent = Agent(load_controller(RULE)(datacenter.unwrapped.manifest))

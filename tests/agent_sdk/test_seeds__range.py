@@ -52,6 +52,7 @@ def test_seeds__of_numpy_are_taken() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_seeds__controller_without_gymnasium(bus: zenostat.Bus) -> None:
     with bus.controller("office") as link:
         wrong: list[Any] = [2**70, -1, 1.5, [2**70]]

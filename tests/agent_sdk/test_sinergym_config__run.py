@@ -24,6 +24,7 @@ def of_the_five_zones(folder: Path, **changed: object) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_sinergym_config__initial_context_rules_from_the_first_timestep(scratch: Path) -> None:
     path = of_the_five_zones(scratch, context=OCCUPANCY, initial_context=[0.25])
     with gym.make("zenostat/Sinergym-v1", config=path, variant="hot-continuous", **DAY) as env:

@@ -292,6 +292,7 @@ signals = st.one_of(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(60), deadline=None)
 @given(signals)
 def test_time_series__signal_that_was_written_is_read_back(fields: dict[str, Any]) -> None:

@@ -51,6 +51,7 @@ def real(request: pytest.FixtureRequest) -> Iterator[list[VectorEnv[Any, Any, An
             env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @each_mode
 def test_vector_env__each_slot_of_a_node_is_what_a_single_environment_is(
@@ -87,6 +88,7 @@ def test_vector_env__engine_that_dies_ends_the_step_and_not_the_environment(smal
     assert again[4]["step"].tolist() == [1, 1, 1]
 
 
+@pytest.mark.slow
 def test_vector_env__wrong_choice_of_slots_claims_nothing(scratch: Path) -> None:
     with NodeProgram(scratch / "node", **SMALL, slots=2) as node:
         way = {"connect": node.endpoint, "node": "office", "affinity": "off"}
@@ -219,6 +221,7 @@ def test_vector_env__all_slots_go_back_exactly_any_number_of_times(scratch: Path
     envs.close()
 
 
+@pytest.mark.slow
 def test_vector_env__snapshots_of_slots_that_cannot_be(small: BuildingVectorEnv) -> None:
     with pytest.raises(EpisodeChanged, match=r"call reset\(\) first"):
         small.snapshot()
@@ -332,6 +335,7 @@ def test_vector_env__slots_that_cannot_go_back_go_on(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_vector_env__slots_that_go_back_see_the_clock_that_they_saw(scratch: Path) -> None:
     """At an hour's end, where the timestep began within the hour before."""
     fields = ("month", "day_of_month", "hour", "minutes", "current_time")

@@ -157,6 +157,7 @@ def test_link_faults__reset_with_a_seed_begins_anew() -> None:
     assert sequences[0] != sequences[1]
 
 
+@pytest.mark.slow
 @given(before=st.integers(0, 150), n=st.integers(1, 100))
 def test_link_faults__snapshot_goes_on_with_the_same_numbers(before: int, n: int) -> None:
     burst = {**LOSS, "name": "burst", "probability": 0.9, "when": {"probability": 0.2, "lasts_steps": 3}}

@@ -199,6 +199,7 @@ def test_cli__write_that_cannot_be_is_not_sent(bus: zenostat.Bus, wrong: dict[st
     assert bus.status("office").rejected == before
 
 
+@pytest.mark.slow
 def test_cli__node_that_dies_under_a_write_is_named(node: NodeProgram, monkeypatch: pytest.MonkeyPatch) -> None:
     with zenostat.connect(node.endpoint, affinity="off") as bus:
         manifest = bus.manifest
@@ -312,6 +313,7 @@ def test_cli__table_has_the_extremes_since_it_began(bus: zenostat.Bus) -> None:
     assert re.findall(r"-?\d+\.\d+", row) == [f"{value:.6g}" for value in (values[-1], min(values), max(values))]
 
 
+@pytest.mark.slow
 def test_cli__watch_ends_with_the_node(node: NodeProgram) -> None:
     with watching(node.endpoint, "--json") as watch:
         assert json.loads(watch.stdout.readline())["step"] == 0

@@ -62,6 +62,7 @@ def test_seed__repeated_at_once_begins_the_same_sequence(scratch: Path, argument
     again.close()
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(("name", "error"), [(SMALL, ForkFailed), (STOCHASTIC, EngineDied)])
 def test_reset__without_room_for_files_fails_and_recovers(

@@ -50,6 +50,7 @@ def office() -> ProbeReport:
 # What is right of a real building
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("begin", ["01-16", "07-03"])
 def test_probe__one_zone_data_centre_does_not_feel_its_only_action(begin: str, scratch: Path) -> None:
@@ -68,6 +69,7 @@ def test_probe__one_zone_data_centre_does_not_feel_its_only_action(begin: str, s
     assert any("FlowControlWithApproachTemperatures" in note for note in effect.notes)
 
 
+@pytest.mark.slow
 def test_probe__two_zone_data_centre_does(scratch: Path) -> None:
     packs.sinergym()
     result = probe("datacenter_dx-hot-continuous-v1", days=1, begin="07-03", end="07-03", affinity="off")
@@ -119,6 +121,7 @@ def test_probe__branching_is_only_a_shortcut(scratch: Path) -> None:
         assert one.difference == by_side[one.side][round(one.after_min / 15.0) - 1]
 
 
+@pytest.mark.slow
 def test_probe__branch_that_energyplus_gives_up_in_is_a_note(scratch: Path) -> None:
     """A heating setpoint above the cooling setpoint ends EnergyPlus; the others' branches go on."""
     wide = ("Zone Temperature Control", "Heating Setpoint", "Core_ZN", 15.0, 40.0)
@@ -291,6 +294,7 @@ def test_probe__command_tells_json_and_a_table(scratch: Path) -> None:
     assert "core_zn_heating_setpoint" in shown.stdout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

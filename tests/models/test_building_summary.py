@@ -64,6 +64,7 @@ def test_building_summary__floor_area_of_each_zone_is_energyplus_own(
     assert areas == pytest.approx({row[1]: float(row[-8]) for row in rows}, rel=0.005, abs=0.006)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_building_summary__buildings_areas_and_zones_are_energyplus_own(
     reports: dict[str, EngineReport], name: str

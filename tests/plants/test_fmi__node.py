@@ -148,6 +148,7 @@ def test_fmu__slots_and_baseline_are_forks_of_the_same_start(tank: Path) -> None
         envs.close()
 
 
+@pytest.mark.slow
 def test_fmu__with_threads_has_no_copies_but_new_processes(tank: Path) -> None:
     with pytest.warns(UserWarning, match="the FMU has threads of its own"):
         created = tank_env(tank, plant_arguments={"set": {"threaded": True}})
@@ -184,6 +185,7 @@ def test_fmu__command_line_needs_one_for_start_values() -> None:
 # Recordings
 
 
+@pytest.mark.slow
 def test_fmu__recording_verifies_with_the_fmu_that_the_user_names(tank: Path, module_scratch: Path) -> None:
     path = module_scratch / "tank.mcap"
     with tank_env(tank, record=str(path), plant_arguments={"set": {"T": 25.0}}) as created:

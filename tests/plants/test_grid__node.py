@@ -87,6 +87,7 @@ def test_grid__snapshot_continues_to_the_bit(env: BuildingEnv) -> None:
         assert go(env, 5) == onward
 
 
+@pytest.mark.slow
 def test_grid__recording_verifies_with_the_file_that_the_user_names(file: Path, module_scratch: Path) -> None:
     path = module_scratch / "own.mcap"
     with gym.make("zenostat/Plant-v1", grid=file, reward=None, affinity="off", record=str(path)) as created:

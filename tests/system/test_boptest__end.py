@@ -13,6 +13,7 @@ from zenostat.gateways.boptest import manager
 from zenostat.gateways.boptest.simulation import Interruption, Simulation
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     ("case", "request_", "method"),
@@ -65,6 +66,7 @@ def test_boptest__test_that_is_starting_can_be_ended(monkeypatch, capfd, end):
     assert capfd.readouterr().err == ""
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("is_branch", [False, True], ids=["test", "branch"])
 def test_boptest__stop_is_answered_while_a_request_is_in_progress_which_then_ends(monkeypatch, capfd, is_branch):

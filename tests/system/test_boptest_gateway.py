@@ -325,6 +325,7 @@ def test_boptest_gateway__page_lists_all_operations_and_loads_nothing(running):
     assert document["paths"]["/initialize/{testid}"]["put"]["requestBody"]
 
 
+@pytest.mark.slow
 def test_boptest_gateway__building_that_dies_fails_its_test_alone_until_it_is_initialized_again(test):
     os.kill(test.service.manager.get(test.testid).episodes.building.pid, signal.SIGKILL)
     answer = test.answer("POST", "advance", {})
@@ -334,6 +335,7 @@ def test_boptest_gateway__building_that_dies_fails_its_test_alone_until_it_is_in
     assert test.advance()["time"] == START_S + 900
 
 
+@pytest.mark.slow
 def test_boptest_gateway__killed_building_that_left_the_bus_before_its_process_ended_is_replaced(test, monkeypatch):
     building = test.service.manager.get(test.testid).episodes.building
     os.kill(building.pid, signal.SIGKILL)
@@ -347,6 +349,7 @@ def test_boptest_gateway__killed_building_that_left_the_bus_before_its_process_e
     assert test.put("initialize", start_time=START_S, warmup_period=WARMUP_S)["time"] == START_S
 
 
+@pytest.mark.slow
 def test_boptest_gateway__scenario_of_a_data_pack_is_a_test_case(running):
     packs.sinergym()
     client = Client(running.url)

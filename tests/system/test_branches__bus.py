@@ -105,6 +105,7 @@ def test_branches__stop_ends_a_branch_alone(bus: Bus) -> None:
         until(lambda: not bus.status("office").branches, "both have ended")
 
 
+@pytest.mark.slow
 def test_branch_without_an_owner__ends_with_its_parent(node: NodeProgram) -> None:
     """It outlives the controller of the episode, its reset and its end."""
     with zenostat.connect(node.endpoint, affinity="off") as bus:

@@ -292,6 +292,7 @@ def test_bus__day_of_commands_sent_at_once_is_answered_step_by_step(client: Clie
         client.bus.write("office", POINT, 26.0)
 
 
+@pytest.mark.slow
 def test_bus__each_of_a_hundred_rejections_has_its_reason_and_further_ones_are_not_processed(client: Client) -> None:
     client.claim("c")
     wrong = client.command(value=99.0)

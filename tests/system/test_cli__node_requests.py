@@ -29,6 +29,7 @@ def test_cli__reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, 
     assert (gone.returncode, gone.stdout) == (1, "")
 
 
+@pytest.mark.slow
 def test_relinquish__reports_whether_a_value_was_held(shared_node: NodeProgram) -> None:
     at = ("--connect", shared_node.endpoint)
     nothing = f"office: {POINT} had nothing to relinquish at priority 8\n"
@@ -95,6 +96,7 @@ def test_cli__port_of_a_program_that_is_on_no_bus_is_refused(scratch: Path) -> N
     assert f"--no-listen --connect {endpoint}" in err
 
 
+@pytest.mark.slow
 def test_monitor__names_the_node_that_it_waits_for(shared_node: NodeProgram, scratch: Path) -> None:
     command = [*ZENOSTAT, "monitor", "--node", "ofice", "--save", "run.rrd", "--connect", shared_node.endpoint]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, cwd=scratch) as monitor:

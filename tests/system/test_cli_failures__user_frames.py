@@ -31,6 +31,7 @@ def run(node: NodeProgram, text: str, folder: Path) -> subprocess.CompletedProce
     return subprocess.run(command, capture_output=True, text=True, cwd=folder, timeout=120)
 
 
+@pytest.mark.slow
 def test_cli_failures__exception_shows_the_users_frames_alone(node: NodeProgram, scratch: Path) -> None:
     done = run(node, MINE, scratch)
     assert done.returncode == 1

@@ -72,6 +72,7 @@ def recorded(module_scratch: Path) -> tuple[Path, list[bytes]]:
     return path, events
 
 
+@pytest.mark.slow
 def test_control_characters__node_sends_no_control_character_that_it_received(
     recorded: tuple[Path, list[bytes]],
 ) -> None:

@@ -134,6 +134,7 @@ def test_district__equals_its_plants_called_by_hand_to_the_bit(scratch: Path) ->
         assert (values[1]["temperature"], values[2]["temperature"], heat["cop"]) == tuple(row)
 
 
+@pytest.mark.slow
 def test_district__feeder_carries_what_a_house_demands(scratch: Path) -> None:
     """The powers of a grid balance: what it imports is what its loads take and what it loses."""
     pytest.importorskip("power_grid_model")
@@ -286,6 +287,7 @@ connections:
             assert home_bus.status("home").state is State.ENDED  # the district has left it as it was
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("text", "error", "expected"),
     [

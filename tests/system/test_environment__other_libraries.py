@@ -66,6 +66,7 @@ def test_environment__infos_of_a_vector_have_one_form(mode: AutoresetMode) -> No
     assert ends > 3
 
 
+@pytest.mark.slow
 def test_environment__infos_of_a_real_building_have_one_form(scratch: Path) -> None:
     settings = {**SMALL, "end": SMALL["begin"], "output_dir": scratch / "kept", "affinity": "off"}
     with gym.make("zenostat/Building-v1", **settings) as env:
@@ -123,6 +124,7 @@ def test_environment__vector_tells_its_autoreset_mode() -> None:
     assert env.unwrapped.autoreset_mode is env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP  # type: ignore[attr-defined]
 
 
+@pytest.mark.slow
 def test_environment__action_is_a_list_of_actuators_on_a_real_building(scratch: Path) -> None:
     cooling = ["core_zn_cooling_setpoint", "perimeter_zn_1_cooling_setpoint"]
     settings = {**SMALL, "end": SMALL["begin"], "affinity": "off"}
@@ -149,6 +151,7 @@ def test_environment__torchrl_checks_and_collects() -> None:
     collector.shutdown()
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_environment__torchrl_steps_a_vector_that_it_resets_itself() -> None:
     """24 timesteps an episode: in 30 steps TorchRL has reset both slots once."""

@@ -20,10 +20,9 @@ BUNDLED = [f"{b}-{WEATHERS[i % len(WEATHERS)]}-{FORMS[i % len(FORMS)]}-v1" for i
 
 
 SOME = {
-    "5zone-hot-discrete-v1", "datacenter_cw-chicago-discrete-stochastic-v1", "radiant-hot-discrete-stochastic-v1",
-    "shop-cool-continuous-v1",
+    "5zone-hot-discrete-v1", "datacenter_cw-chicago-discrete-stochastic-v1", "shop-cool-continuous-v1",
 }  # fmt: skip
-"""Each kind of action: setpoints of the air, of chilled water, valves of a radiant floor; both kinds of spaces."""
+"""Each kind of action: setpoints of the air and of chilled water, in both kinds of spaces."""
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -408,6 +408,7 @@ def test_failures__port_that_is_taken(folder: Path) -> None:
             NodeProgram(folder / "node", **SMALL, listen=[endpoint])
 
 
+@pytest.mark.slow
 def test_failures__port_that_a_node_has_taken(folder: Path) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with NodeProgram(folder / "one", **SMALL, listen=[endpoint]) as node:

@@ -146,6 +146,7 @@ def test_fallback_policies__killed_controller_is_noticed_and_the_policy_follows(
         assert bus.status("office").statistics.missed == STEPS - 2
 
 
+@pytest.mark.slow
 def test_fallback_policies__one_that_was_killed_returns_at_the_present_step(scratch: Path) -> None:
     """north and south → south is killed → north alone → another south takes over: no timestep without a ruler"""
     with office(scratch, policy="hold") as (node, bus), events_of(bus) as events, bus.listen("office") as samples:
@@ -181,6 +182,7 @@ def test_fallback_policies__one_that_was_killed_returns_at_the_present_step(scra
 # Frozen
 
 
+@pytest.mark.slow
 def test_late_command_of_a_frozen_controller__reported_and_not_applied(scratch: Path) -> None:
     """agent@0 → node@1 → agent frozen → deadlines → … → agent goes on: agent@1 is late, then it has caught up"""
     with (

@@ -310,6 +310,7 @@ def test_fault_injection__episode_without_a_seed_has_faults_of_its_own(stage: St
     assert not same(first, second, "values")
 
 
+@pytest.mark.slow
 def test_fault_injection__branch_and_a_snapshot_meet_the_same_faults(scratch: Path) -> None:
     plan_file = scratch / "faults.yaml"
     freeze = {"kind": "freeze", "points": EAST, "when": {"from_step": 15, "to_step": 25}}
@@ -365,6 +366,7 @@ def test_fault_injection__messages_after_a_snapshot_meet_the_same_faults_of_the_
 # The link
 
 
+@pytest.mark.slow
 def test_fault_injection__lost_samples_are_missing_when_free(episode_bus: Bus) -> None:
     bus = episode_bus
     faults = {"seed": 2, "faults": [{"kind": "loss", "samples": True, "probability": 0.3, "when": {"to_step": LAST}}]}

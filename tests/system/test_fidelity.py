@@ -73,6 +73,7 @@ def week(request: pytest.FixtureRequest, both: Callable[[Case], Runs]) -> Runs:
     return both(request.param)
 
 
+@pytest.mark.variants
 def test_fidelity__week_equals_energyplus_alone(week) -> None:
     manifest, got, expected = week
     _check_kinds(manifest)

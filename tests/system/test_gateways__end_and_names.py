@@ -218,6 +218,7 @@ def until_line(lines: IO[str], begin: str) -> str:
     return next(line for line in lines if line.startswith(begin))
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     "options",

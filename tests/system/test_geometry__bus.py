@@ -39,6 +39,7 @@ def expected() -> Geometry:
     return geometry
 
 
+@pytest.mark.slow
 def test_geometry__bus_has_the_models_geometry(episode_bus: zenostat.Bus, expected: Geometry) -> None:
     geometry = episode_bus.geometry("office")
     assert geometry == expected

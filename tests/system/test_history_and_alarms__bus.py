@@ -174,6 +174,7 @@ def test_history_and_alarms__branch_has_no_history(bus: zenostat.Bus) -> None:
     bus.stop(branch)
 
 
+@pytest.mark.slow
 def test_history_and_alarms__node_without_history_is_reported(scratch: Path) -> None:
     (scratch / "oven.py").write_text(OVEN)
     with node_on_bus(scratch / "node", name="oven", plant=f"{scratch}/oven.py:Oven", history_mb=0) as (node, bus):

@@ -138,6 +138,7 @@ def _check_all_that_show_it(
     return result
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("building", BUILDINGS)
 def test_hvac_energy__equals_energyplus_end_use_table(building: str, folder: Path) -> None:
     settings: dict[str, Any] = {"begin": "05-02", "end": "05-02", "steps_per_hour": 4, "edits": _edits(building)}

@@ -91,6 +91,7 @@ def test_lost_link__cut_connection(scratch: Path, slots: int) -> None:
         env.close()
 
 
+@pytest.mark.slow
 def test_lost_link__link_that_is_down(link: CuttableLink) -> None:
     env = make(1, connect=link.endpoint, node="office")
     env.reset(seed=0)

@@ -209,6 +209,7 @@ def test_lost_messages__refusals_of_strangers_leave_room_for_those_of_a_controll
             link.receive()
 
 
+@pytest.mark.slow
 async def test_lost_messages__gateway_asks_for_a_lost_sample(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     bus.pause("office")
     bus.pace("office", mode="free")

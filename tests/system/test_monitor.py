@@ -161,6 +161,7 @@ def test_monitor__viewer_that_is_served_leaves_no_files(scratch):
     assert list(scratch.iterdir()) == []
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_monitor__reports_that_it_waits_for_its_bus_and_can_be_ended(scratch, number):

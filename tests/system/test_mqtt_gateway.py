@@ -218,6 +218,7 @@ def test_mqtt_gateway__response_topic_of_the_gateway_is_rejected_and_nothing_is_
     assert bus.priorities("office")[COOLING][7].value == 25.7
 
 
+@pytest.mark.slow
 @needs_mosquitto
 def test_mqtt_gateway__response_topic_for_which_the_broker_ends_the_connection_is_given_up(
     bus: Bus, broker: Broker

@@ -79,6 +79,7 @@ def ends(node: NodeProgram, engines: list[psutil.Process]) -> None:
     until(lambda: not any(map(runs, engines)), "its engines have ended")
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("shutdown", SHUTDOWNS)
 def test_node__while_a_reset_forks_an_engine_that_does_not_answer(folder: Path, shutdown: str) -> None:
@@ -123,6 +124,7 @@ def test_node__in_mid_step_of_engines_that_hang(folder: Path, settings: dict[str
         ends(node, engines)
 
 
+@pytest.mark.slow
 def test_node__with_a_branch_and_a_snapshot_whose_engines_hang(folder: Path) -> None:
     with office(folder, **SMALL) as (node, bus), bus.controller("office", name="mine") as link:
         link.reset().send()
@@ -138,6 +140,7 @@ def test_node__with_a_branch_and_a_snapshot_whose_engines_hang(folder: Path) -> 
             ends(node, engines)
 
 
+@pytest.mark.slow
 def test_node__while_a_model_is_surveyed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """EnergyPlus runs for that in a process of its own, which stands still here."""
     monkeypatch.setenv("ZENOSTAT_CACHE", str(folder / "cache"))
@@ -165,6 +168,7 @@ def test_node__while_a_model_is_surveyed(folder: Path, monkeypatch: pytest.Monke
 # Killed
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("frozen", [False, True])
 def test_node__killed_node_leaves_no_engine(folder: Path, *, frozen: bool) -> None:
     with office(folder, **SMALL, slots=2) as (node, bus), bus.controller("office", name="mine") as link:

@@ -41,6 +41,7 @@ def _rows(manifest: Manifest) -> list[tuple[Any, ...]]:
     return rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("building", BUILDINGS)
 def test_points__are_those_of_the_manifest(building: str, folder: Path) -> None:
     sinergym()

@@ -359,6 +359,7 @@ def copied(request: pytest.FixtureRequest) -> BuildingEnv:
     return env
 
 
+@pytest.mark.variants
 def test_python_plant__copies_continue_to_the_bit(copied: BuildingEnv) -> None:
     copied.reset(seed=11)
     beginning = trajectory(copied, 4)
@@ -454,6 +455,7 @@ def test_python_plant__threads_of_a_class_do_not_delay_its_check(tank: Path) -> 
     assert plan_class(f"{tank.parent}/threads.py:Tank", {}, unresponsive_s=1e6).has_state
 
 
+@pytest.mark.slow
 def test_python_plant__settings_of_a_building_and_unknown_arguments_are_refused(scratch: Path, tank: Path) -> None:
     with pytest.raises(InvalidConfig, match=r"(?s)no setting 'steps_per_hour'; its class.*no setting 'weather'; its"):
         read_settings({"plant": f"{tank}:Tank", "steps_per_hour": 4, "weather": "USA_CO_Denver"})
@@ -492,6 +494,7 @@ def test_python_plant__node_serves_a_plant_as_any_other(scratch: Path, tank: Pat
             bus.weather("tank", ["Dry Bulb Temperature"])
 
 
+@pytest.mark.slow
 def test_python_plant__plant_without_actuators_is_watched(scratch: Path, tank: Path) -> None:
     with node_on_bus(scratch / "node", plant=f"{tank}:NoActuators", mode="free", name="tank") as (_, bus):
         until(lambda: bus.status("tank").state is State.ENDED, "it runs freely")
@@ -516,6 +519,7 @@ SHUTDOWNS: dict[str, Callable[[NodeProgram], object]] = {
 }
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("time", "number"), [("described", signal.SIGINT), ("started", signal.SIGTERM)])
 def test_python_plant__node_ends_while_its_plant_is_created(
     scratch: Path, tank: Path, time: str, number: signal.Signals

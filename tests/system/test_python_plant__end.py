@@ -122,6 +122,7 @@ def in_endless_step(bus: zenostat.Bus, link: ControllerLink) -> None:
     until(lambda: bus.status("office").state is State.RUNNING, "the timestep begins")
 
 
+@pytest.mark.slow
 def test_python_plant__stop_while_requests_wait_behind_a_timestep_answers_all_of_them(
     scratch: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:

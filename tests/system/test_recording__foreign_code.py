@@ -174,7 +174,9 @@ def test_recording__name_of_a_snapshot_is_not_a_path(counter: Path, tmp_path: Pa
     path = rewrite(counter, tmp_path / "path.mcap", renamed)
     with RecordingReader(path) as reader:
         assert any(item.schema == RecordedSnapshot.__name__ for item in reader.messages())
-    assert verify(path, plant=f"{counter.with_name('counter.py')}:Counter").passed
+    result = verify(path, plant=f"{counter.with_name('counter.py')}:Counter")
+    assert (result.steps, result.difference) == (3, None)
+    assert result.audit.problems, "the change itself is found"
     assert not outside.exists()
 
 

@@ -140,6 +140,7 @@ CHANGES = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("name", CHANGES)
 def test_recording__what_was_changed_is_named(walk: Path, name: str) -> None:

@@ -159,6 +159,7 @@ def test_relative__controllers_of_absolute_values_act_through_offsets() -> None:
         env.close()
 
 
+@pytest.mark.slow
 def test_relative__recording_verifies(scratch: Path) -> None:
     path = scratch / "relative.mcap"
     env = BuildingEnv(**settings(record=str(path)))
@@ -171,6 +172,7 @@ def test_relative__recording_verifies(scratch: Path) -> None:
     assert verify(path).passed
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("relative", "parts"),
     [
@@ -219,6 +221,7 @@ def test_lead__reports_a_schedule_hours_ahead() -> None:
     assert len(set(now)) > 2
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("sensor", "text"),
     [

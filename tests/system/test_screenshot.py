@@ -90,6 +90,7 @@ def test_screenshot__draws_each_view_at_the_requested_time(scratch):
     assert np.array_equal(upper, lower)
 
 
+@pytest.mark.slow
 @needs_vulkan
 def test_screenshot__screenshot_has_no_panels_and_no_notices(scratch):
     """Notices are lighter boxes at the top right, the top panel has orange warnings, the time panel buttons."""

@@ -317,6 +317,7 @@ def tank(scratch: Path) -> Iterator[tuple[NodeProgram, Bus]]:
         yield pair
 
 
+@pytest.mark.slow
 def test_trial__class_that_fails_takes_its_trial_only(tank: tuple[NodeProgram, Bus]) -> None:
     node, bus = tank
     with bus.controller("office") as link:
@@ -359,6 +360,7 @@ def test_trial__requester_is_killed_in_the_middle(tank: tuple[NodeProgram, Bus])
         until(lambda: not [*(node.folder / "run").rglob("trials/*")], "their files are removed")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("end", ["stop", "kill"])
 def test_trial__node_ends_in_the_middle(scratch: Path, end: str) -> None:
     """Nothing is left of it: a stop request interrupts the trial, and the copies of a killed node end with it."""

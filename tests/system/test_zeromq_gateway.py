@@ -256,6 +256,7 @@ def _is_stopped(pid: int) -> bool:
     return set(states) == {"T"}
 
 
+@pytest.mark.slow
 def test_peer_with_too_many_unanswered_requests__gets_an_error_and_delays_no_other(node, own_gateway):
     """frozen node: 100 of 300 requests wait for it, the others are rejected → the node goes on: all are answered"""
     with Peer(own_gateway) as flood, Peer(own_gateway) as peer:

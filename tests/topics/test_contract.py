@@ -67,6 +67,7 @@ def test_contract__it_has_the_form_of_asyncapi_3() -> None:
     asyncapi_validators.schema_validator().validate(CONTRACT)
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_contract__parser_of_the_standard_has_nothing_against_it() -> None:
     problems = asyncapi_validators.parser_problems(DOCUMENT)
@@ -277,6 +278,7 @@ def test_contract__file_is_what_the_command_gives(tmp_path: Path) -> None:
     assert DOCUMENT.read_text(encoding="utf-8") == text, "python tests/support/contract_page.py writes it again"
 
 
+@pytest.mark.slow
 def test_contract__command_prints_it_and_names_a_folder_that_is_not_there() -> None:
     command = [sys.executable, "-P", "-m", "zenostat.cli.main", "asyncapi"]
     printed = subprocess.run(command, capture_output=True, text=True)

@@ -79,6 +79,7 @@ def test_report__box_of_an_axis_is_where_it_is_drawn() -> None:
     assert (entry["span"], entry["series"][0]["label"]) == ([0.0, 1.0], "power")
 
 
+@pytest.mark.slow
 def test_report__names_of_users_do_not_end_the_block() -> None:
     text = page(office_comparison(("baseline", "</script><b>")))
     blocks = re.findall(r'<script type="application/json">(.*?)</script>', text)

@@ -282,6 +282,7 @@ def test_room__texts_with_markup_are_texts(ada: Visitor, room: Any, bus: zenosta
     bus.unshelve("office", "warm")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("width", [390, 768])
 def test_room__page_does_not_scroll_sideways(browser: Any, room: Any, width: int) -> None:
     visitor = Visitor(browser, width=width, scheme="light")
