@@ -80,6 +80,7 @@ def test_building_summary__buildings_areas_and_zones_are_energyplus_own(
     assert (summary.zones, summary.conditioned_zones) == (len(rows), len(controlled))
 
 
+@pytest.mark.slow
 def test_models__have_multipliers_and_zones_that_do_not_count(reports: dict[str, EngineReport]) -> None:
     rows = [row for name in MODELS for row in reports[name].of("Zone Information")]
     assert max(int(row[10]) * int(row[11]) for row in rows) > 1
