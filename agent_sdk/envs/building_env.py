@@ -102,16 +102,22 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
     ) -> None:
         arguments.check_arguments(node_arguments, BuildingEnv)
         settings = {"building": building, "weather": weather, **node_arguments}
-        connection = NodeConnection(
-            {name: value for name, value in settings.items() if value is not None},
-            reward=reward, connect=connect, node=node, priority=priority, affinity=affinity, render_mode=render_mode,
-            keys=keys, link=link,
+        self._connect(
+            settings, reward=reward, connect=connect, node=node, priority=priority, affinity=affinity,
+            render_mode=render_mode, keys=keys, link=link,
         )  # fmt: skip
+
+    def _connect(
+        self, settings: Mapping[str, Any], *, priority: int, render_mode: str | None, **connection_arguments: Any
+    ) -> None:
+        """Connect to a node, which is started with the settings that are not None; called by the constructor alone."""
+        given = {name: value for name, value in settings.items() if value is not None}
+        connection = NodeConnection(given, priority=priority, render_mode=render_mode, **connection_arguments)
         with ExitStack() as undo:
             undo.callback(connection.abandon)
             self._open(connection, priority, render_mode)
             undo.pop_all()
-        self._connection.warn(stacklevel=3)
+        self._connection.warn(stacklevel=4)
 
     def _open(self, connection: NodeConnection, priority: int, render_mode: str | None) -> None:
         """Create spaces, reward and state from the manifest of the connected node."""

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.agent_sdk.envs.connection import NodeConnection
 from zenostat.agent_sdk.envs.vector_sample import Link
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.runtime.affinity import Affinity
@@ -70,13 +68,7 @@ class DistrictEnv(BuildingEnv):
         settings: dict[str, Any] = {"district": file, "faults": faults, "alarms": alarms, "record": record}
         settings |= {"record_on_full": record_on_full, "branches": branches}
         name = NAME if node is None and connect is None else node
-        connection = NodeConnection(
-            {key: value for key, value in settings.items() if value is not None},
-            reward=reward, connect=connect, node=name, priority=priority, affinity=affinity, render_mode=render_mode,
-            keys=keys, link=link,
+        self._connect(
+            settings, reward=reward, connect=connect, node=name, priority=priority, affinity=affinity,
+            render_mode=render_mode, keys=keys, link=link,
         )  # fmt: skip
-        with ExitStack() as undo:
-            undo.callback(connection.abandon)
-            self._open(connection, priority, render_mode)
-            undo.pop_all()
-        self._connection.warn(stacklevel=3)
