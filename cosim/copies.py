@@ -128,7 +128,7 @@ class DistrictCopy:
         self,
         description: PlantDescription,
         snapshots: PlantSnapshots,
-        create: Callable[[Mapping[str, GuardedPlant], threading.Event], DistrictRun],
+        create: Callable[[Mapping[str, GuardedPlant]], DistrictRun],
         state: RunState,
         *,
         slots: int,
@@ -144,17 +144,13 @@ class DistrictCopy:
     def _run(self, slot: int) -> DistrictRun:
         run = self._runs[slot]
         if run is None:
-            run = self._runs[slot] = self._create(self.snapshots.branches(self._stop), self._stop)
+            run = self._runs[slot] = self._create(self.snapshots.branches(self._stop))
         return run
 
     def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
         """Simulate a step in each active slot, one after the other; see `RunningPlant.step`."""
         size = len(commands) // len(self._runs)
         return [self._run(slot).step(commands[slot * size : (slot + 1) * size]) for slot in active_slots]
-
-    def restore_plants(self) -> None:
-        """Return all plants to their snapshots; raises the error of the first one that cannot."""
-        self.snapshots.restore()
 
     def values(self) -> bytes:
         """Return the values of all slots; see `RunningPlant.values`."""

@@ -17,7 +17,7 @@ from zenostat.topics.messages import Actuator, Manifest, Mode, Policy, Sensor, V
 SENSORS = ("price", "demand", "cleared_demand", "limit", "cleared", "trials")
 """Sensors of a market, in this order."""
 
-PRICE, DEMAND = SENSORS.index("price"), SENSORS.index("demand")
+PRICE = SENSORS.index("price")
 
 
 def market_manifest(name: str, spec: MarketSpec, others: Mapping[str, Manifest], step_s: float | None) -> Manifest:
@@ -64,23 +64,26 @@ class MarketPlant:
     Args:
         manifest: of the market.
         spec: of it.
+
+    Attributes:
+        limit_w: of the present step, W.
     """
 
     def __init__(self, manifest: Manifest, spec: MarketSpec) -> None:
         self.manifest, self.spec = manifest, spec
         self._row = np.zeros(len(SENSORS))
-        self._limit_w = spec.limit_w
+        self.limit_w = spec.limit_w
 
     def reset(self, seed: int) -> Rows:  # noqa: ARG002
         """Begin at the lowest price."""
         self._row = np.array([self.spec.low, 0.0, 0.0, self.spec.limit_w, 1.0, 0.0])
-        self._limit_w = self.spec.limit_w
+        self.limit_w = self.spec.limit_w
         return self._rows()
 
     def begin(self, commands: Floats) -> None:
         """Take over the limit."""
         limit_w = float(commands[-1, 0])
-        self._limit_w = self.spec.limit_w if np.isnan(limit_w) else limit_w
+        self.limit_w = self.spec.limit_w if np.isnan(limit_w) else limit_w
 
     def finish(self) -> Rows:
         """Return the present values."""
@@ -89,17 +92,12 @@ class MarketPlant:
     def settle(self, clearing: Clearing, demand_w: float) -> Rows:
         """Take over the result of a step, and what the bidders really had."""
         self._row = np.array([
-            clearing.price, demand_w, clearing.demand_w, self._limit_w, float(clearing.is_cleared), clearing.trials
+            clearing.price, demand_w, clearing.demand_w, self.limit_w, float(clearing.is_cleared), clearing.trials
         ])  # fmt: skip
         return self._rows()
 
-    @property
-    def limit_w(self) -> float:
-        """Limit of the present step, W."""
-        return self._limit_w
-
     def _rows(self) -> Rows:
-        return Rows(self._row[None, :].copy(), np.array([[self._limit_w]]))
+        return Rows(self._row[None, :].copy(), np.array([[self.limit_w]]))
 
     def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
         """Return the present values for each alternative: a market has no state of its own."""
@@ -124,7 +122,7 @@ class MarketPlant:
     def branch(self, snapshot: str) -> MarketPlant:  # noqa: ARG002
         """Return another market with these values."""
         other = MarketPlant(self.manifest, self.spec)
-        other._row, other._limit_w = self._row.copy(), self._limit_w
+        other._row, other.limit_w = self._row.copy(), self.limit_w
         return other
 
     def is_reachable(self) -> bool:

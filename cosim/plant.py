@@ -267,7 +267,7 @@ class DistrictPlant:
         snapshots = PlantSnapshots(self._plants, steps)
         state = self.run.capture()
 
-        def create(plants: Mapping[str, GuardedPlant], _: threading.Event) -> DistrictRun:
+        def create(plants: Mapping[str, GuardedPlant]) -> DistrictRun:
             run = DistrictRun(self._binding, plants, self._solver)
             run.adopt(state)
             return run
@@ -284,7 +284,7 @@ class DistrictPlant:
         assert isinstance(saved, DistrictCopy)
         self._stop.clear()
         try:
-            saved.restore_plants()
+            saved.snapshots.restore()
         except ZenostatError as error:
             self._broken = f"the district cannot return to its snapshot, and must be reset: {error}"
             raise EngineDied(self._broken) from None
