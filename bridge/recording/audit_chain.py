@@ -149,8 +149,7 @@ class _Check:
             self._problems.append(f"entries {self._expected + 1:,} to {record.first:,} are missing with their digests")
         elif record.previous != self._head or record.first < self._expected:
             self._problems.append(f"the chain is not continued after entry {self._expected:,}{self._previous}")
-        size = SIZE
-        digests = [record.digests[at : at + size] for at in range(0, len(record.digests), size)]
+        digests = [record.digests[at : at + SIZE] for at in range(0, len(record.digests), SIZE)]
         self._compare(record.first, digests)
         self._head, self._expected = _link(record.previous, record.digests), record.first + len(digests)
         if self.entries:
