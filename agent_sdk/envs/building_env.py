@@ -111,8 +111,8 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         self, settings: Mapping[str, Any], *, priority: int, render_mode: str | None, **connection_arguments: Any
     ) -> None:
         """Connect to a node, which is started with the settings that are not None; called by the constructor alone."""
-        given = {name: value for name, value in settings.items() if value is not None}
-        connection = NodeConnection(given, priority=priority, render_mode=render_mode, **connection_arguments)
+        present = {name: value for name, value in settings.items() if value is not None}
+        connection = NodeConnection(present, priority=priority, render_mode=render_mode, **connection_arguments)
         with ExitStack() as undo:
             undo.callback(connection.abandon)
             self._open(connection, priority, render_mode)
