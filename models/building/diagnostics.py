@@ -133,7 +133,7 @@ def _with_hints(diagnostics: list[Diagnostic], source: SourceModel | None) -> li
     """Return one diagnostic for each object whose fields seem to be shifted, instead of those that follow from it."""
     result, hinted = list[Diagnostic](), set[tuple[str, str]]()
     for each in sorted(diagnostics, key=lambda each: each.severity is Severity.WARNING):
-        hint = source.hints.get((each.kind, each.name)) if source is not None else None
+        hint = source.hint(each.kind, each.name) if source is not None else None
         if hint is None:
             result.append(each)
         elif (each.kind, each.name) not in hinted:

@@ -68,7 +68,7 @@ def parse_idf(text: str, layout: Layout) -> SourceModel:
         line = conflict.string.count("\n", 0, conflict.start()) + 1
         what = f"{conflict[0]!r} begins two versions of the lines after it, which git could not merge; keep one of them"
         issues = [SyntaxIssue(line, "", "", what)]
-    return SourceModel(tuple(reader.entries), reader.objects, tuple(issues), reader.hints)
+    return SourceModel(tuple(reader.entries), reader.objects, tuple(issues), reader.hint)
 
 
 def read_idf(text: str, layout: Layout, *, name: str) -> SourceModel:
@@ -85,7 +85,7 @@ def read_idf(text: str, layout: Layout, *, name: str) -> SourceModel:
     """
     model = parse_idf(text, layout)
     if model.issues:
-        errors = [_described(issue, model.hints.get((issue.kind, issue.name))) for issue in model.issues]
+        errors = [_described(issue, model.hint(issue.kind, issue.name)) for issue in model.issues]
         raise InvalidConfig(list_errors(f"{name} is not an IDF for EnergyPlus {layout.version}:", errors))
     return model
 
@@ -125,7 +125,7 @@ class _Reader:
         self.known: list[SourceObject] = []
         self.objects: Objects = {}
         self.issues: list[SyntaxIssue] = []
-        self.hints: dict[tuple[str, str], ShiftHint] = {}
+        self._sources: dict[tuple[str, str], tuple[TypeLayout, list[_Value]]] = {}
         self._layout = layout
         self._lines = lines
         self._counts: Counter[str] = Counter()
@@ -149,9 +149,7 @@ class _Reader:
         name = own_name if layout.named else f"{layout.kind} {self._counts[layout.kind]}"
         entry = SourceObject(layout.kind, name, line)
         text, at = self._error(entry, layout, rest, is_ended=is_ended)
-        hint = shift_hint(layout, [(value.line, value.text) for value in rest], self._lines)
-        if hint is not None and not any(value.is_split for value in rest):
-            self.hints[entry.kind, entry.name] = hint
+        self._sources[entry.kind, entry.name] = layout, rest
         if text:
             self.issues.append(SyntaxIssue(at, entry.kind, entry.name, text))
         self._last = (entry, layout, rest) if is_ended and not text else None
@@ -159,6 +157,13 @@ class _Reader:
         self.entries.append(entry)
         self.known.append(entry)
         self.objects.setdefault(layout.kind, {}).setdefault(name, fields)
+
+    def hint(self, kind: str, name: str) -> ShiftHint | None:
+        """Return where the fields of an object seem to be shifted; asked only for objects with errors."""
+        layout, values = self._sources.get((kind, name), (None, []))
+        if layout is None or any(value.is_split for value in values):
+            return None
+        return shift_hint(layout, [(value.line, value.text) for value in values], self._lines)
 
     def _continues(self, word: str, line: int) -> bool:
         """Whether a word that is no type goes on with the last object; if so, report the semicolon that ended it."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -58,6 +58,10 @@ class ShiftHint(NamedTuple):
     text: str
 
 
+def _no_hint(kind: str, name: str) -> ShiftHint | None:  # noqa: ARG001
+    return None
+
+
 @dataclass(frozen=True)
 class SourceModel:
     """A model file with the lines of its objects.
@@ -66,13 +70,13 @@ class SourceModel:
         entries: its objects in their order.
         objects: the same as an epJSON; of objects with the same name, the first.
         issues: errors of its syntax.
-        hints: of objects whose fields seem to be shifted, by type and name.
+        hint: returns where the fields of an object seem to be shifted, by its type and name; None if they do not.
     """
 
     entries: tuple[SourceObject, ...] = ()
     objects: Objects = field(default_factory=dict)
     issues: tuple[SyntaxIssue, ...] = ()
-    hints: Mapping[tuple[str, str], ShiftHint] = field(default_factory=dict)
+    hint: Callable[[str, str], ShiftHint | None] = field(default=_no_hint, compare=False)
 
     def line(self, kind: str, name: str = "", path: str = "") -> int | None:
         """Return the line of a field, else of its object, else of the first object of the type; None if not found."""
