@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
+from zenostat.models.building.findings import FieldFinding, Objects, RuleFinding, finding
 from zenostat.topics.errors import did_you_mean
 
 _NODE = re.compile(r"(\w*_)?node(_or_nodelist)?(_\w*)?name|\w*_node_or_nodelist_name")
@@ -49,7 +49,7 @@ class UnconnectedNode(NamedTuple):
         return f"{text}; {did_you_mean(self.node, self.known)}"
 
 
-def unconnected_nodes(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[UnconnectedNode]:
+def unconnected_nodes(objects: Objects) -> Iterator[UnconnectedNode]:
     """Yield the nodes that only one field names, except for those that may be the end of an air stream."""
     uses: dict[str, list[tuple[str, str, str, str]]] = defaultdict(list)
     for kind, items in objects.items():
@@ -65,7 +65,7 @@ def unconnected_nodes(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[Unco
             yield UnconnectedNode(kind, name, field, spelling, known)
 
 
-def nodes_without_setpoint(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[RuleFinding]:
+def nodes_without_setpoint(objects: Objects) -> Iterator[RuleFinding]:
     """Yield a warning for each node whose setpoint an object needs, and that no setpoint manager or EMS actuator sets.
 
     A plug-in or an external interface may set any node, so a model with one of these has no such warnings.
@@ -82,7 +82,7 @@ def nodes_without_setpoint(objects: Mapping[str, Mapping[str, Any]]) -> Iterator
                         yield finding(kind, name, FieldFinding(path, text, is_fatal=False))
 
 
-def _managed_nodes(objects: Mapping[str, Mapping[str, Any]]) -> set[str]:
+def _managed_nodes(objects: Objects) -> set[str]:
     """Return the nodes, case-folded, that a setpoint manager or an EMS actuator may set."""
     managed = {
         node.casefold()
@@ -97,13 +97,13 @@ def _managed_nodes(objects: Mapping[str, Mapping[str, Any]]) -> set[str]:
     return _with_list_members(objects, managed)
 
 
-def _with_list_members(objects: Mapping[str, Mapping[str, Any]], names: set[str]) -> set[str]:
+def _with_list_members(objects: Objects, names: set[str]) -> set[str]:
     """Return names of nodes and node lists, case-folded, with the nodes in these lists."""
     lists = [fields for name, fields in objects.get("NodeList", {}).items() if name.casefold() in names]
     return names | {str(node.get("node_name", "")).casefold() for each in lists for node in each.get("nodes", ())}
 
 
-def outdoor_nodes_without_air(objects: Mapping[str, Mapping[str, Any]]) -> Iterator[RuleFinding]:
+def outdoor_nodes_without_air(objects: Objects) -> Iterator[RuleFinding]:
     """Yield a warning for each mixer whose outdoor air comes neither from outdoors nor from other equipment.
 
     EnergyPlus reports it as a severe error, and simulates the mixer nevertheless.
