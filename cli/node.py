@@ -10,6 +10,9 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import typer
+
+from zenostat.bridge.node.settings import NodeSettings
 from zenostat.bridge.python_plant.shipped import PLANT_SETTINGS
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import default_endpoint, exposure
@@ -28,13 +31,29 @@ if TYPE_CHECKING:
 
     from zenostat.bridge.node.node import Node
     from zenostat.bridge.node.server import NodeServer
-    from zenostat.bridge.node.settings import NodeSettings
+
+_RESUMED_OPTIONS = (
+    "resume",
+    "listen",
+    "connect",
+    "no_listen",
+    "expose",
+    "keys",
+    "certificate",
+    "branches",
+    "unresponsive_s",
+    "record_on_full",
+    "history_mb",
+    "affinity",
+)
+"""Options that a recording does not determine."""
 
 _WARNINGS = (*REJECTIONS, EventKind.WARNING, EventKind.FALLBACK, EventKind.EXPIRED)
 """Kinds of events with the level `warning` in a log."""
 
 
 def node(
+    context: typer.Context,
     scenario: options.Scenario = None,
     building: options.Building = None,
     weather: options.Weather = None,
@@ -61,6 +80,7 @@ def node(
     branches: options.Branches = 64,
     unresponsive_s: options.Unresponsive = 10.0,
     no_shrink_caches: options.NoShrinkCaches = False,
+    resume: options.ResumeFile = None,
     record: options.Record = None,
     record_on_full: options.RecordOnFull = OnFull.WAIT,
     overwrite: options.Overwrite = False,
@@ -81,17 +101,14 @@ def node(
     Example: `zenostat node --plant tank.py:Tank --name tank`
 
     Example: `zenostat node --fmu tank.fmu --set tank.T0=293.15 --name tank`
+
+    Example: `zenostat node --resume run.mcap`
     """
     settings = dict(locals())
-    if no_listen and listen:
-        raise InvalidConfig(f"--listen {listen} conflicts with --no-listen; use one of them")
-    if speed is not None and mode is not Mode.PACED:
-        raise InvalidConfig(f"--speed {speed:g} needs --mode paced; {mode} mode has no speed")
-    if overwrite and record is None:
-        raise InvalidConfig("--overwrite needs --record FILE.mcap")
+    _check_options(settings)
     settings["record_overwrite"] = settings.pop("overwrite")
     del settings["no_listen"], settings["no_monitoring"], settings["no_shrink_caches"], settings["plant_argument"]
-    del settings["set_value"]
+    del settings["set_value"], settings["context"]
     if speed is None:
         del settings["speed"]
     settings |= {
@@ -101,23 +118,85 @@ def node(
         "monitoring": not no_monitoring,
         "shrink_caches": not no_shrink_caches,
     }
-    if set_value and fmu is None:
+    if resume is not None and not any((scenario, building, plant, fmu, grid)):
+        _run_resumed(context, settings, is_endpoint_explicit=listen is not None)
+        return
+    if resume is not None:
+        settings |= _resume_or_record(resume)
+    _run(_with_plant(settings, set_value, plant_argument), is_endpoint_explicit=listen is not None)
+
+
+def _check_options(parameters: dict[str, Any]) -> None:
+    """Raise `InvalidConfig` for options that do not go together."""
+    listen, speed, mode = parameters["listen"], parameters["speed"], parameters["mode"]
+    if parameters["no_listen"] and listen:
+        raise InvalidConfig(f"--listen {listen} conflicts with --no-listen; use one of them")
+    if speed is not None and mode is not Mode.PACED:
+        raise InvalidConfig(f"--speed {speed:g} needs --mode paced; {mode} mode has no speed")
+    if parameters["resume"] is not None and parameters["record"] is not None:
+        raise InvalidConfig("--resume FILE goes on recording to its file; leave --record out")
+    if parameters["overwrite"] and parameters["record"] is None:
+        raise InvalidConfig("--overwrite needs --record FILE.mcap")
+    if parameters["set_value"] and parameters["fmu"] is None:
         raise InvalidConfig("--set needs --fmu FILE.fmu")
+
+
+def _with_plant(
+    settings: dict[str, Any], set_value: list[str] | None, plant_argument: list[str] | None
+) -> dict[str, Any]:
+    """Return the settings with those of a plant of one's own, or without any."""
+    plant, fmu, grid = settings["plant"], settings["fmu"], settings["grid"]
     if plant is None and fmu is None and grid is None:
         if plant_argument:
             raise InvalidConfig("--plant-argument needs --plant FILE.py:CLASS, --fmu FILE.fmu or --grid FILE.yaml")
-        del settings["plant"], settings["fmu"], settings["grid"]
-    else:
-        settings["plant_arguments"] = options.parse_arguments(plant_argument or [])
-        if set_value:
-            settings["plant_arguments"]["set"] = options.parse_start_values(set_value)
-        settings["shrink_caches"] = False if no_shrink_caches else None
-    _run(settings, is_endpoint_explicit=listen is not None)
+        return {name: value for name, value in settings.items() if name not in ("plant", "fmu", "grid")}
+    arguments = options.parse_arguments(plant_argument or [])
+    if set_value:
+        arguments["set"] = options.parse_start_values(set_value)
+    shrink_caches = None if settings["shrink_caches"] else False
+    return {**settings, "plant_arguments": arguments, "shrink_caches": shrink_caches}
+
+
+def _resume_or_record(resume: Path) -> dict[str, Any]:
+    """Return the settings to go on with a recording, or to start it if there is nothing in it yet."""
+    from zenostat.topics.extras import requires_extra
+
+    with requires_extra("recording", "a recording", "mcap and zstandard"):
+        from zenostat.bridge.recording.continuation import has_messages
+    if has_messages(resume):
+        return {"resume": resume}
+    return {"resume": None, "record": resume, "record_overwrite": True}
+
+
+def _run_resumed(context: typer.Context, settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
+    """Run a node that goes on with a recording, which says what it simulates."""
+    from zenostat.topics.extras import requires_extra
+
+    with requires_extra("recording", "a recording", "mcap and zstandard"):
+        from zenostat.eplus_node.resume import read_resumed, resumed_node
+    conflicting = [
+        f"--{name.removesuffix('_s').replace('_', '-')}"
+        for name in context.params
+        if name not in _RESUMED_OPTIONS and getattr(context.get_parameter_source(name), "name", "") == "COMMANDLINE"
+    ]
+    if conflicting:
+        raise InvalidConfig(
+            f"{', '.join(conflicting)}: the recording of --resume determines what is simulated and how; leave it out, "
+            "or name the building or plant as well, so that a new node starts if there is no recording yet"
+        )
+    kept = {name: value for name, value in settings.items() if name in (*_RESUMED_OPTIONS, "listen", "connect")}
+    config = read_resumed({name: value for name, value in kept.items() if name in NodeSettings.model_fields})
+    _serve(config, resumed_node, is_endpoint_explicit=is_endpoint_explicit)
 
 
 def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:
-    """Run the node until it ends, with a progress bar, and print its statistics."""
+    """Run the node until it ends."""
     config, create = _read(settings)
+    _serve(config, create, is_endpoint_explicit=is_endpoint_explicit)
+
+
+def _serve(config: NodeSettings, create: Callable[..., Node], *, is_endpoint_explicit: bool) -> None:
+    """Run the node until it ends, with a progress bar, and print its statistics."""
     with progress() as bars, ExitStack() as stack:
         observer = ProgressBar(bars, config.name)
         print_line = partial(bars.console.print, markup=False, soft_wrap=True)

@@ -66,6 +66,15 @@ Branches = Annotated[int, argument("branches")]
 Unresponsive = Annotated[float, argument("unresponsive_s", "--unresponsive", metavar="SECONDS")]
 NoShrinkCaches = Annotated[bool, argument("shrink_caches", "--no-shrink-caches", note=" This option prevents it.")]
 Record = Annotated[Path | None, argument("record")]
+ResumeFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--resume",
+        metavar="FILE.mcap",
+        help="Go on where this recording of an ended node stops: simulate it again to its last complete timestep, and "
+        "record on to it. If options say what to simulate and the file does not exist, a new node records to it.",
+    ),
+]
 RecordOnFull = Annotated[messages.OnFull, argument("record_on_full")]
 Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace the file of --record if it is a recording.")]
 HistoryMB = Annotated[

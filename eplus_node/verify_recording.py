@@ -62,7 +62,7 @@ def verify(
     """
     with ExitStack() as stack:
         reader = stack.enter_context(RecordingReader(path))
-        factory, changes = _RecordedPlant(reader, exact=tolerance is None).factory(plant, {"fmu": fmu, "grid": grid})
+        factory, changes = RecordedPlant(reader, exact=tolerance is None).factory(plant, {"fmu": fmu, "grid": grid})
         sweep()
         scratch = Scratch()
         stack.callback(scratch.remove)
@@ -93,7 +93,7 @@ class _Provenance(BaseModel):
     files: dict[str, _RecordedFile] = Field(default_factory=dict)
 
 
-class _RecordedPlant:
+class RecordedPlant:
     """Description of the plant in a recording, none of which is trusted.
 
     Args:

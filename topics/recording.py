@@ -10,6 +10,8 @@ from typing import Any
 
 from pydantic import Field
 
+from zenostat.topics.fault_plan import FaultPlan
+from zenostat.topics.messages import Claim, Mode
 from zenostat.topics.messages.base import Count, Message, Raw, Seed, SourceName
 
 PROFILE = "zenostat"
@@ -36,7 +38,7 @@ AUDIT, AUDIT_ENTRIES, AUDIT_HEAD = "audit", "audit_entries", "audit_head"
 AUDIT_HASH = "sha256"
 
 ORDERS, EPISODES, SNAPSHOTS, OTHERS, WEATHER = "orders", "episodes", "snapshots", "others", "weather"
-SENDERS, AUDIT_CHAIN = "senders", "audit"
+SENDERS, AUDIT_CHAIN, STATES = "senders", "audit", "states"
 """Channels, below the node's root, of the records that are not on the bus."""
 
 
@@ -55,6 +57,22 @@ class RecordedEpisode(Message):
     inputs: list[dict[str, Any]] = Field(default_factory=list)
     snapshot: str = ""
     source: SourceName = ""
+
+
+class RecordedState(Message):
+    """State of a node, without its plant, when episodes began in all slots; the record of their start follows.
+
+    `claims`: those of its controllers, all of which were connected. `alarms`: the alarm rules, as their file has them;
+    None without any. `fault_episodes`: of each slot, the key of the random numbers of `faults`; empty without faults.
+    """
+
+    claims: list[Claim] = Field(default_factory=list)
+    mode: Mode
+    speed: float
+    paused: bool = False
+    alarms: dict[str, Any] | None = None
+    faults: FaultPlan | None = None
+    fault_episodes: list[list[Count]] = Field(default_factory=list)
 
 
 class RecordedWeather(Message):

@@ -67,12 +67,15 @@ class AlarmMonitor:
         plant: what is simulated.
         slots: number of slots.
 
+    Attributes:
+        rules: as they were given.
+
     Raises:
         InvalidConfig: see `point_alarms`.
     """
 
     def __init__(self, rules: AlarmRules, plant: PlantDescription, slots: int) -> None:
-        self._rules, self._plant = rules, plant
+        self.rules, self._plant = rules, plant
         self._points = point_alarms(rules, plant)
         self._period = plant.run_period
         self._slots, self._width = slots, len(plant.sensors) + len(plant.meters)
@@ -288,7 +291,7 @@ class AlarmMonitor:
             saved: the snapshot; None is the present state.
         """
         state = saved if saved is not None else AlarmSnapshot(self._alarms, self._records)
-        branch = AlarmMonitor(self._rules, self._plant, slots)
+        branch = AlarmMonitor(self.rules, self._plant, slots)
         branch.restore(AlarmSnapshot([state.alarms[slot]] * slots, [state.records[slot]] * slots))
         return branch
 

@@ -121,6 +121,19 @@ class Claims:
         self._list_required()
         return holder, replaced
 
+    def messages(self) -> list[Claim]:
+        """Return the messages that claim the same, in the order of the claims."""
+        names = [actuator.name for actuator in self._actuators]
+        return [
+            Claim(
+                controller=holder.name,
+                priority=holder.priority,
+                actuators=None if holder.covers_all else [names[index] for index in np.flatnonzero(holder.mask)],
+                required=holder.required,
+            )
+            for holder in self.by_name.values()
+        ]
+
     def restore(self, other: Claims) -> None:
         """Copy the claims of another node with the same actuators, without their statistics."""
         self.by_name = {name: replace(claimant, stats=ControllerStats()) for name, claimant in other.by_name.items()}

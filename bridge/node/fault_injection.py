@@ -69,6 +69,17 @@ class FaultInjection:
         if 0 in slots:
             self.link.reset(seeds[list(slots).index(0)])
 
+    @property
+    def episodes(self) -> list[list[int]]:
+        """Keys of the random numbers of each slot's episode; see `EpisodeKeys`."""
+        return [[*state["episode"]] for state in self._points.state()]
+
+    def set_episodes(self, keys: Sequence[Sequence[int]]) -> None:
+        """Set the keys of the random numbers, at the start of the episodes."""
+        states = zip(self._points.state(), map(tuple, keys), strict=True)
+        self._points.restore([state | {"episode": key} for state, key in states])
+        self.link.restore(self.link.state() | {"episode": tuple(keys[0])})
+
     def apply_to_commands(self, values: bytes, steps: Sequence[int]) -> bytes:
         """Return the commands that reach the engines; raw float64."""
         if not self._points.disturbs_actuators:

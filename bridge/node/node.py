@@ -35,6 +35,7 @@ from zenostat.topics.messages import Ack, EventKind, Manifest, Message, Query, R
 
 if TYPE_CHECKING:
     from zenostat.bridge.alarms.monitor import AlarmMonitor
+    from zenostat.bridge.node.resumption import Resumption
     from zenostat.bridge.transport.deny_list import DenyList
 
 
@@ -74,6 +75,7 @@ class Node:
         self._guard = ShutdownGuard(self._stop_waiting, self._end_process if program else None, timeout_s)
         self._has_server = False
         self._deny_list: DenyList | None = None
+        self._resumption: Resumption | None = None
         self._close = ExitStack()
 
     def check(self) -> None:
@@ -86,6 +88,7 @@ class Node:
             undo.callback(self.close)
             self._close.enter_context(self._guard)
             self._record = self._recording_path()
+            self._open_resumption()
             create = self._prepare()
             self._set_affinity()
             self._open_bus()
@@ -139,6 +142,16 @@ class Node:
         path = recording_path(settings.record, settings.name)
         check_path(path, overwrite=settings.record_overwrite)
         return path
+
+    def _open_resumption(self) -> None:
+        if self.settings.resume is None:
+            return
+        from zenostat.bridge.node.resumption import Resumption  # few nodes go on with a recording
+        from zenostat.bridge.recording.file import check_library
+
+        check_library()
+        self._resumption = Resumption(self.settings.resume)
+        self._close.callback(self._resumption.close)
 
     def _set_affinity(self) -> None:
         """Choose the cores of node and engines; several slots use all cores, and the node shares one of them."""
@@ -197,10 +210,16 @@ class Node:
             policy=settings.policy,
             deadline_s=settings.deadline_s,
         )
-        plant.start(range(settings.slots))
+        resumption = self._resumption
+        if resumption is None:
+            plant.start(range(settings.slots))
+        else:
+            resumption.start(plant)
         history = History(plant.description, settings.slots, int(settings.history_mb * 1e6))
         kept = history if history.samples else None
         manifest = node_manifest(settings, plant, kept, instance=self.instance, cpu=self.cpu)
+        if resumption is not None:
+            resumption.check(manifest)
         self.server = NodeServer(
             self.session, plant, manifest, exchange, self._observer, kept, self._alarms(), folder=self._folder
         )
@@ -210,7 +229,7 @@ class Node:
         self._close.callback(self.server.close)
         if not self._finish_s:
             self._close.callback(self._registry.end)  # all at once is faster than one by one
-        if settings.faults is not None:
+        if settings.faults is not None and resumption is None:
             self.server.inject(read_plan(settings.faults))
         self._control_access()
         self.branches = BranchManager(self.server, self._folder, cpus=self._cpus, limit=settings.branches)
@@ -219,6 +238,9 @@ class Node:
         self._episodes = EpisodeManager(
             self.server, plant, self.branches, self._recordings, patience_s=settings.unresponsive_s
         )
+        if resumption is not None:
+            resumption.run(self.server, self._folder)
+            plant.clean_up()
 
     def _control_access(self) -> None:
         """Apply the list of names and the deny list, where there are keys."""
@@ -260,13 +282,16 @@ class Node:
         return Ack(episode=self.exchange.episode, text=f"{request.name} is revoked")
 
     def _alarms(self) -> AlarmMonitor | None:
-        settings = self.settings
-        if settings.alarms is None:
+        settings, resumption = self.settings, self._resumption
+        if resumption is None and settings.alarms is None:
             return None
         from zenostat.bridge.alarms.monitor import AlarmMonitor  # few nodes have alarms
         from zenostat.bridge.alarms.rules import read_rules
 
-        return AlarmMonitor(read_rules(settings.alarms), self.plant.description, settings.slots)
+        rules = None if settings.alarms is None else read_rules(settings.alarms)
+        if resumption is not None:
+            rules = resumption.agreed_rules(rules)
+        return None if rules is None else AlarmMonitor(rules, self.plant.description, settings.slots)
 
     def _announce(self) -> None:
         """Put the node on the bus: first what answers requests, its presence last."""
@@ -278,13 +303,20 @@ class Node:
         server.subscriptions.request(keys.REVOKE, Revoke, self._revoke)
         self._close.callback(signal.signal, signal.SIGCHLD, signal.getsignal(signal.SIGCHLD))
         signal.signal(signal.SIGCHLD, self._on_child)
-        if self._record is not None:
-            settings = self.settings
+        settings = self.settings
+        if self._resumption is not None:
+            written = self._resumption.written
+            self._recordings.go_on(self._resumption.take_descriptor(), written, on_full=settings.record_on_full)
+        elif self._record is not None:
             self._recordings.start(self._record, overwrite=settings.record_overwrite, on_full=settings.record_on_full)
-        self._episodes.begin_first()
+        if self._resumption is None:
+            self._episodes.begin_first()
         for warning in filter(None, (*self.plant.description.warnings, self._opened.warning)):
             server.event(server.exchange.event(EventKind.WARNING, warning))
-        server.publish()
+        if self._resumption is None:
+            server.publish()
+        else:
+            server.go_on(self._resumption.describe())
         server.announce()
         if any(instance < self.instance for instance in instances(self.session, self.settings.name)):
             # Of two nodes that started at once, the lower id remains.

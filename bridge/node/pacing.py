@@ -81,6 +81,15 @@ class Pacing:
         self._step_elapsed_s, self.steps_left = 0.0, 0
         self.pace.rebase(monotonic(), self._timesteps)
 
+    def restore(self, speed: float, *, paused: bool) -> None:
+        """Set what a request would set; `begin` begins the schedule."""
+        self.pace.speed, self.paused, self.steps_left = speed, paused, 0
+
+    def resume_at(self, now_s: float) -> None:
+        """Begin the schedule at the present sample of a node that goes on, and the deadline of its step."""
+        self.pace.rebase(now_s, self._timesteps)
+        self.wait(now_s)
+
     def wait(self, now_s: float) -> None:
         """Start the deadline of the present step, unless the node is paused."""
         exchange = self._server.exchange

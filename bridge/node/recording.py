@@ -10,7 +10,7 @@ import numpy as np
 
 from zenostat.bridge.node.manifest import located_geometry
 from zenostat.bridge.node.plant import Plant, RepeatablePlant, WeatherTable
-from zenostat.bridge.recording.channels import EPISODES, MANIFESTS, SNAPSHOTS, WEATHER
+from zenostat.bridge.recording.channels import EPISODES, MANIFESTS, SNAPSHOTS, STATES, WEATHER
 from zenostat.topics import keys
 from zenostat.topics.errors import InvalidConfig, RequestRejected, ZenostatError
 from zenostat.topics.messages import (
@@ -22,11 +22,18 @@ from zenostat.topics.messages import (
     StartRecording,
     StopRecording,
 )
-from zenostat.topics.recording import WEATHER_COLUMNS, RecordedEpisode, RecordedSnapshot, RecordedWeather
+from zenostat.topics.recording import (
+    WEATHER_COLUMNS,
+    RecordedEpisode,
+    RecordedSnapshot,
+    RecordedState,
+    RecordedWeather,
+)
 
 if TYPE_CHECKING:
     from zenostat.bridge.node.server import NodeServer
     from zenostat.bridge.recording.recorder import Recorder
+    from zenostat.bridge.recording.written import Written
 
 
 class RecordingManager:
@@ -79,11 +86,32 @@ class RecordingManager:
             on_stopped=lambda reason: server.subscriptions.post(lambda: self._on_stopped(recorder, reason)),
             cpus=self._cpus,
         )
+        self._record(recorder)
+        self._publish(f"recording to {path}", source)
+
+    def go_on(self, descriptor: int, written: Written, *, on_full: OnFull = OnFull.WAIT) -> None:
+        """Append to a recording from now on; the recorder closes the descriptor."""
+        from zenostat.bridge.recording.recorder import Recorder
+
+        server = self._server
+        recorder = Recorder(
+            descriptor,
+            written.path,
+            server.manifest.node,
+            dict,
+            on_full=on_full,
+            on_stopped=lambda reason: server.subscriptions.post(lambda: self._on_stopped(recorder, reason)),
+            cpus=self._cpus,
+            written=written,
+        )
+        self._record(recorder)
+
+    def _record(self, recorder: Recorder) -> None:
+        server = self._server
         recorder.is_ending = lambda: server.stopping
-        recorder.record(MANIFESTS, manifest)
+        recorder.record(MANIFESTS, server.manifest)
         self._recorder, self._created, self._status = recorder, recorder, recorder.status
         server.record(recorder)
-        self._publish(f"recording to {path}", source)
 
     def _start(self, request: StartRecording) -> Message:
         from zenostat.bridge.recording.file import check_library, check_path, recording_path
@@ -162,6 +190,8 @@ class RecordingManager:
         if self._recorder is None:
             return
         plant, slots = self._plant, [*steps]
+        if not snapshot and len(slots) == self._server.manifest.slots:
+            self._recorder.record(STATES, self._state())
         self._recorder.record(
             EPISODES,
             RecordedEpisode(
@@ -177,6 +207,20 @@ class RecordingManager:
         )
         for slot in slots:
             self._record_weather(slot)
+
+    def _state(self) -> RecordedState:
+        """Return what the node has besides its plant."""
+        server = self._server
+        injection, alarms = server.injection, server.alarms
+        return RecordedState(
+            claims=server.exchange.claims.messages(),
+            mode=server.exchange.mode,
+            speed=server.pacing.speed,
+            paused=server.pacing.paused,
+            alarms=None if alarms is None else alarms.rules.model_dump(mode="json", exclude_unset=True),
+            faults=None if injection is None else injection.plan,
+            fault_episodes=[] if injection is None else injection.episodes,
+        )
 
     def _record_weather(self, slot: int) -> None:
         """Record the weather of an episode; reading its file takes 0.1 s, so the same weather is read once."""

@@ -30,10 +30,10 @@ from zenostat.bridge.node.subscriptions import COMMAND_QUEUE, Subscriptions
 from zenostat.bridge.node.trials import TrialSteps
 from zenostat.bridge.recording.channels import SAMPLES
 from zenostat.bridge.runtime.timer import Timer
-from zenostat.topics import errors, keys
+from zenostat.topics import codec, errors, keys
 from zenostat.topics.errors import EpisodeAborted, RequestRejected, SimulatorError, ZenostatError
 from zenostat.topics.fault_plan import FaultPlan
-from zenostat.topics.messages import Event, EventKind, Manifest, Mode, Query, State, Statistics
+from zenostat.topics.messages import Event, EventKind, Manifest, Mode, Query, Sample, State, Statistics
 from zenostat.topics.way_in import ZENOH
 
 if TYPE_CHECKING:
@@ -296,6 +296,43 @@ class NodeServer:
         self.publications.points(values, exchange.episode[0], step, self.samples.time(step))
         if self._observer is not None:
             self._observer(self)
+
+    def repeat_sample(self) -> bytes:
+        """Take the present sample as `publish` does, but publish nothing; return it encoded."""
+        exchange, plant, injection = self.exchange, self.plant, self.injection
+        values, fault_free_values = plant.values(), b""
+        if injection is not None:
+            fault_free_values, values = values, injection.apply_to_sensors(values, exchange.step)
+            injection.drain_transitions()
+        self.latest_sample = self.samples.encode(exchange, values, fault_free_values)
+        if self.history is not None:
+            self.history.add(values, plant.effective, exchange.episode, exchange.step)
+        if self.alarms is not None:
+            self.alarms.update(values, exchange.episode, exchange.step)
+        if self._warnings is not None:
+            self._warnings.drain_step_warnings()
+        return self.latest_sample
+
+    def remember_commands(self, commands: bytes) -> None:
+        """Record the commands of a timestep that `step` did not simulate."""
+        self._last_commands = commands
+
+    def observe(self) -> None:
+        """Show the present state, which is not published."""
+        if self._observer is not None:
+            self._observer(self)
+
+    def go_on(self, text: str) -> None:
+        """Publish the latest sample of a node that goes on, and its event; no controller is connected yet."""
+        exchange, now_s = self.exchange, monotonic()
+        self.publications.sample(self.latest_sample)
+        values, step = codec.decode(Sample, self.latest_sample).values, exchange.step[0]
+        self.publications.points(values, exchange.episode[0], step, self.samples.time(step))
+        self._sampled_s = now_s
+        self.pacing.resume_at(now_s)
+        self.event(exchange.event(EventKind.RESUMED, text))
+        for name in [*exchange.claims.by_name]:
+            self.on_disconnect(name)
 
     def _publish_with_faults(self, injection: FaultInjection) -> None:
         payload, now_s = self.latest_sample, monotonic()

@@ -25,6 +25,7 @@ class NodeSettings(BaseModel):
         environment_reward: the reward that the environment pays in place of the scenario's, for the manifest; None:
             it pays none.
         monitoring: also measure what pictures and reports need; a Python plant measures all its points anyway.
+        resume: a recording with which the node goes on, and to which it goes on recording.
         record: a file (`.mcap`) or a folder for recordings; `record_on_full` and `record_overwrite` are options of it.
         history_mb: memory for the history of the present episode, in MB; 0 keeps none.
         unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
@@ -53,6 +54,7 @@ class NodeSettings(BaseModel):
     environment_reward: dict[str, Any] | Literal["scenario"] | None = "scenario"
     monitoring: bool = False
     branches: Annotated[int, Field(ge=0, le=4096)] = 64
+    resume: Path | None = None
     record: Path | None = None
     record_on_full: OnFull = OnFull.WAIT
     record_overwrite: bool = False
@@ -67,6 +69,8 @@ class NodeSettings(BaseModel):
     def _has_a_bus(self) -> Self:
         if not self.listen and not self.connect:
             raise ValueError("name an endpoint to listen on, or one to connect to")
+        if self.resume is not None and self.record is not None:
+            raise ValueError("a node that goes on with a recording goes on recording to it; leave record out")
         return self
 
     def task(self, described: Task) -> Task:

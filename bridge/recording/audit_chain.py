@@ -64,6 +64,11 @@ class AuditChain:
         self._topics: dict[int, bytes] = {}
         self._digests: list[bytes] = []
 
+    def resume(self, record: RecordedAudit) -> None:
+        """Go on after a record of the chain."""
+        self.entries = record.first + len(record.digests) // SIZE
+        self.head = _link(record.previous, record.digests)
+
     def add_channel(self, channel: int, topic: str, schema: str) -> None:
         """Chain the messages of a channel, unless they are of a class that is not chained."""
         if is_chained(schema):

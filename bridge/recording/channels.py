@@ -11,10 +11,11 @@ from zenostat.topics.recording import (
     RecordedOrder,
     RecordedSender,
     RecordedSnapshot,
+    RecordedState,
     RecordedWeather,
 )
 
-SAMPLES, EVENTS, MANIFESTS, ORDERS, EPISODES, SNAPSHOTS, OTHERS, WEATHER, SENDERS, AUDIT = range(10)
+SAMPLES, EVENTS, MANIFESTS, ORDERS, EPISODES, SNAPSHOTS, OTHERS, WEATHER, SENDERS, AUDIT, STATES = range(11)
 """Numbers of the channels."""
 
 CHANNELS: tuple[tuple[str, type[Message]], ...] = (
@@ -28,5 +29,6 @@ CHANNELS: tuple[tuple[str, type[Message]], ...] = (
     (recording.WEATHER, RecordedWeather),
     (recording.SENDERS, RecordedSender),
     (recording.AUDIT_CHAIN, RecordedAudit),
+    (recording.STATES, RecordedState),
 )
 """Topic below the node's root and class of each fixed channel, by its number."""

@@ -9,8 +9,9 @@ from __future__ import annotations
 import os
 import struct
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 import zstandard
 from mcap.data_stream import RecordBuilder
@@ -32,13 +33,16 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
+if TYPE_CHECKING:
+    from zenostat.bridge.recording.written import Written
+
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Head of a message record: opcode, length, channel, sequence, log time, publish time; its payload follows."""
 _MESSAGE_FIELDS = _MESSAGE.size - 9
 _OPCODE = int(Opcode.MESSAGE)
 _WRAP = 0xFFFFFFFF
 _CHUNK = struct.Struct("<BQQQQI")
-_COMPRESSION = "zstd"
+COMPRESSION = "zstd"
 _LEVEL = 3
 
 
@@ -48,6 +52,7 @@ class ChunkWriter:
     Args:
         descriptor: of an empty file, opened for writing; the caller closes it.
         profile, library: of the file's header.
+        written: what is complete of a file that is not empty; what is after it is dropped.
 
     Attributes:
         size: bytes of the present chunk, not compressed.
@@ -59,7 +64,7 @@ class ChunkWriter:
         OSError: the file cannot be written; it is cut to what was complete.
     """
 
-    def __init__(self, descriptor: int, *, profile: str, library: str) -> None:
+    def __init__(self, descriptor: int, *, profile: str, library: str, written: Written | None = None) -> None:
         self._descriptor = descriptor
         self.offset = self.messages = self.size = self.payload_bytes = self._chunk_payload_bytes = 0
         self._parts: list[bytes] = []
@@ -73,7 +78,19 @@ class ChunkWriter:
         self._chunks: list[ChunkIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._metadata: list[MetadataIndex] = []
-        self._write(MCAP0_MAGIC + _record(Header(profile=profile, library=library)))
+        if written is None:
+            self._write(MCAP0_MAGIC + _record(Header(profile=profile, library=library)))
+        else:
+            self._continue(written)
+
+    def _continue(self, written: Written) -> None:
+        self._schemas, self._channels, self._counts = written.schemas, written.channels, written.counts
+        self._chunks, self._attachments, self._metadata = written.chunks, written.attachments, written.metadata
+        self._first_ns, self._last_ns = written.first_ns, written.last_ns
+        self.messages, self.offset = written.messages, written.offset
+        os.ftruncate(self._descriptor, self.offset)
+        os.lseek(self._descriptor, self.offset, os.SEEK_SET)
+        self._write(written.missing_index)
 
     def _write(self, data: bytes) -> None:
         """Write all of `data`; of what cannot be written completely, nothing remains."""
@@ -162,7 +179,7 @@ class ChunkWriter:
             return
         data = b"".join(self._parts)
         packed = self._compressor.compress(data)
-        name = _COMPRESSION.encode()
+        name = COMPRESSION.encode()
         body = b"".join((struct.pack("<I", len(name)), name, struct.pack("<Q", len(packed)), packed))
         head = _CHUNK.pack(
             int(Opcode.CHUNK),
@@ -173,7 +190,7 @@ class ChunkWriter:
             zlib.crc32(data),
         )
         chunk = head + body
-        index, offsets = self._index_records(self.offset + len(chunk))
+        index, offsets = message_index(self._index, self.offset + len(chunk))
         start = self.offset
         self._write(chunk + index)
         self._chunks.append(
@@ -184,7 +201,7 @@ class ChunkWriter:
                 chunk_length=len(chunk),
                 message_index_offsets=offsets,
                 message_index_length=len(index),
-                compression=_COMPRESSION,
+                compression=COMPRESSION,
                 compressed_size=len(packed),
                 uncompressed_size=len(data),
             )
@@ -195,18 +212,6 @@ class ChunkWriter:
         self._parts, self._index, self.size = [], {}, 0
         self.payload_bytes += self._chunk_payload_bytes
         self._chunk_payload_bytes = 0
-
-    def _index_records(self, offset: int) -> tuple[bytes, dict[int, int]]:
-        """Return the message index of the present chunk, which is written at `offset`, and the place of each part."""
-        parts, offsets = [], {}
-        for channel, entries in self._index.items():
-            offsets[channel] = offset
-            length = 8 * len(entries)
-            parts.append(
-                struct.pack(f"<BQHI{len(entries)}Q", int(Opcode.MESSAGE_INDEX), 6 + length, channel, length, *entries)
-            )
-            offset += len(parts[-1])
-        return b"".join(parts), offsets
 
     def finish(self) -> None:
         """Write the present chunk and the summary; the file is then complete."""
@@ -246,6 +251,24 @@ class ChunkWriter:
             metadata_count=len(self._metadata),
             schema_count=len(self._schemas),
         )
+
+
+def message_index(index: Mapping[int, Sequence[int]], offset: int) -> tuple[bytes, dict[int, int]]:
+    """Return the message index of a chunk, which is written at `offset`, and the place of each part.
+
+    Args:
+        index: the time and the place in the chunk of each message, one after the other, by channel.
+        offset: where the index is written.
+    """
+    parts, offsets = [], {}
+    for channel, entries in index.items():
+        offsets[channel] = offset
+        length = 8 * len(entries)
+        parts.append(
+            struct.pack(f"<BQHI{len(entries)}Q", int(Opcode.MESSAGE_INDEX), 6 + length, channel, length, *entries)
+        )
+        offset += len(parts[-1])
+    return b"".join(parts), offsets
 
 
 def _record(record: McapRecord) -> bytes:

@@ -137,6 +137,26 @@ def open_recording(path: Path, *, overwrite: bool = False) -> int:
     return descriptor
 
 
+def open_written(path: Path) -> int:
+    """Open the file of a recording to go on with it, and lock it; return its descriptor, whose end releases the lock.
+
+    Raises:
+        InvalidRecording: there is no such file, it cannot be written, or another program is recording to it.
+    """
+    try:
+        descriptor = open_regular(path, os.O_RDWR)
+    except OSError as error:
+        raise InvalidRecording(f"cannot go on with {path}: {error.strerror}") from None
+    except InvalidConfig as error:
+        raise InvalidRecording(f"cannot go on with {error}") from None
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(descriptor)
+        raise InvalidRecording(f"another node is recording to {path}; stop it first") from None
+    return descriptor
+
+
 def _create_folder(folder: Path) -> None:
     try:
         folder.mkdir(parents=True, exist_ok=True)

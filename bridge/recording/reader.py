@@ -109,6 +109,10 @@ class RecordingReader:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def limit(self, size: int) -> None:
+        """Read only the first bytes of the file."""
+        self._size = size
+
     def close(self) -> None:
         """Close the file; idempotent."""
         self._file.close()
@@ -208,7 +212,7 @@ class RecordingReader:
             opcode, body = record
             if opcode == Opcode.CHUNK:
                 try:
-                    data = _chunk_data(body)
+                    data = chunk_data(body)
                 except ValueError as error:
                     end.text, end.is_damaged = (
                         f"it is damaged at byte {at:,} ({error}); what is before it is read",
@@ -300,7 +304,7 @@ def _printable(metadata: dict[str, str]) -> dict[str, str]:
     return {name: replace_controls_in_lines(text) for name, text in metadata.items()}
 
 
-def _chunk_data(body: bytes) -> bytes:
+def chunk_data(body: bytes) -> bytes:
     """Return the content of a chunk; `ValueError` if it is damaged."""
     try:
         chunk = Chunk.read(ReadDataStream(io.BytesIO(body)))

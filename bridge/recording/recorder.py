@@ -17,6 +17,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from time import monotonic, time_ns
+from typing import TYPE_CHECKING
 
 from zenostat.bridge.node.plant import PlantDescription
 from zenostat.bridge.recording.audit_chain import AuditChain
@@ -35,6 +36,9 @@ from zenostat.topics.messages import (
     RecordingStatus,
 )
 from zenostat.topics.recording import RecordedMessage, RecordedRequest, RecordedSender
+
+if TYPE_CHECKING:
+    from zenostat.bridge.recording.written import Written
 
 BUFFER_BYTES = 64 << 20
 """Largest number of bytes that may wait to be written."""
@@ -72,6 +76,7 @@ class Recorder:
         on_stopped: called once if the recording ends early, with the reason; in any thread.
         buffer_bytes: size of the buffer.
         cpus: cores of the thread that writes; empty leaves it on the node's.
+        written: what is complete of the file, if the recorder goes on with it; `attachments` is not called then.
 
     Attributes:
         is_ending: returns whether the node is ending and must not wait for the disk.
@@ -89,6 +94,7 @@ class Recorder:
         on_stopped: Callable[[str], None] = lambda _: None,
         buffer_bytes: int = BUFFER_BYTES,
         cpus: Sequence[int] = (),
+        written: Written | None = None,
     ) -> None:
         self._descriptor, self.path, self._root = descriptor, path, keys.root(node)
         self._attachments, self._on_full, self._on_stopped = attachments, on_full, on_stopped
@@ -104,6 +110,9 @@ class Recorder:
             (number, topic, kind) for number, (topic, kind) in enumerate(CHANNELS)
         )
         self._next_channel = itertools.count(len(CHANNELS))
+        self._continued = written
+        if written is not None:
+            self._continue(written)
         self._order_heads: dict[tuple[int, ...], bytes] = {}
         self._waits, self._waited_s = 0, 0.0
         self._messages = self._bytes = 0
@@ -114,6 +123,16 @@ class Recorder:
         self._wake, self._room = threading.Event(), threading.Condition()
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
+
+    def _continue(self, written: Written) -> None:
+        self._new_channels.clear()
+        self._named = written.topics()
+        self._next_channel = itertools.count(max(written.channels) + 1)
+        if written.audit is not None:
+            self._chain.resume(written.audit)
+        for number, channel in written.channels.items():
+            name = next(name for name, schema in written.schemas.items() if schema.id == channel.schema_id)
+            self._chain.add_channel(number, channel.topic.removeprefix(f"{self._root}/"), name)
 
     # For the node's thread
 
@@ -248,17 +267,11 @@ class Recorder:
                 self._room.notify_all()
 
     def _write_all(self) -> None:
-        writer = ChunkWriter(self._descriptor, profile=recording.PROFILE, library=f"zenostat {VERSION}")
-        about = {
-            "format": str(recording.FORMAT),
-            "zenostat": VERSION,
-            "schema_version": str(SCHEMA_VERSION),
-            "root": self._root,
-            recording.AUDIT: recording.AUDIT_HASH,
-        }
-        writer.add_metadata(recording.ABOUT, about)
-        for name, content in self._attachments().items():
-            writer.add_attachment(name, _media_type(name), content, time_ns())
+        writer = ChunkWriter(
+            self._descriptor, profile=recording.PROFILE, library=f"zenostat {VERSION}", written=self._continued
+        )
+        if self._continued is None:
+            self._write_head(writer)
         while True:
             self._wake.wait(_INTERVAL_S)
             self._wake.clear()
@@ -272,6 +285,18 @@ class Recorder:
         writer.finish()
         self._update(writer)
         self._check_file(at_once=True)
+
+    def _write_head(self, writer: ChunkWriter) -> None:
+        about = {
+            "format": str(recording.FORMAT),
+            "zenostat": VERSION,
+            "schema_version": str(SCHEMA_VERSION),
+            "root": self._root,
+            recording.AUDIT: recording.AUDIT_HASH,
+        }
+        writer.add_metadata(recording.ABOUT, about)
+        for name, content in self._attachments().items():
+            writer.add_attachment(name, _media_type(name), content, time_ns())
 
     def _check_file(self, *, at_once: bool = False) -> None:
         """Stop if the file has been moved, and raise `_FileRemoved` if it has been removed: no write reports that."""

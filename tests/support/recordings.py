@@ -1,5 +1,6 @@
 """Recordings for tests: a copy of one with a payload changed, and the places where its chunks end."""
 
+import itertools
 import json
 import os
 from collections.abc import Callable, Mapping
@@ -12,12 +13,13 @@ from mcap.opcode import Opcode
 
 from zenostat.agent_sdk.testing import FakeEnv
 from zenostat.bridge.node.plant import PlantDescription, RunPeriod
-from zenostat.bridge.recording.channels import SAMPLES
+from zenostat.bridge.recording.audit_chain import AuditChain
+from zenostat.bridge.recording.channels import AUDIT, CHANNELS, SAMPLES
 from zenostat.bridge.recording.chunk_writer import ChunkWriter
 from zenostat.bridge.recording.file import open_recording
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
 from zenostat.bridge.recording.recorder import Recorder, attachments
-from zenostat.topics import recording
+from zenostat.topics import codec, recording
 from zenostat.topics.messages import Manifest
 
 
@@ -105,3 +107,39 @@ def chunk_ends(path: Path) -> list[int]:
             ends.append(position + 9 + length)
         position += 9 + length
     return ends
+
+
+def cut(
+    source: Path, target: Path, messages: int, change: Callable[[int, RecordedItem], bytes | None] = unchanged
+) -> Path:
+    """Write what a node that was killed after so many messages, not counting the audit chain's, would have recorded.
+
+    `change` is as in `rewrite`, and omits nothing.
+    """
+    chain = AuditChain()
+    with RecordingReader(source) as reader, target.open("wb") as file:
+        writer = ChunkWriter(file.fileno(), profile=recording.PROFILE, library="test")
+        writer.add_metadata(recording.ABOUT, reader.about)
+        writer.add_attachment(recording.MANIFEST, "", reader.manifest.model_dump_json().encode(), 0)
+        writer.add_attachment(recording.SCENARIO, "", reader.scenario.encode(), 0)
+        writer.add_attachment(recording.PROVENANCE, "", json.dumps(reader.provenance).encode(), 0)
+        channels: dict[str, int] = {}
+
+        def add_channel(topic: str, kind: str) -> None:
+            channels[topic] = len(channels)
+            writer.add_channel(channels[topic], f"{reader.root}/{topic}", kind, b"{}")
+            chain.add_channel(channels[topic], topic, kind)
+
+        for topic, kind in CHANNELS:
+            add_channel(topic, kind.__name__)
+        selected = (item for item in reader.messages() if item.schema != "RecordedAudit")
+        for number, item in enumerate(itertools.islice(selected, messages)):
+            payload = change(number, item) or b""
+            if item.topic not in channels:
+                add_channel(item.topic, item.schema)
+            writer.add(channels[item.topic], item.time_ns, payload)
+            chain.add(channels[item.topic], item.time_ns, payload)
+        if (record := chain.seal()) is not None:
+            writer.add(AUDIT, item.time_ns, codec.encode(record))
+        writer.flush()
+    return target

@@ -13,6 +13,7 @@ class EventKind(StrEnum):
 
     `REJECTED`, `LATE`, `DUPLICATE`: a message was not accepted and changed nothing. `ACCEPTED_LATE`: a command was
     accepted after the deadline of its step. `REVOKED`: a certificate's name is revoked; its claims have ended.
+    `RESUMED`: a new node goes on where the recording of an ended one stops.
     """
 
     STARTED = "started"
@@ -36,6 +37,7 @@ class EventKind(StrEnum):
     RECORDING = "recording"
     ALARM = "alarm"
     REVOKED = "revoked"
+    RESUMED = "resumed"
 
 
 REJECTIONS = (EventKind.REJECTED, EventKind.LATE, EventKind.DUPLICATE)
