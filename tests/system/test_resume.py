@@ -209,7 +209,7 @@ def test_resume__killed_node_goes_on_to_the_bit(
     assert kinds(path).count(EventKind.RESUMED) == 2
 
 
-@pytest.mark.parametrize("share", [0.0, 0.38, 0.999])
+@pytest.mark.parametrize("share", [pytest.param(0.0, marks=pytest.mark.slow), 0.38, 0.999])
 def test_resume__goes_on_after_any_message(
     share: float, scratch: Path, settings: dict[str, Any], reference: tuple[Path, tuple[Any, ...]]
 ) -> None:
@@ -380,10 +380,8 @@ def test_resume__changed_value_is_named(
         NodeProgram(scratch / "node", **settings, resume=str(path))
 
 
-@pytest.mark.parametrize(
-    "tail",
-    [b"\0" * 5000, pytest.param(b"\x06" + (900).to_bytes(8, "little") + b"x" * 300, marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("tail", [b"\0" * 5000, b"\x06" + (900).to_bytes(8, "little") + b"x" * 300])
 def test_resume__drops_what_a_lost_power_left(
     tail: bytes, scratch: Path, settings: dict[str, Any], reference: tuple[Path, tuple[Any, ...]]
 ) -> None:
