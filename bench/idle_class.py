@@ -10,8 +10,8 @@ class Idle:
 
     step_s = 1.0
     duration_s = 1e9
-    sensors = {"measured": "1"}  # noqa: RUF012
-    actuators = {"command": ("1", -1e9, 1e9, 0.0)}  # noqa: RUF012
+    sensors = {"measured": "1"}
+    actuators = {"command": ("1", -1e9, 1e9, 0.0)}
 
     def reset(self, seed: int) -> dict[str, float]:
         """Begin an episode."""
