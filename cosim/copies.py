@@ -1,13 +1,14 @@
 """Snapshots and branches of a whole district: all plants at the same step, or none.
 
 A copy is a snapshot in the node of each plant, with the state of the orchestration. A slot of it that is stepped
-continues in branches of these nodes.
+continues in branches of these nodes. Since branches cannot be copied, a copy of such a slot begins at the same
+snapshots, and gives the plants the commands that they have had since, which brings them to the same step to the bit.
 """
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
@@ -44,12 +45,14 @@ class PlantSnapshots:
     Args:
         plants: by name.
         steps: number of timesteps of each plant so far.
+        base: number of steps of the district so far.
 
     Raises:
         ForkFailed: a plant has no snapshots, is lost, or is at another step; there are none of the others either.
     """
 
-    def __init__(self, plants: Mapping[str, GuardedPlant], steps: Mapping[str, int]) -> None:
+    def __init__(self, plants: Mapping[str, GuardedPlant], steps: Mapping[str, int], base: int) -> None:
+        self._base = base
         self._plants: dict[str, CopiedPlant] = {}
         self.names: dict[str, str] = {}
         self._users, self._lock = 1, threading.Lock()
@@ -95,13 +98,22 @@ class PlantSnapshots:
         for name, snapshot in self.names.items():
             self._plants[name].restore(snapshot)
 
-    def branches(self, stop: threading.Event) -> dict[str, GuardedPlant]:
-        """Create a branch of each plant; raises `EngineDied` if one cannot be created."""
+    def branches(self, stop: threading.Event, state: RunState) -> dict[str, GuardedPlant]:
+        """Create a branch of each plant, and bring it to the step of a state that continued from these snapshots.
+
+        Raises:
+            EngineDied: a branch cannot be created, or be brought to that step.
+        """
         plants: dict[str, GuardedPlant] = {}
         try:
             for name, snapshot in self.names.items():
                 branch = self._plants[name].branch(snapshot)
                 plants[name] = GuardedPlant(name, branch, OnLost.STOP, timeout_s=1.0, stop=stop)
+            for step in range(self._base, state.steps):
+                for name, plant in plants.items():
+                    plant.plant.begin(state.plants[name].history[step])
+                for plant in plants.values():
+                    plant.plant.finish()
         except ZenostatError as error:
             for plant in plants.values():
                 plant.plant.close()
@@ -115,9 +127,8 @@ class DistrictCopy:
     Args:
         description: of the district.
         snapshots: of its plants; the copy releases them.
-        create: creates the run of a slot in branches of the plants.
-        state: at which it was copied.
-        slots: number of slots.
+        create: creates the run of a slot from a state, in branches of the plants that are at its step.
+        states: of each slot.
         site: of the episode.
         notes: of the episode.
     """
@@ -128,23 +139,23 @@ class DistrictCopy:
         self,
         description: PlantDescription,
         snapshots: PlantSnapshots,
-        create: Callable[[Mapping[str, GuardedPlant]], DistrictRun],
-        state: RunState,
+        create: Callable[[Mapping[str, GuardedPlant], RunState], DistrictRun],
+        states: Sequence[RunState],
         *,
-        slots: int,
         site: Site,
         notes: list[str],
     ) -> None:
-        self.description, self.snapshots, self.state = description, snapshots, state
+        self.description, self.snapshots, self.states = description, snapshots, states
         self._create, self._site, self._notes = create, site, notes
-        self._runs: list[DistrictRun | None] = [None] * slots
+        self._runs: list[DistrictRun | None] = [None] * len(states)
         self._stop = threading.Event()
         self._is_closed = False
 
     def _run(self, slot: int) -> DistrictRun:
         run = self._runs[slot]
         if run is None:
-            run = self._runs[slot] = self._create(self.snapshots.branches(self._stop))
+            state = self.states[slot]
+            run = self._runs[slot] = self._create(self.snapshots.branches(self._stop, state), state)
         return run
 
     def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
@@ -154,12 +165,17 @@ class DistrictCopy:
 
     def values(self) -> bytes:
         """Return the values of all slots; see `RunningPlant.values`."""
-        return b"".join(self.state.values if run is None else run.values for run in self._runs)
+        return b"".join(current.values for current in self._current())
 
     @property
     def effective(self) -> bytes:
         """Effective values of all slots."""
-        return b"".join(self.state.effective if run is None else run.effective for run in self._runs)
+        return b"".join(current.effective for current in self._current())
+
+    def _current(self) -> Iterator[RunState | DistrictRun]:
+        """Yield what has the present values of each slot."""
+        for state, run in zip(self.states, self._runs, strict=True):
+            yield state if run is None else run
 
     def baseline_values(self) -> bytes:
         """Return nothing."""
@@ -168,17 +184,14 @@ class DistrictCopy:
     baseline_effective = baseline_values
 
     def fork(self, slots: Sequence[int], folder: Path, *, baseline: bool = False) -> RunningPlant:  # noqa: ARG002
-        """Return a copy of slots that were not stepped yet; see `RunningPlant.fork`.
-
-        Raises:
-            ForkFailed: a slot was stepped: branches of nodes cannot be copied.
-        """
-        if any(self._runs[slot] is not None for slot in slots):
-            raise ForkFailed("a branch of a district has no snapshots, branches or trials of its own")
+        """Return a copy of slots; see `RunningPlant.fork`. Its first step repeats those of this copy."""
+        states = []
+        for slot in slots:
+            run = self._runs[slot]
+            states.append(self.states[slot] if run is None else run.capture())
         return DistrictCopy(
-            self.description, self.snapshots.use(), self._create, self.state, slots=len(slots), site=self._site,
-            notes=self._notes,
-        )  # fmt: skip
+            self.description, self.snapshots.use(), self._create, states, site=self._site, notes=self._notes
+        )
 
     def site(self, slot: int) -> Site:  # noqa: ARG002
         """Return the site of the district."""

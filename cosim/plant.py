@@ -23,7 +23,7 @@ from zenostat.cosim.copies import DistrictCopy, PlantSnapshots
 from zenostat.cosim.coupled import GuardedPlant
 from zenostat.cosim.file import SolverSpec
 from zenostat.cosim.orchestrator import LoopState
-from zenostat.cosim.run import DistrictRun, free_actuators
+from zenostat.cosim.run import DistrictRun, RunState, free_actuators
 from zenostat.topics import VERSION
 from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, ZenostatError
 from zenostat.topics.messages import (
@@ -264,17 +264,15 @@ class DistrictPlant:
         if self._broken:
             raise ForkFailed(self._broken)
         steps = {name: self.run.steps * member.steps for name, member in self._binding.members.items()}
-        snapshots = PlantSnapshots(self._plants, steps)
-        state = self.run.capture()
+        snapshots = PlantSnapshots(self._plants, steps, self.run.steps)
 
-        def create(plants: Mapping[str, GuardedPlant]) -> DistrictRun:
+        def create(plants: Mapping[str, GuardedPlant], state: RunState) -> DistrictRun:
             run = DistrictRun(self._binding, plants, self._solver)
             run.adopt(state)
             return run
 
-        return DistrictCopy(
-            self.description, snapshots, create, state, slots=len(slots), site=self.site(0), notes=self.notes(0)
-        )
+        states = [self.run.capture()] * len(slots)
+        return DistrictCopy(self.description, snapshots, create, states, site=self.site(0), notes=self.notes(0))
 
     def restore(self, saved: RunningPlant, episode: Sequence[int]) -> list[EpisodeStart]:  # noqa: ARG002
         """Return all plants to a copy; see `Plant.restore`.
@@ -288,7 +286,7 @@ class DistrictPlant:
         except ZenostatError as error:
             self._broken = f"the district cannot return to its snapshot, and must be reset: {error}"
             raise EngineDied(self._broken) from None
-        self.run.adopt(saved.state)
+        self.run.adopt(saved.states[0])
         self._broken = ""
         return [EpisodeStart(engine_start=EngineStart.SNAPSHOT, weather="")]
 

@@ -10,7 +10,7 @@ import pytest
 from support.district_files import DISTRICT, write_district
 
 import zenostat  # noqa: F401  # registers the environments
-from zenostat.topics.errors import ForkFailed
+from zenostat.topics.errors import ForkFailed, RequestRejected
 
 ACTIONS = np.random.default_rng(1).uniform([0, 0, -4000, 0], [4000, 4000, 4000, 11000], (10, 4)).astype(np.float32)
 
@@ -65,6 +65,31 @@ def test_district_copies__trial_is_the_step_that_follows(env: Any) -> None:
     assert len({sample.message.values for sample in tried}) == 3
     env.step(ACTIONS[3])
     assert env.sample.message.values == tried[1].message.values
+
+
+def test_district_copies__stepped_branch_tries_steps(env: Any) -> None:
+    """Each trial is the step that follows, to the bit, and the branch goes on as if there had been none."""
+    env.reset(seed=2)
+    steps(env, 0, 1)
+    straight = steps(env, 1, 4)
+    env.reset(seed=2)
+    steps(env, 0, 1)
+    with env.branch() as branch:
+        taken = steps(branch, 1, 2)
+        tried = branch.try_step(ACTIONS[3:5])
+        taken += steps(branch, 3, 2)
+    assert taken == straight
+    assert tried[0].message.values == straight[6]
+    assert len({sample.message.values for sample in tried}) == 2
+
+
+def test_district_copies__branch_of_a_branch_is_refused_with_what_to_do(env: Any) -> None:
+    env.reset(seed=2)
+    expected = f"no snapshots, branches or recordings; ask its node {env.manifest.node!r}"
+    with env.branch() as branch:
+        steps(branch, 0, 1)
+        with pytest.raises(RequestRejected, match=expected):
+            branch.branch()
 
 
 def test_district_copies__plans_are_the_rewards_of_the_steps(env: Any) -> None:
