@@ -109,6 +109,7 @@ class GuardedPlant:
 
     Attributes:
         is_available: whether the latest values are the plant's own, not held ones.
+        is_tried: the same for its latest trials.
     """
 
     def __init__(
@@ -123,7 +124,7 @@ class GuardedPlant:
     ) -> None:
         self.name, self.plant = name, plant
         self._on_lost, self._timeout_s, self._stop, self._retry = on_lost, timeout_s, stop, retry
-        self.is_available = True
+        self.is_available = self.is_tried = True
         self._history: list[Floats] = []
         self._seed = 0
         self._last: Rows
@@ -132,7 +133,8 @@ class GuardedPlant:
 
     def reset(self, seed: int) -> Rows:
         """Begin an episode; `EngineDied` if the plant cannot."""
-        self._history, self._seed, self._error, self.is_available = [], seed, None, True
+        self._history, self._seed, self._error = [], seed, None
+        self.is_available = self.is_tried = True
         try:
             self._last = self.plant.reset(seed)
         except LOST as error:
@@ -146,7 +148,8 @@ class GuardedPlant:
     def adopt(self, state: PlantState) -> None:
         """Continue from a state that `capture` returned, to which the plant has returned."""
         self._history, self._seed, self._last = [*state.history], state.seed, state.last
-        self._error, self.is_available = None, True
+        self._error = None
+        self.is_available = self.is_tried = True
 
     def begin(self, commands: Floats) -> None:
         """Begin the timesteps of a step, unless the plant is lost."""
@@ -178,6 +181,7 @@ class GuardedPlant:
 
     def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
         """Try timesteps for each of several alternatives; a plant that is lost returns its last values."""
+        self.is_tried = self.is_available
         if not self.is_available:
             return [self._held(len(rows)).values for rows in commands]
         try:
@@ -254,3 +258,49 @@ class GuardedPlant:
             rows = self.plant.finish()
         self._last = rows
         return rows
+
+
+class RepeatedPlant(GuardedPlant):
+    """A plant whose last values hold in the steps in which they did in a recording, since it was lost.
+
+    It ends the verification if it is lost itself.
+
+    Args:
+        name, plant, stop: see `GuardedPlant`.
+    """
+
+    def __init__(self, name: str, plant: CoupledPlant, stop: threading.Event) -> None:
+        super().__init__(name, plant, OnLost.STOP, timeout_s=0.0, stop=stop)
+        self._is_expected = self._is_tried_expected = True
+
+    def expect(self, *, available: bool, tried: bool) -> None:
+        """Set whether the values of the next step are the plant's own, and those of its trials."""
+        self._is_expected, self._is_tried_expected = available, tried
+
+    def begin(self, commands: Floats) -> None:
+        """Begin the timesteps of a step, unless its values are held or the plant has to be brought back first."""
+        if self.is_available and self._is_expected:
+            super().begin(commands)
+        else:
+            self._history.append(commands)
+
+    def finish(self) -> Rows:
+        """Return the samples of these timesteps, or the last values."""
+        if not self._is_expected:
+            self.is_available = False
+            return self._held(len(self._history[-1]))
+        if self.is_available:
+            return super().finish()
+        try:
+            rows = self._replay()
+        except LOST as error:
+            raise self._failure(error) from None
+        self.is_available = True
+        return rows
+
+    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
+        """Try timesteps, or return the last values for each alternative."""
+        if self.is_available and self._is_tried_expected:
+            return super().try_step(commands)
+        self.is_tried = False
+        return [self._held(len(rows)).values for rows in commands]

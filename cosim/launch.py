@@ -11,8 +11,8 @@ from typing import Any
 
 from zenostat.bridge.client.local_node import LocalNode
 from zenostat.cosim.binding import Binding, bind, is_building
-from zenostat.cosim.coupled import GuardedPlant
-from zenostat.cosim.file import OWN_FIELDS, DistrictFile
+from zenostat.cosim.coupled import GuardedPlant, RepeatedPlant
+from zenostat.cosim.file import OWN_FIELDS, DistrictFile, OnLost
 from zenostat.cosim.market import Bids
 from zenostat.cosim.market_plant import MarketPlant, market_manifest
 from zenostat.cosim.node_plant import FoundPlant, NodePlant, StartedPlant
@@ -170,19 +170,21 @@ class PlantSet:
         except ForkFailed as error:
             errors.add(location, f"{text}: plant {name!r}: {error}")
 
-    def guarded(self) -> dict[str, GuardedPlant]:
-        """Return the plants with their reaction to a loss."""
-        spec = self.file.spec
-        return {
-            name: GuardedPlant(
-                name,
-                plant,
-                spec.plants[name].on_lost or spec.on_lost,
-                timeout_s=float(spec.lost_timeout),
-                stop=self.stop,
-            )
-            for name, plant in self._plants.items()
-        }
+    def guarded(self, *, repeat: bool = False) -> dict[str, GuardedPlant]:
+        """Return the plants with their reaction to a loss.
+
+        Args:
+            repeat: for the verification of a recording: those whose last values may hold are lost as they were there.
+        """
+        spec, guarded = self.file.spec, dict[str, GuardedPlant]()
+        for name, plant in self._plants.items():
+            on_lost = spec.plants[name].on_lost or spec.on_lost
+            if repeat and on_lost is OnLost.GO_ON:
+                guarded[name] = RepeatedPlant(name, plant, self.stop)
+            else:
+                timeout_s = float(spec.lost_timeout)
+                guarded[name] = GuardedPlant(name, plant, on_lost, timeout_s=timeout_s, stop=self.stop)
+        return guarded
 
     def close(self) -> None:
         """End all nodes that were started, at the same time, and leave the others; idempotent."""

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from math import fsum
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,8 @@ from zenostat.cosim.solver import Outcome, Problem, Solution, solve
 from zenostat.cosim.topology import Block
 
 Floats = NDArray[np.float64]
+
+_Result = TypeVar("_Result")
 
 _STATE = ("rows", "loops", "_flows", "_ledgers", "_orders", "_step", "_clearings")
 """Attributes of the orchestrator that change from step to step."""
@@ -222,7 +224,8 @@ class Orchestrator:
             demand: Demand = LinearBids(slopes, float(self.rows[market.name].values[-1, PRICE]), market.demands(last))
         else:
             demand = partial(self._bids, market, own, done)
-        clearing = self._clearings[market.name] = clear(demand, spec, plant.limit_w)
+        clearing = self._unless_lost(market.plants, lambda: clear(demand, spec, plant.limit_w))
+        self._clearings[market.name] = clearing
         plant.settle(clearing, clearing.demand_w)
         if not clearing.is_cleared:
             self._warnings.append(
@@ -265,14 +268,23 @@ class Orchestrator:
             returned = [self._carried(p, tried[self._transfers[p].source].values) for p in block.solved]
             return np.concatenate(returned)
 
-        solution = self._search(block, evaluate)
+        start = np.concatenate([self._flows[position].unknown for position in block.solved])
+        solution = self._unless_lost(block.plants, lambda: self._search(block, evaluate, start))
         assume(solution.best.x)
         for name in block.plants:
             self._begin(name, own, done)
             done[name] = self._plants[name].finish()
         self._report(block, self.loops[number], solution)
 
-    def _search(self, block: Block, evaluate: Callable[[Floats], Floats]) -> Solution:
+    def _unless_lost(self, names: Sequence[str], trials: Callable[[], _Result]) -> _Result:
+        """Return the result of trials of plants; once more if one was lost, so that all are with its last values."""
+        while True:
+            before = [self._plants[name].is_available for name in names]
+            result = trials()
+            if before == [self._plants[name].is_available for name in names]:
+                return result
+
+    def _search(self, block: Block, evaluate: Callable[[Floats], Floats], start: Floats) -> Solution:
         transfers = [self._transfers[position] for position in block.solved]
 
         def of_each(values: Sequence[float]) -> Floats:
@@ -285,7 +297,6 @@ class Orchestrator:
             high=of_each([transfer.high for transfer in transfers]),
             limit=self._solver.trials,
         )
-        start = np.concatenate([self._flows[position].unknown for position in block.solved])
         return solve(problem, start, depth=self._solver.depth, damping=self._solver.damping)
 
     def _report(self, block: Block, state: LoopState, solution: Solution) -> None:

@@ -20,10 +20,10 @@ from zenostat.bridge.node.plant import (
 from zenostat.cosim.balance import Balance
 from zenostat.cosim.binding import Binding
 from zenostat.cosim.copies import DistrictCopy, PlantSnapshots
-from zenostat.cosim.coupled import GuardedPlant
+from zenostat.cosim.coupled import GuardedPlant, RepeatedPlant
 from zenostat.cosim.file import SolverSpec
 from zenostat.cosim.orchestrator import LoopState
-from zenostat.cosim.run import DistrictRun, RunState, free_actuators
+from zenostat.cosim.run import DistrictRun, RunState, free_actuators, tried_plants
 from zenostat.topics import VERSION
 from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, ZenostatError
 from zenostat.topics.messages import (
@@ -111,7 +111,18 @@ def _own_sensors(binding: Binding) -> list[Sensor]:
             own(f"loop.{block.name}.solved", "on_off", 0.0, 1.0),
             own(f"loop.{block.name}.unsolved_steps", "count", 0.0),
         ]
-    return [*sensors, *(own(f"plant.{name}.available", "on_off", 0.0, 1.0) for name in binding.members)]
+    sensors += [own(available_name(name), "on_off", 0.0, 1.0) for name in binding.members]
+    return [*sensors, *(own(tried_name(name), "on_off", 0.0, 1.0) for name in tried_plants(binding))]
+
+
+def available_name(plant: str) -> str:
+    """Return the name of the sensor whether the values of a plant are its own."""
+    return f"plant.{plant}.available"
+
+
+def tried_name(plant: str) -> str:
+    """Return the name of the sensor whether the trials of a plant were its own."""
+    return f"plant.{plant}.trials_available"
 
 
 def _task(binding: Binding, name: str, actuators: set[str], reward: dict[str, Any] | None) -> Task:
@@ -136,6 +147,9 @@ class DistrictPlant:
         plants: its plants by name; it closes them.
         solver: limits of the solver.
         stop: that the plants have; set when the district is to end.
+
+    Attributes:
+        lost_steps: of a verification: number of steps in which a plant was lost, by the recording.
     """
 
     has_baseline = False
@@ -151,6 +165,7 @@ class DistrictPlant:
         self.description = description
         self._binding, self._plants, self._solver, self._stop = binding, plants, solver, stop
         self.run = DistrictRun(binding, plants, solver)
+        self.lost_steps: dict[str, int] = {}
         self._random = np.random.default_rng()
         self._seed = self._draw(None)
         self._broken = ""
@@ -200,6 +215,14 @@ class DistrictPlant:
         if not isinstance(seed, int) or not 0 <= seed <= MAX_SEED:
             raise InvalidRecording(f"an episode of a district has a seed, not {dict(inputs[0])}")
         self._seed = seed
+
+    def expect(self, recorded: Mapping[str, float]) -> None:
+        """Let plants be lost in the next step that were by its recorded values; see `ExpectingPlant`."""
+        for name, plant in self._plants.items():
+            if isinstance(plant, RepeatedPlant):
+                is_available = recorded.get(available_name(name), 1.0) != 0.0
+                plant.expect(available=is_available, tried=recorded.get(tried_name(name), 1.0) != 0.0)
+                self.lost_steps[name] = self.lost_steps.get(name, 0) + (not is_available)
 
     # Steps
 

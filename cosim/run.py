@@ -13,6 +13,7 @@ import numpy as np
 from zenostat.cosim.binding import Binding, Member
 from zenostat.cosim.coupled import Floats, GuardedPlant, PlantState, Rows
 from zenostat.cosim.file import SolverSpec
+from zenostat.cosim.market import Bids
 from zenostat.cosim.orchestrator import Orchestrator
 from zenostat.topics.messages import Actuator, Aggregation, Meter
 
@@ -39,6 +40,13 @@ def free_actuators(binding: Binding) -> dict[str, list[tuple[int, Actuator]]]:
         ]
         for m in binding.members.values()
     }
+
+
+def tried_plants(binding: Binding) -> list[str]:
+    """Return the plants of which steps are tried: those of solved loops, and bidders of markets."""
+    tried = {name for block in binding.topology.loops for name in block.plants}
+    tried |= {name for market in binding.markets.values() if market.spec.bids is Bids.TRIALS for name in market.plants}
+    return [name for name in binding.members if name in tried]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +86,7 @@ class DistrictRun:
         self._binding = binding
         self.orchestrator = Orchestrator(binding, plants, solver)
         self._columns = {name: [column for column, _ in each] for name, each in free_actuators(binding).items()}
+        self._tried = tried_plants(binding)
         self.steps, self.values, self.effective = 0, b"", b""
 
     def start(self, seeds: Mapping[str, int]) -> None:
@@ -129,6 +138,7 @@ class DistrictRun:
             for value in (state.trials, state.error, state.is_solved, state.unsolved)
         ]
         available = [plant.is_available for plant in self.plants.values()]
+        available += [self.plants[name].is_tried for name in self._tried]
         return np.array(
             [*orchestrator.received, *orchestrator.residuals[is_solved], *loops, *available], dtype=np.float64
         )

@@ -26,6 +26,8 @@ def verify_district(
 ) -> Verification:
     """Simulate the recording of a district again with its orders, and compare all values and times.
 
+    A plant that was lost while the others went on is lost in the same steps, and comes back in the same one.
+
     Args:
         path: of the recording.
         district: the district's file.
@@ -55,12 +57,18 @@ def verify_district(
         stack.callback(plants.close)
         binding = plants.open()
         description = describe(binding, file.spec.name, "", Provenance())
-        plant = DistrictPlant(binding, description, plants.guarded(), file.spec.solver, plants.stop)
+        plant = DistrictPlant(binding, description, plants.guarded(repeat=True), file.spec.solver, plants.stop)
         stack.callback(plant.close)
         verifier = Verifier(reader, plant, scratch.folder / "copies", tolerance=tolerance, progress=progress)
         stack.callback(verifier.close)
         verifier.result.notes += changes
-        return verifier.run()
+        result = verifier.run()
+        result.notes += [
+            f"plant {name!r} was lost in {count} step{'s' if count > 1 else ''} by the recording; its last values held"
+            for name, count in plant.lost_steps.items()
+            if count
+        ]
+        return result
 
 
 def _changes(reader: RecordingReader, file: DistrictFile, *, exact: bool) -> list[str]:

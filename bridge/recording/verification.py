@@ -7,11 +7,11 @@ expiries, fallback policies or injected faults. Nothing between the node's excha
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import timedelta
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import msgpack
 import numpy as np
@@ -31,6 +31,14 @@ _SCHEMAS = frozenset(("Sample", "RecordedOrder", "RecordedEpisode", "RecordedSna
 
 Progress = Callable[[int, int], None]
 """Called with the number of timesteps so far and in total."""
+
+
+@runtime_checkable
+class ExpectingPlant(Protocol):
+    """A plant whose steps also depend on what happened around it, such as the loss of a part, which it measures."""
+
+    def expect(self, recorded: Mapping[str, float]) -> None:
+        """Prepare for the next timestep, of which these are the recorded values by name."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -306,6 +314,9 @@ class Verifier:
         order, self._order = self._order, None
         slots = [slot for slot in order.slots if self._known[slot]] if order is not None else []
         if order is not None and slots:
+            if isinstance(self._plant, ExpectingPlant):
+                row = np.frombuffer(sample["fault_free_values"] or sample["values"])
+                self._plant.expect(dict(zip(self._reader.manifest.names, row.tolist(), strict=False)))
             last = self._plant.step(self._commands(order.values), slots)
             self._last = dict(zip(slots, last, strict=True))
             for slot in slots:

@@ -241,6 +241,28 @@ def test_district__lost_plant_comes_back_to_the_bit(scratch: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("text", [PAIR, SOLVED], ids=["delayed", "solved"])
+def test_district__recording_of_a_lost_plant_is_verified_to_its_end(scratch: Path, text: str) -> None:
+    """The node of a plant is killed at step 4, and its last values hold; the verification repeats that."""
+    path = scratch / "lost.mcap"
+    file = district(scratch, text.replace("name: pair", "name: pair\non_lost: continue"))
+    with running(scratch, file, record=str(path)) as (program, bus, name), bus.controller(name) as link:
+        sample = link.reset(seed=3)
+        while not sample.truncated:
+            if sample.step == 4:
+                nodes = [p for p in psutil.Process(program.pid).children() if "bridge.python_plant" in p.cmdline()[-1]]
+                nodes[0].kill()
+                until(partial(has_ended, nodes[0]), "the node has ended")
+            sample.send({"house.outdoor": -4.0 + sample.step})
+            sample = link.receive()
+        (lost,) = [plant for plant in ("boiler", "house") if sample[f"plant.{plant}.available"] == 0.0]
+    result = verify_district(path, file)
+    assert result.passed, str(result)
+    assert result.steps >= STEPS
+    assert f"plant {lost!r} was lost in 6 steps by the recording; its last values held" in result.notes
+
+
+@pytest.mark.slow
 def test_district__lost_plant_stops_the_episode_and_a_reset_begins_another(scratch: Path) -> None:
     with running(scratch, district(scratch)) as (program, bus, name), bus.controller(name) as link:
         expected = episode(link)
