@@ -2,12 +2,14 @@
 
 from zenostat.lab.evaluate import Evaluation, evaluate, run_episode
 from zenostat.lab.probe import ProbeReport, probe
+from zenostat.metrics.district_balance import CarrierBalance, district_balances, plant_trajectory
 from zenostat.metrics.district_kpis import DistrictPoints, district_kpis, relative
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 
 __all__ = [
+    "CarrierBalance",
     "DistrictPoints",
     "EpisodeMetrics",
     "Evaluation",
@@ -15,8 +17,10 @@ __all__ = [
     "ProbeReport",
     "Trajectory",
     "TrajectoryRecorder",
+    "district_balances",
     "district_kpis",
     "evaluate",
+    "plant_trajectory",
     "probe",
     "relative",
     "run_episode",

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.views.report.district_section import ANCHOR, TITLE, district_section, has_district
 from zenostat.views.report.document import document
 from zenostat.views.report.figures.base import Figure
 from zenostat.views.report.readings import readings
@@ -36,7 +37,8 @@ def page(comparison: Comparison) -> str:
     """Return the report as an HTML document; the same input gives the same text."""
     parts = sections(comparison)
     heading = _heading(comparison)
-    links = [("totals", "Totals"), *((part.anchor, part.title) for part in parts), ("scenario", "Scenario")]
+    district = [(ANCHOR, TITLE)] if has_district(comparison) else []
+    links = [("totals", "Totals"), *district, *((part.anchor, part.title) for part in parts), ("scenario", "Scenario")]
     toc = "".join(f'<li><a href="#{anchor}">{escape(title)}</a></li>' for anchor, title in links)
     body = "".join(
         [
@@ -44,6 +46,7 @@ def page(comparison: Comparison) -> str:
             f'<p class="note" id="hint" hidden>{escape(_HINT)}</p>',
             _result(comparison),
             totals_section(comparison),
+            district_section(comparison),
             *(_section(part) for part in parts),
             _origin(comparison),
             "</main>",

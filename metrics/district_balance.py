@@ -1,0 +1,178 @@
+"""Energy balances of the plants of a district, by carrier, and the parts of its trajectory that belong to a plant.
+
+The energies are integrals over the trajectory of the points that bundled plants measure. A grid has the balance
+
+    import + generation = loads + vehicles + export + losses + charging of the batteries
+
+and a heat network that of `zenostat.plants.heat`: source = deliveries + losses of tank and pipes + charging of the
+tank. Of other plants, such as buildings, only the consumption is known.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zenostat.metrics.roles import roles
+from zenostat.metrics.trajectory import Trajectory
+from zenostat.topics.messages import Manifest, Meter, Task
+
+Floats = NDArray[np.float64]
+
+_AVAILABLE = ".available"
+_GRID = {"import", "export", "losses", "converged"}
+_HEAT = {"source_heat", "tank_charge", "tank_loss", "pipe_loss"}
+
+
+@dataclass(frozen=True, slots=True)
+class CarrierBalance:
+    """Energies of a carrier in a plant, kWh; None where it is not measured.
+
+    Attributes:
+        plant: its name.
+        carrier: `electricity`, `heat`, `natural gas`, ….
+        supplied: what it gets, from outside and from its own generation.
+        consumed: what it uses, or delivers to others.
+        exported: what it feeds in.
+        lost: losses.
+        stored: increase of what it stores; of batteries, with their losses.
+    """
+
+    plant: str
+    carrier: str
+    supplied: float | None = None
+    consumed: float | None = None
+    exported: float | None = None
+    lost: float | None = None
+    stored: float | None = None
+
+    @property
+    def closure(self) -> float | None:
+        """Part of the supply that is missing, 0 but for rounding; None where a term is not measured."""
+        terms = (self.consumed, self.exported, self.lost, self.stored)
+        known = [term for term in terms if term is not None]
+        if self.supplied is None or len(known) < len(terms):
+            return None
+        greatest = max(abs(self.supplied), sum(map(abs, known)), 1e-12)
+        return (self.supplied - sum(known)) / greatest
+
+
+def plant_names(manifest: Manifest) -> tuple[str, ...]:
+    """Return the names of the plants of a district, in its order; none for other nodes."""
+    names = [sensor.name for sensor in manifest.sensors]
+    return tuple(
+        name.removeprefix("plant.").removesuffix(_AVAILABLE)
+        for name in names
+        if name.startswith("plant.") and name.endswith(_AVAILABLE)
+    )
+
+
+def plant_trajectory(trajectory: Trajectory, plant: str) -> Trajectory:
+    """Return the columns of a plant of a district, with the names that its own node has.
+
+    It has no reward, and no actions of an agent: those are of the district.
+    """
+    manifest, prefix = trajectory.manifest, f"{plant}."
+    points = [place for place, name in enumerate(manifest.names) if name.startswith(prefix)]
+    commanded = [place for place, each in enumerate(manifest.actuators) if each.name.startswith(prefix)]
+
+    def own(parts: Sequence[object]) -> tuple[object, ...]:
+        return tuple(
+            part.model_copy(update={"name": part.name.removeprefix(prefix)})  # type: ignore[attr-defined]
+            for part in parts
+            if part.name.startswith(prefix)  # type: ignore[attr-defined]
+        )
+
+    parts = {"sensors": own(manifest.sensors), "meters": own(manifest.meters), "actuators": own(manifest.actuators)}
+    fields = {"node": plant, "building": plant, "zones": (), "floor_area_m2": None, "task": Task(), **parts}
+    return replace(
+        trajectory,
+        manifest=manifest.model_copy(update=fields),
+        values=trajectory.values[:, points],
+        fault_free_values=trajectory.fault_free_values[:, points],
+        effective=trajectory.effective[:, commanded],
+        source_index=trajectory.source_index[:, commanded],
+        orders=None if trajectory.orders is None else trajectory.orders[:, commanded],
+        baseline=None,
+        baseline_effective=None,
+        actions=None,
+        rewards=None,
+        terms={},
+    )
+
+
+def district_balances(trajectory: Trajectory) -> tuple[CarrierBalance, ...]:
+    """Return the balances of all plants of a district, in its order; none for other nodes."""
+    return tuple(
+        balance
+        for plant in plant_names(trajectory.manifest)
+        for balance in _balances(plant, plant_trajectory(trajectory, plant))
+    )
+
+
+def _balances(plant: str, part: Trajectory) -> list[CarrierBalance]:
+    names = set(part.manifest.names)
+    if names >= _GRID:
+        return [_grid(plant, part)]
+    if names >= _HEAT:
+        return [_heat(plant, part), *(_metered(plant, part, meter) for meter in part.manifest.meters)]
+    values = part.fault_free_values[1:]
+    return [
+        CarrierBalance(plant, fuel.fuel, consumed=_sum(values[:, fuel.index] * fuel.to_kw * part.step_h))
+        for fuel in roles(part.manifest).fuels
+    ]
+
+
+def _metered(plant: str, part: Trajectory, meter: Meter) -> CarrierBalance:
+    """Return the consumption of a meter in J that has the name of its carrier."""
+    joules = part.fault_free_values[1:, part.manifest.names.index(meter.name)]
+    return CarrierBalance(plant, meter.name.replace("_", " "), consumed=_sum(joules) / 3.6e6)
+
+
+def _sum(kwh: Floats) -> float:
+    return float(np.nansum(kwh))
+
+
+def _reader(part: Trajectory) -> Callable[[str], Floats]:
+    """Return a function that returns a power in W as the energies of the timesteps in kWh."""
+    names = part.manifest.names
+    return lambda name: part.fault_free_values[1:, names.index(name)] * part.step_h / 1e3
+
+
+def _grid(plant: str, part: Trajectory) -> CarrierBalance:
+    kwh, names = _reader(part), part.manifest.names
+    flows = part.fault_free_values[1:, names.index("converged")]  # no energy flows where it has not converged
+    devices = [name.removesuffix("_power") for name in names if name.endswith("_power")]
+    batteries = [name for name in devices if f"{name}_state_of_charge" in names]
+    generation = [name for name in devices if f"{name}_available" in names]
+    rest = [name for name in devices if name not in (*batteries, *generation)]
+
+    def total(points: Sequence[str]) -> float:
+        return sum(_sum(kwh(point) * flows) for point in points)
+
+    return CarrierBalance(
+        plant,
+        "electricity",
+        supplied=total(["import", *(f"{name}_power" for name in generation)]),
+        consumed=total([f"{name}_power" for name in rest]),
+        exported=total(["export"]),
+        lost=total(["losses"]),
+        stored=total([f"{name}_power" for name in batteries]),
+    )
+
+
+def _heat(plant: str, part: Trajectory) -> CarrierBalance:
+    kwh, names = _reader(part), part.manifest.names
+    consumers = [name.removesuffix("_unmet") for name in names if name.endswith("_unmet")]
+    return CarrierBalance(
+        plant,
+        "heat",
+        supplied=_sum(kwh("source_heat")),
+        consumed=sum(_sum(kwh(f"{name}_heat")) for name in consumers),
+        exported=0.0,
+        lost=_sum(kwh("tank_loss")) + _sum(kwh("pipe_loss")),
+        stored=_sum(kwh("tank_charge")),
+    )

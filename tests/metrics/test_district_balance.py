@@ -1,0 +1,107 @@
+"""Energy balances and comfort of the plants of a district, by hand and from the equations of the plants."""
+
+import re
+
+import numpy as np
+import pytest
+from support.builders import manifest
+
+from zenostat.metrics.district_balance import CarrierBalance, district_balances, plant_names, plant_trajectory
+from zenostat.metrics.trajectory import Trajectory
+from zenostat.plants.heat import DistrictHeating
+from zenostat.topics.messages import Meter, Sensor
+from zenostat.views.report.district_section import district_section
+from zenostat.views.report.quantities import Quantities
+from zenostat.views.report.runs import Comparison, Run
+from zenostat.views.report.totals_section import MINUS, NONE
+
+Columns = dict[str, tuple[str, list[float]]]
+GRID: Columns = {  # W in two timesteps of half an hour and in one without a solution
+    "import": ("W", [9e3, 4000.0, 0.0, 7000.0]),
+    "export": ("W", [9e3, 0.0, 1000.0, 7000.0]),
+    "losses": ("W", [9e3, 200.0, 100.0, 7000.0]),
+    "shop_power": ("W", [9e3, 3000.0, 2000.0, 7000.0]),
+    "roof_power": ("W", [9e3, 1000.0, 5000.0, 7000.0]),
+    "roof_available": ("W", [9e3, 1000.0, 5000.0, 7000.0]),
+    "store_power": ("W", [9e3, 800.0, -2100.0, 7000.0]),
+    "store_state_of_charge": ("fraction", [0.5, 0.5, 0.4, 0.4]),
+    "car_power": ("W", [9e3, 1000.0, 4000.0, 7000.0]),
+    "car_connected": ("on_off", [1.0, 1.0, 1.0, 1.0]),
+    "converged": ("on_off", [1.0, 1.0, 1.0, 0.0]),
+}
+SHOP: Columns = {"core_air_temperature": ("degC", [40.0, 28.0, 25.0, 18.5])}
+
+
+def district(plants: dict[str, Columns], meters: dict[str, list[float]], step_s: float = 1800.0) -> Trajectory:
+    sensors = {f"{plant}.{name}": column for plant, columns in plants.items() for name, column in columns.items()}
+    count = len(next(iter(sensors.values()))[1])
+    sensors |= {f"plant.{plant}.available": ("on_off", [1.0] * count) for plant in plants}
+    base = manifest(
+        sensors=[Sensor(name=name, unit=unit) for name, (unit, _) in sensors.items()],
+        meters=[Meter(name=name, unit="J") for name in meters],
+        actuators=[],
+    )
+    values = np.array([*(values for _, values in sensors.values()), *meters.values()]).T
+    return Trajectory(
+        manifest=base.model_copy(update={"step_s": step_s, "steps": count - 1}), step=np.arange(count), values=values,
+        effective=np.zeros((count, 0)), source_index=np.zeros((count, 0), np.uint16), sources=("",),
+    )  # fmt: skip
+
+
+def test_district_balances__grid_by_hand() -> None:
+    """Means in W for half an hour are half as much in Wh; no energy flows in the timestep without a solution."""
+    run = district({"shop": SHOP, "grid": GRID}, {"shop.electricity_facility": [9e9, 5.4e6, 3.6e6, 0.0]})
+    shop, grid = district_balances(run)
+    assert shop == CarrierBalance("shop", "electricity", consumed=pytest.approx(2.5))
+    assert shop.closure is None
+    expected = {"supplied": 5.0, "consumed": 5.0, "exported": 0.5, "lost": 0.15, "stored": -0.65}
+    assert {name: getattr(grid, name) for name in expected} == pytest.approx(expected)
+    assert grid.closure == pytest.approx(0.0, abs=1e-12)
+    assert CarrierBalance("g", "electricity", 10.0, 7.0, 1.0, 0.5, 0.5).closure == pytest.approx(0.1)
+
+
+@pytest.mark.parametrize("source", ["boiler", "heat_pump"])
+def test_district_balances__heat_network_closes(source: str) -> None:
+    """A day with random demands and setpoints, by the class itself."""
+    plant, random = DistrictHeating(source), np.random.default_rng(3)
+    rows = [plant.reset(0)]
+    for _ in range(288):
+        demands = {f"{name}_demand": random.uniform(0.0, 60e3) for name in ("north", "south")}
+        rows.append(plant.step({**demands, "setpoint": random.uniform(50.0, 90.0), "outdoor_temperature": 3.0}))
+    columns = {name: (spec[0], [row[name] for row in rows]) for name, spec in plant.sensors.items()}
+    (meter,) = plant.meters
+    run = district({"net": columns}, {f"net.{meter}": [row[meter] for row in rows]}, step_s=300.0)
+    heat, fuel = district_balances(run)
+    assert heat.carrier == "heat"
+    assert heat.closure == pytest.approx(0.0, abs=1e-12)
+    assert heat.consumed == pytest.approx(sum(row["north_heat"] + row["south_heat"] for row in rows[1:]) / 12e3)
+    content_kwh = 10_000.0 * 4186.0 * (rows[-1]["tank_temperature"] - 70.0) / 3.6e6
+    assert heat.stored == pytest.approx(content_kwh, rel=1e-9)
+    assert fuel.carrier == meter.replace("_", " ")
+    assert fuel.consumed == pytest.approx(sum(row[meter] for row in rows[1:]) / 3.6e6)
+
+
+def test_plant_trajectory__has_the_names_of_the_plants_own_node() -> None:
+    run = district({"shop": SHOP, "grid": GRID}, {"shop.electricity_facility": [0.0, 5.4e6, 3.6e6, 0.0]})
+    assert plant_names(run.manifest) == ("shop", "grid")
+    part = plant_trajectory(run, "shop")
+    assert part.manifest.names == ("core_air_temperature", "electricity_facility")
+    above, below = Quantities(part).degree_hours
+    assert (above.tolist(), below.tolist()) == ([1.0], [0.75])  # half an hour at 28 and at 18.5, of 20 to 26 degC
+
+
+def test_district_section__has_balances_and_comfort_by_building() -> None:
+    run = district({"shop": SHOP, "grid": GRID}, {"shop.electricity_facility": [0.0, 5.4e6, 3.6e6, 0.0]})
+    text = district_section(Comparison((Run("rule", (), run),)))
+    cells = [re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row) for row in re.findall(r"<tr>(.*?)</tr>", text)]
+    assert ["shop", "electricity", NONE, "2.50", NONE, NONE, NONE, NONE] in cells
+    (grid,) = [row for row in cells if row[0] == "grid"]
+    assert grid[1:7] == ["electricity", "5", "5", "0.500", "0.150", f"{MINUS}0.650"]
+    assert ["shop", "1", "1", "0.750", "Core"] in cells
+    assert "as if occupied at all times" in text
+
+
+def test_district_section__is_absent_without_a_district() -> None:
+    run = plant_trajectory(district({"shop": SHOP}, {}), "shop")
+    assert not plant_names(run.manifest)
+    assert district_section(Comparison((Run("rule", (), run),))) == ""
