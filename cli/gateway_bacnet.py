@@ -48,7 +48,7 @@ def bacnet(
     with requires_extra("bacnet", "the BACnet gateway", "bacpypes3"):
         from zenostat.gateways.bacnet import BacnetGateway
         from zenostat.gateways.bacnet.network import DEFAULT_PORT, find_interface
-        from zenostat.gateways.bacnet.points import instance_number
+        from zenostat.topics.device_addresses import instance_number
 
     if len(source) > _MAX_SOURCE:
         raise InvalidConfig(f"--source has {len(source)} characters; the most are {_MAX_SOURCE}")

@@ -13,12 +13,13 @@ from zenostat.gateways.bacnet.device import NodeDevice, NodePort
 from zenostat.gateways.bacnet.network import Interface
 from zenostat.gateways.bacnet.node_state import NodeState
 from zenostat.gateways.bacnet.point_objects import AnalogInput, AnalogOutput, NodeObject
-from zenostat.gateways.bacnet.points import ObjectKind, PointSpec, point_specs
+from zenostat.gateways.bacnet.points import PointSpec, point_specs
 from zenostat.gateways.bacnet.services import NodeApplication
 from zenostat.gateways.bacnet.simulation_objects import Paused, control_objects
 from zenostat.gateways.clients import UNRESTRICTED, Clients
 from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.notices import Notices
+from zenostat.topics.device_addresses import ObjectKind
 from zenostat.topics.messages import Manifest
 
 

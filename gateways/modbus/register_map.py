@@ -14,12 +14,13 @@ from enum import StrEnum
 from zlib import crc32
 
 from zenostat.gateways.points import readings
+from zenostat.topics.device_addresses import FIRST_INPUT_REGISTER, REGISTERS_PER_VALUE, holding_register, input_register
 from zenostat.topics.messages import Manifest
 
 MAP_VERSION = 1
 """Version of the layout; it changes when registers of the header or blocks move."""
 
-FIRST_VALUE = 16
+FIRST_VALUE = FIRST_INPUT_REGISTER
 """Address of the first sensor among the input registers, and of the first actuator among the discrete inputs."""
 
 MAX_ACTUATORS = 2000
@@ -119,20 +120,18 @@ def _input_registers(manifest: Manifest) -> Iterator[Entry]:
         unit = "s" if name in ("time", "timestep") else ""
         yield Entry(Table.INPUT_REGISTER, address, WIDTHS[kind], kind, name, unit, description=description)
         address += WIDTHS[kind]
-    address = FIRST_VALUE
-    for reading in readings(manifest):
-        yield Entry(Table.INPUT_REGISTER, address, 2, "float32", reading.name, reading.unit, description=reading.note)
-        address += 2
-    for actuator in manifest.actuators:
-        text = "effective value"
-        yield Entry(Table.INPUT_REGISTER, address, 2, "float32", actuator.name, actuator.unit, description=text)
-        address += 2
+    rows = [(reading.name, reading.unit, reading.note) for reading in readings(manifest)]
+    rows += [(actuator.name, actuator.unit, "effective value") for actuator in manifest.actuators]
+    for position, (name, unit, text) in enumerate(rows):
+        address = input_register(position)
+        yield Entry(Table.INPUT_REGISTER, address, REGISTERS_PER_VALUE, "float32", name, unit, description=text)
 
 
 def _holding_registers(manifest: Manifest) -> Iterator[Entry]:
     for index, actuator in enumerate(manifest.actuators):
         yield Entry(
-            Table.HOLDING_REGISTER, 2 * index, 2, "float32", actuator.name, actuator.unit, actuator.low, actuator.high,
+            Table.HOLDING_REGISTER, holding_register(index), REGISTERS_PER_VALUE, "float32",
+            actuator.name, actuator.unit, actuator.low, actuator.high,
             "command at the gateway's priority; NaN while relinquished",
         )  # fmt: skip
 

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from zenostat.gateways.bacnet import units
 from zenostat.gateways.bacnet.point_objects import double, real
-from zenostat.gateways.bacnet.points import MAX_INSTANCE, ObjectKind, instance_number, instance_numbers, point_specs
+from zenostat.gateways.bacnet.points import point_specs
+from zenostat.topics.device_addresses import MAX_INSTANCE, ObjectKind, instance_number, instance_numbers
 from zenostat.topics.messages import Actuator, Manifest, Meter, Mode, Policy, Sensor, Versions
 
 

@@ -17,7 +17,7 @@ from support.nodes import NodeProgram, Program
 from support.run_cli import ZENOSTAT, error_of, run_in_process, run_program
 
 from zenostat import Bus
-from zenostat.gateways.bacnet.points import instance_numbers
+from zenostat.topics.device_addresses import instance_numbers
 from zenostat.topics.messages import Reset
 
 COOLING = "core_zn_cooling_setpoint"
