@@ -10,13 +10,16 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zenostat.cli.console import out, print_error
+from zenostat.cli.console import err, out, print_error
 from zenostat.cli.tables import show, show_json
 from zenostat.topics.errors import InvalidConfig, MissingExtra, ModelError, ZenostatError
+from zenostat.topics.extras import requires_extra
+from zenostat.topics.keys import check_name
 
 if TYPE_CHECKING:
     from zenostat.models.building.description import ModelDescription
     from zenostat.models.building.diagnostics import Diagnostic
+    from zenostat.models.building.model import Building
     from zenostat.models.building.systems import System
     from zenostat.models.catalog import Entry
 
@@ -30,6 +33,14 @@ def model(
     html: Annotated[
         Path | None, typer.Option(help="Write a page with a 3D view to this .html file; it loads nothing.")
     ] = None,
+    brick: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the semantic model, a Brick graph with references to the points on the bus, to this .ttl file. "
+            "Starts EnergyPlus for a moment, to list the points."
+        ),
+    ] = None,
+    node: Annotated[str, typer.Option(help="Name of the node that the references of --brick are for.")] = "building",
     probe: Annotated[
         str | None,
         typer.Option(
@@ -52,6 +63,7 @@ def model(
 
     if html is not None and html.suffix.casefold() not in (".html", ".htm"):
         raise InvalidConfig(f"--html {html}: expected an .html file")
+    _check_brick(brick, node)
     entry = catalog.find_building(building)
     try:
         read = read_building(entry)
@@ -69,8 +81,45 @@ def model(
         _show(description)
     if _count_errors(description.file, description.diagnostics):
         raise typer.Exit(1)
+    if brick is not None:
+        _write_brick(read, building, node, brick)
     if probe is not None:
         _probe({"building": building, "weather": probe, "begin": begin, "end": end}, as_json=as_json)
+
+
+def _check_brick(file: Path | None, node: str) -> None:
+    """Check the options of the semantic model before anything is read.
+
+    Raises:
+        InvalidConfig: another suffix, or an invalid name of the node.
+        MissingExtra: rdflib is not installed.
+    """
+    if file is None:
+        return
+    if file.suffix.casefold() != ".ttl":
+        raise InvalidConfig(f"--brick {file}: expected a .ttl file")
+    check_name(node, "the node's name")
+    with requires_extra("semantic", "the semantic model", "rdflib"):
+        import rdflib  # noqa: F401
+
+
+def _write_brick(read: Building, building: str, node: str, file: Path) -> None:
+    """Write the semantic model of a building with the points that a node has by default."""
+    from zenostat.agent_sdk.semantic import SemanticGraph
+    from zenostat.eplus_node.config import read_config, scenario_of
+    from zenostat.eplus_node.plan import run_points
+    from zenostat.models import catalog
+    from zenostat.models.semantic.graph import semantic_turtle
+    from zenostat.topics.atomic_file import atomic_file
+
+    weather = catalog.weathers()[0]
+    with err.status(f"reading the points of {building} with EnergyPlus"):
+        scenario = scenario_of(read_config({"building": building, "weather": weather.name}))
+        points = run_points(read, scenario, weather.path, monitoring=True)
+    model = SemanticGraph.parse(semantic_turtle(read, node, points))
+    with atomic_file(file) as temporary:
+        temporary.write_text(model.turtle(), encoding="utf-8")
+    err.print(f"semantic model: {file} ({len(model.graph):,} statements)", soft_wrap=True, markup=False)
 
 
 def _show_unreadable(entry: Entry, error: ZenostatError, *, as_json: bool) -> None:

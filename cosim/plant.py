@@ -71,6 +71,7 @@ def describe(
             *(f"{m.name}: {text}" for m in binding.members.values() for text in m.manifest.warnings),
         ),
         without_geometry="a district has no geometry; ask the nodes of its buildings",
+        without_semantic="a district has no semantic model; ask the nodes of its buildings",
         provenance=provenance,
     )
 

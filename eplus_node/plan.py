@@ -28,6 +28,7 @@ from zenostat.models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSou
 from zenostat.models.scenario.run_period import Period, check_steps_per_hour
 from zenostat.models.scenario.schema import ActuatorSpec, Scenario, dump
 from zenostat.models.scenario.task import relative_actuators, task_of
+from zenostat.models.semantic.graph import semantic_turtle
 from zenostat.models.weather import design_days, epw, noise
 from zenostat.models.weather.header import check_complete, check_covers, read_header
 from zenostat.models.weather.records import check_records, missing_values
@@ -186,6 +187,7 @@ def describe(plan: Plan) -> PlantDescription:
         floor_area_m2=floor_area_m2(plan.building),
         geometry=plan.geometry.geometry,
         without_geometry=plan.geometry.note,
+        semantic=lambda node: semantic_turtle(plan.building, node, points),
         provenance=_provenance(plan),
     )
 

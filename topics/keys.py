@@ -46,6 +46,7 @@ from zenostat.topics.messages import (
     Revoke,
     Sample,
     ScenarioText,
+    SemanticModel,
     SetPace,
     Shelve,
     SimulatePlan,
@@ -192,6 +193,7 @@ RETURN_TO_SERVICE = Topic("rpc/return_to_service/{sender}", Role.OPERATOR, Retur
 REVOKE = Topic("rpc/revoke/{sender}", Role.OPERATOR, Revoke, Delivery.QUERY, reply=Ack)
 HISTORY = Topic("rpc/history", Role.ANYONE, HistoryQuery, Delivery.QUERY, reply=HistorySeries)
 GEOMETRY = Topic("rpc/geometry", Role.ANYONE, Query, Delivery.QUERY, reply=Geometry)
+SEMANTIC = Topic("rpc/semantic", Role.ANYONE, Query, Delivery.QUERY, reply=SemanticModel)
 PRIORITIES = Topic("rpc/priorities", Role.ANYONE, Query, Delivery.QUERY, reply=PriorityArrays)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
 CONTROLLER_TOKEN = Topic("@live/controller/{sender}", Role.CONTROLLER, None, Delivery.TOKEN)
@@ -235,6 +237,7 @@ TOPICS = (
     RETURN_TO_SERVICE,
     REVOKE,
     GEOMETRY,
+    SEMANTIC,
     PRIORITIES,
     NODE_TOKEN,
     CONTROLLER_TOKEN,

@@ -50,6 +50,7 @@ from zenostat.topics.messages import (
     Revoke,
     Sample,
     ScenarioText,
+    SemanticModel,
     SetPace,
     SimulatePlan,
     SnapshotTaken,
@@ -259,6 +260,19 @@ class Connection:
         except NodeNotFound:
             version = self.manifest(node).versions.zenostat
             raise RequestRejected(f"node {node!r} is of Zenostat {version}, which does not send a geometry") from None
+
+    def semantic(self, node: str) -> str:
+        """Return a node's semantic model as Turtle; `zenostat.semantic` reads it.
+
+        Raises:
+            RequestRejected: Its plant has no semantic model, or its version of Zenostat does not send it.
+        """
+        try:
+            return self.ask(keys.SEMANTIC, node, Query(), SemanticModel).text
+        except NodeNotFound:
+            version = self.manifest(node).versions.zenostat
+            text = f"node {node!r} is of Zenostat {version}, which does not send a semantic model"
+            raise RequestRejected(text) from None
 
     def scenario(self, node: str) -> str:
         """Return the scenario that a node simulates, as the text of a scenario file (YAML)."""

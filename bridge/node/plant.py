@@ -102,6 +102,9 @@ class PlantDescription:
         zones, floor_area_m2: as in the manifest.
         geometry: zones and surfaces, for pictures; None for a plant without.
         without_geometry: why there is none; the text of the error that `rpc/geometry` replies with.
+        semantic: returns the semantic model of the building as Turtle, for the name of a node; called in any thread, it
+            takes a second at most. None for a plant without.
+        without_semantic: why there is none; the text of the error that `rpc/semantic` replies with.
         provenance: what creates the same plant again, for recordings.
     """
 
@@ -118,6 +121,8 @@ class PlantDescription:
     floor_area_m2: float | None = None
     geometry: Geometry | None = None
     without_geometry: str = "this plant has no geometry"
+    semantic: Callable[[str], str] | None = None
+    without_semantic: str = "this plant has no semantic model"
     provenance: Provenance = field(default_factory=Provenance)
 
 

@@ -37,6 +37,7 @@ from zenostat.topics.messages import (
     RemoveFromService,
     ReturnToService,
     ScenarioText,
+    SemanticModel,
     Shelve,
     SimulatePlan,
     Status,
@@ -59,7 +60,7 @@ class RequestHandlers:
     """All other requests to one node server: claims, commands, geometry, etc.; for its thread, unless noted."""
 
     def __init__(self, server: ServedNode) -> None:
-        self._server = server
+        self._server, self._semantic_model = server, b""
 
     def declare(self, status: Callable[[Query], bytes] | None = None) -> None:
         """Answer requests; `status` replaces the server's own."""
@@ -71,6 +72,7 @@ class RequestHandlers:
             keys.SCENARIO, lambda _: codec.encode(ScenarioText(text=server.plant.description.scenario))
         )
         subscriptions.answer(keys.GEOMETRY, lambda _: codec.encode(self._geometry()))
+        subscriptions.answer_in_background(keys.SEMANTIC, self._semantic)
         subscriptions.answer(keys.STATUS, status or (lambda query: codec.encode(self.status(memory=query.memory))))
         subscriptions.request(keys.CLAIM, Claim, self._claim)
         subscriptions.request_undecoded(keys.COMMAND_REQUEST, self._request_command)
@@ -233,6 +235,16 @@ class RequestHandlers:
         if geometry is None:
             raise RequestRejected(plant.description.without_geometry)
         return geometry
+
+    def _semantic(self, _: Query) -> bytes:
+        """Return the semantic model, which does not change while the node exists."""
+        description = self._server.plant.description
+        if description.semantic is None:
+            raise RequestRejected(description.without_semantic)
+        if not self._semantic_model:
+            text = description.semantic(self._server.manifest.node)
+            self._semantic_model = codec.encode(SemanticModel(text=text))
+        return self._semantic_model
 
     def _manifest(self) -> Manifest:
         return self._server.manifest.model_copy(update={"statistics": self._server.statistics()})

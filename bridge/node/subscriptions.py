@@ -13,6 +13,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
@@ -52,6 +53,21 @@ def _content(query: zenoh.Query) -> tuple[bytes, str]:
     """Return payload and encoding of a query; empty where it has none."""
     payload, encoding = query.payload, query.encoding
     return payload.to_bytes() if payload is not None else b"", str(encoding) if encoding is not None else ""
+
+
+def _query(payload: bytes, encoding: str) -> Query:
+    """Decode a query; one without a payload has no fields."""
+    return codec.decode(Query, payload or _NO_FIELDS, encoding)
+
+
+def _reply(query: zenoh.Query, key: str, kind: type[Message], answer: Callable[[bytes, str], bytes]) -> None:
+    """Reply to a query with what `answer` returns for its payload and encoding, or raises."""
+    with query:
+        try:
+            payload = answer(*_content(query))
+        except ZenostatError as error:
+            kind, payload = ErrorReply, codec.encode(ErrorReply(**errors.to_wire(error)))
+        query.reply(key, payload, encoding=zenoh.Encoding(codec.encoding(kind)))
 
 
 class Request:
@@ -367,19 +383,35 @@ class Subscriptions:
 
     def answer(self, topic: keys.Topic, answer: Callable[[Query], bytes]) -> None:
         """Answer queries, with or without a payload, in the thread that receives them; `answer` only reads."""
-        self._answer(topic, lambda payload, encoding: answer(codec.decode(Query, payload or _NO_FIELDS, encoding)))
+        self._answer(topic, lambda payload, encoding: answer(_query(payload, encoding)))
+
+    def answer_in_background(self, topic: keys.Topic, answer: Callable[[Query], bytes]) -> None:
+        """Answer queries in a thread of its own, one after another; `answer` may take a while, and only reads.
+
+        Queries beyond those that may wait have no answer.
+        """
+        key, reply = topic.at(self.node), topic.reply or ErrorReply
+        worker, waiting = ThreadPoolExecutor(1, "background"), threading.Semaphore(MAX_PENDING)
+
+        def compute(query: zenoh.Query) -> None:
+            waiting.release()
+            _reply(query, key, reply, lambda payload, encoding: answer(_query(payload, encoding)))
+
+        def on_query(query: zenoh.Query) -> None:
+            if waiting.acquire(blocking=False):
+                worker.submit(compute, query)
+            else:
+                self.rate_limited += 1
+
+        queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
+        self._close.callback(worker.shutdown, wait=False, cancel_futures=True)
+        self._close.callback(queryable.undeclare)
 
     def _answer(self, topic: keys.Topic, answer: Callable[[bytes, str], bytes]) -> None:
         key, reply = topic.at(self.node), topic.reply or ErrorReply
 
         def on_query(query: zenoh.Query) -> None:
-            with query:
-                kind = reply
-                try:
-                    payload = answer(*_content(query))
-                except ZenostatError as error:
-                    kind, payload = ErrorReply, codec.encode(ErrorReply(**errors.to_wire(error)))
-                query.reply(key, payload, encoding=zenoh.Encoding(codec.encoding(kind)))
+            _reply(query, key, reply, answer)
 
         queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
         self._close.callback(queryable.undeclare)

@@ -167,4 +167,5 @@ def _describe(fields: Mapping[str, Any]) -> PlantDescription:
             reward=fields["reward"],
         ),
         without_geometry=f"the plant {fields['name']!r} is a Python class, which has no geometry",
+        without_semantic=f"the plant {fields['name']!r} is a Python class, which has no semantic model",
     )

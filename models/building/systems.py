@@ -21,6 +21,7 @@ _SIDES = {
     ),
 }
 _TYPE, _NAME = "object_type", "name"
+_OUTDOOR_AIR = "AirLoopHVAC:OutdoorAirSystem"
 _PASSIVE = ("Pipe:", "Duct", "Connector")
 """Types that only connect others."""
 
@@ -91,6 +92,19 @@ class _Systems:
                 zone = self.find("Zone", fields.get("zone_name"))
                 yield zone[1] if zone else str(fields.get("zone_name", "")), self.component(kind, name)
 
+    def economizer(self, part: System) -> System | None:
+        """Return the controller of an outdoor air system that has an economizer; None of any other component."""
+        system = self.find(_OUTDOOR_AIR, part.name) if part.kind == _OUTDOOR_AIR else None
+        listed = self.find("AirLoopHVAC:ControllerList", system[2].get("controller_list_name")) if system else None
+        fields = listed[2] if listed else {}
+        for number in range(1, 9):
+            known = self.find(*(str(fields.get(f"controller_{number}_{field}", "")) for field in (_TYPE, _NAME)))
+            if known and known[0] == "Controller:OutdoorAir":
+                control = str(known[2].get("economizer_control_type", "NoEconomizer"))
+                if control.casefold() != "noeconomizer":
+                    return System(known[0], known[1])
+        return None
+
     def supply_nodes(self, loop: Mapping[str, Any]) -> set[str]:
         """Return the nodes from an air loop's demand inlets to its terminal units, case-folded."""
         outlets: dict[str, list[str]] = defaultdict(list)
@@ -160,6 +174,18 @@ def plant_loops(objects: Objects) -> list[System]:
         for kind, sides in _SIDES.items()
         for name, fields in objects.get(kind, {}).items()
     ]
+
+
+def economizers(objects: Objects) -> dict[str, System]:
+    """Return the outdoor air controller of each air loop that has an economizer, by the loop's name."""
+    model = _Systems(objects)
+    controllers = {}
+    for name, fields in objects.get("AirLoopHVAC", {}).items():
+        for part in model.branches(fields.get("branch_list_name")):
+            controller = model.economizer(part)
+            if controller is not None:
+                controllers[name] = controller
+    return controllers
 
 
 def zone_equipment(objects: Objects) -> dict[str, list[System]]:

@@ -64,7 +64,7 @@ _SUBMODULES = {
         name: name
         for name in (
             "benchmark", "controllers", "datasets", "envs", "evaluation", "ray", "recording", "report", "rewards",
-            "testing", "time_series", "training", "wrappers",
+            "semantic", "testing", "time_series", "training", "wrappers",
         )
     },
 }  # fmt: skip

@@ -133,3 +133,30 @@ def test_model__errors_of_a_file_that_cannot_be_read_are_shown_alike(case: str, 
 def test_model__missing_file_is_an_error_of_the_command(tmp_path: Path) -> None:
     result = run_in_process("model", str(tmp_path / "none.idf"), "--json")
     assert (result.returncode, result.stdout) == (2, "")
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_model__brick_file_of_an_own_building_has_its_zones_and_points(tmp_path: Path) -> None:
+    path = written(
+        tmp_path / "mine.idf", lambda text: text.replace("Core_ZN", 'Core "1" <b>é'.encode().decode("latin-1"))
+    )
+    file = tmp_path / "mine.ttl"
+    result = run_in_process("model", str(path), "--brick", str(file), "--node", "office")
+    assert result.returncode == 0, result.stderr
+    text = file.read_text()
+    assert 'rdfs:label "Core \\"1\\" <b>' in text
+    assert '"zenostat/v3/office/actuator/*/perimeter_zn_1_cooling_setpoint"' in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--brick", "a.json"], "--brick a.json: expected a .ttl file"),
+        (["--brick", "a.ttl", "--node", "a/b"], "the node's name 'a/b' is not valid in a topic"),
+    ],
+)
+def test_model__brick_options_are_checked_first(arguments: list[str], reason: str) -> None:
+    result = run_in_process("model", "no-such-building", *arguments, columns=300)
+    assert result.returncode == 2
+    assert reason in plain(result.stderr)

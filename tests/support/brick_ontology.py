@@ -38,7 +38,7 @@ def _shapes() -> shifty.PreparedValidator:
 
 
 def violations(turtle: str) -> list[str]:
-    """What in a graph violates Brick's shapes, once its rules have been applied; deprecated classes do not."""
+    """Return what in a graph violates the shapes of Brick after its rules; deprecated classes do not."""
     conforms, report, _ = _shapes().validate(turtle, minimum_severity="violation")
     texts = [
         f"{report.value(result, SH.focusNode)} {report.value(result, SH.resultPath)}: "

@@ -198,6 +198,12 @@ class ScenarioText(Message):
     text: Lines
 
 
+class SemanticModel(Message):
+    """The semantic model of a node's building as Turtle: a Brick graph with references to its points."""
+
+    text: Lines
+
+
 class PriorityArrays(Message):
     """The priority array of each actuator, in manifest order, as it is before the next timestep.
 
@@ -216,7 +222,7 @@ class PriorityArrays(Message):
 
 
 class Query(Message):
-    """Query of a node's status, scenario, geometry or priority arrays.
+    """Query of a node's status, scenario, geometry, semantic model or priority arrays.
 
     `memory`: include each process's private memory in the status.
     """
