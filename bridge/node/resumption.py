@@ -32,7 +32,7 @@ from zenostat.bridge.recording.written import Written
 from zenostat.topics import codec, keys
 from zenostat.topics.alarm_rules import AlarmRules
 from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import BadMessage, EpisodeAborted, InvalidRecording
+from zenostat.topics.errors import BadMessage, EpisodeAborted, InvalidConfig, InvalidRecording, RequestRejected
 from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import (
     Acknowledge,
@@ -70,6 +70,9 @@ _COMMAND, _ACTUATOR, _REQUEST = "command", "actuator", "rpc"
 _ERROR, _RECORDED_REQUEST = codec.encoding(ErrorReply), codec.encoding(RecordedRequest)
 _FIXED = ("node", "slots", "baseline", "policy", "grace_s", "deadline_s", "begin", "end", "step_s", "steps")
 _LOOK_AHEAD = 2
+_DAMAGE = (BadMessage, IllegalTransition, InvalidConfig, RequestRejected, LookupError, TypeError, ValueError)
+"""Errors of the rules for messages that no node would have recorded."""
+
 _SHOW_S = 0.1
 """Time between two calls of the server's observer."""
 
@@ -262,8 +265,8 @@ class Resumption:
                     is_reached = number == self._start
                     continue
                 self._process(item, following)
-        except (BadMessage, IllegalTransition) as error:
-            raise self._error(f"it is damaged: {error}") from None
+        except _DAMAGE as error:
+            raise self._error(f"it is damaged: {type(error).__name__}: {error}") from None
         finally:
             for snapshot in self._snapshots.values():
                 snapshot.drop()
@@ -543,4 +546,7 @@ def _is_equal(left: bytes, right: bytes) -> bool:
     if left == right:
         return True
     ours, theirs = np.frombuffer(left), np.frombuffer(right)
-    return ours.shape == theirs.shape and bool(np.array_equal(ours, theirs, equal_nan=True))
+    if ours.shape != theirs.shape:
+        return False
+    is_equal = (ours.view(np.uint64) == theirs.view(np.uint64)) | (np.isnan(ours) & np.isnan(theirs))
+    return bool(is_equal.all())

@@ -12,6 +12,7 @@ from zenoh.handlers import FifoChannel
 
 import zenostat
 from zenostat import Bus
+from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.transport.certificates import add
 from zenostat.bridge.transport.deny_list import REVOKED, read_revoked, revoke, shut_down
 from zenostat.bridge.transport.session import Mode, open_session
@@ -258,3 +259,38 @@ def test_certificate__new_one_is_read_at_the_next_connection(tmp_path: Path) -> 
             (folder / f"trainer.{kind}").replace(folder / f"second.{kind}")
         shut_down(node.info.links())
         until(lambda: names() == ["trainer"], "it has connected again")
+
+
+@pytest.mark.slow
+def test_resumed_node__has_nothing_of_names_that_were_revoked_meanwhile(scratch: Path, tmp_path: Path) -> None:
+    folder, path = house_keys(tmp_path / "keys"), scratch / "run.mcap"
+    for name in ("ann", "dan"):
+        add(folder, BOTH, name)
+    settings = {"plant": PLANT, "name": "room", "listen": [f"tls/127.0.0.1:{free_port()}"], "keys": str(folder)}
+    with NodeProgram(scratch / "first", **settings, record=str(path)) as node:
+        with connect(node, folder, "dan") as dan, connect(node, folder, "ann") as ann:
+            first, second, *_ = [actuator.name for actuator in ann.manifest("room").actuators]
+            link = ann.controller("room", name="agent", priority=11)
+            dan.controller("room", name="agent", priority=9, required=False)
+            link.reset()
+            for _ in range(5):
+                link.send({first: 20.0})
+                link.receive()
+            dan.write("room", second, 26.0, priority=3)
+            ann.write("room", second, 25.0, priority=4)
+            before = ann.priorities("room")
+        until(lambda: second.encode() + b" = 25" in _events(path), "all of it is recorded")
+        node.kill()
+    revoke(folder, "dan")
+    with NodeProgram(scratch / "second", **settings, resume=str(path)) as node, connect(node, folder, "ann") as ann:
+        after, status = ann.priorities("room"), ann.status("room")
+        assert [controller.controller.partition("-")[0] for controller in status.controllers] == ["ann.agent"]
+        assert status.step == [5]
+    assert (before[second][2].source, after[second][2].source) == ("dan", None)
+    assert after[second][3] == before[second][3]
+    assert after[first] == before[first]
+
+
+def _events(path: Path) -> bytes:
+    with RecordingReader(path) as reader:
+        return b"".join(item.payload for item in reader.messages({"Event"}))
