@@ -24,7 +24,7 @@ from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.eplus_node.verify_recording import verify
 from zenostat.topics import yaml12
-from zenostat.topics.errors import InvalidConfig, InvalidRecording, RequestRejected
+from zenostat.topics.errors import InvalidConfig, InvalidRecording, PlantFailed, RequestRejected
 from zenostat.topics.messages import Claim, ControllerState, EventKind, State
 
 pytestmark = pytest.mark.process
@@ -463,3 +463,29 @@ def _recorded(path: Path) -> int:
         return len(samples(path))
     except InvalidRecording:
         return 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(12))
+def test_resume__recording_of_a_stranger_is_data(seed: int, scratch: Path, tank: dict[str, Any]) -> None:
+    """Messages with random bytes either change nothing that counts, or are an error of the recording."""
+    path, rng = scratch / "tank.mcap", np.random.default_rng(seed)
+    with node_on_bus(scratch / "first", **tank, record=str(path)) as (_, bus):
+        bus.write("tank", "pump", 3.0, priority=12, duration_s=600.0)
+        levels(bus, 10)
+
+    def change(_: int, item: Any) -> bytes:
+        raw = bytearray(item.payload)
+        if item.schema in ("Manifest", "Sample", "RecordedWeather") or rng.random() > 0.15 or not raw:
+            return bytes(raw)
+        for place in rng.integers(0, len(raw), rng.integers(1, 4)):
+            raw[place] = rng.integers(256)
+        return bytes(raw)
+
+    hostile = cut(path, scratch / "hostile.mcap", counted(path), change)
+    before = hostile.read_bytes()
+    try:
+        with node_on_bus(scratch / "second", **tank, resume=str(hostile)) as (_, bus):
+            assert bus.status("tank").step == [10]
+    except (InvalidRecording, PlantFailed):
+        assert hostile.read_bytes() == before
