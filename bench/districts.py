@@ -15,6 +15,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from statistics import median
 from tempfile import TemporaryDirectory
 
 import psutil
@@ -51,6 +52,7 @@ class Cost:
         wall_ms: of a step.
         orchestrator_ms, nodes_ms, engines_ms: processor time of a step, of all buildings together.
         memory_mb: of all processes, without what they share.
+        trial_ms, least_trial_ms: wall time of a trial of the whole district: median, and the least one.
     """
 
     buildings: int
@@ -60,6 +62,8 @@ class Cost:
     nodes_ms: float
     engines_ms: float
     memory_mb: float
+    trial_ms: float
+    least_trial_ms: float
 
 
 def write_district(folder: Path, buildings: int) -> Path:
@@ -89,7 +93,7 @@ def _processor_s(root: psutil.Process) -> tuple[dict[str, float], float]:
     return times, memory
 
 
-def measure(buildings: int, steps: int) -> Cost:
+def measure(buildings: int, steps: int, trials: int) -> Cost:
     """Simulate some steps of a district, and return their mean costs."""
     with TemporaryDirectory() as folder:
         file = write_district(Path(folder), buildings)
@@ -110,10 +114,21 @@ def measure(buildings: int, steps: int) -> Cost:
                     link.receive()
                 wall_s = time.monotonic() - begin_s
                 after, memory = _processor_s(root)
+                trials_s = [_trial_s(link) for _ in range(trials)]
         finally:
             node.close()
     ms = {name: 1e3 * (after[name] - before[name]) / steps for name in after}
-    return Cost(buildings, start_s, 1e3 * wall_s / steps, ms["orchestrator"], ms["nodes"], ms["engines"], memory)
+    return Cost(
+        buildings, start_s, 1e3 * wall_s / steps, ms["orchestrator"], ms["nodes"], ms["engines"], memory,
+        1e3 * median(trials_s), 1e3 * min(trials_s),
+    )  # fmt: skip
+
+
+def _trial_s(link: zenostat.ControllerLink) -> float:
+    """Try a step in which nothing is commanded, and return how long it took."""
+    begin_s = time.monotonic()
+    link.try_step([{}])
+    return time.monotonic() - begin_s
 
 
 def draw(costs: Sequence[Cost], path: Path) -> None:
@@ -140,18 +155,20 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--buildings", type=int, nargs="+", default=[1, 2, 4, 8, 16, 32])
     parser.add_argument("--steps", type=int, default=60)
+    parser.add_argument("--trials", type=int, default=20, help="trials of a step of the whole district")
     parser.add_argument("--plot", type=Path)
     parser.add_argument("--json", type=Path)
     options = parser.parse_args()
     costs = []
     for buildings in options.buildings:
-        cost = measure(buildings, options.steps)
+        cost = measure(buildings, options.steps, options.trials)
         costs.append(cost)
         total = cost.orchestrator_ms + cost.nodes_ms + cost.engines_ms
         print(
             f"{buildings:3d} buildings: start {cost.start_s:6.1f} s, step {cost.wall_ms:7.1f} ms wall; processor time "
             f"{cost.engines_ms:7.1f} engines, {cost.nodes_ms:6.1f} nodes, {cost.orchestrator_ms:6.1f} orchestrator "
-            f"({100 * cost.orchestrator_ms / total:.1f} %); {cost.memory_mb:6.0f} MB",
+            f"({100 * cost.orchestrator_ms / total:.1f} %); {cost.memory_mb:6.0f} MB; "
+            f"a trial {cost.trial_ms:.0f} ms, at least {cost.least_trial_ms:.0f}",
             flush=True,
         )
     if options.json:
