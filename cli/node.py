@@ -76,6 +76,7 @@ def node(
     certificate: CertificateName = None,
     slots: options.Slots = 1,
     no_monitoring: options.NoMonitoring = False,
+    systems: options.Systems = False,
     baseline: options.Baseline = False,
     branches: options.Branches = 64,
     unresponsive_s: options.Unresponsive = 10.0,

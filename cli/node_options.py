@@ -61,6 +61,7 @@ NoListen = Annotated[bool, typer.Option("--no-listen", help="Only connect to a r
 Expose = Annotated[bool, typer.Option("--expose", help="Allow connections from other machines.")]
 Slots = Annotated[int, typer.Option(help="Number of engines that step together, each with its own episode.")]
 NoMonitoring = Annotated[bool, argument("monitoring", "--no-monitoring", note=" This option prevents it.")]
+Systems = Annotated[bool, argument("systems", "--systems")]
 Baseline = Annotated[bool, argument("baseline", "--baseline")]
 Branches = Annotated[int, argument("branches")]
 Unresponsive = Annotated[float, argument("unresponsive_s", "--unresponsive", metavar="SECONDS")]

@@ -12,7 +12,7 @@ from zenostat.bridge.node.fault_injection import FaultInjection
 from zenostat.bridge.node.plant import PlantDescription, Provenance, RunPeriod
 from zenostat.eplus_node.config import NodeConfig, scenario_of
 from zenostat.models import catalog, energyplus
-from zenostat.models.building import conflicts, output_objects
+from zenostat.models.building import conflicts, output_objects, schematic
 from zenostat.models.building import model as building
 from zenostat.models.building.geometry import BuildingGeometry, building_geometry
 from zenostat.models.building.model import Building
@@ -21,7 +21,7 @@ from zenostat.models.building.summary import floor_area_m2
 from zenostat.models.building.whole_weather import reads_whole_weather
 from zenostat.models.points import discovery, selection
 from zenostat.models.points.discovery import PointCatalog
-from zenostat.models.points.monitoring import with_monitoring, with_unobserved
+from zenostat.models.points.monitoring import with_monitoring, with_systems, with_unobserved
 from zenostat.models.points.schedules import with_baseline_sensors, with_leads
 from zenostat.models.points.selection import Points
 from zenostat.models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSource
@@ -37,9 +37,9 @@ from zenostat.topics.calendar import parse_day
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from zenostat.topics.fault_plan import FaultPlan, Loss
 from zenostat.topics.keys import check_name
-from zenostat.topics.messages import Aggregation, Manifest, Mode, Policy, Task, Versions
+from zenostat.topics.messages import Aggregation, Manifest, Mode, Policy, Systems, Task, Versions
 
-REPEATED_SETTINGS = ("shrink_caches", "monitoring", "building", "weather")
+REPEATED_SETTINGS = ("shrink_caches", "monitoring", "systems", "building", "weather")
 """Settings of a provenance. A recording is data of anybody: no other setting of a node may come from one."""
 
 
@@ -62,6 +62,7 @@ class Plan:
     task: Task
     warnings: tuple[str, ...]
     geometry: BuildingGeometry
+    systems: Systems
     faults: FaultPlan | None = None
 
 
@@ -96,7 +97,9 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
         errors.collect(lambda: _check_sizing(model, valid_sources))
     if model is not None and valid_sources:
         chosen = errors.collect(
-            lambda: run_points(model, scenario, valid_sources[0].path, monitoring=config.monitoring)
+            lambda: run_points(
+                model, scenario, valid_sources[0].path, monitoring=config.monitoring, systems=config.systems
+            )
         )
     if chosen is not None:
         task = errors.collect(lambda: task_of(scenario, chosen))
@@ -122,7 +125,10 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
     )
     if not isinstance(config.environment_reward, str):
         scenario = scenario.model_copy(update={"reward": config.environment_reward})
-    planned = Plan(config, scenario, model, tuple(valid_sources), period, chosen, task, warnings, geometry, injected)
+    described = schematic.systems(model.objects)
+    planned = Plan(
+        config, scenario, model, tuple(valid_sources), period, chosen, task, warnings, geometry, described, injected
+    )
     if injected is not None:
         FaultInjection(
             injected, describe(planned), config.slots
@@ -186,6 +192,7 @@ def describe(plan: Plan) -> PlantDescription:
         zones=tuple(plan.building.objects.get("Zone", {})),
         floor_area_m2=floor_area_m2(plan.building),
         geometry=plan.geometry.geometry,
+        systems=plan.systems,
         without_geometry=plan.geometry.note,
         semantic=lambda node: semantic_turtle(plan.building, node, points),
         provenance=_provenance(plan),
@@ -220,6 +227,8 @@ def _provenance(plan: Plan) -> Provenance:
     files = _files(model, [source.path for source in plan.sources], plan.scenario)
     config = plan.config
     settings: dict[str, object] = {"shrink_caches": config.shrink_caches, "monitoring": config.monitoring}
+    if config.systems:
+        settings["systems"] = True
     # A path in the scenario may be relative to the node's working directory.
     if Path(plan.scenario.building).suffix.lower() in catalog.MODEL_SUFFIXES:
         settings["building"] = str(files["model"].absolute())
@@ -322,7 +331,9 @@ def _source(name: str, scenario: Scenario) -> WeatherSource:
     return WeatherSource(entry.name, entry.path, header, site)
 
 
-def run_points(model: Building, scenario: Scenario, any_weather: Path, *, monitoring: bool) -> Points:
+def run_points(
+    model: Building, scenario: Scenario, any_weather: Path, *, monitoring: bool, systems: bool = False
+) -> Points:
     """Return the points of a scenario's run.
 
     Args:
@@ -330,6 +341,7 @@ def run_points(model: Building, scenario: Scenario, any_weather: Path, *, monito
         scenario: what is measured and controlled; by default the model's default points.
         any_weather: a weather file, to start EnergyPlus.
         monitoring: whether to add the points for pictures and reports.
+        systems: whether to add the points for a schematic of the loops.
 
     Raises:
         UnknownName, InvalidConfig: the points of the scenario have errors.
@@ -355,7 +367,9 @@ def run_points(model: Building, scenario: Scenario, any_weather: Path, *, monito
         chosen = replace(chosen, actuators=tuple(a for a in chosen.actuators if a.name not in overridden))
     chosen = _with_schedules(model, scenario, any_weather, chosen)
     chosen = with_unobserved(chosen, scenario.unobserved)
-    return with_monitoring(model, offered, chosen) if monitoring else chosen
+    if monitoring:
+        chosen = with_monitoring(model, offered, chosen)
+    return with_systems(model, offered, chosen) if systems else chosen
 
 
 def _with_schedules(model: Building, scenario: Scenario, any_weather: Path, points: Points) -> Points:

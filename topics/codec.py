@@ -28,6 +28,7 @@ from zenostat.topics.messages import (
     Message,
     Sample,
     Status,
+    Systems,
 )
 from zenostat.topics.printable import replace_controls
 
@@ -47,6 +48,7 @@ MAX_ITEMS = {
     Manifest: 1_000_000,
     Sample: 100_000,
     Status: 100_000,
+    Systems: 1_000_000,
 }
 """Larger limits of entries, for messages that list points, zones or many slots."""
 

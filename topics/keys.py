@@ -57,6 +57,7 @@ from zenostat.topics.messages import (
     StepsTried,
     Stop,
     StopRecording,
+    Systems,
     TakeSnapshot,
     TrySteps,
     Unshelve,
@@ -194,6 +195,7 @@ REVOKE = Topic("rpc/revoke/{sender}", Role.OPERATOR, Revoke, Delivery.QUERY, rep
 HISTORY = Topic("rpc/history", Role.ANYONE, HistoryQuery, Delivery.QUERY, reply=HistorySeries)
 GEOMETRY = Topic("rpc/geometry", Role.ANYONE, Query, Delivery.QUERY, reply=Geometry)
 SEMANTIC = Topic("rpc/semantic", Role.ANYONE, Query, Delivery.QUERY, reply=SemanticModel)
+SYSTEMS = Topic("rpc/systems", Role.ANYONE, Query, Delivery.QUERY, reply=Systems)
 PRIORITIES = Topic("rpc/priorities", Role.ANYONE, Query, Delivery.QUERY, reply=PriorityArrays)
 NODE_TOKEN = Topic("@live/node/{name}", Role.NODE, None, Delivery.TOKEN)
 CONTROLLER_TOKEN = Topic("@live/controller/{sender}", Role.CONTROLLER, None, Delivery.TOKEN)
@@ -238,6 +240,7 @@ TOPICS = (
     REVOKE,
     GEOMETRY,
     SEMANTIC,
+    SYSTEMS,
     PRIORITIES,
     NODE_TOKEN,
     CONTROLLER_TOKEN,

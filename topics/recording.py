@@ -26,8 +26,8 @@ ABOUT, SUMMARY = "zenostat", "zenostat.summary"
 """Names of the metadata records: at the beginning of the file, and at its end if the recording was completed."""
 
 MANIFEST, SCENARIO, PROVENANCE = "manifest.json", "scenario.yaml", "provenance.json"
-GEOMETRY = "geometry.msgpack"
-"""Names of the attachments; only the recording of a plant with a geometry has it, as the bus has it."""
+GEOMETRY, SYSTEMS = "geometry.msgpack", "systems.msgpack"
+"""Names of the attachments; only the recording of a plant with a geometry or systems has these, as the bus has them."""
 
 WEATHER_COLUMNS = ("dry_bulb_temperature", "global_horizontal_radiation")
 """Columns of the weather that are recorded with an episode, in degC and Wh/m2 in the interval."""

@@ -139,6 +139,13 @@ class ScenarioArguments(TypedDict, total=False):
             "and setpoints of each conditioned zone, outdoor temperature, and the energy of each end use."
         ),
     ]
+    systems: Annotated[
+        bool | None,
+        Doc(
+            "Also measure what a schematic of the air and plant loops shows, without adding it to the observation: "
+            "temperature, flow and setpoint at the components' outlets, and their powers."
+        ),
+    ]
     baseline: Annotated[bool | None, Doc("Also run each episode under baseline control, for comparison.")]
     branches: Annotated[int | None, Doc("Maximum number of snapshots and branches at a time, 0 to 4096.")]
     unresponsive_s: Annotated[

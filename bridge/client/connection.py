@@ -58,6 +58,7 @@ from zenostat.topics.messages import (
     StepRequest,
     StepsTried,
     Stop,
+    Systems,
     TakeSnapshot,
     TrySteps,
     WeatherQuery,
@@ -255,11 +256,23 @@ class Connection:
         Raises:
             RequestRejected: Its plant has no geometry, or its version of Zenostat does not send it.
         """
+        return self._ask_since(keys.GEOMETRY, node, Geometry, "a geometry")
+
+    def systems(self, node: str) -> Systems:
+        """Return the loops of a node's building, and their components in order of flow.
+
+        Raises:
+            RequestRejected: Its plant has no such systems, or its version of Zenostat does not send them.
+        """
+        return self._ask_since(keys.SYSTEMS, node, Systems, "its systems")
+
+    def _ask_since(self, topic: keys.Topic, node: str, reply: type[M], what: str) -> M:
+        """Return the reply of a node, which may be of a release that does not have the topic."""
         try:
-            return self.ask(keys.GEOMETRY, node, Query(), Geometry)
+            return self.ask(topic, node, Query(), reply)
         except NodeNotFound:
             version = self.manifest(node).versions.zenostat
-            raise RequestRejected(f"node {node!r} is of Zenostat {version}, which does not send a geometry") from None
+            raise RequestRejected(f"node {node!r} is of Zenostat {version}, which does not send {what}") from None
 
     def semantic(self, node: str) -> str:
         """Return a node's semantic model as Turtle; `zenostat.semantic` reads it.

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from zenostat.bridge.engine.registry import EngineRegistry
 from zenostat.topics.errors import RequestRejected
-from zenostat.topics.messages import Actuator, EpisodeStart, Geometry, Meter, Sensor, Task, Versions
+from zenostat.topics.messages import Actuator, EpisodeStart, Geometry, Meter, Sensor, Systems, Task, Versions
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +105,7 @@ class PlantDescription:
         semantic: returns the semantic model of the building as Turtle, for the name of a node; called in any thread, it
             takes a second at most. None for a plant without.
         without_semantic: why there is none; the text of the error that `rpc/semantic` replies with.
+        systems: components and loops, for schematics; None for a plant without.
         provenance: what creates the same plant again, for recordings.
     """
 
@@ -123,6 +124,7 @@ class PlantDescription:
     without_geometry: str = "this plant has no geometry"
     semantic: Callable[[str], str] | None = None
     without_semantic: str = "this plant has no semantic model"
+    systems: Systems | None = None
     provenance: Provenance = field(default_factory=Provenance)
 
 

@@ -42,6 +42,7 @@ from zenostat.topics.messages import (
     SimulatePlan,
     Status,
     Stop,
+    Systems,
     Unshelve,
     WeatherQuery,
     WeatherSeries,
@@ -73,6 +74,7 @@ class RequestHandlers:
         )
         subscriptions.answer(keys.GEOMETRY, lambda _: codec.encode(self._geometry()))
         subscriptions.answer_in_background(keys.SEMANTIC, self._semantic)
+        subscriptions.answer(keys.SYSTEMS, lambda _: codec.encode(self._systems()))
         subscriptions.answer(keys.STATUS, status or (lambda query: codec.encode(self.status(memory=query.memory))))
         subscriptions.request(keys.CLAIM, Claim, self._claim)
         subscriptions.request_undecoded(keys.COMMAND_REQUEST, self._request_command)
@@ -245,6 +247,13 @@ class RequestHandlers:
             text = description.semantic(self._server.manifest.node)
             self._semantic_model = codec.encode(SemanticModel(text=text))
         return self._semantic_model
+
+    def _systems(self) -> Systems:
+        """Return the systems of the plant; thread-safe."""
+        description = self._server.plant.description
+        if description.systems is None:
+            raise RequestRejected(f"the plant {description.name!r} does not describe its systems")
+        return description.systems
 
     def _manifest(self) -> Manifest:
         return self._server.manifest.model_copy(update={"statistics": self._server.statistics()})

@@ -26,6 +26,7 @@ class NodeSettings(BaseModel):
             it pays none.
         monitoring: also measure what pictures and reports need; a Python plant measures all its points anyway.
         resume: a recording with which the node goes on, and to which it goes on recording.
+        systems: also measure what a schematic of the loops shows; only of EnergyPlus.
         record: a file (`.mcap`) or a folder for recordings; `record_on_full` and `record_overwrite` are options of it.
         history_mb: memory for the history of the present episode, in MB; 0 keeps none.
         unresponsive_s: time after which an engine that neither answers nor uses processor time is killed.
@@ -53,6 +54,7 @@ class NodeSettings(BaseModel):
     baseline: bool = False
     environment_reward: dict[str, Any] | Literal["scenario"] | None = "scenario"
     monitoring: bool = False
+    systems: bool = False
     branches: Annotated[int, Field(ge=0, le=4096)] = 64
     resume: Path | None = None
     record: Path | None = None

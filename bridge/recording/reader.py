@@ -25,7 +25,7 @@ from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 from zenostat.bridge.recording.file import MAGIC, open_regular
 from zenostat.topics import codec, recording
 from zenostat.topics.errors import BadMessage, InvalidConfig, InvalidRecording
-from zenostat.topics.messages import SCHEMA_VERSION, Geometry, Manifest
+from zenostat.topics.messages import SCHEMA_VERSION, Geometry, Manifest, Systems
 from zenostat.topics.printable import replace_controls, replace_controls_in_lines
 
 _HEAD = struct.Struct("<BQ")
@@ -80,6 +80,7 @@ class RecordingReader:
         manifest: at the begin of the recording.
         scenario: the text of the scenario; empty if the plant has none.
         geometry: of the building; None if the plant has none.
+        systems: of the building; None if the plant has none.
         provenance: how to create the plant, and the digests of its files.
         end: how the recording ends; set by `messages`.
 
@@ -143,6 +144,8 @@ class RecordingReader:
             self.provenance: dict[str, Any] = json.loads(attached[recording.PROVENANCE])
             geometry = attached.get(recording.GEOMETRY)
             self.geometry = None if geometry is None else codec.decode(Geometry, geometry)
+            systems = attached.get(recording.SYSTEMS)
+            self.systems = None if systems is None else codec.decode(Systems, systems)
         except (BadMessage, KeyError, ValueError) as error:
             raise InvalidRecording(f"{self.path} is damaged: its attachments cannot be read ({error})") from None
 

@@ -383,4 +383,6 @@ def attachments(manifest: Manifest, plant: PlantDescription, geometry: Geometry 
     }
     if geometry is not None:
         contents[recording.GEOMETRY] = codec.encode(geometry)
+    if plant.systems is not None:
+        contents[recording.SYSTEMS] = codec.encode(plant.systems)
     return contents

@@ -31,6 +31,7 @@ from zenostat.topics.messages import (
     ScenarioText,
     State,
     Status,
+    Systems,
 )
 
 _SCHEMAS = frozenset(("Sample", "Event", "Manifest"))
@@ -135,6 +136,8 @@ class Replay:
             return ScenarioText, codec.encode(ScenarioText(text=self._reader.scenario))
         if key == keys.GEOMETRY.at(self._name) and self._reader.geometry is not None:
             return Geometry, codec.encode(self._reader.geometry)
+        if key == keys.SYSTEMS.at(self._name) and self._reader.systems is not None:
+            return Systems, codec.encode(self._reader.systems)
         raise RequestRejected(f"{self._name} is the replay of a recording and takes no requests")
 
     def _status(self) -> Status:

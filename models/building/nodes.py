@@ -72,7 +72,7 @@ def nodes_without_setpoint(objects: Objects) -> Iterator[RuleFinding]:
     """
     if any(kind.startswith(("PythonPlugin:", "ExternalInterface")) for kind in objects):
         return
-    managed = _managed_nodes(objects)
+    managed = managed_nodes(objects)
     for kind, items in objects.items():
         if kind.startswith(_NEED_SETPOINT):
             for name, fields in items.items():
@@ -82,7 +82,7 @@ def nodes_without_setpoint(objects: Objects) -> Iterator[RuleFinding]:
                         yield finding(kind, name, FieldFinding(path, text, is_fatal=False))
 
 
-def _managed_nodes(objects: Objects) -> set[str]:
+def managed_nodes(objects: Objects) -> set[str]:
     """Return the nodes, case-folded, that a setpoint manager or an EMS actuator may set."""
     managed = {
         node.casefold()

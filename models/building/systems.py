@@ -13,7 +13,7 @@ from typing import Any
 
 Objects = Mapping[str, Mapping[str, Any]]
 
-_SIDES = {
+SIDES = {
     "PlantLoop": (("supply", "plant_side_branch_list_name"), ("demand", "demand_side_branch_list_name")),
     "CondenserLoop": (
         ("supply", "condenser_side_branch_list_name"),
@@ -22,7 +22,7 @@ _SIDES = {
 }
 _TYPE, _NAME = "object_type", "name"
 _OUTDOOR_AIR = "AirLoopHVAC:OutdoorAirSystem"
-_PASSIVE = ("Pipe:", "Duct", "Connector")
+PASSIVE = ("Pipe:", "Duct", "Connector")
 """Types that only connect others."""
 
 
@@ -40,7 +40,7 @@ class System:
     parts: tuple[System, ...] = ()
 
 
-class _Systems:
+class SystemObjects:
     """Lookup of a model's objects and nodes; names are case-folded."""
 
     def __init__(self, objects: Objects) -> None:
@@ -64,7 +64,7 @@ class _Systems:
         if (kind, name) in above:
             return System(kind, name)
         inside = above | {(kind, name)}
-        parts = [self.component(*part, inside) for part in _parts(fields) if not part[0].startswith(_PASSIVE)]
+        parts = [self.component(*part, inside) for part in _parts(fields) if not part[0].startswith(PASSIVE)]
         equipment = fields.get("outdoor_air_equipment_list_name")
         listed = self.find("AirLoopHVAC:OutdoorAirSystem:EquipmentList", equipment) if equipment else None
         if listed is not None:
@@ -79,7 +79,7 @@ class _Systems:
             branch = self.find("Branch", entry.get("branch_name"))
             for part in branch[2].get("components", ()) if branch else ():
                 kind, name = part.get("component_object_type", ""), part.get("component_name", "")
-                if not kind.startswith(_PASSIVE):
+                if not kind.startswith(PASSIVE):
                     components.append(self.component(kind, name))
         return tuple(components)
 
@@ -123,6 +123,14 @@ class _Systems:
             pending += new
         return reached
 
+    def inlets(self, equipment: System) -> set[str]:
+        """Return the inlet nodes of a piece of equipment and of its parts, case-folded."""
+        own = self.find(equipment.kind, equipment.name)
+        nodes = (
+            {str(value).casefold() for field, value in own[2].items() if "inlet_node" in field} if own else set[str]()
+        )
+        return nodes.union(*map(self.inlets, equipment.parts))
+
 
 def _parts(fields: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """Yield type and name of the parts of an object, also of those in a list."""
@@ -146,32 +154,25 @@ def _numbered_parts(fields: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 def air_loops(objects: Objects) -> list[System]:
     """Return the air loops: the components of their supply side, then a part for each zone with its terminal units."""
-    model = _Systems(objects)
+    model = SystemObjects(objects)
     terminals = list(model.zone_equipment())
     loops = []
     for name, fields in objects.get("AirLoopHVAC", {}).items():
         nodes, zones = model.supply_nodes(fields), defaultdict[str, list[System]](list)
         for zone, equipment in terminals:
-            if _inlets(model, equipment) & nodes:
+            if model.inlets(equipment) & nodes:
                 zones[zone].append(equipment)
         served = [System("Zone", zone, tuple(equipment)) for zone, equipment in zones.items()]
         loops.append(System("AirLoopHVAC", name, (*model.branches(fields.get("branch_list_name")), *served)))
     return loops
 
 
-def _inlets(model: _Systems, equipment: System) -> set[str]:
-    """Return the inlet nodes of a piece of equipment and of its parts, case-folded."""
-    own = model.find(equipment.kind, equipment.name)
-    nodes = {str(value).casefold() for field, value in own[2].items() if "inlet_node" in field} if own else set[str]()
-    return nodes.union(*(_inlets(model, part) for part in equipment.parts))
-
-
 def plant_loops(objects: Objects) -> list[System]:
     """Return the plant and condenser loops, each with the parts `supply` and `demand`."""
-    model = _Systems(objects)
+    model = SystemObjects(objects)
     return [
         System(kind, name, tuple(System("", side, model.branches(fields.get(field))) for side, field in sides))
-        for kind, sides in _SIDES.items()
+        for kind, sides in SIDES.items()
         for name, fields in objects.get(kind, {}).items()
     ]
 
@@ -191,6 +192,6 @@ def economizers(objects: Objects) -> dict[str, System]:
 def zone_equipment(objects: Objects) -> dict[str, list[System]]:
     """Return the equipment of each zone, terminal units included, by the zone's name."""
     equipment: dict[str, list[System]] = defaultdict(list)
-    for zone, system in _Systems(objects).zone_equipment():
+    for zone, system in SystemObjects(objects).zone_equipment():
         equipment[zone].append(system)
     return dict(equipment)

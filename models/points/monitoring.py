@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from dataclasses import replace
 
 from zenostat.models.building.conflicts import thermostat_setpoints
 from zenostat.models.building.model import Building
 from zenostat.models.points.discovery import PointCatalog
 from zenostat.models.points.selection import Points, default_meters, default_sensors, select_points, thermostat_zones
+from zenostat.models.points.system_sensors import system_sensors
 from zenostat.topics.energyplus_names import (
     COOLING_SETPOINT,
     COOLING_SETPOINT_VARIABLE,
@@ -64,19 +65,33 @@ def with_monitoring(building: Building, available: PointCatalog, points: Points)
     Added are `monitoring_sensors` after the sensors and `monitoring_meters` after the meters; a name that is taken gets
     a number.
     """
+    return _with_added(
+        building, available, points, monitoring_sensors(building, available), monitoring_meters(available)
+    )
+
+
+def with_systems(building: Building, available: PointCatalog, points: Points) -> Points:
+    """Return the points of a run, followed by the unobserved `system_sensors`; none is measured twice."""
+    return _with_added(building, available, points, system_sensors(building, available), {})
+
+
+def _with_added(
+    building: Building,
+    available: PointCatalog,
+    points: Points,
+    more_sensors: Mapping[str, tuple[str, str]],
+    more_meters: Mapping[str, str],
+) -> Points:
+    """Return points followed by unobserved ones, without those that are measured already."""
     taken = {sensor.name for sensor in points.sensors} | {meter.name for meter in points.meters}
     variables = {(_quantity(sensor.variable), sensor.key.casefold()) for sensor in points.sensors}
     measured = {meter.meter.casefold() for meter in points.meters}
     sensors = {
         _free_name(name, taken): (variable, key)
-        for name, (variable, key) in monitoring_sensors(building, available).items()
+        for name, (variable, key) in more_sensors.items()
         if (_quantity(variable), key.casefold()) not in variables
     }
-    meters = {
-        _free_name(name, taken): meter
-        for name, meter in monitoring_meters(available).items()
-        if meter.casefold() not in measured
-    }
+    meters = {_free_name(name, taken): meter for name, meter in more_meters.items() if meter.casefold() not in measured}
     added = select_points(building, available, sensors, meters, {})
     return Points(
         sensors=(*points.sensors, *(sensor.model_copy(update=_UNOBSERVED) for sensor in added.sensors)),

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 import pytest
 
 from zenostat.models.building.conflicts import thermostat_setpoints
 from zenostat.models.building.description import describe_model, file_version
 from zenostat.models.building.model import read_building
+from zenostat.models.building.schematic import systems
 from zenostat.models.building.systems import System, air_loops, plant_loops, zone_equipment
 from zenostat.models.catalog import bundled_buildings, find_building
+from zenostat.topics import codec
+from zenostat.topics.messages import Systems
 
 
 def objects_of(name: str) -> dict[str, dict[str, object]]:
@@ -124,3 +128,73 @@ def test_describe_model__names_programs_that_set_the_same_control() -> None:
     conflicts = [each for each in describe_model(building, "").actuators if each.conflicts]
     assert conflicts
     assert all("EMS program" in each.conflicts[0] for each in conflicts)
+
+
+def on_branches(objects: dict[str, dict[str, Any]], lists: Iterable[object]) -> set[tuple[str, str]]:
+    """Kind and name, case-folded, of all components of the model's own branches that these lists name."""
+    branches = {name.casefold(): fields for name, fields in objects.get("Branch", {}).items()}
+    named = {name.casefold(): fields for name, fields in objects.get("BranchList", {}).items()}
+    return {
+        (part["component_object_type"].casefold(), part["component_name"].casefold())
+        for each in lists
+        for entry in named[str(each).casefold()]["branches"]
+        for part in branches[entry["branch_name"].casefold()]["components"]
+        if not part["component_object_type"].startswith(("Pipe:", "Duct"))
+    }
+
+
+@pytest.mark.parametrize("name", [entry.name for entry in bundled_buildings()])
+def test_schematic__has_each_loop_and_each_component_of_the_model_once(name: str) -> None:
+    objects = objects_of(name)
+    described = systems(objects)
+    kinds = ("AirLoopHVAC", "PlantLoop", "CondenserLoop")
+    assert Counter(loop.kind for loop in described.loops) == Counter(
+        {k: len(objects[k]) for k in kinds if k in objects}
+    )
+    names = Counter((each.kind.casefold(), each.name.casefold()) for each in described.components)
+    assert set(names.values()) <= {1}
+    for loop in described.loops:
+        fields = objects[loop.kind][loop.name]
+        lists = [value for field, value in fields.items() if field.endswith("branch_list_name")]
+        placed = [number for side in loop.sides for stage in side.stages for branch in stage for number in branch]
+        drawn = Counter(described.components[number] for number in placed)
+        assert {(each.kind.casefold(), each.name.casefold()) for each in drawn} == on_branches(objects, lists)
+        assert set(drawn.values()) <= {1}
+    terminals = {
+        (kind.casefold(), name.casefold())
+        for kind, items in objects.items()
+        if kind.startswith("AirTerminal:")
+        for name in items
+    }
+    assert terminals <= set(names)
+    assert codec.decode(Systems, codec.encode(described), "") == described
+
+
+def test_schematic__parallel_chillers_stand_between_the_pump_and_the_outlet() -> None:
+    described = systems(objects_of("ref-large-office"))
+    loop = next(loop for loop in described.loops if loop.name == "CoolSys1")
+    supply, demand = loop.sides
+    kinds = [[[described.components[n].kind for n in branch] for branch in stage] for stage in supply.stages]
+    assert kinds == [
+        [["Pump:VariableSpeed"]],
+        [["Chiller:Electric:ReformulatedEIR"], ["Chiller:Electric:ReformulatedEIR"], []],
+    ]
+    coils = {described.components[n].name for stage in demand.stages for branch in stage for n in branch}
+    assert coils == set(objects_of("ref-large-office")["Coil:Cooling:Water"])
+    on_air_loops = {
+        described.components[n].name
+        for loop in described.loops
+        if loop.kind == "AirLoopHVAC"
+        for stage in loop.sides[0].stages
+        for branch in stage
+        for n in branch
+    }
+    assert coils <= on_air_loops  # each is one component on two loops
+
+
+def test_schematic__pieces_that_the_model_only_names_are_left_out() -> None:
+    fields = {"branch_list_name": "none", "connector_list_name": "none", "demand_side_inlet_node_names": "none"}
+    (loop,) = systems({"AirLoopHVAC": {"Air": fields}}).loops
+    assert loop.sides[0].stages == ()
+    assert loop.zones == ()
+    assert systems({}) == Systems(components=(), loops=())

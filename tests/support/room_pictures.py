@@ -9,7 +9,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import zenostat
 from support.control_room import Visitor, chromium, control_room
-from support.nodes import NodeProgram
+from support.nodes import NodeProgram, until
 from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
 from zenostat.bridge.runtime.affinity import Affinity
 
@@ -85,6 +85,30 @@ def main() -> None:
             page.evaluate("scrollTo(0, document.body.scrollHeight)")
             picture(page, "room-what-if.png")
             until_end.close()
+    systems()
+
+
+def systems() -> None:
+    """The air loop of a storey of a large office, at noon of a summer day."""
+    with tempfile.TemporaryDirectory(prefix="zt-", dir="/tmp") as folder:
+        day = {"building": "office-large", "weather": "USA_CO_Denver", "begin": "07-03", "end": "07-03"}
+        with (
+            NodeProgram(Path(folder) / "node", **day, monitoring=True, systems=True) as node,
+            zenostat.connect(node.endpoint, affinity=Affinity.OFF) as bus,
+            control_room(node.endpoint, operator="ada.lovelace") as room,
+            chromium() as browser,
+        ):
+            bus.pause("office")
+            bus.pace("office", mode="free")
+            bus.step("office", bus.manifest("office").steps // 2)
+            until(lambda: bus.status("office").step[0] == bus.manifest("office").steps // 2, "noon")
+            visitor = Visitor(browser, width=1440)
+            visitor.open(room.link).locator(".card").wait_for()
+            loop = next(n for n, each in enumerate(bus.systems("office").loops) if each.name == "VAV_mid WITH REHEAT")
+            page = visitor.open(f"{room.url}/?node=office&loop={loop}")
+            page.locator(".schematic svg").wait_for()
+            page.wait_for_timeout(1500)
+            page.locator(".systems-panel").screenshot(path=IMAGES / "room-systems.png")
 
 
 if __name__ == "__main__":

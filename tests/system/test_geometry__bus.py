@@ -1,4 +1,4 @@
-"""A node's geometry on the bus: the model's own, while it runs and on branches; and nodes that have none."""
+"""A node's geometry and systems on the bus: the model's own, also on branches; and nodes that have none."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -11,6 +11,7 @@ import zenostat
 from zenostat.models import catalog
 from zenostat.models.building.geometry import building_geometry
 from zenostat.models.building.model import read_building
+from zenostat.models.building.schematic import systems
 from zenostat.models.weather.header import read_header
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import NodeNotFound, RequestRejected
@@ -49,6 +50,10 @@ def test_geometry__bus_has_the_models_geometry(episode_bus: zenostat.Bus, expect
     episode_bus.stop(branch)
 
 
+def test_systems__bus_has_the_models_systems(episode_bus: zenostat.Bus) -> None:
+    assert episode_bus.systems("office") == systems(read_building(catalog.find_building(SMALL["building"])).objects)
+
+
 def test_geometry__node_that_is_not_there_is_named(episode_bus: zenostat.Bus) -> None:
     with pytest.raises(NodeNotFound, match="no node 'offise'"):
         episode_bus.geometry("offise")
@@ -83,3 +88,5 @@ def old_node(episode_bus: zenostat.Bus) -> Iterator[str]:
 def test_geometry__older_node_is_named_with_its_version(episode_bus: zenostat.Bus, old_node: str) -> None:
     with pytest.raises(RequestRejected, match=r"^node 'old' is of Zenostat 0\.1, which does not send a geometry$"):
         episode_bus.geometry(old_node)
+    with pytest.raises(RequestRejected, match="does not send its systems"):
+        episode_bus.systems(old_node)

@@ -47,7 +47,7 @@ def seen(module_scratch: Path) -> Any:
         node_on_bus(module_scratch / "seen", **SMALL, record=str(path)) as (_, bus),
         bus.controller("office", name="rbc") as link,
     ):
-        name, geometry = link.name, bus.geometry("office")
+        name, geometry, systems = link.name, bus.geometry("office"), bus.systems("office")
         for seed, steps in ((1, 30), (2, 5)):
             sample = link.reset(seed=seed)
             for step in range(steps):
@@ -74,7 +74,7 @@ def seen(module_scratch: Path) -> Any:
                 sample = link.receive()
             samples.append(sample.message)
             sources.append(sample.value_source[SETPOINT])
-    return SimpleNamespace(path=path, samples=samples, sources=sources, name=name, geometry=geometry)
+    return SimpleNamespace(path=path, samples=samples, sources=sources, name=name, geometry=geometry, systems=systems)
 
 
 def test_recording__arrays_are_what_the_client_saw(seen: Any) -> None:
@@ -241,6 +241,7 @@ def test_recording__replay_is_the_node_again(seen: Any, session: tuple[zenoh.Ses
         assert bus.latest("office") == received[-1]
         assert bus.scenario("office") == reader.scenario
         assert bus.geometry("office") == seen.geometry
+        assert bus.systems("office") == seen.systems
         with pytest.raises(RequestRejected, match="is the replay of a recording and takes no requests"):
             bus.claim("office", Claim(controller="rbc"))
         with pytest.raises(NameInUse, match="'office' is on this bus already"):

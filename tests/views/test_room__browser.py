@@ -145,6 +145,29 @@ def test_room__floor_plan_and_table_show_the_node_and_the_address_reproduces_it(
     assert page.locator("tr.selected th").inner_text() == "Core"
 
 
+def test_room__schematic_has_the_loops_of_the_model_and_their_values(
+    ada: Visitor, room: Any, bus: zenostat.Bus
+) -> None:
+    page = ada.open(f"{room.url}/?node=office")
+    described = bus.systems("office")
+    page.locator(".schematic svg").wait_for()
+    names = page.locator("#loop option").all_inner_texts()
+    assert names == [loop.name for loop in described.loops]
+    page.locator("#loop").select_option(label="PSZ-AC:1")
+    (served,) = described.loops[names.index("PSZ-AC:1")].zones
+    box = page.locator(".zone-box", has_text="Core")
+    value = f"{bus.read('office')[f'{served.zone.lower()}_air_temperature']:.1f}"
+    assert value in box.get_attribute("aria-label")
+    fan = page.locator(".schematic .box[aria-label^='Fan']").first
+    fan.focus()
+    page.keyboard.press("Enter")
+    page.locator(".component h3", has_text="Fan").wait_for()
+    assert fan.get_attribute("aria-pressed") == "true"
+    page = ada.open(page.url)  # the address has loop and component
+    page.locator(".component h3", has_text="Fan").wait_for()
+    assert page.locator(".schematic svg").get_attribute("aria-label") == "Air loop PSZ-AC:1"
+
+
 def test_room__trends_have_the_history_from_before_the_page(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
     page = ada.open(f"{room.url}/?node=office&trend=core_zn_air_temperature&range=all")
     page.locator(".legend li").first.wait_for()

@@ -11,11 +11,21 @@ from support.builders import actuator, manifest, meter, sensor, view
 pytest.importorskip("starlette")
 
 from zenostat.topics.errors import InvalidConfig, NodeNotFound
-from zenostat.topics.messages import Geometry, SurfaceKind
+from zenostat.topics.messages import (
+    Geometry,
+    LoopSide,
+    ServedZone,
+    SurfaceKind,
+    SystemComponent,
+    SystemLoop,
+    SystemNode,
+    Systems,
+)
 from zenostat.topics.messages.geometry import ZoneGeometry
 from zenostat.views.room.description import describe
 from zenostat.views.room.numbers import number, numbers, to_json
 from zenostat.views.room.operations import read_operation
+from zenostat.views.room.schematic import type_words
 from zenostat.views.room.series import simulated_time
 from zenostat.views.room.state import zone_states
 from zenostat.views.room.storeys import storeys
@@ -42,6 +52,7 @@ def floors(outlines: dict[str, list[tuple[float, float]]], *, unconditioned: tup
     )
 
 
+AIR, WATER = SystemNode(name="Air out", port="air outlet"), SystemNode(name="Water out", port="water outlet")
 RECTANGLE = [(0.0, 0.0), (10.0, 0.0), (10.0, 4.0), (0.0, 4.0)]
 ELL = [(0.0, 0.0), (12.0, 0.0), (12.0, 3.0), (3.0, 3.0), (3.0, 12.0), (0.0, 12.0)]
 
@@ -87,6 +98,58 @@ def test_description__meters_are_shown_as_power_and_points_belong_to_zones() -> 
     assert content["storeys"][0]["zones"][0]["zone"] == 0
     assert describe(of, None).content["storeys"] == []
     to_json(content)
+
+
+def test_schematic__values_of_nodes_and_components_stand_at_their_component() -> None:
+    building = Systems(
+        components=(
+            SystemComponent(kind="Coil:Heating:Water", name="Coil", outlets=(WATER, AIR)),
+            SystemComponent(kind="AirLoopHVAC:UnitarySystem", name="Unit", outlets=(AIR,), parts=(0, 2)),
+            SystemComponent(kind="Fan:OnOff", name="Fan"),
+        ),
+        loops=(
+            SystemLoop(
+                kind="AirLoopHVAC",
+                name="Air",
+                sides=(LoopSide(name="supply", stages=(((1,),),)),),
+                zones=(ServedZone(zone="Room", equipment=(0,)), ServedZone(zone="Plenum")),
+            ),
+        ),
+    )
+    of = manifest(
+        sensors=[
+            sensor("a", "System Node Temperature", key="AIR OUT"),
+            sensor("b", "System Node Mass Flow Rate", key="WATER OUT", unit="kg/s"),
+            sensor("c", "Heating Coil Heating Rate", key="COIL", unit="W"),
+            sensor("d", "Fan Electricity Rate", key="FAN", unit="W"),
+            sensor("room_air_temperature", key="ROOM"),
+        ],
+    )
+    content = describe(of, None, building).content["systems"]
+    coil, unit, fan = content["components"]
+    assert coil["values"] == [(1, "Water mass flow"), (2, "Heating")]
+    assert unit["values"] == [(0, "Temperature")]  # the unit's outlet, not that of its coil
+    assert fan["values"] == [(3, "Electricity")]
+    assert [each["type"] for each in content["components"]] == ["Heating coil, water", "Unitary system", "Fan, on off"]
+    (loop,) = content["loops"]
+    assert loop["sides"] == [{"name": "supply", "stages": [[[1]]]}]
+    assert [zone["zone"] for zone in loop["zones"]] == [0, None]
+    assert describe(of, None).content["systems"] is None
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("AirTerminal:SingleDuct:VAV:Reheat", "VAV terminal, reheat"),
+        ("AirLoopHVAC:OutdoorAirSystem", "Outdoor air system"),
+        ("Coil:Cooling:DX:TwoSpeed", "Cooling coil, DX, two speed"),
+        ("ZoneHVAC:PackagedTerminalAirConditioner", "Packaged terminal air conditioner"),
+        ("Chiller:Electric:ReformulatedEIR", "Chiller, electric, reformulated EIR"),
+        ("AirLoopHVAC", "Air loop HVAC"),
+    ],
+)
+def test_type_words__are_those_of_the_field(kind: str, words: str) -> None:
+    assert type_words(kind) == words
 
 
 def test_zone_states__deviation_has_the_sign_and_color_of_its_side() -> None:

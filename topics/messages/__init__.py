@@ -115,6 +115,14 @@ from zenostat.topics.messages.status import (
     Statistics,
     Status,
 )
+from zenostat.topics.messages.systems import (
+    LoopSide,
+    ServedZone,
+    SystemComponent,
+    SystemLoop,
+    SystemNode,
+    Systems,
+)
 from zenostat.topics.messages.timestep import (
     Batch,
     Command,
@@ -165,6 +173,7 @@ __all__ = [
     "HistorySeries",
     "LatencySummary",
     "Lines",
+    "LoopSide",
     "Manifest",
     "Message",
     "Meter",
@@ -193,6 +202,7 @@ __all__ = [
     "Seed",
     "SemanticModel",
     "Sensor",
+    "ServedZone",
     "SetPace",
     "Shelve",
     "SimulatePlan",
@@ -208,6 +218,10 @@ __all__ = [
     "StopRecording",
     "StreamedMessage",
     "SurfaceKind",
+    "SystemComponent",
+    "SystemLoop",
+    "SystemNode",
+    "Systems",
     "TakeSnapshot",
     "Task",
     "TerminationLimit",

@@ -222,7 +222,7 @@ class PriorityArrays(Message):
 
 
 class Query(Message):
-    """Query of a node's status, scenario, geometry, semantic model or priority arrays.
+    """Query of a node's status, scenario, geometry, semantic model, systems or priority arrays.
 
     `memory`: include each process's private memory in the status.
     """

@@ -9,8 +9,9 @@ from zenostat.metrics.comfort import Comfort
 from zenostat.metrics.labels import point_unit
 from zenostat.metrics.reward_comfort import display_comfort
 from zenostat.metrics.roles import PointRoles, PowerSource, roles
-from zenostat.topics.messages import Actuator, Geometry, Manifest, Meter, Sensor
+from zenostat.topics.messages import Actuator, Geometry, Manifest, Meter, Sensor, Systems
 from zenostat.views.display.colors import hex_color, zone_color
+from zenostat.views.room.schematic import schematic
 from zenostat.views.room.storeys import storeys
 
 _ENERGY_KW = {"J": 1e-3, "kJ": 1.0, "MJ": 1e3, "GJ": 1e6, "Wh": 3.6, "kWh": 3600.0}
@@ -34,8 +35,8 @@ class NodeDescription:
     content: dict[str, Any]
 
 
-def describe(manifest: Manifest, geometry: Geometry | None) -> NodeDescription:
-    """Return the description of a node; without a geometry it has no storeys."""
+def describe(manifest: Manifest, geometry: Geometry | None, systems: Systems | None = None) -> NodeDescription:
+    """Return the description of a node; without a geometry it has no storeys, without systems no schematic."""
     point_roles = roles(manifest)
     comfort = display_comfort(manifest)
     zones = [zone for zone in point_roles.zones if zone.temperature is not None]
@@ -77,6 +78,7 @@ def describe(manifest: Manifest, geometry: Geometry | None) -> NodeDescription:
         "facility": _power(point_roles.facility_power),
         "hvac": _power(point_roles.hvac_power),
         "storeys": storeys(geometry, places) if geometry is not None else [],
+        "systems": schematic(systems, manifest, places) if systems is not None else None,
     }
     return NodeDescription(manifest, point_roles, comfort, content)
 

@@ -12,7 +12,7 @@ from typing import Any
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
-from zenostat.topics.messages import Event, Geometry, Manifest
+from zenostat.topics.messages import Event, Geometry, Manifest, Systems
 from zenostat.topics.points import value_index
 from zenostat.views.room.description import NodeDescription, describe
 from zenostat.views.room.numbers import to_json
@@ -149,12 +149,18 @@ class NodeWatch:
     def _describe(self) -> None:
         manifest = self._bus.manifest(self.node)
         if self.description is None or self.description.manifest != manifest:
-            self.description = describe(manifest, self._geometry(manifest))
+            self.description = describe(manifest, self._geometry(manifest), self._systems(manifest))
 
     def _geometry(self, manifest: Manifest) -> Geometry | None:
         try:
             return self._bus.geometry(manifest.branch_of or manifest.node)
         except ZenostatError:  # a plant without a geometry
+            return None
+
+    def _systems(self, manifest: Manifest) -> Systems | None:
+        try:
+            return self._bus.systems(manifest.branch_of or manifest.node)
+        except ZenostatError:  # a plant without systems
             return None
 
     def _publish(self) -> None:

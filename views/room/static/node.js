@@ -8,6 +8,7 @@ import { AlarmPanel, ControllerPanel, EventPanel, FaultPanel, WhatIfPanel, confi
 import { Plans } from "./plan.js";
 import { PointPanel } from "./point.js";
 import { PointTable, ZoneTable } from "./points.js";
+import { Schematic } from "./schematic.js";
 import { Trends } from "./trends.js";
 import { change, view } from "./view.js";
 
@@ -34,6 +35,7 @@ export class NodePage {
   close() {
     this.isClosed = true;
     this.trends?.close();
+    this.schematic?.close();
     this.drawer?.close();
   }
 
@@ -91,6 +93,7 @@ export class NodePage {
   build() {
     const { description } = this;
     this.trends?.close();
+    this.schematic?.close();
     const select = (zone) => change({ zone, trend: null }, { replace: true });
     this.problem = h("p", { class: "banner problem", role: "alert", hidden: true });
     this.warnings = description.warnings.length ? h("details", { class: "banner" }, h("summary", {}, `${description.warnings.length} warnings of the node`), h("ul", {}, description.warnings.slice(0, 50).map((text) => h("li", {}, text)))) : null;
@@ -126,6 +129,12 @@ export class NodePage {
     this.controllerPanel = new ControllerPanel(bodies.controllers);
     this.faultPanel = new FaultPanel(bodies.faults, this.node, description);
     this.whatIfPanel = new WhatIfPanel(bodies["what-if"], this.node, description);
+    this.schematic = null;
+    if (description.systems?.loops.length || description.systems?.zones.length) {
+      const body = h("div");
+      grid.append(panel("Systems", { class: "panel systems-panel" }, body));
+      this.schematic = new Schematic(body, description);
+    }
     this.onView();
     if (this.state) this.update();
   }
@@ -220,6 +229,7 @@ export class NodePage {
     setAttribute(this.recordButton, "title", isRecording ? `Recording to ${state.recording.path}; stop` : "Record");
     setAttribute(this.recordButton, "aria-pressed", String(Boolean(isRecording)));
     this.plans?.update(state);
+    this.schematic?.update(state);
     this.zoneTable?.update(state);
     this.pointTable.update(state);
     this.alarmPanel.update(state);
@@ -290,6 +300,7 @@ export class NodePage {
     this.tabTabs.show();
     const selected = zone === undefined ? null : Number(zone);
     this.plans?.mark(selected);
+    this.schematic?.onView();
     this.zoneTable?.mark(selected);
     this.trends.onView();
     this.pointTable.mark(this.trends.names());
