@@ -14,7 +14,6 @@ from typing import Any
 from zenostat.models.building.systems import PASSIVE, SIDES, Objects, System, SystemObjects
 from zenostat.topics.messages import LoopSide, ServedZone, SystemComponent, SystemLoop, SystemNode, Systems
 
-_AIR_SIDES = (("supply", "branch_list_name", "connector_list_name"),)
 _INLET = re.compile(r"(?=.*(inlet|outdoor_air_stream|return_air_stream)).*node.*name")
 _OUTLET = re.compile(r"(?=.*(outlet|mixed_air|relief_air_stream)).*node.*name")
 _PORT = re.compile(r"_node.*")
@@ -44,8 +43,8 @@ class _Schematic:
             nodes = self._model.supply_nodes(fields)
             served = [each for each, own in zip(equipment, inlets, strict=True) if own & nodes]
             on_loops.update(served)
-            sides = tuple(self._side(fields, *side) for side in _AIR_SIDES)
-            loops.append(SystemLoop(kind="AirLoopHVAC", name=name, sides=sides, zones=self._zones(served)))
+            supply = self._side(fields, "supply", "branch_list_name", "connector_list_name")
+            loops.append(SystemLoop(kind="AirLoopHVAC", name=name, sides=(supply,), zones=self._zones(served)))
         for kind, sides in SIDES.items():
             for name, fields in self._objects.get(kind, {}).items():
                 drawn = tuple(
@@ -112,8 +111,9 @@ class _Schematic:
 
     def _connectors(self, connector_list: object) -> Iterator[tuple[str, Mapping[str, Any]]]:
         listed = self._model.find("ConnectorList", connector_list) if connector_list else None
-        for number in (1, 2) if listed else ():
-            kind, name = listed[2].get(f"connector_{number}_object_type"), listed[2].get(f"connector_{number}_name")
+        fields = listed[2] if listed is not None else {}
+        for number in (1, 2):
+            kind, name = fields.get(f"connector_{number}_object_type"), fields.get(f"connector_{number}_name")
             connector = self._model.find(str(kind), name) if kind and name else None
             if connector is not None:
                 yield connector[0], connector[2]

@@ -114,8 +114,8 @@ def _node_values(
                         is_clear = side == "outlets" and len(nodes) == 1
                         places.setdefault(node.name.casefold(), (number, "" if is_clear else _port(node)))
     values: dict[int, list[tuple[int, str]]] = defaultdict(list)
-    for node, (number, port) in places.items():
-        for index, point in by_key.get(node, ()):
+    for name, (number, port) in places.items():
+        for index, point in by_key.get(name, ()):
             if _is_of_node(point):
                 text = _quantity(point).removeprefix(_NODE_WORDS)
                 values[number].append((index, _sentence(f"{port} {_short(text)}".strip())))
