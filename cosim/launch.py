@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -12,14 +13,22 @@ from typing import Any
 from zenostat.bridge.client.local_node import LocalNode
 from zenostat.cosim.binding import Binding, bind, is_building
 from zenostat.cosim.coupled import GuardedPlant, RepeatedPlant
-from zenostat.cosim.file import OWN_FIELDS, DistrictFile, OnLost
+from zenostat.cosim.file import OWN_FIELDS, DistrictFile, OnLost, kind_of
 from zenostat.cosim.market import Bids
 from zenostat.cosim.market_plant import MarketPlant, market_manifest
 from zenostat.cosim.node_plant import FoundPlant, NodePlant, StartedPlant
 from zenostat.cosim.topology import Topology, check_file
 from zenostat.topics.calendar import parse_day
-from zenostat.topics.errors import BusError, EngineDied, ForkFailed, InvalidConfig, SimulatorError, UsageError
-from zenostat.topics.messages import Manifest
+from zenostat.topics.errors import (
+    BusError,
+    EngineDied,
+    ForkFailed,
+    InvalidConfig,
+    SimulatorError,
+    UsageError,
+    ZenostatError,
+)
+from zenostat.topics.messages import DistrictMember, Manifest, Systems
 from zenostat.topics.model_file import FileErrors
 
 _DAY_S = 86400.0
@@ -63,6 +72,18 @@ class PlantSet:
             self.close()
             raise
         return binding
+
+    def systems(self) -> Systems:
+        """Return the plants, and the electric grids among them; a node that does not describe its systems has none."""
+        members, grids = [], []
+        for name, plant in self._plants.items():
+            spec = self.file.spec.plants[name]
+            members.append(DistrictMember(name=name, kind=", ".join(kind_of(spec)), node=spec.node or ""))
+            if isinstance(plant, NodePlant):
+                with suppress(ZenostatError):
+                    of_plant = plant.bus.systems(plant.node)
+                    grids += [each.model_copy(update={"prefix": f"{name}.{each.prefix}"}) for each in of_plant.grids]
+        return Systems(members=tuple(members), grids=tuple(grids))
 
     def _open_all(self, settings: Mapping[str, dict[str, Any]]) -> dict[str, Manifest]:
         """Open all plants at the same time; report the errors of all."""

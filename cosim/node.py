@@ -82,7 +82,9 @@ class DistrictNode(Node):
         settings, file = self.settings, self._file
         binding = self._plants.open()
         provenance = Provenance("district", {}, input_files(file))
-        description = describe(binding, settings.name, read_text(file.path), provenance, file.spec.reward)
+        description = describe(
+            binding, settings.name, read_text(file.path), provenance, file.spec.reward, self._plants.systems()
+        )
         if settings.faults is not None:  # so that its errors are reported before the episode begins
             FaultInjection(read_plan(settings.faults), description, settings.slots)
         if settings.alarms is not None:

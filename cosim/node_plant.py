@@ -43,6 +43,11 @@ class NodePlant:
         self._close_bus = ExitStack()
         self.manifest: Manifest
 
+    @property
+    def node(self) -> str:
+        """Name of the node."""
+        return self._node
+
     # The bus of the node
 
     def open_bus(self) -> Bus:

@@ -32,6 +32,7 @@ from zenostat.topics.messages import (
     EpisodeStart,
     Meter,
     Sensor,
+    Systems,
     Task,
     Versions,
 )
@@ -39,7 +40,12 @@ from zenostat.topics.seed_validation import MAX_SEED
 
 
 def describe(
-    binding: Binding, name: str, scenario: str, provenance: Provenance, reward: dict[str, Any] | None = None
+    binding: Binding,
+    name: str,
+    scenario: str,
+    provenance: Provenance,
+    reward: dict[str, Any] | None = None,
+    systems: Systems | None = None,
 ) -> PlantDescription:
     """Return the description of a district: the points of its plants, and its own.
 
@@ -49,6 +55,7 @@ def describe(
         scenario: text of its file.
         provenance: what creates it again.
         reward: of environments; None: there is none.
+        systems: its members and their grids.
     """
     sensors = [*_plant_sensors(binding), *_own_sensors(binding)]
     meters = [
@@ -72,6 +79,7 @@ def describe(
         ),
         without_geometry="a district has no geometry; ask the nodes of its buildings",
         without_semantic="a district has no semantic model; ask the nodes of its buildings",
+        systems=systems,
         provenance=provenance,
     )
 

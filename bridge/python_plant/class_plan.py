@@ -28,8 +28,10 @@ from zenostat.topics.errors import EngineDied, EngineUnresponsive, PlantFailed
 from zenostat.topics.messages import (
     Action,
     Actuator,
+    ElectricGrid,
     Meter,
     Sensor,
+    Systems,
     Task,
     TimeField,
     Versions,
@@ -166,6 +168,7 @@ def _describe(fields: Mapping[str, Any]) -> PlantDescription:
             actions=actions,
             reward=fields["reward"],
         ),
+        systems=Systems(grids=(ElectricGrid.model_validate(fields["diagram"]),)) if fields["diagram"] else None,
         without_geometry=f"the plant {fields['name']!r} is a Python class, which has no geometry",
         without_semantic=f"the plant {fields['name']!r} is a Python class, which has no semantic model",
     )

@@ -16,10 +16,13 @@ from numbers import Real
 from pathlib import Path
 from typing import Any, TypeGuard
 
+from pydantic import ValidationError
+
 from zenostat.bridge.runtime.source_loader import source_spec
+from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, ZenostatError, did_you_mean
 from zenostat.topics.keys import check_name
-from zenostat.topics.messages import TimeField
+from zenostat.topics.messages import ElectricGrid, TimeField
 
 BEGIN = datetime(2001, 1, 1)
 """Default time of sample 0: a Monday, in a year without a leap day."""
@@ -50,6 +53,7 @@ class ClassDescription:
         files: further files that define what is simulated, by role.
         warnings: texts for the manifest.
         begins_alike: whether all episodes begin alike.
+        diagram: fields of `zenostat.topics.messages.ElectricGrid`, of a plant that is an electric grid.
         actions: actuators that are an agent's actions.
         forkable, has_state: whether it can be copied by a fork, or by its state.
         has_close: whether it has something to release at its end.
@@ -72,6 +76,7 @@ class ClassDescription:
     warnings: tuple[str, ...] = ()
     begins_alike: bool = False
     actions: tuple[str, ...] = ()
+    diagram: dict[str, Any] | None = None
 
 
 def split_name(plant: str) -> tuple[str, str]:
@@ -176,7 +181,7 @@ def describe(plant: Any) -> ClassDescription:
     forkable, begins_alike = _flag(plant, "forkable", errors), _flag(plant, "begins_alike", errors)
     actions = _actions(plant, [point.name for point in actuators], errors)
     model_name, warnings, files = _model_name(plant, errors), _warnings(plant, errors), _files(plant, errors)
-    has_state = _check_methods(plant, errors)
+    has_state, diagram = _check_methods(plant, errors), _diagram(plant, errors)
     if errors:
         raise InvalidConfig("\n".join(f"plant {name}: {error}" for error in errors))
     return ClassDescription(
@@ -197,6 +202,7 @@ def describe(plant: Any) -> ClassDescription:
         warnings=warnings,
         begins_alike=begins_alike,
         actions=actions,
+        diagram=diagram,
     )
 
 
@@ -212,6 +218,18 @@ def _actions(plant: Any, actuators: Sequence[str], errors: list[str]) -> tuple[s
         f"actions: no actuator {name!r}; {did_you_mean(name, actuators)}" for name in actions if name not in actuators
     ]
     return tuple(actions)
+
+
+def _diagram(plant: Any, errors: list[str]) -> dict[str, Any] | None:
+    """Return the one-line diagram of a plant that is an electric grid."""
+    diagram = getattr(plant, "diagram", None)
+    if diagram is None:
+        return None
+    try:
+        return ElectricGrid.model_validate(diagram).model_dump()
+    except ValidationError as error:
+        errors.append(f"diagram: {describe_validation_errors(error)}")
+        return None
 
 
 def _flag(plant: Any, name: str, errors: list[str]) -> bool:

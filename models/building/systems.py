@@ -179,7 +179,7 @@ def plant_loops(objects: Objects) -> list[System]:
 
 def economizers(objects: Objects) -> dict[str, System]:
     """Return the outdoor air controller of each air loop that has an economizer, by the loop's name."""
-    model = _Systems(objects)
+    model = SystemObjects(objects)
     controllers = {}
     for name, fields in objects.get("AirLoopHVAC", {}).items():
         for part in model.branches(fields.get("branch_list_name")):

@@ -50,6 +50,7 @@ class GridPlant:
         connected = (grid.loads, grid.pv, grid.batteries, grid.chargers)
         self._network = Network(grid, {name: part.bus for parts in connected for name, part in parts.items()})
         self.sensors = self._sensors()
+        self.diagram = self._diagram()
         self.actuators = self._actuators()
         self.actions = [f"{n}_setpoint" for n in grid.batteries] + [f"{n}_limit" for n in grid.chargers]
         self.actions += [f"{name}_curtailment" for name in grid.pv]
@@ -57,6 +58,31 @@ class GridPlant:
         self._steps = 0
         self._good: dict[str, float] = {}
         self._texts: list[str] = []
+
+    def _diagram(self) -> dict[str, Any]:
+        """Return buses, branches and what is connected, as fields of `zenostat.topics.messages.ElectricGrid`."""
+        grid = self.grid
+        devices: dict[str, Mapping[str, Any]] = {
+            "load": grid.loads,
+            "pv": grid.pv,
+            "battery": grid.batteries,
+            "charger": grid.chargers,
+        }
+        branches: dict[str, Mapping[str, Any]] = {"transformer": grid.transformers, "line": grid.lines}
+        return {
+            "source": grid.source.bus,
+            "buses": list(grid.buses),
+            "branches": [
+                {"name": name, "kind": kind, "start": part.start, "end": part.end}
+                for kind, parts in branches.items()
+                for name, part in parts.items()
+            ],
+            "devices": [
+                {"name": name, "kind": kind, "bus": part.bus}
+                for kind, parts in devices.items()
+                for name, part in parts.items()
+            ],
+        }
 
     def _sensors(self) -> dict[str, tuple[str, float | None, float | None]]:
         grid, free = self.grid, (None, None)

@@ -86,6 +86,29 @@ def main() -> None:
             picture(page, "room-what-if.png")
             until_end.close()
     systems()
+    district()
+
+
+def district() -> None:
+    """The demonstration's district at 13:00 of its first day."""
+    file = Path(__file__).parents[2] / "cosim" / "demo" / "district.yaml"
+    with (
+        tempfile.TemporaryDirectory(prefix="zt-", dir="/tmp") as folder,
+        NodeProgram(Path(folder) / "node", module="zenostat.cosim", district=str(file), name="district") as node,
+        zenostat.connect(node.endpoint, affinity=Affinity.OFF) as bus,
+        control_room(node.endpoint, operator="ada.lovelace") as room,
+        chromium() as browser,
+    ):
+        bus.pause("district")
+        bus.pace("district", mode="free")
+        bus.step("district", 52)
+        until(lambda: bus.status("district").step[0] == 52, "13:00")
+        visitor = Visitor(browser, width=1440)
+        visitor.open(room.link).locator(".card").wait_for()
+        page = visitor.open(f"{room.url}/?node=district")
+        page.locator(".district-panel svg").wait_for()
+        page.wait_for_timeout(1500)
+        page.locator(".district-panel").screenshot(path=IMAGES / "room-district.png")
 
 
 def systems() -> None:

@@ -1,8 +1,6 @@
-"""The HVAC systems of a building: its components, and the loops that connect them."""
+"""The systems of a plant: components and loops of a building, electric grids, and the members of a district."""
 
 from __future__ import annotations
-
-from pydantic import Field
 
 from zenostat.topics.messages.base import Count, Message
 
@@ -59,12 +57,52 @@ class SystemLoop(Message):
     zones: tuple[ServedZone, ...] = ()
 
 
+class GridBranch(Message):
+    """A branch of an electric grid between two buses; `kind`: `line` or `transformer`."""
+
+    name: str
+    kind: str
+    start: str
+    end: str
+
+
+class GridDevice(Message):
+    """What is connected to a bus; `kind`: `load`, `pv`, `battery` or `charger`."""
+
+    name: str
+    kind: str
+    bus: str
+
+
+class ElectricGrid(Message):
+    """An electric grid for a one-line diagram.
+
+    `prefix`: before the names of its points, such as `feeder.` in a district. `source`: the bus of the supply.
+    """
+
+    prefix: str = ""
+    source: str
+    buses: tuple[str, ...]
+    branches: tuple[GridBranch, ...]
+    devices: tuple[GridDevice, ...] = ()
+
+
+class DistrictMember(Message):
+    """A plant of a district; `kind`: `building`, `grid`, `market`, …; `node`: its name on the bus, if it is there."""
+
+    name: str
+    kind: str
+    node: str = ""
+
+
 class Systems(Message):
-    """The systems of a building; a component that is on several loops, such as a water coil, is listed once.
+    """The systems of a plant; a component that is on several loops, such as a water coil, is listed once.
 
     `zones`: zones with equipment that is on no air loop, such as radiators and fan coils.
     """
 
-    components: tuple[SystemComponent, ...]
-    loops: tuple[SystemLoop, ...]
-    zones: tuple[ServedZone, ...] = Field(default=())
+    components: tuple[SystemComponent, ...] = ()
+    loops: tuple[SystemLoop, ...] = ()
+    zones: tuple[ServedZone, ...] = ()
+    grids: tuple[ElectricGrid, ...] = ()
+    members: tuple[DistrictMember, ...] = ()

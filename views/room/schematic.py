@@ -8,6 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from zenostat.topics.messages import Actuator, Manifest, Sensor, ServedZone, SystemNode, Systems
+from zenostat.views.room.district import district
 
 _NODE_WORDS = "System Node "
 _WORD = re.compile(r"(?<=[a-z])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
@@ -25,7 +26,8 @@ def schematic(systems: Systems, manifest: Manifest, zones: Mapping[str, int]) ->
 
     Returns:
         `components`, each with its `type` in words, `kind`, `name`, `parts` and `values`: pairs of a point's index and
-        a short label; `loops` with `sides` and `zones`; and `zones`, those with equipment that is on no air loop.
+        a short label; `loops` with `sides` and `zones`; `zones`, those with equipment that is on no air loop; and what
+        `zenostat.views.room.district.district` returns.
     """
     by_key = _points_by_key(manifest)
     by_component = _node_values(systems, by_key)
@@ -58,7 +60,12 @@ def schematic(systems: Systems, manifest: Manifest, zones: Mapping[str, int]) ->
         }
         for loop in systems.loops
     ]
-    return {"components": components, "loops": loops, "zones": _zones(systems.zones, zones)}
+    return {
+        "components": components,
+        "loops": loops,
+        "zones": _zones(systems.zones, zones),
+        **district(systems, manifest),
+    }
 
 
 def type_words(kind: str) -> str:

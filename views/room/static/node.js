@@ -8,6 +8,7 @@ import { AlarmPanel, ControllerPanel, EventPanel, FaultPanel, WhatIfPanel, confi
 import { Plans } from "./plan.js";
 import { PointPanel } from "./point.js";
 import { PointTable, ZoneTable } from "./points.js";
+import { District } from "./district.js";
 import { Schematic } from "./schematic.js";
 import { Trends } from "./trends.js";
 import { change, view } from "./view.js";
@@ -65,6 +66,8 @@ export class NodePage {
 
   onOverview(nodes) {
     this.entry = nodes.find((entry) => entry.node === this.node) ?? null;
+    this.names = new Set(nodes.map((entry) => entry.node));
+    this.district?.onOverview(this.names);
     if (this.state && this.description) this.showEntry();
     if (!this.entry && !this.description) fill(this.root, h("p", { class: "empty", role: "status" }, `No node ${this.node} is on this bus.`));
   }
@@ -129,6 +132,13 @@ export class NodePage {
     this.controllerPanel = new ControllerPanel(bodies.controllers);
     this.faultPanel = new FaultPanel(bodies.faults, this.node, description);
     this.whatIfPanel = new WhatIfPanel(bodies["what-if"], this.node, description);
+    this.district = null;
+    if (description.systems?.grids.length || description.systems?.members.length) {
+      const body = h("div");
+      grid.prepend(panel(description.systems.members.length ? "District" : "Electric grid", { class: "panel district-panel" }, body));
+      this.district = new District(body, this.node, description);
+      this.district.onOverview(this.names ?? new Set());
+    }
     this.schematic = null;
     if (description.systems?.loops.length || description.systems?.zones.length) {
       const body = h("div");
@@ -230,6 +240,7 @@ export class NodePage {
     setAttribute(this.recordButton, "aria-pressed", String(Boolean(isRecording)));
     this.plans?.update(state);
     this.schematic?.update(state);
+    this.district?.update(state);
     this.zoneTable?.update(state);
     this.pointTable.update(state);
     this.alarmPanel.update(state);
