@@ -114,7 +114,7 @@ def district() -> None:
 def systems() -> None:
     """The air loop of a storey of a large office, at noon of a summer day."""
     with tempfile.TemporaryDirectory(prefix="zt-", dir="/tmp") as folder:
-        day = {"building": "office-large", "weather": "USA_CO_Denver", "begin": "07-03", "end": "07-03"}
+        day: dict[str, Any] = {"building": "office-large", "weather": "USA_CO_Denver", "begin": "07-03", "end": "07-03"}
         with (
             NodeProgram(Path(folder) / "node", **day, monitoring=True, systems=True) as node,
             zenostat.connect(node.endpoint, affinity=Affinity.OFF) as bus,

@@ -67,7 +67,7 @@ class GridBranch(Message):
 
 
 class GridDevice(Message):
-    """What is connected to a bus; `kind`: `load`, `pv`, `battery` or `charger`."""
+    """A device that is connected to a bus; `kind`: `load`, `pv`, `battery` or `charger`."""
 
     name: str
     kind: str
