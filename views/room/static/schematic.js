@@ -96,7 +96,7 @@ export class Schematic {
   draw() {
     this.width = this.drawing.clientWidth;
     if (!this.width || this.shown === undefined) return;
-    const width = Math.max(260, this.width);
+    const width = Math.max(260, this.width - 6);  // without the padding
     const size = Math.min(206, width < 420 ? width - 110 : 204);
     const branches = (list) => list.map((branch) => branch.map((number) => this.box(number, size)));
     const zones = (list) => list.map((zone) => [...zone.equipment.map((number) => this.box(number, size)), this.zoneBox(zone, size)]);
