@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
     from zenostat import Bus, ControllerLink
     from zenostat.agent_sdk.controllers import Agent
+    from zenostat.agent_sdk.semantic import SemanticGraph
     from zenostat.cli.run_trace import RunTrace
     from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 
@@ -76,7 +77,7 @@ def run(
     arguments = _with_seed(factory, read_parameters(parameters or []), seed, starts_episode, controller)
     name = safe_name(controller.rpartition(":")[2])
     with options.open_bus(resets=starts_episode) as bus:
-        agent = Agent(make_controller(factory, bus.manifest(node), arguments))
+        agent = Agent(make_controller(factory, bus.manifest(node), arguments), semantic=lambda: _semantic(bus, node))
         results: dict[str, tuple[EpisodeMetrics, float]] = {}
         trace = _trace(bus, node, controller, rates) if outputs.wanted else None
         with bus.controller(node, name=name, priority=priority) as link, progress() as bars:
@@ -95,6 +96,12 @@ def run(
     out.print(f"{node}: {episodes} episode{'s' if episodes > 1 else ''} controlled by {controller}")
     show_results(results, ", ".join(filter(None, (link.manifest.building, link.manifest.weather))))
     outputs.show()
+
+
+def _semantic(bus: Bus, node: str) -> SemanticGraph:
+    from zenostat.agent_sdk import semantic  # needs rdflib
+
+    return semantic.read(bus, node)
 
 
 def _trace(bus: Bus, node: str, controller: str, rates: tuple[Any, Any]) -> RunTrace:

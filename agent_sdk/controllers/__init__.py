@@ -9,6 +9,7 @@ from zenostat.agent_sdk.controllers.loader import CONTROLLERS, load_controller
 from zenostat.agent_sdk.controllers.oracle import OracleController
 from zenostat.agent_sdk.controllers.parameters import make_controller
 from zenostat.agent_sdk.controllers.pid import PIDController
+from zenostat.agent_sdk.controllers.portable import PortableDemandLimit, PortableSetback
 from zenostat.agent_sdk.controllers.random_control import RandomController
 from zenostat.agent_sdk.controllers.rule_based import RuleBasedController
 from zenostat.agent_sdk.controllers.setback import ScheduledSetback
@@ -23,6 +24,8 @@ CONTROLLERS |= {
     "pid": PIDController,
     "oracle": OracleController,
     "coordinator": DistrictCoordinator,
+    "portable-setback": PortableSetback,
+    "portable-limit": PortableDemandLimit,
 }
 
 __all__ = [
@@ -36,6 +39,8 @@ __all__ = [
     "IncrementalRules",
     "OracleController",
     "PIDController",
+    "PortableDemandLimit",
+    "PortableSetback",
     "RandomController",
     "RuleBasedController",
     "ScheduledSetback",

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import numpy as np
 
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, role_of
-from zenostat.agent_sdk.controllers.base import ControllerProtocol, Planner, PlanningController, Values
+from zenostat.agent_sdk.controllers.base import (
+    ControllerProtocol,
+    Finder,
+    Planner,
+    PlanningController,
+    PortableController,
+    Values,
+)
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidAction, InvalidConfig, did_you_mean
 from zenostat.topics.messages import Action, DiscreteAction, Manifest
@@ -26,12 +34,19 @@ class Agent:
         controller: a `Controller`, or anything that has `act(sample)`; its `begin(sample)`, if any, is called at the
             start of each episode.
         planner: the environment that the controller acts in; only a controller that plans, such as `oracle`, needs it.
+        semantic: reads the building's semantic model; only a controller that asks it, such as `portable-setback`, needs
+            it.
 
     Raises:
-        InvalidConfig: the controller plans, and there is no planner.
+        InvalidConfig: the controller plans, and there is no planner; or it asks the semantic model, and there is none.
     """
 
-    def __init__(self, controller: ControllerProtocol, planner: Planner | None = None) -> None:
+    def __init__(
+        self,
+        controller: ControllerProtocol,
+        planner: Planner | None = None,
+        semantic: Callable[[], Finder] | None = None,
+    ) -> None:
         self.controller = controller
         if isinstance(controller, PlanningController):
             if planner is None:
@@ -40,6 +55,13 @@ class Agent:
                     "zenostat evaluate, or as Agent(controller, env.unwrapped)"
                 )
             controller.attach(planner)
+        if isinstance(controller, PortableController):
+            if semantic is None:
+                raise ControllerMismatch(
+                    f"{type(controller).__name__} asks a node for its semantic model, and commands single points: use "
+                    "it in zenostat run"
+                )
+            controller.use_model(semantic())
         self._episode: int | None = None
         self._commanded: Values = {}
 

@@ -55,6 +55,21 @@ class PlanningController(ControllerProtocol, Protocol):
         """Use this environment for the plans of the samples that follow."""
 
 
+class Finder(Protocol):
+    """A semantic model that can be asked for points; `zenostat.semantic.SemanticGraph` is one."""
+
+    def find(self, pattern: str) -> Sequence[Any]:
+        """Return points with `name` and `place`; see `zenostat.semantic.PATTERNS`."""
+
+
+@runtime_checkable
+class PortableController(ControllerProtocol, Protocol):
+    """A controller that asks the semantic model of its building for the points that it needs."""
+
+    def use_model(self, model: Finder) -> None:
+        """Find the points of the building; called once, before the first sample."""
+
+
 class Controller(ABC):
     """Base class of controllers of one node.
 

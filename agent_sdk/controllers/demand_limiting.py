@@ -33,13 +33,15 @@ class DemandLimiter:
         limit_kw: limit, kW; the threshold of the reward's demand charge if that is higher.
         start: share of the limit at which the adjustment begins, 0 to 1.
         greatest_k: greatest adjustment of any setpoint, K.
+        meter: name of the building's electricity meter; empty: that of the reward, or of the manifest.
 
     Raises:
         ControllerMismatch: neither the task's reward nor a meter measures the building's electricity.
     """
 
-    def __init__(self, manifest: Manifest, limit_kw: float, start: float, greatest_k: float) -> None:
-        self._meter, threshold_kw = _demand_meter(manifest)
+    def __init__(self, manifest: Manifest, limit_kw: float, start: float, greatest_k: float, meter: str = "") -> None:
+        measured = (EnergyMeter("portable-limit", [meter], manifest), 0.0) if meter else _demand_meter(manifest)
+        self._meter, threshold_kw = measured
         self._limit_kw, self._start = max(limit_kw, threshold_kw), start
         self._recovery = RECOVERY_K_PER_H * manifest.step_s / 3600.0 / greatest_k
         self.begin()

@@ -204,7 +204,11 @@ SITE = node(
 )
 
 
-@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"baseline", "coordinator", "oracle", "pid"}))
+PORTABLE = ("portable-limit", "portable-setback")
+"""Controllers that need a semantic model."""
+
+
+@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"baseline", "coordinator", "oracle", "pid", *PORTABLE}))
 @given(
     samples=st.lists(
         st.tuples(

@@ -179,6 +179,8 @@ def test_controllers__short_names() -> None:
         "oracle",
         "pid",
         "coordinator",
+        "portable-limit",
+        "portable-setback",
     }
     assert load_controller("rbc") is RuleBasedController
     assert all(issubclass(controller, Controller) for controller in CONTROLLERS.values())
