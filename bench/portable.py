@@ -1,7 +1,7 @@
 """Portable controllers on many buildings: savings against the building's own control, and what each building lacks.
 
-python -m bench.portable run results.json       # simulate; buildings that the file has already are kept
-python -m bench.portable table results.json     # show it, and write it into docs/semantic.md
+python -m bench.portable run RESULTS.json       # simulate; buildings that the file has already are kept
+python -m bench.portable table RESULTS.json     # show it, and write it into docs/semantic.md
 """
 
 from __future__ import annotations
@@ -105,7 +105,8 @@ def rows(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
 
 
 def _saving(own: float, value: float) -> str:
-    return f"{100.0 * (own - value) / own:.1f}" if own else "0.0"
+    saved = round(100.0 * (own - value) / own, 1) if own else 0.0
+    return f"{saved + 0.0:.1f}"  # no negative zero
 
 
 COLUMNS = (
