@@ -29,7 +29,7 @@ BUILDINGS = (
     "ref-full-service-restaurant", "ref-stand-alone-retail", "ref-strip-mall", "ref-super-market", "ref-medium-office",
     "ref-large-office", "school-primary", "ref-primary-school", "hotel-large", "ref-large-hotel",
 )  # fmt: skip
-"""Twenty of the bundled buildings, so that the whole run takes minutes."""
+"""Twenty of the bundled buildings, small ones first."""
 
 WEATHER, BEGIN, END = "USA_CO_Denver", "07-05", "07-06"
 """Two weekdays; on the first one the controllers learn the building's own setpoints and arrival times."""
