@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from time import monotonic
@@ -25,11 +25,12 @@ from zenostat.bridge.exchange.step_exchange import IllegalTransition, Trigger
 from zenostat.bridge.node.branches import Snapshot
 from zenostat.bridge.node.fault_injection import NO_FAULTS
 from zenostat.bridge.node.plant import Plant, RepeatablePlant
+from zenostat.bridge.python_plant.shipped import PANDAPOWER, shipped_option
 from zenostat.bridge.recording.continuation import read_written
 from zenostat.bridge.recording.file import changed_files, open_written
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
 from zenostat.bridge.recording.written import Written
-from zenostat.topics import codec, keys
+from zenostat.topics import codec, keys, yaml12
 from zenostat.topics.alarm_rules import AlarmRules
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import BadMessage, EpisodeAborted, InvalidConfig, InvalidRecording, RequestRejected
@@ -69,6 +70,9 @@ if TYPE_CHECKING:
 _COMMAND, _ACTUATOR, _REQUEST = "command", "actuator", "rpc"
 _ERROR, _RECORDED_REQUEST = codec.encoding(ErrorReply), codec.encoding(RecordedRequest)
 _FIXED = ("node", "slots", "baseline", "policy", "grace_s", "deadline_s", "begin", "end", "step_s", "steps")
+_PATHS = ("building", "weather")
+"""Settings of a provenance that are there only if they are paths."""
+
 _LOOK_AHEAD = 2
 _DAMAGE = (BadMessage, IllegalTransition, InvalidConfig, RequestRejected, LookupError, TypeError, ValueError)
 """Errors of the rules for messages that no node would have recorded."""
@@ -206,16 +210,19 @@ class Resumption:
         plant.start(record.slots)
 
     def _check_provenance(self, plant: Plant) -> None:
+        """Raise `InvalidRecording` if a plant is not the recorded one; its files may be in other folders."""
         present, recorded = plant.description.provenance, self.reader.provenance
-        texts = []
+        settings = recorded.get("settings")
+        settings = settings if isinstance(settings, dict) else {}
         if present.kind != recorded.get("kind"):
-            texts.append(f"it recorded a plant of the kind {recorded.get('kind')!r}, not {present.kind!r}")
-        elif plant.description.scenario != self.reader.scenario:
-            texts.append("the scenario is another one")
-        elif dict(present.settings) != recorded.get("settings"):
-            texts.append(f"its settings are {recorded.get('settings')}, not {dict(present.settings)}")
-        if texts:
-            raise self._error("; ".join(texts))
+            raise self._error(f"it recorded a plant of the kind {recorded.get('kind')!r}, not {present.kind!r}")
+        paths = [name for name in _PATHS if name in settings and name in present.settings]
+        scenarios = (self._scenario(text, paths) for text in (self.reader.scenario, plant.description.scenario))
+        if len({repr(scenario) for scenario in scenarios}) > 1:
+            raise self._error("the scenario is another one")
+        ours, theirs = _without_paths(present.settings), _without_paths(settings)
+        if ours != theirs:
+            raise self._error(f"its settings are {theirs}, not {ours}")
         files = recorded.get("files")
         entries = files.items() if isinstance(files, dict) else ()
         digests = {role: str(entry.get("sha256")) for role, entry in entries if isinstance(entry, dict)}
@@ -224,6 +231,11 @@ class Resumption:
         )
         if changes:
             raise self._error("; ".join(changes))
+
+    def _scenario(self, text: str, paths: Sequence[str]) -> dict[str, Any]:
+        """Return the fields of a scenario without those that are paths."""
+        fields = yaml12.parse(text, "its scenario") if text else {}
+        return {name: value for name, value in fields.items() if name not in paths}
 
     def check(self, manifest: Manifest) -> None:
         """Raise `InvalidRecording` if the new node's settings or points are not those of the ended one."""
@@ -489,6 +501,18 @@ class Resumption:
             revoke(exchange, name)
         elif event.kind is EventKind.FAILED:
             exchange.transition(Trigger.FAIL)
+
+
+def _without_paths(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the settings of a provenance without the folders of the files, whose digests are compared."""
+    compared = {name: value for name, value in settings.items() if name not in _PATHS}
+    if isinstance(plant := compared.get("plant"), str):
+        compared["plant"] = plant.rpartition("/")[2]
+        arguments = compared.get("plant_arguments")
+        file = arguments.get("file") if isinstance(arguments, dict) else None
+        if shipped_option(plant) is not None and isinstance(file, str) and not file.startswith(PANDAPOWER):
+            compared["plant_arguments"] = {**compared["plant_arguments"], "file": Path(file).name}
+    return compared
 
 
 def _name(topic: keys.Topic) -> str:

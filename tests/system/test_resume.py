@@ -23,6 +23,7 @@ from zenostat.bridge.recording.continuation import MAX_DROPPED
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.eplus_node.verify_recording import verify
+from zenostat.models.catalog import find_building
 from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig, InvalidRecording, PlantFailed, RequestRejected
 from zenostat.topics.messages import Claim, ControllerState, EventKind, State
@@ -289,6 +290,30 @@ def test_resume__python_class_goes_on(scratch: Path, tank: dict[str, Any]) -> No
         assert bus.status("tank").step == [40]
         assert levels(bus, 60) == expected[40:]
     assert verify(path, plant=tank["plant"]).passed
+    (scratch / "elsewhere").mkdir()
+    (scratch / "tank.py").rename(scratch / "elsewhere" / "tank.py")
+    moved = {**tank, "plant": f"{scratch}/elsewhere/tank.py:Tank"}
+    with node_on_bus(scratch / "third", **moved, resume=str(path)) as (_, bus):
+        assert bus.status("tank").step == [60]
+
+
+@pytest.mark.slow
+def test_resume__model_may_be_in_another_folder(scratch: Path, settings: dict[str, Any]) -> None:
+    path, first, second = scratch / "run.mcap", scratch / "first.idf", scratch / "second.idf"
+    first.write_bytes(find_building("ref-small-office").path.read_bytes())
+    with (
+        node_on_bus(scratch / "first", **{**settings, "building": str(first)}, record=str(path)) as (node, bus),
+        Day(bus) as day,
+    ):
+        day.play(10)
+        until(lambda: (1, 10) in samples(path), "it is recorded")
+        node.kill()
+    first.rename(second)
+    with node_on_bus(scratch / "second", **{**settings, "building": str(second)}, resume=str(path)) as (_, bus):
+        assert bus.status("office").step == [10]
+    second.write_bytes(second.read_bytes().replace(b"10.76", b"10.75"))
+    with pytest.raises(InvalidRecording, match=r"the model .*second\.idf has changed"):
+        NodeProgram(scratch / "third", **{**settings, "building": str(second)}, resume=str(path))
 
 
 @pytest.mark.slow
