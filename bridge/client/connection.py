@@ -280,12 +280,7 @@ class Connection:
         Raises:
             RequestRejected: Its plant has no semantic model, or its version of Zenostat does not send it.
         """
-        try:
-            return self.ask(keys.SEMANTIC, node, Query(), SemanticModel).text
-        except NodeNotFound:
-            version = self.manifest(node).versions.zenostat
-            text = f"node {node!r} is of Zenostat {version}, which does not send a semantic model"
-            raise RequestRejected(text) from None
+        return self._ask_since(keys.SEMANTIC, node, SemanticModel, "a semantic model").text
 
     def scenario(self, node: str) -> str:
         """Return the scenario that a node simulates, as the text of a scenario file (YAML)."""
