@@ -5,13 +5,11 @@ A recording is data of anybody, and nothing that it names is read or run: the us
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 from zenostat.bridge.node.plant import Provenance
-from zenostat.bridge.recording.file import changed_files
+from zenostat.bridge.recording.file import changed_files, recorded_digests
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.recording.verification import Progress, Verification, Verifier
 from zenostat.bridge.runtime.scratch import Scratch, sweep
@@ -75,15 +73,8 @@ def _changes(reader: RecordingReader, file: DistrictFile, *, exact: bool) -> lis
     """Return a text for each file whose content is not the recorded one; raise if exact."""
     return changed_files(
         reader.path,
-        _digests(reader.provenance),
+        recorded_digests(reader.provenance),
         input_files(file),
         exact=exact,
         missing=lambda role: f"the {role} of the recording is not in {file.path}",
     )
-
-
-def _digests(provenance: Mapping[str, Any]) -> dict[str, str]:
-    files = provenance.get("files")
-    if not isinstance(files, dict):
-        return {}
-    return {str(role): str(entry.get("sha256")) for role, entry in files.items() if isinstance(entry, dict)}

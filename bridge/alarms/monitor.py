@@ -68,7 +68,7 @@ class AlarmMonitor:
         slots: number of slots.
 
     Attributes:
-        rules: as they were given.
+        rules: the alarm rules of the node.
 
     Raises:
         InvalidConfig: see `point_alarms`.

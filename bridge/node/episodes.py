@@ -176,12 +176,7 @@ class EpisodeManager:
         server.exchange.ready(monotonic(), steps, commands)
         server.begin_episodes([*steps], seeds)
         previous = server.manifest
-        if faults is not None:
-            server.inject(faults[0])
-            if server.injection is not None:
-                server.injection.restore(faults)
-        if alarms is not None and server.alarms is not None:
-            server.alarms.restore(alarms)
+        server.restore(faults, alarms)
         site = self._plant.site(0)
         if previous.weather != site.weather:
             server.describe(site_fields(site))

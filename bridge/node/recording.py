@@ -32,7 +32,7 @@ from zenostat.topics.recording import (
 
 if TYPE_CHECKING:
     from zenostat.bridge.node.server import NodeServer
-    from zenostat.bridge.recording.recorder import Recorder
+    from zenostat.bridge.recording.recorder import Attachments, Recorder
     from zenostat.bridge.recording.written import Written
 
 
@@ -73,41 +73,33 @@ class RecordingManager:
             InvalidConfig: the file exists, or cannot be created; or the libraries are missing.
         """
         from zenostat.bridge.recording.file import open_recording  # few nodes record
-        from zenostat.bridge.recording.recorder import Recorder, attachments
+        from zenostat.bridge.recording.recorder import attachments
 
-        server, description = self._server, self._plant.description
-        manifest, geometry = server.manifest, located_geometry(self._plant)
-        recorder = Recorder(
-            open_recording(path, overwrite=overwrite),
-            path,
-            manifest.node,
-            lambda: attachments(manifest, description, geometry),
-            on_full=on_full,
-            on_stopped=lambda reason: server.subscriptions.post(lambda: self._on_stopped(recorder, reason)),
-            cpus=self._cpus,
-        )
-        self._record(recorder)
+        manifest, description, geometry = self._server.manifest, self._plant.description, located_geometry(self._plant)
+        descriptor = open_recording(path, overwrite=overwrite)
+        self._record(descriptor, path, lambda: attachments(manifest, description, geometry), on_full)
         self._publish(f"recording to {path}", source)
 
     def go_on(self, descriptor: int, written: Written, *, on_full: OnFull = OnFull.WAIT) -> None:
         """Append to a recording from now on; the recorder closes the descriptor."""
+        self._record(descriptor, written.path, dict, on_full, written)
+
+    def _record(
+        self, descriptor: int, path: Path, contents: Attachments, on_full: OnFull, written: Written | None = None
+    ) -> None:
         from zenostat.bridge.recording.recorder import Recorder
 
         server = self._server
         recorder = Recorder(
             descriptor,
-            written.path,
+            path,
             server.manifest.node,
-            dict,
+            contents,
             on_full=on_full,
             on_stopped=lambda reason: server.subscriptions.post(lambda: self._on_stopped(recorder, reason)),
             cpus=self._cpus,
             written=written,
         )
-        self._record(recorder)
-
-    def _record(self, recorder: Recorder) -> None:
-        server = self._server
         recorder.is_ending = lambda: server.stopping
         recorder.record(MANIFESTS, server.manifest)
         self._recorder, self._created, self._status = recorder, recorder, recorder.status

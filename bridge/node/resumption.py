@@ -1,7 +1,7 @@
 """Bring a new node to the last complete timestep of a recording: what the ended node received is applied again.
 
 The plant receives the recorded orders, and the rules of the exchange the recorded messages. Both have to agree: an
-order that the rules would not have given, or a sample that is not equal to the bit, is an error, and nothing starts.
+order that does not follow from the rules, or a sample that is not equal to the bit, is an error, and nothing starts.
 Only the present episodes are simulated, from the last start of episodes in all slots.
 """
 
@@ -27,8 +27,9 @@ from zenostat.bridge.node.fault_injection import NO_FAULTS
 from zenostat.bridge.node.plant import Plant, RepeatablePlant
 from zenostat.bridge.python_plant.shipped import PANDAPOWER, shipped_option
 from zenostat.bridge.recording.continuation import read_written
-from zenostat.bridge.recording.file import changed_files, open_written
+from zenostat.bridge.recording.file import changed_files, open_written, recorded_digests
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
+from zenostat.bridge.recording.verification import equal_bits
 from zenostat.bridge.recording.written import Written
 from zenostat.topics import codec, keys, yaml12
 from zenostat.topics.alarm_rules import AlarmRules
@@ -67,7 +68,7 @@ from zenostat.topics.recording import (
 if TYPE_CHECKING:
     from zenostat.bridge.node.server import NodeServer
 
-_COMMAND, _ACTUATOR, _REQUEST = "command", "actuator", "rpc"
+_COMMAND, _ACTUATOR = "command", "actuator"
 _ERROR, _RECORDED_REQUEST = codec.encoding(ErrorReply), codec.encoding(RecordedRequest)
 _FIXED = ("node", "slots", "baseline", "policy", "grace_s", "deadline_s", "begin", "end", "step_s", "steps")
 _PATHS = ("building", "weather")
@@ -223,11 +224,12 @@ class Resumption:
         ours, theirs = _without_paths(present.settings), _without_paths(settings)
         if ours != theirs:
             raise self._error(f"its settings are {theirs}, not {ours}")
-        files = recorded.get("files")
-        entries = files.items() if isinstance(files, dict) else ()
-        digests = {role: str(entry.get("sha256")) for role, entry in entries if isinstance(entry, dict)}
         changes = changed_files(
-            self.path, digests, present.files, exact=False, missing=lambda role: f"the {role} is missing"
+            self.path,
+            recorded_digests(recorded),
+            present.files,
+            exact=False,
+            missing=lambda role: f"the {role} is missing",
         )
         if changes:
             raise self._error("; ".join(changes))
@@ -355,12 +357,7 @@ class Resumption:
         plant.clean_up()
         exchange.ready(now_s, dict(enumerate(snapshot.step)), snapshot.commands)
         server.begin_episodes([*range(exchange.slots)], [None] * exchange.slots)
-        faults = snapshot.faults or NO_FAULTS
-        server.inject(faults[0])
-        if server.injection is not None:
-            server.injection.restore(faults)
-        if snapshot.alarms is not None and server.alarms is not None:
-            server.alarms.restore(snapshot.alarms)
+        server.restore(snapshot.faults or NO_FAULTS, snapshot.alarms)
 
     def _on_snapshot(self, record: RecordedSnapshot) -> None:
         if record.snapshot not in self._uses:
@@ -403,7 +400,7 @@ class Resumption:
         step, commands = exchange.step, exchange.begin_step(now_s)
         if server.injection is not None:
             commands = server.injection.apply_to_commands(commands, exchange.step)
-        if not _is_equal(commands, order.values) or [*exchange.active_slots] != [*order.slots]:
+        if not _is_same_order(commands, order.values) or [*exchange.active_slots] != [*order.slots]:
             raise self._error(
                 f"its messages up to step {step[0]} do not lead to the order that it recorded, for instance because a "
                 "fault of the link delayed a command"
@@ -565,12 +562,8 @@ def _is_rejected(sender: str, following: list[RecordedItem]) -> bool:
     return not is_of_request
 
 
-def _is_equal(left: bytes, right: bytes) -> bool:
-    """Return whether values are equal to the bit; any NaN is equal to any other, since both relinquish."""
-    if left == right:
-        return True
-    ours, theirs = np.frombuffer(left), np.frombuffer(right)
-    if ours.shape != theirs.shape:
-        return False
-    is_equal = (ours.view(np.uint64) == theirs.view(np.uint64)) | (np.isnan(ours) & np.isnan(theirs))
-    return bool(is_equal.all())
+def _is_same_order(left: bytes, right: bytes) -> bool:
+    """Return whether two orders are equal to the bit; any NaN is equal to any other, since both relinquish."""
+    return left == right or (
+        len(left) == len(right) and bool(equal_bits(np.frombuffer(left), np.frombuffer(right)).all())
+    )

@@ -19,7 +19,7 @@ import zenoh
 from zenostat.bridge.exchange.latency import LatencyWindow
 from zenostat.bridge.exchange.revocation import revoke
 from zenostat.bridge.exchange.step_exchange import StepExchange, Trigger
-from zenostat.bridge.node.fault_injection import FaultInjection
+from zenostat.bridge.node.fault_injection import FaultInjection, FaultState
 from zenostat.bridge.node.history import History
 from zenostat.bridge.node.pacing import Pacing
 from zenostat.bridge.node.plant import RunningPlant, WarningPlant
@@ -37,7 +37,7 @@ from zenostat.topics.messages import Event, EventKind, Manifest, Mode, Query, Sa
 from zenostat.topics.way_in import ZENOH
 
 if TYPE_CHECKING:
-    from zenostat.bridge.alarms.monitor import AlarmMonitor
+    from zenostat.bridge.alarms.monitor import AlarmMonitor, AlarmSnapshot
     from zenostat.bridge.node.access import Access
     from zenostat.bridge.recording.recorder import Recorder
 
@@ -273,10 +273,7 @@ class NodeServer:
     def publish(self) -> None:
         """Publish the present sample."""
         exchange, plant, injection = self.exchange, self.plant, self.injection
-        values, fault_free_values = plant.values(), b""
-        if injection is not None:
-            fault_free_values, values = values, injection.apply_to_sensors(values, exchange.step)
-        self.latest_sample = self.samples.encode(exchange, values, fault_free_values)
+        values = self._encode_sample()
         if injection is None:
             self.publications.sample(self.latest_sample)
         else:
@@ -299,14 +296,11 @@ class NodeServer:
 
     def repeat_sample(self) -> bytes:
         """Take the present sample as `publish` does, but publish nothing; return it encoded."""
-        exchange, plant, injection = self.exchange, self.plant, self.injection
-        values, fault_free_values = plant.values(), b""
-        if injection is not None:
-            fault_free_values, values = values, injection.apply_to_sensors(values, exchange.step)
-            injection.drain_transitions()
-        self.latest_sample = self.samples.encode(exchange, values, fault_free_values)
+        exchange, values = self.exchange, self._encode_sample()
+        if self.injection is not None:
+            self.injection.drain_transitions()
         if self.history is not None:
-            self.history.add(values, plant.effective, exchange.episode, exchange.step)
+            self.history.add(values, self.plant.effective, exchange.episode, exchange.step)
         if self.alarms is not None:
             self.alarms.update(values, exchange.episode, exchange.step)
         if self._warnings is not None:
@@ -333,6 +327,14 @@ class NodeServer:
         self.event(exchange.event(EventKind.RESUMED, text))
         for name in [*exchange.claims.by_name]:
             self.on_disconnect(name)
+
+    def _encode_sample(self) -> bytes:
+        """Encode the present sample as the latest one; return its values."""
+        values, fault_free_values = self.plant.values(), b""
+        if self.injection is not None:
+            fault_free_values, values = values, self.injection.apply_to_sensors(values, self.exchange.step)
+        self.latest_sample = self.samples.encode(self.exchange, values, fault_free_values)
+        return values
 
     def _publish_with_faults(self, injection: FaultInjection) -> None:
         payload, now_s = self.latest_sample, monotonic()
@@ -419,6 +421,15 @@ class NodeServer:
             self.injection.remember_commands(self._last_commands)
         if self.manifest.faults_injected != (self.injection is not None):
             self.describe({"faults_injected": self.injection is not None})
+
+    def restore(self, faults: FaultState | None, alarms: AlarmSnapshot | None) -> None:
+        """Restore the faults and the alarms of a snapshot; None leaves the present ones."""
+        if faults is not None:
+            self.inject(faults[0])
+            if self.injection is not None:
+                self.injection.restore(faults)
+        if alarms is not None and self.alarms is not None:
+            self.alarms.restore(alarms)
 
     def cancel_step(self) -> None:
         """Interrupt the plant if it is computing; thread-safe."""

@@ -12,6 +12,7 @@ import stat
 from collections.abc import Callable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.extras import requires_extra
@@ -179,6 +180,14 @@ def _exists(path: Path) -> str:
         f"{path} exists; choose another name, or a folder, in which each run has a file of its own, or replace it "
         "(--overwrite, Bus.record(..., overwrite=True))"
     )
+
+
+def recorded_digests(provenance: Mapping[str, Any]) -> dict[str, str]:
+    """Return the digests of the files of a recorded provenance, which may be anybody's, by their roles."""
+    files = provenance.get("files")
+    if not isinstance(files, dict):
+        return {}
+    return {str(role): str(entry.get("sha256")) for role, entry in files.items() if isinstance(entry, dict)}
 
 
 def changed_files(

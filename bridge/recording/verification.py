@@ -374,7 +374,7 @@ class Verifier:
             return
         theirs = np.frombuffer(recorded).reshape(self._slots, columns.recorded_width)[:, columns.theirs]
         ours = np.frombuffer(present).reshape(self._slots, columns.width)[:, columns.ours]
-        is_equal = (theirs.view(np.uint64) == ours.view(np.uint64)) | (np.isnan(theirs) & np.isnan(ours))
+        is_equal = equal_bits(theirs, ours)
         is_equal[~np.array(self._known)] = True
         if is_equal.all():
             return
@@ -405,6 +405,12 @@ class Verifier:
         if self.result.difference is None:
             episode, step, time = sample["episode"][slot], sample["step"][slot], replace_controls(sample["time"][slot])
             self.result.difference = Difference(episode, slot, step, time, name, recorded, present)
+
+
+def equal_bits(left: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which values of two arrays of one shape are equal to the bit; any NaN is equal to any other."""
+    is_equal: NDArray[np.bool_] = (left.view(np.uint64) == right.view(np.uint64)) | (np.isnan(left) & np.isnan(right))
+    return is_equal
 
 
 def _names(plant: PlantDescription) -> list[str]:

@@ -1,4 +1,4 @@
-"""Which recorded messages the node had rejected: the event of a message follows it, that of a request precedes it."""
+"""Recorded messages that the node had rejected: the event of a message follows it, that of a request precedes it."""
 
 import pytest
 
