@@ -18,7 +18,12 @@ from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.ems_programs import program_findings
 from zenostat.models.building.external_files import versions_of_files
-from zenostat.models.building.nodes import nodes_without_setpoint, outdoor_nodes_without_air, unconnected_nodes
+from zenostat.models.building.nodes import (
+    nodes_without_setpoint,
+    outdoor_nodes_without_air,
+    shared_branches,
+    unconnected_nodes,
+)
 from zenostat.models.building.plausibility import plausibility_findings
 from zenostat.models.building.schedule_limits import limit_findings
 from zenostat.models.building.schedule_rules import schedule_findings
@@ -28,7 +33,7 @@ from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.source_model import SourceModel
 from zenostat.topics.errors import list_errors
 
-FORMAT = "8"
+FORMAT = "9"
 """Version of the stored files."""
 
 REQUIRED = ("Building", "GlobalGeometryRules")
@@ -171,6 +176,7 @@ def _rule_diagnostics(
         plausibility_findings(valid),
         nodes_without_setpoint(valid),
         outdoor_nodes_without_air(valid),
+        shared_branches(valid),
     ):
         severity = Severity.ERROR if finding.is_fatal else Severity.WARNING
         yield Diagnostic(severity, finding.kind, finding.name, finding.field, finding.text)

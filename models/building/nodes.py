@@ -1,6 +1,6 @@
-"""Find nodes of a model that only one object names, and nodes without the setpoint that equipment needs there.
+"""Find nodes that only one object names, nodes without the setpoint that equipment needs, and branches in two loops.
 
-Both are mostly typing errors: with the first a connection is missing. EnergyPlus reports the second, in plant loops,
+All are mostly typing errors: with the first a connection is missing. EnergyPlus reports the second, in plant loops,
 only when a run has ended; a coil without a setpoint is off.
 """
 
@@ -24,6 +24,8 @@ _OUTDOOR_AIR = "outdoor_air_stream_node_name"
 _SETPOINT_NODE = re.compile(r"\w*(setpoint|sensor)_node_name")
 _NEED_SETPOINT = ("PlantLoop", "CondenserLoop", "Controller:WaterCoil", "CoilSystem:", "Coil:Heating:")
 
+_BRANCH_LIST = re.compile(r"(\w*_)?branch_list_name")
+_BRANCH = re.compile(r"branch_name")
 _LISTS = ("NodeList", "OutdoorAir:NodeList")
 _IGNORED = ("Output", "EnergyManagementSystem")
 
@@ -121,6 +123,21 @@ def outdoor_nodes_without_air(objects: Objects) -> Iterator[RuleFinding]:
                 "other equipment has its outlet"
             )
             yield finding("OutdoorAir:Mixer", name, FieldFinding(_OUTDOOR_AIR, text, is_fatal=False))
+
+
+def shared_branches(objects: Objects) -> Iterator[RuleFinding]:
+    """Yield an error for each branch list that two sides of loops name, and each branch that is in two lists."""
+    loops = {kind: items for kind, items in objects.items() if kind.endswith("Loop") or kind == "AirLoopHVAC"}
+    lists = {kind: items for kind, items in objects.items() if kind == "BranchList"}
+    for users, pattern in ((loops, _BRANCH_LIST), (lists, _BRANCH)):
+        first: dict[str, str] = {}
+        for kind, items in users.items():
+            for name, fields in items.items():
+                for path, _, branch in _node_fields(fields, pattern=pattern):
+                    user = first.setdefault(branch.casefold(), f"{path} of {kind} {name!r}")
+                    if user != f"{path} of {kind} {name!r}":
+                        text = f": {path} is {branch!r}, as {user} is; each needs branches of its own"
+                        yield finding(kind, name, FieldFinding(path, text))
 
 
 def _node_fields(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ import pytest
 from support.box_model import box_model, exit_code
 
 from zenostat.models.building.diagnostics import Severity, diagnose
-from zenostat.models.building.model import Building
+from zenostat.models.building.model import Building, read_building
+from zenostat.models.catalog import find_building
 from zenostat.models.input_format.epjson_reader import read_epjson
 from zenostat.models.input_format.idf_reader import parse_idf
 from zenostat.models.input_format.idf_writer import write_idf
@@ -161,6 +163,46 @@ def test_diagnose__sound_model_has_no_finding(change: Callable[[Objects], object
 def test_diagnose__programs_in_a_ring_are_errors_if_they_are_called(lines: dict[str, str], expected: list[str]) -> None:
     diagnostics = diagnose(box_model() | programs(**lines))
     assert [each.text.partition("program_line ")[2].partition(":")[0] for each in diagnostics] == expected
+
+
+SHARED_BRANCHES: dict[str, tuple[Callable[[Objects], object], tuple[str, str, str], str]] = {
+    "list of another loop": (
+        lambda model: model["PlantLoop"]["HeatSys1"].update(plant_side_branch_list_name="CoolSys1 Supply Branches"),
+        ("PlantLoop", "HeatSys1", "plant_side_branch_list_name"), "of PlantLoop 'CoolSys1' is"),
+    "list of the other side": (
+        lambda model: model["PlantLoop"]["SWHSys1"].update(demand_side_branch_list_name="SWHSys1 Supply Branches"),
+        ("PlantLoop", "SWHSys1", "plant_side_branch_list_name"), "as demand_side_branch_list_name of PlantLoop 'SWHS"),
+    "list of another air loop": (
+        lambda model: model["AirLoopHVAC"]["VAV_2"].update(branch_list_name="vav_1 air loop branches"),
+        ("AirLoopHVAC", "VAV_2", "branch_list_name"), "as branch_list_name of AirLoopHVAC 'VAV_1' is"),
+    "branch of another list": (
+        lambda model: model["BranchList"]["VAV_2 Air Loop Branches"]["branches"].append(
+            model["BranchList"]["VAV_1 Air Loop Branches"]["branches"][0]),
+        ("BranchList", "VAV_2 Air Loop Branches", "branches[1].branch_name"), "of BranchList 'VAV_1 Air Loop"),
+}  # fmt: skip
+
+
+def large_office(change: Callable[[Objects], object]) -> Objects:
+    """The large office with a change."""
+    model: Objects = json.loads(json.dumps(read_building(find_building("ref-large-office")).objects))
+    change(model)
+    return model
+
+
+@pytest.mark.variants
+@pytest.mark.parametrize("case", SHARED_BRANCHES)
+def test_diagnose__branches_of_two_loops_are_one_error(case: str) -> None:
+    change, (kind, name, field), words = SHARED_BRANCHES[case]
+    errors = [each for each in diagnose(large_office(change)) if each.severity is ERROR]
+    assert [(each.kind, each.name, each.field) for each in errors] == [(kind, name, field)]
+    assert words in errors[0].text
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.parametrize("case", SHARED_BRANCHES)
+def test_diagnose__energyplus_ends_at_branches_of_two_loops(case: str, tmp_path: Path) -> None:
+    assert exit_code(large_office(SHARED_BRANCHES[case][0]), tmp_path / "run") != 0
 
 
 def test_diagnose__loop_that_is_sized_without_an_object_for_it_is_a_warning() -> None:
