@@ -208,6 +208,7 @@ PORTABLE = ("portable-limit", "portable-setback")
 """Controllers that need a semantic model."""
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"baseline", "coordinator", "oracle", "pid", *PORTABLE}))
 @given(
     samples=st.lists(

@@ -42,6 +42,7 @@ def episode(env: Any, seed: int) -> list[bytes]:
     return bits
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*(symmetric and normalized|is probably too|infinity)")
 def test_district_env__passes_the_check_of_gymnasium(agents: DistrictAgentsEnv) -> None:
     check_env(agents.env, skip_render_check=True, skip_close_check=True)

@@ -101,6 +101,7 @@ def test_env__step_after_the_end_raises_and_a_reset_begins_anew(env: gym.Env[Any
     assert (truncated, info["step"]) == (False, 1)
 
 
+@pytest.mark.slow
 def test_env__step_before_the_first_reset_raises(shared_bus: Bus) -> None:
     with connected(shared_bus) as fresh, pytest.raises(EpisodeChanged, match=r"call reset\(\) before step\(\)"):
         fresh.unwrapped.step(fresh.action_space.low)
@@ -151,6 +152,7 @@ def test_env__two_environments_give_the_same_trajectory_to_the_bit(env: gym.Env[
 # Control
 
 
+@pytest.mark.slow
 def test_env__action_at_sample_0_rules_the_first_timestep() -> None:
     """A winter night: heating to 22.5 or 15 degC makes a difference in the first quarter of an hour."""
     sensors = {
@@ -173,6 +175,7 @@ def test_env__action_at_sample_0_rules_the_first_timestep() -> None:
     assert dict(high[1:])["core_zn_temperature"] > dict(low[1:])["core_zn_temperature"]
 
 
+@pytest.mark.slow
 def test_env__no_actuators_is_the_buildings_own_control(shared_bus: Bus) -> None:
     with make(actuators={}) as own:
         assert own.action_space.shape == (0,)
@@ -203,6 +206,7 @@ def test_env__observation_dict_names_the_values(env: gym.Env[Any, Any]) -> None:
     assert 15 < named["core_zn_air_temperature"] < 35
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("begin", ["05-31", "09-30"])
 def test_env__default_reward_by_hand(begin: str) -> None:
@@ -243,6 +247,7 @@ def test_env__reward_of_the_users_and_none(shared_bus: Bus) -> None:
         assert "reward_terms" not in info
 
 
+@pytest.mark.slow
 def test_env__sensors_meters_and_actuators_of_the_users() -> None:
     chosen = make(
         sensors={
@@ -291,6 +296,7 @@ def test_env__building_by_path(env: gym.Env[Any, Any], tmp_path: Path, monkeypat
 # Elsewhere
 
 
+@pytest.mark.slow
 def test_env__node_that_runs_elsewhere(folder: Path, env: gym.Env[Any, Any]) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with NodeProgram(folder, **SMALL, listen=[endpoint]) as node:
@@ -338,6 +344,7 @@ def test_output_dir__is_the_only_place_where_files_are_kept(scratch: Path) -> No
         assert "EnergyPlus Completed Successfully" in (episode / "eplusout.end").read_text()
 
 
+@pytest.mark.slow
 def test_env__nothing_is_kept_unasked(scratch: Path) -> None:
     with make() as plain:
         rollout(plain, seed=1)
@@ -345,6 +352,7 @@ def test_env__nothing_is_kept_unasked(scratch: Path) -> None:
     assert list(scratch.iterdir()) == []
 
 
+@pytest.mark.slow
 def test_env__close_twice_and_unused(scratch: Path) -> None:
     plain = make()
     plain.close()

@@ -155,6 +155,7 @@ def test_env__engine_that_is_forked_often_puts_its_pages_together_and_goes_on_th
     env.close()
 
 
+@pytest.mark.slow
 def test_branches__of_a_snapshot_are_where_it_is(office: BuildingEnv) -> None:
     """Also while no episode runs any more."""
     env = office
@@ -206,6 +207,7 @@ def test_env__reward_with_a_memory_of_its_own_goes_along(scratch: Path) -> None:
 # Death
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("moment", ["waiting", "computing"])
 def test_env__killed_branch_harms_nobody(moment: str, office: BuildingEnv) -> None:
@@ -279,6 +281,7 @@ CANNOT = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("what", CANNOT)
 def test_env__fork_that_fails_leaves_the_episode_as_it_was(

@@ -88,6 +88,7 @@ def test_env__limit_that_cannot_be_is_refused(limit: dict[str, Any], words: str,
         make(terminate=[limit])
 
 
+@pytest.mark.slow
 def test_info__has_commands_and_value_sources(scratch: Path) -> None:
     env = make(control="building")
     env.reset(seed=0)
@@ -101,6 +102,7 @@ def test_info__has_commands_and_value_sources(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_info__has_what_a_person_sets(scratch: Path) -> None:
     """A write at a higher priority rules over the agent, and the step says so."""
     import zenostat
@@ -243,6 +245,7 @@ def test_env__wrapper_that_cannot_be_leaves_nothing_behind(scratch: Path) -> Non
         gym.make("zenostat/Scenario-v1", file=file, affinity="off")
 
 
+@pytest.mark.slow
 def test_env__own_reward_cannot_be_written(scratch: Path) -> None:
     from zenostat import save_env
 

@@ -43,6 +43,7 @@ def band(manifest: Manifest) -> tuple[float, float]:
     return comfort_bands(manifest)(JULY)
 
 
+@pytest.mark.slow
 def test_env__local_node_publishes_the_reward_that_is_paid() -> None:
     with closing(BuildingEnv(**SMALL, affinity="off", reward=OCCUPIED)) as env:
         env.reset(seed=0)
@@ -83,6 +84,7 @@ ENVIRONMENTS: dict[str, Callable[[Any], Any]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", ENVIRONMENTS)
 def test_env__each_environment_has_it_before_and_after_a_reset(kind: str) -> None:
@@ -95,6 +97,7 @@ def test_env__each_environment_has_it_before_and_after_a_reset(kind: str) -> Non
         assert env.link.manifest.task == before
 
 
+@pytest.mark.slow
 def test_env__environments_of_a_node_elsewhere_know_what_they_pay(scratch: Path) -> None:
     """The node's own manifest stays as it is: other clients see the scenario that it was started with."""
     with NodeProgram(scratch, **SMALL) as node:
@@ -115,6 +118,7 @@ def test_env__python_plant_publishes_it_too() -> None:
         assert env.unwrapped.link.manifest.task.reward == {"kind": "custom", "name": "<lambda>"}
 
 
+@pytest.mark.slow
 def test_env__rules_take_band_and_setback_of_the_benchmark() -> None:
     """22 to 26 degC in July with a margin of 1 K; 6 K outside while nobody is there, as comfort counts people only."""
     arguments = SETS["quick"].arguments("ref-small-office", "summer", "USA_IL_Chicago")

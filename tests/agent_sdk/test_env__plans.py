@@ -69,6 +69,7 @@ def rewards_one_by_one(env: BuildingEnv, actions: NDArray[np.float32]) -> list[l
     return rewards
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", REWARDS)
 def test_plan__equals_single_branches(kind: str, scratch: Path) -> None:
@@ -86,6 +87,7 @@ def test_plan__equals_single_branches(kind: str, scratch: Path) -> None:
         env.close()
 
 
+@pytest.mark.slow
 def test_plan__leaves_the_episode_alone(office: BuildingEnv) -> None:
     before = office.sample
     office.plan(sequences(office, 2, 4))

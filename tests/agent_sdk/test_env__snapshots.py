@@ -54,6 +54,7 @@ def back(env: BuildingEnv, snapshot: Any) -> dict[str, Any]:
     return env.reset(options={"snapshot": snapshot})[1]
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("kind", KINDS)
 def test_env__going_back_is_exact_any_number_of_times(kind: str, scratch: Path) -> None:
@@ -283,6 +284,7 @@ def test_env__snapshot_that_cannot_be_gone_back_to_is_refused_by_name(office: Bu
     env.close()
 
 
+@pytest.mark.slow
 def test_env__branch_has_no_forks_of_its_own(office: BuildingEnv) -> None:
     env = office
     mine = plan(env, 1)
@@ -307,6 +309,7 @@ def test_env__branch_has_no_forks_of_its_own(office: BuildingEnv) -> None:
     same(go(env, mine[20:]), straight[21:])
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("limit", [0, 2])
 def test_env__there_are_no_more_forks_than_allowed(limit: int, scratch: Path) -> None:
@@ -334,6 +337,7 @@ def test_env__there_are_no_more_forks_than_allowed(limit: int, scratch: Path) ->
     env.close()
 
 
+@pytest.mark.slow
 def test_env__forks_may_be_closed_after_their_environment(scratch: Path) -> None:
     """It has ended them; who still holds them hears a clear word, and their `close` is quiet."""
     env = make(**FOUR)

@@ -97,6 +97,7 @@ def actions_for(env: VectorEnv[Any, Any, Any], count: int = STEPS) -> list[Any]:
     return [env.action_space.sample() for _ in range(count)]
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @each_mode
 def test_fleet_env__equal_to_the_sync_vector_to_the_bit(nodes: list[NodeProgram], mode: AutoresetMode) -> None:
@@ -113,6 +114,7 @@ def test_fleet_env__equal_to_the_sync_vector_to_the_bit(nodes: list[NodeProgram]
     assert any(end.any() and not end.all() for end in ends), "some ended alone"
 
 
+@pytest.mark.slow
 def test_fleet_env__each_slot_has_the_noise_of_its_seed(nodes: list[NodeProgram]) -> None:
     """Through the end of the run period, into an episode whose noise continues the sequence of the seed."""
     rows = []
@@ -356,6 +358,7 @@ def test_fleet_env__several_nodes_are_no_single_environment() -> None:
         gym.make("zenostat/Building-v1", connect=["tcp/a:1", "tcp/b:1"], node="x")
 
 
+@pytest.mark.slow
 def test_fleet_env__nodes_that_are_not_there_are_all_named(nodes: list[NodeProgram]) -> None:
     absent = f"tcp/127.0.0.1:{free_port()}"
     with pytest.raises(

@@ -62,6 +62,7 @@ def test_network_policy__acts_as_the_model_of_stable_baselines3(name: str, tmp_p
     assert np.ptp(actions["numpy"], axis=0).max() > 1e-3
 
 
+@pytest.mark.slow
 def test_network_policy__file_is_the_same_each_time_and_needs_no_torch(tmp_path: Path) -> None:
     policy = export_policy(trained("ppo", tmp_path / "training"))
     for name in ("a.npz", "b.npz"):

@@ -92,6 +92,7 @@ def test_rewards__slots_are_what_each_of_them_is_alone(kind: str, slots: list[tu
                 assert column == pytest.approx([getattr(single, name)[key] for single in singles])
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(60), deadline=None)
 @given(kinds, moments, arrays(np.float64, (2, 3, len(UNITS)), elements=st.floats(0.0, 50.0)))
 def test_rewards__one_begin_does_for_any_leading_shape(kind: str, begin: datetime, batch: Array) -> None:
@@ -156,6 +157,7 @@ described = st.sampled_from(sorted(MINIMAL_FIELDS)).flatmap(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(200), deadline=None)
 @given(described)
 def test_rewards__reward_that_was_written_is_read_back(fields: dict[str, Any]) -> None:

@@ -82,6 +82,7 @@ def rows(env: Any, controller: Any) -> list[Any]:
     return [run_episode(env, lambda _: agent.action(env.sample), seed=seed)[0] for seed in (0, 1)]
 
 
+@pytest.mark.slow
 def test_rules__default_has_the_rows_of_before_in_the_fake_building() -> None:
     for arguments in ({"end": "07-05"}, {"begin": "01-09", "end": "01-12", "reward": {"kind": "occupied"}}):
         env = FakeEnv(zones=2, **arguments)

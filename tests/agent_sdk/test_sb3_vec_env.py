@@ -55,6 +55,7 @@ def same(one: Any, other: Any) -> bool:
     return (type(one) is type(other) and one == other) or (isinstance(other, np.generic) and one == other.item())
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     "form", [{}, {"terminate": [WARM]}, {"discrete": 4, "terminate": [WARM]}, {"terminate": [LAST]}], ids=str
 )

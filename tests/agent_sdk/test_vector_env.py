@@ -209,6 +209,7 @@ def test_vector_env__answers_call_and_get_attr_of_its_slots() -> None:
         env.set_attr("colour", [1, 2])
 
 
+@pytest.mark.variants
 @each_mode
 def test_vector_env__pictures(mode: AutoresetMode) -> None:
     pytest.importorskip("matplotlib")

@@ -75,6 +75,7 @@ def small(scratch: Path) -> Iterator[BuildingVectorEnv]:
     env.close()
 
 
+@pytest.mark.slow
 def test_vector_env__engine_that_dies_ends_the_step_and_not_the_environment(small: BuildingVectorEnv) -> None:
     small.reset(seed=1)
     first = small.step(small.action_space.sample())
@@ -254,6 +255,7 @@ def _until_reaped(env: BuildingVectorEnv, count: int) -> None:
         env.link.weather(["dry_bulb_temperature"])
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("mode", [AutoresetMode.DISABLED, AutoresetMode.NEXT_STEP], ids=lambda mode: mode.value)
 def test_vector_env__slot_that_has_ended_leaves_the_others_time(scratch: Path, mode: AutoresetMode) -> None:
@@ -319,6 +321,7 @@ def test_vector_env__rewards_and_limits_know_the_truth_of_what_faults_disturb(sc
     many.close()
 
 
+@pytest.mark.slow
 def test_vector_env__slots_that_cannot_go_back_go_on(scratch: Path) -> None:
     env: Any = gym.make_vec("zenostat/Building-v1", num_envs=2, **BOTH)
     actions = np.tile([20.0, 25.0], (2, 1)).astype(np.float32)

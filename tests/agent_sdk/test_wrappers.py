@@ -320,6 +320,7 @@ def trained(env: Any) -> Any:
     return env
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("vectors", [False, True])
 @each_chain
 def test_wrappers__chain_goes_on_where_it_was(chain: list[dict[str, Any]], vectors: bool, tmp_path: Path) -> None:

@@ -98,6 +98,7 @@ def test_wrappers__increments_are_what_the_building_gets(building: gym.Env[Any, 
         assert values["excess"] == np.float32(values["core"]) - np.float32(28.5)
 
 
+@pytest.mark.slow
 def test_wrappers__log_has_n_rows_with_n_steps(building: gym.Env[Any, Any], tmp_path: Path) -> None:
     env = w.EpisodeLog(w.CyclicTime(building), tmp_path)
     seen = episode(env, 1, [26.0])[1:]

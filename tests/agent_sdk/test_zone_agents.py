@@ -292,6 +292,7 @@ def test_zone_agents__pettingzoos_own_checks_pass_on_a_real_building(office: Zon
     parallel_seed_test(real, num_cycles=5)
 
 
+@pytest.mark.slow
 def test_zone_agents__zones_of_a_real_building(office: ZonesEnv) -> None:
     assert office.possible_agents == list(ZONES)
     assert office.env.local_node is not None
@@ -319,6 +320,7 @@ def test_zone_agents__zones_of_a_real_building(office: ZonesEnv) -> None:
     assert min(totals) < 0.0
 
 
+@pytest.mark.slow
 def test_zone_agents__only_the_zones_that_are_set_have_agents() -> None:
     cooling = {"cool": COOLING["perimeter_zn_2_cooling_setpoint"]}
     with_one = real(actuators=cooling, discrete=3)

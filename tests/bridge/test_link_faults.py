@@ -66,6 +66,7 @@ def test_link_faults__with_jitter_nothing_overtakes() -> None:
     assert len(set(arrivals)) > 2
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("probability", [0.02, 0.5, 0.97])
 @pytest.mark.parametrize(("kind", "copies"), [("loss", 0), ("duplicate", 2)])
 def test_link_faults__lose_and_duplicate_as_often_as_configured(kind: str, copies: int, probability: float) -> None:

@@ -211,6 +211,7 @@ def test_point_faults__clock_is_that_of_the_simulated_time(begin: datetime, hour
     assert steps_on
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(("probability", "lasts"), [(0.05, 1), (0.02, 6), (0.5, 3), (1, 2)])
 def test_point_faults__bursts_take_the_share_of_the_time_that_theory_states(probability: float, lasts: int) -> None:
@@ -232,6 +233,7 @@ def test_point_faults__burst_ends_with_its_window() -> None:
     assert on == set(range(4, 8)) | set(range(4 + 672, 8 + 672))
 
 
+@pytest.mark.slow
 def test_point_faults__burst_that_its_window_ended_does_not_go_on_in_the_next() -> None:
     # one sample a day; a burst of 100 steps would reach the next day's
     days = 400
@@ -424,6 +426,7 @@ def test_point_faults__random_plans_have_all_kinds_of_points() -> None:
     assert set(parameters) | {"latency", "jitter", "loss", "duplicate", "reorder"} == set(KINDS)
 
 
+@pytest.mark.slow
 @given(plans, st.integers(0, 1000))
 def test_point_faults__what_no_fault_names_is_untouched_to_the_bit(plan: list[dict[str, Any]], seed: int) -> None:
     faults = point_faults(*plan, slots=SLOTS)

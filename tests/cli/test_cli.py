@@ -10,6 +10,7 @@ from support.nodes import SMALL, NodeProgram, command_of, free_port, interrupted
 from support.run_cli import DAY, ZENOSTAT, error_of, plain, run_program
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_node__that_is_ended_while_it_starts_leaves_nothing(scratch: Path, number: signal.Signals) -> None:
     """It ends once its engine has begun, which takes EnergyPlus some tenths of a second."""
@@ -69,6 +70,7 @@ def test_node_controller_and_monitor__are_three_programs(scratch: Path) -> None:
     assert "office: ended" in printed
 
 
+@pytest.mark.slow
 def test_run__ctrl_c_leaves_the_node_waiting(scratch: Path) -> None:
     year = SMALL | {"begin": "01-01", "end": "12-31"}
     with node_on_bus(scratch / "node", **year) as (node, bus):
@@ -87,6 +89,7 @@ def test_run__ctrl_c_leaves_the_node_waiting(scratch: Path) -> None:
         until(lambda: bus.status("office").state == "waiting", "its last command is simulated")
 
 
+@pytest.mark.slow
 def test_node__port_taken_and_name_taken(scratch: Path) -> None:
     port = free_port()
     endpoint = f"tcp/127.0.0.1:{port}"
@@ -108,6 +111,7 @@ def test_status__nobody_listens() -> None:
     assert "nobody listens" in error_of("status", "--connect", f"tcp/127.0.0.1:{free_port()}", code=1)
 
 
+@pytest.mark.slow
 def test_demo__compares_two_controllers_and_records_both(scratch: Path) -> None:
     done = run_program("demo", "--building", "ref-small-office", "--end", "07-01", "--folder", "out", cwd=scratch)
     assert done.returncode == 0, done.stderr

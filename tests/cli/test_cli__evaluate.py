@@ -27,6 +27,7 @@ reward: {{kind: linear}}
 DAY = ["--begin", "07-03", "--end", "07-03"]
 
 
+@pytest.mark.slow
 def test_metric_text__after_the_sign_stands_half_the_interval_as_in_reports() -> None:
     pytest.importorskip("scipy")
     # 1, 2 and 6.5: standard deviation 2.92973; Student's t for two degrees of freedom 4.302653 (any table of it).

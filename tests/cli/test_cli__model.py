@@ -113,6 +113,7 @@ UNREADABLE: dict[str, tuple[str, Callable[[str], str], str]] = {
 }
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("case", UNREADABLE)
 def test_model__errors_of_a_file_that_cannot_be_read_are_shown_alike(case: str, tmp_path: Path) -> None:
     name, change, reason = UNREADABLE[case]

@@ -70,6 +70,7 @@ def test_cli__write_rules_until_it_is_released(bus: zenostat.Bus) -> None:
         assert actuator_of(bus.endpoint)["value_source"] == ""
 
 
+@pytest.mark.slow
 def test_cli__write_for_half_an_hour_rules_two_quarters(bus: zenostat.Bus) -> None:
     written = run_zenostat(bus.endpoint, "write", "office", POINT, "26", "--duration", "30min", "--source", "ann")
     assert written.stdout == f"office: {POINT} = 26 degC at priority 8 for 30min\n"

@@ -109,6 +109,7 @@ def test_cli__bad_input_is_one_sentence_before_anything_starts(command: list[str
     assert not (tmp_path / "study").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("command", "text"),
     [
@@ -141,6 +142,7 @@ def test_cli__options_override_the_file_and_resume_continues(trained: Path, tmp_
     assert weights(tmp_path / "short") == weights(trained / "out")
 
 
+@pytest.mark.slow
 def test_cli__study_whose_trainings_are_invalid_ends_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("optuna")
     from zenostat.lab.tuning.read import load_tuning

@@ -32,6 +32,7 @@ def steps(env: Any, first: int, count: int) -> list[bytes]:
     return bits
 
 
+@pytest.mark.slow
 def test_district_copies__snapshot_is_returned_to_and_goes_on_to_the_bit(env: Any) -> None:
     env.reset(seed=4)
     steps(env, 0, 3)

@@ -60,6 +60,7 @@ def layout() -> Iterator[Layout]:
     layout.close()
 
 
+@pytest.mark.slow
 def test_shrink__replaces_the_block(layout: Layout) -> None:
     before = list(layout.pointers)
     cache = SaturationCache.shrink(layout.state)

@@ -14,6 +14,7 @@ from zenostat.topics.errors import InvalidConfig
 DAY_S = 86400
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("level", "mean", "deviation"),
     # Stationary mean mu / (1 - F) and deviation K / sqrt(1 - F^2) of a first-order autoregression.

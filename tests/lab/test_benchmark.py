@@ -262,6 +262,7 @@ def test_benchmark__results_are_written_by_one_process_at_a_time(saved: Path) ->
     assert sorted(path.name for path in saved.parent.iterdir()) == [saved.name]
 
 
+@pytest.mark.slow
 def test_benchmark__page_has_tables_and_figures(saved: Path, tmp_path: Path) -> None:
     results = load_results(saved)
     results.add([row("awful", building, seed, -90.0) for building in (OFFICE, WAREHOUSE) for seed in (1, 2)])
@@ -331,6 +332,7 @@ def test_benchmark__selection_needs_rows_to_check(saved: Path) -> None:
 # What is published
 
 
+@pytest.mark.slow
 def test_benchmark__published_tables_and_figures_are_those_of_the_published_rows() -> None:
     for path, renewed in (
         (benchmark_page.PAGE, benchmark_page.page),
@@ -366,6 +368,7 @@ def interrupt_after_the_first() -> None:
             raise KeyboardInterrupt
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_benchmark__workers_end_with_an_error_or_signal() -> None:
     """Without waiting for their present episodes."""

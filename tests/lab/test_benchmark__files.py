@@ -150,6 +150,7 @@ def test_benchmark_files__shown_controllers_can_be_chosen(complete: Path) -> Non
 # The page
 
 
+@pytest.mark.slow
 def test_benchmark_files__page_tells_what_the_rows_say(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     quick = SETS["quick"]
     rewards = {"baseline": -10.0, "tuned": -9.0, "fixed": -12.0, "ppo": -8.0, "sac": -8.5}

@@ -153,6 +153,7 @@ def test_combine__keeps_the_first_of_equals() -> None:
 # The search
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("charge", [0.0, 28.0])
 def test_search__finds_the_optimum_of_a_toy_and_counts_the_charge(charge: float) -> None:
     """Heating x below the target in the 70 hours by day costs 70 x² and saves the charge times x: x is charge / 140."""

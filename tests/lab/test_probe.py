@@ -78,6 +78,7 @@ def test_probe__two_zone_data_centre_does(scratch: Path) -> None:
     assert effect.pass_through == ("cooling_setpoint",)
 
 
+@pytest.mark.slow
 def test_probe__cooling_setpoint_is_felt_by_its_zone_and_the_meter_and_by_nothing_that_is_given(
     office: ProbeReport,
 ) -> None:
@@ -138,6 +139,7 @@ def test_probe__branch_that_energyplus_gives_up_in_is_a_note(scratch: Path) -> N
 # What cannot be
 
 
+@pytest.mark.slow
 def test_probe__reports_all_errors_at_once(scratch: Path) -> None:
     people = {"people": ("People", "Number of People", "Core_ZN People")}
     settings = {**OFFICE, "actuators": people}

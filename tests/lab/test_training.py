@@ -137,6 +137,7 @@ def steps_and_draws(env: gym.Env[Any, Any]) -> list[Any]:
     return seen
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", ALGORITHMS)
 def test_training__training_is_the_same_with_and_without_evaluations(name: str) -> None:
     algorithm, settings = ALGORITHMS[name]

@@ -74,6 +74,7 @@ def same(one: Any, other: Any) -> bool:
     return bool(one == other)
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("name", PARAMETERS)
 def test_training__weights_are_those_of_stable_baselines3_driven_by_hand(name: str, tmp_path: Path) -> None:
@@ -109,6 +110,7 @@ def test_training__slots_and_normalization_are_those_of_the_documented_program(t
     assert same(content(tmp_path / "file" / "model.zip"), content(tmp_path / "hand.zip"))
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(("name", "slots"), [(name, slots) for name in PARAMETERS for slots in (1, 3)])
 def test_training__resumed_training_equals_an_uninterrupted_one(name: str, slots: int, tmp_path: Path) -> None:

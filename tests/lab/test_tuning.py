@@ -122,6 +122,7 @@ def test_tuning__errors_name_the_database_as_the_user_did(url: str, text: str, t
     assert "secret" not in str(error.value)
 
 
+@pytest.mark.variants
 @pytest.mark.filterwarnings("ignore:Heartbeat of storage")
 @pytest.mark.parametrize("sampler", ["tpe", "random"])
 def test_tuning__processes_with_one_seed_draw_what_one_process_draws(sampler: str, tmp_path: Path) -> None:

@@ -56,6 +56,7 @@ def test_tune_controller__value_is_the_mean_over_the_episodes_of_a_new_controlle
     assert tuned.plain() == {"controller": "rbc", "parameters": tuned.parameters}
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("sampler", ["tpe", "random", "cma-es"])
 def test_tune_controller__repeats_to_the_bit_and_depends_on_the_seed(sampler: Any) -> None:
     def run(seed: int) -> Any:
@@ -97,6 +98,7 @@ def test_tune_controller__default_wins_where_nothing_is_better() -> None:
     assert tuned.value == tuned.default_value
 
 
+@pytest.mark.slow
 def test_tune_controller__trials_below_the_median_are_ended_and_the_best_is_the_same() -> None:
     reports: list[Any] = []
     whole = tune_controller("rbc", ARGUMENTS, SPACE, seeds=(0, 1, 2), trials=14, sampler="random", prune=False)

@@ -305,6 +305,7 @@ def test_kpis__all_controllers_of_a_comparison_have_the_same_rates() -> None:
 # A real building
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_kpis__energy_is_that_of_energyplus_own_meters_and_of_its_demand_rate() -> None:
     with gym.make(

@@ -277,6 +277,7 @@ def test_building_summary__facts_are_made_once_for_a_file(tmp_path: Path, monkey
 # Places, as in EnergyPlus's list of what is connected (`eplusout.bnd`)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
 def test_building_summary__nodes_equipment_and_branches_are_where_energyplus_has_them(
     reports: dict[str, EngineReport], name: str

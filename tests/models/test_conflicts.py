@@ -129,6 +129,7 @@ runtime.callback_end_zone_timestep_after_zone_reporting(state, end)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("case", [case for case, (_, actuator, _) in FIGHTS.items() if actuator is not HEATING])
 def test_conflicts__it_is_so_in_energyplus(case: str, folder: Path) -> None:

@@ -168,6 +168,7 @@ def test_data_packs__pack_is_fetched_once_and_nothing_of_it_is_run(fake, cache, 
     assert len(messages) == 2
 
 
+@pytest.mark.slow
 def test_data_packs__catalogue_follows_what_is_there(fake):
     assert not [e for e in catalog.buildings() if e.pack]
     add("fake")
@@ -342,6 +343,7 @@ def _add_at(barrier, pack: Pack) -> None:
     assert (folder("fake") / "fake/data/buildings/hut.epJSON").read_text() == "{}"
 
 
+@pytest.mark.slow
 def test_data_packs__processes_that_add_at_once_fetch_once(fake, cache, capfd):
     spawn = multiprocessing.get_context("spawn")
     barrier = spawn.Barrier(3)

@@ -89,6 +89,7 @@ def within_five_deviations(counts: Counter[int], sources: int, total: int) -> bo
     return all(abs(counts[k] - mean) <= 5 * deviation for k in range(sources))
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("sources", [2, 3, 7, 16])
 def test_episode_files__random_draws_reach_all_sources_alike(sources: int) -> None:
     """Within the episodes of one seed, and as the first episode of many seeds."""

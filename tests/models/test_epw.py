@@ -229,6 +229,7 @@ def cell(line: int, index: int, text: str) -> Callable[[list[str]], list[str]]:
     return change
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -386,5 +387,6 @@ def test_epw__energyplus_has_29_february_where_the_file_has_it(folder: Path) -> 
     assert ran.days == [[(2, 28, "Sunday"), (2, 29, "Monday"), (3, 1, "Tuesday")]]
 
 
+@pytest.mark.slow
 def test_epw__each_file_of_the_wheel_is_sound() -> None:
     assert {len(read(entry.path)) for entry in weathers()} == {YEAR}

@@ -49,6 +49,7 @@ def check_whole(building: Building) -> None:
     assert len(codec.encode(geometry)) < 100_000
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("name", [entry.name for entry in catalog.bundled_buildings()])
 def test_geometry__every_bundled_building_has_a_geometry(name: str) -> None:
     building = read_building(catalog.find_building(name))

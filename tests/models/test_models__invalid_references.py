@@ -52,6 +52,7 @@ MAY_BE_ALLOWED = {
 }
 
 
+@pytest.mark.variants
 @pytest.mark.process
 @pytest.mark.parametrize("kind", MAY_BE_ALLOWED)
 def test_an_invalid_name__that_may_be_allowed_is_left_to_energyplus_and_told_with_its_error(

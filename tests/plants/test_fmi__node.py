@@ -59,6 +59,7 @@ def trajectory(env: BuildingEnv, steps: int) -> list[list[float]]:
     return rows
 
 
+@pytest.mark.slow
 def test_fmu__manifest_has_its_points(env: BuildingEnv) -> None:
     env.reset()
     manifest = env.manifest
@@ -102,6 +103,7 @@ def test_fmu__trial_is_a_fork_and_fails_alone(env: BuildingEnv) -> None:
     assert tried[0].message != tried[1].message
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("deed", "error", "text"),
     [
@@ -121,6 +123,7 @@ def test_fmu__failure_ends_its_own_process_only(
     assert trajectory(env, 1) == first
 
 
+@pytest.mark.slow
 def test_fmu__process_that_waits_at_sample_0_may_be_killed(tank: Path) -> None:
     with tank_env(tank) as created:
         env = created.unwrapped
@@ -133,6 +136,7 @@ def test_fmu__process_that_waits_at_sample_0_may_be_killed(tank: Path) -> None:
         assert trajectory(env, 2) == first
 
 
+@pytest.mark.slow
 def test_fmu__slots_and_baseline_are_forks_of_the_same_start(tank: Path) -> None:
     settings = {"reward": None, "affinity": "off", "fmu": tank, "baseline": True}
     envs = gym.make_vec("zenostat/Plant-v1", num_envs=2, **settings)

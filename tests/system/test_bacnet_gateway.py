@@ -34,6 +34,7 @@ def paused_bus(stepping_bus: Bus) -> Bus:
     return stepping_bus
 
 
+@pytest.mark.slow
 async def test_bacnet_gateway__points_have_the_values_units_and_bounds_of_the_node(paused_bus: Bus) -> None:
     manifest = paused_bus.manifest("office")
     async with served(paused_bus.endpoint) as (gateway, reader, _):
@@ -273,6 +274,7 @@ async def test_bacnet_gateway__paused_node_steps_on_command_and_a_running_one_do
         assert await reader.write(ADVANCE, 1.0) == "property write-access-denied"
 
 
+@pytest.mark.slow
 async def test_bacnet_gateway__node_that_is_gone_is_a_fault_and_one_that_returns_is_served_again(
     tmp_path: Path,
 ) -> None:

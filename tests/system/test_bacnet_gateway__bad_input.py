@@ -7,6 +7,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import pytest
 from bacpypes3.apdu import SubscribeCOVRequest
 from support.bacnet import PAUSED, STEP, Client, client, served
 
@@ -58,6 +59,7 @@ def commanded(bus: Bus) -> dict[tuple[str, int], float]:
     }
 
 
+@pytest.mark.slow
 async def test_bacnet_gateway__malformed_requests_are_rejected_and_half_datagrams_counted(episode_bus: Bus) -> None:
     async with served(episode_bus.endpoint) as (gateway, reader, port):
         instance = reader.objects[COOLING][1]

@@ -78,6 +78,7 @@ def gateway(node: NodeProgram, port: int) -> Iterator[subprocess.Popen]:
         process.wait()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(importlib.util.find_spec("BAC0") is None, reason="BAC0 is not installed: pip install BAC0")
 def test_bacnet_gateway__bac0_finds_the_device_reads_commands_and_relinquishes(
     episode_bus: Bus, shared_node: NodeProgram

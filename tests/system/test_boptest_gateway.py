@@ -39,6 +39,7 @@ def test(running: Client) -> Client:
     return running
 
 
+@pytest.mark.slow
 def test_boptest_gateway__example_flow_of_a_controller_with_kpis_results_and_forecasts(test):
     inputs = test.get("inputs")
     controls = {name: 0 if name.endswith("_activate") else inputs[name]["Minimum"] for name in inputs}

@@ -49,6 +49,7 @@ def cooling(bus: Bus, node: str, setpoint: float | None, steps: int, *, name: st
     return seen
 
 
+@pytest.mark.slow
 def test_branches__plain_controller_drives_a_branch_as_any_node(bus: Bus) -> None:
     """Controllers come and go there, one after the other, at the same level."""
     with bus.controller("office") as link:
@@ -161,6 +162,7 @@ def cooling_of(link: zenostat.ControllerLink, steps: int) -> int:
     return sample.step
 
 
+@pytest.mark.slow
 def test_branches__killed_node_takes_its_branches_along(scratch: Path) -> None:
     node = NodeProgram(scratch / "node", **SMALL)
     with zenostat.connect(node.endpoint, affinity="off") as bus, bus.controller("office") as link:

@@ -152,6 +152,7 @@ WRITES = keys.ACTUATOR, keys.WRITE_REQUEST
 COMMANDS = keys.COMMAND, keys.COMMAND_REQUEST
 
 
+@pytest.mark.slow
 def test_bus__write_is_answered_as_its_event_states(client: Client) -> None:
     def write(name: str = POINT, /, **fields: Any) -> Any:
         return agree(client, WRITES, name, msgpack.packb({"source": "panel", **fields}), "panel")
@@ -192,6 +193,7 @@ def test_bus__write_that_is_acknowledged_is_in_effect_in_the_next_timestep(clien
     assert sample.sources[np.frombuffer(sample.source_index, "<u2")[index]] == "panel"
 
 
+@pytest.mark.slow
 def test_bus__write_acts_in_the_timestep_that_the_next_command_of_its_session_completes(client: Client) -> None:
     """Both are puts, so nothing waits between them: hundreds of pairs, in the order in which they were sent."""
     client.claim("one")
@@ -209,6 +211,7 @@ def test_bus__write_acts_in_the_timestep_that_the_next_command_of_its_session_co
     assert misplaced == []
 
 
+@pytest.mark.slow
 def test_bus__command_is_answered_as_its_event_states(client: Client) -> None:
     """c and d in lockstep: what is wrong, then an answer of each, one put and one requested; then what is late."""
     other = next(name for name in client.actuators if name != POINT)
@@ -254,6 +257,7 @@ def test_bus__command_is_answered_as_its_event_states(client: Client) -> None:
     assert (status.late, status.duplicate) == (4, 4)
 
 
+@pytest.mark.slow
 def test_bus__command_is_answered_at_once_and_not_after_its_timestep(client: Client, node: NodeProgram) -> None:
     """the engine stands still → the command is acknowledged → it goes on → the sample"""
     client.claim("c")
@@ -274,6 +278,7 @@ def test_bus__command_is_answered_at_once_and_not_after_its_timestep(client: Cli
     assert (status.statistics.rate_limited, status.rejected, status.late) == (3, MAX_PENDING, 1)
 
 
+@pytest.mark.slow
 def test_bus__day_of_commands_sent_at_once_is_answered_step_by_step(client: Client) -> None:
     """Requests for steps 0 to 95 without a pause: each is accepted, because the node steps before it reads the next."""
     client.claim("c")
@@ -311,6 +316,7 @@ def test_bus__each_of_a_hundred_rejections_has_its_reason_and_further_ones_are_n
     assert (status.rejected, status.statistics.rate_limited) == (MAX_MESSAGES_PER_STEP + 1, 5)
 
 
+@pytest.mark.slow
 def test_bus__faults_of_the_link_apply_to_commands_in_both_forms(client: Client) -> None:
     """lost, doubled and delayed commands of c, of which another controller waits in each step"""
     other = [name for name in client.actuators if name != POINT]
@@ -357,6 +363,7 @@ def test_bus__key_with_wildcards_names_no_controller_and_no_actuator(client: Cli
     assert client.bus.status("office").accepted == 0
 
 
+@pytest.mark.slow
 def test_bus__branch_answers_commands_and_writes(client: Client) -> None:
     with client.bus.controller("office") as link:
         link.current()

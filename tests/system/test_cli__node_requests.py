@@ -16,6 +16,7 @@ import zenostat
 POINT = "core_zn_cooling_setpoint"
 
 
+@pytest.mark.slow
 def test_cli__reset_begins_an_episode_and_stop_ends_the_node(node: NodeProgram, bus: zenostat.Bus) -> None:
     at = ("--connect", node.endpoint)
     done = run_program("reset", "office", "--seed", "3", *at)

@@ -58,6 +58,7 @@ def test_controllers__band_is_kept_by_a_kelvin_or_a_third_of_it() -> None:
     assert inside((20.0, 21.0), 0.0) == (20.0, 21.0)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("steps_per_hour", [1, 4, 12, 60])
 @pytest.mark.parametrize("lag_h", [0.0, 0.2, 1.0, 8.0])
 @pytest.mark.parametrize("gain", [0.1, 0.5, 1.0])
@@ -181,6 +182,7 @@ def test_controllers__pid_integrates_up_to_its_limit_in_long_timesteps() -> None
     assert output(control, 22.0) == 27.0
 
 
+@pytest.mark.slow
 def test_controllers__pid_does_not_swing_in_a_building() -> None:
     with closing(BuildingEnv(**of_scenario("datacenter_dx-chicago-continuous-v1"), **WEEK)) as env:
         agent = Agent(PIDController(env.manifest, setpoint=24.0))

@@ -106,6 +106,7 @@ def module_of(path: Path) -> Any:
     return module
 
 
+@pytest.mark.slow
 def test_district__equals_its_plants_called_by_hand_to_the_bit(scratch: Path) -> None:
     """The example, simulated by its command; and its classes, called in the order of their connections."""
     path = scratch / "run.mcap"
@@ -162,6 +163,7 @@ connections:
     assert rows["feeder.import"] - rows["feeder.export"] == pytest.approx(balance, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_district__controller_reset_and_solved_loop(scratch: Path) -> None:
     """Equal seeds and commands have equal trajectories; each step of the loop is solved within its tolerance."""
     with running(scratch, district(scratch, SOLVED)) as (_, bus, name), bus.controller(name) as link:
@@ -191,6 +193,7 @@ def has_ended(process: psutil.Process) -> bool:
         return True
 
 
+@pytest.mark.slow
 def test_district__killed_leaves_no_process_and_verifies_up_to_its_end(scratch: Path) -> None:
     path, file = scratch / "killed.mcap", district(scratch)
     with running(scratch, file, record=str(path)) as (program, bus, name):
@@ -309,6 +312,7 @@ connections:
             assert home_bus.status("home").state is State.ENDED  # the district has left it as it was
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     ("text", "error", "expected"),

@@ -109,6 +109,7 @@ def pages_with(*languages: str) -> list[Any]:
 # Programs
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("page", pages_with("python"))
 def test_docs__programs_run(page: str, scratch: Path) -> None:

@@ -26,6 +26,7 @@ def _run(name: str, *arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_examples__gymnasium_environment(scratch):
     output = _run("gymnasium_environment.py", "--days", "1")
     assert "96 timesteps to 2017-07-02T00:00:00" in output
@@ -108,6 +109,7 @@ def test_examples__own_plants_heat_balance():
     assert values["electricity"] == 900.0 * 60.0
 
 
+@pytest.mark.slow
 def test_examples__controller_on_the_bus(scratch):
     with NodeProgram(scratch / "node", **SMALL) as node:
         output = _run("controller_on_the_bus.py", "--connect", node.endpoint)

@@ -212,6 +212,7 @@ def _broken(folder: Path, break_: Callable[[dict[str, Any]], None]) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_model__refused_by_energyplus(scratch: Path) -> None:
     """A fan that names a schedule which is not there."""
 
@@ -228,6 +229,7 @@ def test_model__refused_by_energyplus(scratch: Path) -> None:
     assert "** Fatal **" in message
 
 
+@pytest.mark.slow
 def test_model__refused_if_it_is_no_building(scratch: Path) -> None:
     path = scratch / "empty.epJSON"
     for text, message in (("{", "is not an epJSON"), ("{}", "it has no 'Building' object")):
@@ -260,6 +262,7 @@ def test_failures__energyplus_gives_up_in_mid_episode() -> None:
 # Deaths
 
 
+@pytest.mark.slow
 def test_failures__engine_is_killed_in_mid_step(env: gym.Env[Any, Any]) -> None:
     env.reset(seed=1)
     env.step(env.action_space.low)
@@ -301,6 +304,7 @@ def test_failures__node_is_killed_in_mid_step() -> None:
         assert "step 3)" in str(raised.value)
 
 
+@pytest.mark.slow
 def test_failures__node_is_killed_between_steps() -> None:
     with make() as env:
         env.reset(seed=1)
@@ -316,6 +320,7 @@ def test_failures__node_is_killed_between_steps() -> None:
             env.reset()
 
 
+@pytest.mark.slow
 def test_failures__owner_is_killed(scratch: Path) -> None:
     """Nobody is left to end the node: it ends by itself, and its engine with it."""
     text = f"""
@@ -333,6 +338,7 @@ sys.stdin.readline()
         until(lambda: not programs_of(scratch), "node and engines have ended")
 
 
+@pytest.mark.slow
 def test_failures__node_is_stopped_by_a_request(folder: Path) -> None:
     with node_and_bus(folder) as (node, bus), bus.controller("office") as link:
         link.reset().send()
@@ -343,6 +349,7 @@ def test_failures__node_is_stopped_by_a_request(folder: Path) -> None:
         assert node.process.wait() == 0
 
 
+@pytest.mark.slow
 def test_a_controller__raises_when_another_resets_its_node(episode_bus: zenostat.Bus) -> None:
     with (
         episode_bus.controller("office", name="one") as one,
@@ -433,6 +440,7 @@ def test_failures__two_nodes_of_one_name(folder: Path, episode_bus: zenostat.Bus
         assert link.receive().step == 1, "the first goes on"
 
 
+@pytest.mark.slow
 def test_connect__names_what_is_missing(shared_node: NodeProgram) -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     with pytest.raises(NodeNotFound, match=f"nobody listens on {endpoint}; start a node there"):
@@ -449,6 +457,7 @@ def test_node__listens_to_other_machines_only_with_the_option(folder: Path) -> N
 # Ctrl-C
 
 
+@pytest.mark.slow
 def test_failures__ctrl_c_in_a_node_that_waits(folder: Path) -> None:
     with node_and_bus(folder) as (node, bus), bus.controller("office") as link:
         link.reset().send()
@@ -458,6 +467,7 @@ def test_failures__ctrl_c_in_a_node_that_waits(folder: Path) -> None:
             link.receive()
 
 
+@pytest.mark.slow
 def test_failures__ctrl_c_in_a_node_that_simulates(folder: Path) -> None:
     with node_and_bus(folder) as (node, bus), bus.controller("office") as link:
         sample = link.reset()
@@ -486,6 +496,7 @@ while True:
 WITH = "with env:" + STEPS.replace("\n", "\n    ")
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("text", [ENVIRONMENT + WITH, ENVIRONMENT + STEPS], ids=["with", "bare"])
 def test_failures__ctrl_c_in_a_script_with_an_environment(text: str) -> None:
@@ -521,6 +532,7 @@ with zenostat.connect(sys.argv[1], affinity="off") as bus, bus.controller("offic
         assert link.receive().step == 1
 
 
+@pytest.mark.slow
 def test_failures__ctrl_c_while_a_node_starts(folder: Path) -> None:
     """It may come at any moment; whatever the node had by then is cleared."""
     text = f"""
@@ -550,6 +562,7 @@ env.reset(seed=0)
     assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
 
 
+@pytest.mark.slow
 def test_environment__refuses_steps_and_resets_once_closed(scratch: Path) -> None:
     env = gym.make("zenostat/Building-v1", **SMALL, affinity="off").unwrapped
     env.reset(seed=0)

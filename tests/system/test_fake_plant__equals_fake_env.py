@@ -44,6 +44,7 @@ def test_fake_plant__equal_spaces_and_names(env: Any, fake: Any) -> None:
     assert env.unwrapped.observation_names == fake.unwrapped.observation_names
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("seed", [0, 2**64 - 1])
 def test_fake_plant__trajectory_is_equal_to_the_bit(env: Any, fake: Any, seed: int) -> None:
@@ -57,6 +58,7 @@ def test_fake_plant__trajectory_is_equal_to_the_bit(env: Any, fake: Any, seed: i
     assert fake.unwrapped.sample.truncated
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("is_forkable", [True, False])
 def test_fake_plant__snapshot_continues_to_the_bit(is_forkable: bool, tmp_path: Path) -> None:

@@ -224,6 +224,7 @@ def test_late_command_of_a_frozen_controller__reported_and_not_applied(scratch: 
     assert {(effective(s), s.value_source[POINT], s.fallback) for s in frozen} == {(25.0, name, True)}
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("policy", ["abort", "hold"])
 def test_fallback_policies__controller_that_joins_late_and_is_silent_meets_its_deadline(
     scratch: Path, policy: str
@@ -245,6 +246,7 @@ def test_fallback_policies__controller_that_joins_late_and_is_silent_meets_its_d
 # Aborted
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("how", ["killed", "unresponsive"])
 def test_abort__reaches_the_other_controller_and_a_reset_begins_anew(scratch: Path, how: str) -> None:
@@ -301,6 +303,7 @@ with zenostat.connect(endpoint, affinity="off") as bus, bus.controller("office",
 """
 
 
+@pytest.mark.slow
 def test_fallback_policies__two_controllers_and_a_supervisor_are_as_one_to_the_bit(
     scratch: Path, episode_bus: zenostat.Bus
 ) -> None:
@@ -418,6 +421,7 @@ def test_fallback_policies__node_s_settings_are_checked_alike(folder: Path) -> N
         assert setting in str(raised.value)
 
 
+@pytest.mark.slow
 def test_node_on_its_fallback_policy__answers_requests(scratch: Path) -> None:
     """Without a deadline it runs as fast as it can, and whoever comes back is heard at once."""
     year = SMALL | {"begin": "01-01", "end": "12-31", "policy": "hold", "grace_s": 0.0}

@@ -118,6 +118,7 @@ def test_fault_injection__empty_plan_leaves_all_as_it_is(scratch: Path, stage: S
 NEVER = {"probability": 1e-300}
 
 
+@pytest.mark.slow
 def test_fault_injection__windows_that_never_come_leave_all_as_it_is(stage: Stage) -> None:
     ran = stage.faulty(
         {"kind": "bias", "points": "*", "actuators": "*", "offset": 5.0, "when": NEVER},
@@ -386,6 +387,7 @@ def test_fault_injection__lost_samples_are_missing_when_free(episode_bus: Bus) -
     bus.faults("office", None)
 
 
+@pytest.mark.slow
 def test_fault_injection__delayed_samples_come_later_when_paced(episode_bus: Bus) -> None:
     bus = episode_bus
     bus.faults("office", {"faults": [{"kind": "latency", "samples": True, "delay_ms": 400.0}]})

@@ -80,6 +80,7 @@ def test_fidelity__week_equals_energyplus_alone(week) -> None:
     check_equal(manifest, got, expected)
 
 
+@pytest.mark.variants
 def test_fidelity__each_point_lives(week) -> None:
     """A comparison of constants would show nothing."""
     manifest, got, _ = week

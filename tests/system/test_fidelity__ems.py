@@ -51,6 +51,7 @@ def _programs() -> dict[str, Any]:
     return edits
 
 
+@pytest.mark.slow
 def test_ems_variables__equal_the_report_at_each_calling_point(folder: Path) -> None:
     """The HVAC of this building divides most timesteps."""
     edits = _programs()

@@ -61,6 +61,7 @@ def _registers(value: float) -> list[int]:
     return list(struct.unpack(">HH", struct.pack(">f", value)))
 
 
+@pytest.mark.slow
 def test_modbus__client_writes_under_its_name_what_it_may_and_others_nothing(
     stepping_bus: Bus, clients_file: Path
 ) -> None:
@@ -122,6 +123,7 @@ async def test_bacnet__exposed_gateway_is_read_only(stepping_bus: Bus) -> None:
     assert stepping_bus.latest("office").step[0] == 0
 
 
+@pytest.mark.slow
 @needs_broker
 @needs_mosquitto
 def test_mqtt__broker_binds_a_topic_to_its_user_who_writes_under_that_name(

@@ -53,6 +53,7 @@ def commands(bus: Bus) -> list[dict[int, tuple[float, str]]]:
 OTHERS = [{12: (900.0, "operator")}] * 2
 
 
+@pytest.mark.variants
 @ENDS
 def test_modbus__relinquishes_what_it_commanded_although_a_client_is_connected(
     room: NodeProgram, bus: Bus, end: signal.Signals
@@ -71,6 +72,7 @@ def test_modbus__relinquishes_what_it_commanded_although_a_client_is_connected(
     assert commands(bus) == OTHERS
 
 
+@pytest.mark.variants
 @needs_broker
 @ENDS
 def test_mqtt__relinquishes_each_priority_and_source_and_is_offline(
@@ -98,6 +100,7 @@ def test_mqtt__relinquishes_each_priority_and_source_and_is_offline(
     assert commands(bus) == OTHERS
 
 
+@pytest.mark.variants
 @ENDS
 def test_bacnet__relinquishes_what_its_clients_commanded(room: NodeProgram, bus: Bus, end: signal.Signals) -> None:
     port = free_udp_port()
@@ -170,6 +173,7 @@ def test_gateways__second_gateway_with_the_same_name_is_refused_until_the_first_
         assert running.end()[0] == 0
 
 
+@pytest.mark.slow
 @needs_broker
 def test_gateways__one_topic_of_a_broker_has_one_gateway_of_a_node(room: NodeProgram, tmp_path: Path) -> None:
     with Broker(tmp_path) as broker:
@@ -182,6 +186,7 @@ def test_gateways__one_topic_of_a_broker_has_one_gateway_of_a_node(room: NodePro
                 assert running.end()[0] == 0
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @ENDS
 def test_gateways__signal_ends_a_gateway_that_is_not_ready_yet(room: NodeProgram, end: signal.Signals) -> None:
@@ -248,6 +253,7 @@ def test_gateways__gateway_that_is_started_first_waits_for_bus_and_node(tmp_path
     assert (program.returncode, err) == (0, ""), out
 
 
+@pytest.mark.slow
 def test_gateways__signal_ends_a_gateway_that_waits(tmp_path: Path) -> None:
     words = ["gateway", "mqtt", "room", "--connect", f"unixsock-stream/{tmp_path}/bus", "--wait"]
     with subprocess.Popen([*ZENOSTAT, *words], stdout=PIPE, stderr=PIPE, text=True) as program:

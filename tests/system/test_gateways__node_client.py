@@ -63,6 +63,7 @@ async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(e
     assert [event.source for event in events if event.kind is EventKind.WRITTEN] == ["device-7"] * 2
 
 
+@pytest.mark.slow
 async def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(episode_bus: Bus) -> None:
     episode_bus.pause("office")
     async with _client(episode_bus.endpoint) as node:

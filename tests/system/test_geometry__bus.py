@@ -59,6 +59,7 @@ def test_geometry__node_that_is_not_there_is_named(episode_bus: zenostat.Bus) ->
         episode_bus.geometry("offise")
 
 
+@pytest.mark.slow
 def test_geometry__python_plant_has_no_geometry(scratch: Path) -> None:
     file = scratch / "tank.py"
     file.write_text(PLANT)

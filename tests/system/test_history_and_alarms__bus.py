@@ -228,6 +228,7 @@ def test_a_snapshot__contains_the_alarms(bus: zenostat.Bus) -> None:
     bus.drop("oven", snapshot)
 
 
+@pytest.mark.slow
 def test_what_is_set_aside__is_kept_by_snapshots_and_branches_and_ends_with_its_time(bus: zenostat.Bus) -> None:
     heat(bus, *[200.0] * 9)  # 29 degC at 00:09
     ack = bus.shelve("oven", "hot", 120, source="ann", comment="bread")

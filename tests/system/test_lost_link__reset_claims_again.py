@@ -78,6 +78,7 @@ def link(tcp_node: NodeProgram) -> Iterator[CuttableLink]:
         yield opened
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @SLOTS
 def test_lost_link__cut_connection(scratch: Path, slots: int) -> None:
@@ -178,6 +179,7 @@ def test_lost_link__router_that_was_killed_and_started_again(scratch: Path) -> N
             node.close()
 
 
+@pytest.mark.slow
 def test_lost_link__controller_without_gymnasium(link: CuttableLink) -> None:
     with zenostat.connect(link.endpoint, affinity="off") as bus, bus.controller("office") as controller:
         controller.reset().send()

@@ -70,6 +70,7 @@ def is_event(kind: EventKind) -> Callable[[str, bytes], bool]:
     return lambda key, payload: key.endswith("/event") and codec.decode(Event, payload).kind is kind
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("step", [40, 0, 96])
 def test_lost_sample__is_requested(episode_bus: Bus, step: int) -> None:
@@ -80,6 +81,7 @@ def test_lost_sample__is_requested(episode_bus: Bus, step: int) -> None:
     assert lost == [keys.SAMPLE.at("office")]
 
 
+@pytest.mark.slow
 def test_lost_messages__controller_that_connects_late_asks_for_the_sample_after_the_one_that_is_answered(
     episode_bus: Bus,
 ) -> None:
@@ -160,6 +162,7 @@ def test_lost_messages__controller_without_a_claim_does_not_wait_for_ever() -> N
         receive_watchdog.query_sample(OneSample(), "office", "c")  # type: ignore[arg-type]
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("priority", ["DATA", "REAL_TIME"])
 def test_lost_messages__large_messages_of_a_stranger_do_not_displace_samples(
     episode_bus: Bus, monkeypatch: pytest.MonkeyPatch, priority: str

@@ -85,6 +85,7 @@ def _float32(value: float) -> float:
     return float(struct.unpack(">f", struct.pack(">f", value))[0])
 
 
+@pytest.mark.slow
 def test_modbus_gateway__input_registers_are_the_sample_by_the_written_map(
     bus: Bus, client: ModbusTcpClient, tmp_path: Path
 ) -> None:

@@ -44,6 +44,7 @@ def _run(endpoint: str, *, reset: bool = False) -> list[np.ndarray]:
         return [sample.values for sample in link]
 
 
+@pytest.mark.slow
 def test_monitor__recording_has_each_sample_of_each_episode_to_the_bit(scratch, episode_bus):
     rr.set_strict_mode(True)
     path = scratch / "run.rrd"
@@ -84,6 +85,7 @@ def _to_the_stop(
     return received
 
 
+@pytest.mark.slow
 def test_monitor__batches_have_all_that_was_streamed_in_the_order_sent(scratch):
     with NodeProgram(scratch / "node", **SMALL) as node, open_session(connect=[node.endpoint]) as session:
         one_by_one = session.declare_subscriber(keys.stream("office"), RingChannel(1000))

@@ -92,6 +92,7 @@ def _begins(manifest):
     return [(begin + n * step).astype("M8[s]").item() for n in range(97)]
 
 
+@pytest.mark.slow
 def test_monitor__node_of_an_older_schema_is_named_and_not_shown(scratch, shared_node):
     notices: list[str] = []
     with (

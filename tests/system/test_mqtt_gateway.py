@@ -67,6 +67,7 @@ def result(messages: list[tuple[str, str]], count: int, actuator: str = COOLING)
     return json.loads(payloads(messages, topic)[count - 1])
 
 
+@pytest.mark.slow
 def test_mqtt_gateway__samples_and_points_are_those_of_the_bus(
     bus: Bus, served: RunningGateway, broker: Broker
 ) -> None:

@@ -95,6 +95,7 @@ def test_node__while_a_reset_forks_an_engine_that_does_not_answer(folder: Path, 
                     ends(node, engines)
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("shutdown", ["SIGTERM", "stop"])
 def test_node__while_an_engine_starts_that_does_not_answer(folder: Path, shutdown: str) -> None:
@@ -110,6 +111,7 @@ def test_node__while_an_engine_starts_that_does_not_answer(folder: Path, shutdow
             ends(node, new)
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("settings", [{}, {"slots": 2}, {"baseline": True}, {"keep": True}], ids=str)
 def test_node__in_mid_step_of_engines_that_hang(folder: Path, settings: dict[str, Any]) -> None:

@@ -189,6 +189,7 @@ def size(pid: int) -> tuple[int, int, float]:
     return process.num_fds(), process.num_threads(), process.memory_info().rss / 1e6
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("seconds", [4.0, FUZZ_S])
 def test_malformed_messages__change_nothing(scratch: Path, seconds: float) -> None:

@@ -36,6 +36,7 @@ def step_for_ever(env: Any) -> None:
         env.step(env.action_space.sample())
 
 
+@pytest.mark.slow
 def test_own_node__single_environment() -> None:
     env = gym.make("zenostat/Building-v1", **SMALL, affinity="off")
     first, _ = env.reset(seed=7)

@@ -38,6 +38,7 @@ YEAR = {**SMALL, "begin": "01-01", "end": "12-31"}
 # The schedule
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("speed", [1.0, 7.0, 3600.0])
 def test_pacing__million_timesteps_do_not_drift(speed: float) -> None:
     pace = StepSchedule(STEP_S, speed)
@@ -201,6 +202,7 @@ def reference(shared_node: NodeProgram) -> list[Sample]:
         return messages[1:]
 
 
+@pytest.mark.slow
 def test_pacing__no_sample_comes_before_it_is_due(bus: Bus) -> None:
     with bus.listen("office") as samples:
         asked_s = time.monotonic()
@@ -278,6 +280,7 @@ def test_pacing__command_that_comes_in_time_controls_the_next_timestep(bus: Bus)
         assert link.receive().effective[index] == 28.0
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("mode", ["free", "paced"])
 def test_pacing__paused_node_stands_until_it_goes_on(year_bus: Bus, mode: str) -> None:
@@ -368,6 +371,7 @@ def test_pacing__resumed_node_does_not_catch_up(bus: Bus) -> None:
     assert early == []
 
 
+@pytest.mark.slow
 def test_pacing__pace_changes_while_it_runs(bus: Bus) -> None:
     with bus.listen("office") as samples:
         bus.pace("office", 1.0)  # a quarter of an hour a timestep
@@ -452,6 +456,7 @@ def test_invalid_requests__refused_with_the_reason(bus: Bus, ask: Any, error: ty
     assert (status.step, status.mode, status.speed, status.paused) == ([0], Mode.LOCKSTEP, 1.0, False)
 
 
+@pytest.mark.slow
 def test_pacing__episode_that_is_over_takes_no_steps_and_no_writes(scratch: Path) -> None:
     with NodeProgram(scratch / "n", **SMALL, mode="free") as node, zenostat.connect(node.endpoint) as bus:
         until(lambda: bus.status("office").state is State.ENDED, "the day is over")

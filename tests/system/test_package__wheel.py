@@ -68,6 +68,7 @@ def wheel(module_folder: Path, checkout: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_wheel__has_all_files_of_the_packages(wheel: Path, checkout: Path) -> None:
     packaged = {
         f"zenostat/{path.relative_to(checkout)}"

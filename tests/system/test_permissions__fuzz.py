@@ -228,6 +228,7 @@ def fuzz(folder: Path, node: NodeProgram, bus: Bus, pki: Path, seconds: float, t
     assert list(nothing.iterdir()) == [], "nothing was executed or written"
 
 
+@pytest.mark.slow
 def test_permissions__fuzzed_topics_of_other_roles_change_nothing(
     folder: Path, node: NodeProgram, bus: Bus, pki: Path
 ) -> None:

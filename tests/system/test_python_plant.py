@@ -200,6 +200,7 @@ def calculated(seed: int, steps: int, loss: float = 0.125) -> list[bytes]:
 # Trajectories
 
 
+@pytest.mark.slow
 def test_python_plant__episode_is_what_the_class_computes_to_the_bit(own: BuildingEnv) -> None:
     _, info = own.reset(seed=7)
     assert own.sample.values.tolist() == [20.0, random.Random(7).random(), 0.0]
@@ -223,6 +224,7 @@ def test_python_plant__equal_seeds_give_equal_episodes_and_none_continues_their_
     assert sequence(2**64 - 1) == calculated(2**64 - 1, 1)
 
 
+@pytest.mark.slow
 def test_python_plant__slots_and_baseline_have_the_same_episodes(own: BuildingEnv, tank: Path) -> None:
     arguments = {"plant": f"{tank}:Tank", "reward": None, "affinity": "off"}
     envs = gym.make_vec("zenostat/Plant-v1", num_envs=2, baseline=True, plant_arguments={"loss": 0.5}, **arguments)
@@ -306,6 +308,7 @@ def test_python_plant__reset_that_fails_is_named_and_another_one_works(own: Buil
     assert trajectory(own, 2) == calculated(1, 2)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("number", "error", "text"),
     [
@@ -332,6 +335,7 @@ def test_python_plant__plant_that_computes_for_long_is_left_alone(own: BuildingE
     assert own.sample.step == 1
 
 
+@pytest.mark.slow
 def test_python_plant__what_a_class_prints_appears_at_once_in_the_nodes_standard_error(
     own: BuildingEnv, capfd: pytest.CaptureFixture[str], tank: Path
 ) -> None:
@@ -359,6 +363,7 @@ def copied(request: pytest.FixtureRequest) -> BuildingEnv:
     return env
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 def test_python_plant__copies_continue_to_the_bit(copied: BuildingEnv) -> None:
     copied.reset(seed=11)
@@ -377,6 +382,7 @@ def test_python_plant__copies_continue_to_the_bit(copied: BuildingEnv) -> None:
     until(lambda: len(hosts_of(copied.local_node.pid)) == 1, "the copies have ended")
 
 
+@pytest.mark.variants
 def test_python_plant__copy_is_as_mortal_as_its_origin(copied: BuildingEnv) -> None:
     copied.reset(seed=1)
     with copied.branch() as branch:
@@ -406,6 +412,7 @@ def test_python_plant__class_that_can_no_longer_be_copied_goes_on(own: BuildingE
             env.step(action(deed="kill"))  # what it has would outlive the episode
 
 
+@pytest.mark.slow
 def test_python_plant__class_that_cannot_be_copied_states_what_it_lacks(own: BuildingEnv, tank: Path) -> None:
     plan = plan_class(f"{tank}:Neither", {}, unresponsive_s=10.0)
     with pytest.raises(ForkFailed, match=r"save\(\) and restore\(state\), or forkable = True"):
@@ -423,6 +430,7 @@ def test_python_plant__class_that_cannot_be_copied_states_what_it_lacks(own: Bui
 # Starting
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("deed", "error", "text"),
     [
@@ -470,6 +478,7 @@ def test_python_plant__settings_of_a_building_and_unknown_arguments_are_refused(
 # Nodes
 
 
+@pytest.mark.slow
 def test_python_plant__node_serves_a_plant_as_any_other(scratch: Path, tank: Path) -> None:
     """Two slots, timesteps of a day, a branch, a write with an expiry, faults."""
     with (
@@ -563,6 +572,7 @@ class Slow:
 """
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(("deed", "shutdown"), [("hang", "SIGTERM"), ("hang", "stop"), ("compute for ever", "SIGINT")])
 def test_python_plant__node_ends_while_its_plant_steps(scratch: Path, tank: Path, shutdown: str, deed: str) -> None:

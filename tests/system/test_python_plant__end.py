@@ -146,6 +146,7 @@ def test_python_plant__stop_while_requests_wait_behind_a_timestep_answers_all_of
     assert "Traceback" not in capfd.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("where", ["step", "reset"])
 def test_python_plant__reset_gives_up_a_timestep_or_a_start_that_never_ends(scratch: Path, where: str) -> None:
@@ -178,6 +179,7 @@ ENDS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("end", ENDS)
 @pytest.mark.parametrize("name", ["Plant", "Closing"])

@@ -64,6 +64,7 @@ def recorded(module_folder: Path) -> Any:
     return SimpleNamespace(path=path, names=names)
 
 
+@pytest.mark.slow
 def test_log__has_the_proven_name_and_the_way_in_of_each_sender(recorded: Any) -> None:
     log = recording.load(recorded.path).log
     (agent,) = [entry for entry in log if entry.kind == "command"]

@@ -161,6 +161,7 @@ def test_recording__names_that_are_no_identifiers_become_unique_ones() -> None:
     assert field_names(names) == ["a_b", "a_b_2", "a_b_3", "_1st", "step_2", "timestamp_2", "_"]
 
 
+@pytest.mark.slow
 def test_recording__names_of_the_points_are_in_the_metadata(watched: Any, scratch: Path) -> None:
     loaded = recording.load(watched.path)
     old = loaded.manifest.sensors[0]

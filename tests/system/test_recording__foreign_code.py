@@ -77,6 +77,7 @@ def hostile(counter: Path, tmp_path: Path) -> tuple[Path, Path]:
     return rewrite(counter, tmp_path / "hostile.mcap", provenance=provenance), created
 
 
+@pytest.mark.slow
 def test_recording__verify_never_runs_what_a_recording_names(hostile: tuple[Path, Path]) -> None:
     path, created = hostile
     for tolerance in (None, 0.0):
@@ -95,6 +96,7 @@ def test_recording__no_command_runs_what_a_recording_names(hostile: tuple[Path, 
     assert "counter" not in set(sys.modules) - known
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_recording__class_that_the_user_names_is_verified(counter: Path) -> None:
     plant = f"{counter.with_name('counter.py')}:Counter"
@@ -161,6 +163,7 @@ def test_recording__provenance_sets_only_what_determines_the_results(
         verify(path)
 
 
+@pytest.mark.slow
 @pytest.mark.process
 def test_recording__name_of_a_snapshot_is_not_a_path(counter: Path, tmp_path: Path) -> None:
     outside = tmp_path / "outside"

@@ -197,6 +197,7 @@ def test_recording__changed_class_is_refused_unless_a_tolerance_compares_it(walk
         file.write_text(text)
 
 
+@pytest.mark.slow
 def test_recording__recording_without_a_start_verifies_nothing(walk: Path) -> None:
     path = rewrite(
         walk, walk.with_name("start.mcap"), lambda _, i: None if i.schema == "RecordedEpisode" else i.payload

@@ -218,6 +218,7 @@ def test_recording__killed_node_leaves_a_file_that_verifies_to_its_end(scratch: 
     assert "cut off" in result.end
 
 
+@pytest.mark.slow
 def test_recording__running_node_is_recorded_from_its_next_reset(shared_node: NodeProgram, scratch: Path) -> None:
     path = scratch / "running.mcap"
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:

@@ -42,6 +42,7 @@ def observed(env: BuildingEnv, actions: np.ndarray[Any, Any]) -> tuple[np.ndarra
     return np.array(values), rewards, effective
 
 
+@pytest.mark.slow
 def test_relative__zero_is_the_baseline_to_the_bit() -> None:
     with_zeros = BuildingEnv(**settings())
     assert with_zeros.action_space == gym.spaces.Box(-3.0, 3.0, (2,), np.float32)
@@ -141,6 +142,7 @@ def test_relative__plans_give_the_rewards_of_their_steps() -> None:
     assert later[1].tolist() == afterwards
 
 
+@pytest.mark.slow
 def test_relative__controllers_of_absolute_values_act_through_offsets() -> None:
     env = BuildingEnv(**settings(relative={"cooling_setpoint": (-2.0, 4.0)}))
     try:

@@ -83,6 +83,7 @@ def check(node: NodeProgram, bus: zenostat.Bus, link: ControllerLink) -> None:
         assert EngineStart.REUSED not in starts, "the reply tells of no engine that is dead"
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("case", CASES)
 def test_reset__energyplus_that_died_at_sample_0_is_replaced(scratch: Path, case: str) -> None:

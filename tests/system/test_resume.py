@@ -187,6 +187,7 @@ def check(path: Path, reference: Path) -> None:
     assert result.steps >= STEPS
 
 
+@pytest.mark.slow
 def test_resume__killed_node_goes_on_to_the_bit(
     scratch: Path, settings: dict[str, Any], reference: tuple[Path, tuple[Any, ...]]
 ) -> None:
@@ -272,6 +273,7 @@ def levels(bus: zenostat.Bus, end: int) -> list[float]:
     return seen
 
 
+@pytest.mark.slow
 def test_resume__python_class_goes_on(scratch: Path, tank: dict[str, Any]) -> None:
     path = scratch / "tank.mcap"
     with node_on_bus(scratch / "whole", **tank) as (_, bus):
@@ -362,6 +364,7 @@ def _positions(path: Path) -> Iterator[tuple[list[int], list[int]]]:
 # What cannot go on
 
 
+@pytest.mark.slow
 def test_resume__says_why_it_cannot(
     scratch: Path, settings: dict[str, Any], reference: tuple[Path, tuple[Any, ...]]
 ) -> None:
@@ -387,6 +390,7 @@ def test_resume__says_why_it_cannot(
         NodeProgram(scratch / "node", **settings, resume=str(scratch / "none.mcap"))
 
 
+@pytest.mark.slow
 def test_resume__changed_value_is_named(
     scratch: Path, settings: dict[str, Any], reference: tuple[Path, tuple[Any, ...]]
 ) -> None:
@@ -429,6 +433,7 @@ def test_resume__damage_that_is_not_at_the_end_is_an_error(
 # The command
 
 
+@pytest.mark.slow
 def test_resume__command_goes_on_with_the_recording_alone(
     scratch: Path, reference: tuple[Path, tuple[Any, ...]]
 ) -> None:

@@ -87,6 +87,7 @@ def by_file(_: Bus, pki: Path, name: str) -> None:
     revoke(pki, name)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(("act", "name"), [(by_request, "ann"), (by_file, "bob")])
 def test_revoke__ends_claims_values_and_links_of_a_name_and_nothing_of_others(
     node: NodeProgram, pki: Path, operator: Bus, act: Callable[[Bus, Path, str], None], name: str
@@ -127,6 +128,7 @@ def test_revoke__ends_claims_values_and_links_of_a_name_and_nothing_of_others(
     assert name in read_revoked(pki)
 
 
+@pytest.mark.slow
 def test_revoke__refuses_what_comes_through_a_router_by_name(scratch: Path, tmp_path: Path) -> None:
     """The router does not know yet that the name is revoked; the node does."""
     at_router, at_node = house_keys(tmp_path / "router"), tmp_path / "node"
@@ -215,6 +217,7 @@ def test_revoke__what_cannot_be_revoked(node: NodeProgram, pki: Path, operator: 
         controller.revoke("room", "ann")
 
 
+@pytest.mark.slow
 def test_revoked_file__that_is_damaged_is_reported_and_the_names_stay(scratch: Path, tmp_path: Path) -> None:
     pki, listen = house_keys(tmp_path / "keys"), [f"tls/127.0.0.1:{free_port()}"]
     with (

@@ -244,6 +244,7 @@ def test_router__two_machines_that_only_the_router_joins(scratch: Path) -> None:
     assert "Network is unreachable" in outputs["10.77.1.2"]
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("closed", [False, True], ids=["open", "closed"])
 def test_router__two_routers(folder: Path, scratch: Path, closed: bool) -> None:
@@ -267,6 +268,7 @@ def test_router__two_routers(folder: Path, scratch: Path, closed: bool) -> None:
         assert sample.value_source["core_zn_cooling_setpoint"] == link.name
 
 
+@pytest.mark.slow
 def test_router__router_keeps_the_rules(folder: Path, scratch: Path) -> None:
     endpoint = f"tls/127.0.0.1:{free_port()}"
     place = Place(endpoint, endpoint, router_keys(folder))
@@ -304,6 +306,7 @@ def test_router__node_needs_a_bus() -> None:
     assert read_config({**SMALL, "listen": [], "connect": ["tcp/127.0.0.1:7447"]}).listen == []
 
 
+@pytest.mark.slow
 def test_router__command_of_a_node_that_does_not_listen() -> None:
     words = ["node", "--building", "x", "--weather", "y", "--no-listen"]
     bare = run_program(*words)

@@ -42,6 +42,7 @@ def reference() -> np.ndarray[Any, Any]:
     return episode(building="ref-small-office")[0]
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.filterwarnings("ignore:.*the model has no")
 @pytest.mark.parametrize(

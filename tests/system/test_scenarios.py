@@ -85,6 +85,7 @@ def test_scenarios__shown_scenario_simulates_the_same(scratch: Path) -> None:
     np.testing.assert_array_equal(results[0][3], results[1][3])
 
 
+@pytest.mark.slow
 def test_scenarios__action_sets_all_its_actuators_and_the_clock_is_observed(scratch: Path) -> None:
     env = make("zenostat/Scenario-v1", file=written(scratch))
     assert env.observation_names == ("hour", "core")
@@ -112,6 +113,7 @@ def test_scenarios__control_by_zone_is_a_pair_for_each_zone(scratch: Path) -> No
     whole.close()
 
 
+@pytest.mark.slow
 def test_scenarios__actuators_beside_the_actions_are_context(scratch: Path) -> None:
     """They are the building's own until they are set, keep what they are set to, and can be given back."""
     actions = {"cooling": {"actuators": ["core_cooling"]}}
@@ -204,6 +206,7 @@ def test_scenarios__weathers_are_drawn_by_the_seed(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_scenarios__environment_on_a_bus_takes_the_scenario_over(scratch: Path) -> None:
     """Spaces, clock and reward come from the manifest of a node that runs elsewhere."""
     own = make(f"{SMALL}-discrete-v1", time=["month", "hour"], reward={"kind": "linear", "weight": 1.0})
@@ -230,6 +233,7 @@ def test_model_that_works_against_its_actuators__warns(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_scenarios__sinergym_configuration_of_a_users_own(scratch: Path) -> None:
     """A copy of the pack's, changed: another place, another timestep."""
     pack = packs.sinergym()
@@ -303,6 +307,7 @@ def test_scenarios__reward_of_no_kind_is_refused_by_the_environment(scratch: Pat
         gym.make("zenostat/Scenario-v1", file=written(scratch, reward={"kind": "best"}), affinity="off")
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize(
     ("broken", "field", "kind", "words"),
     [

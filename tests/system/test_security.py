@@ -230,6 +230,7 @@ def day(link: ControllerLink, meanwhile: Any = lambda _: None) -> list[bytes]:
         sample = link.receive()
 
 
+@pytest.mark.slow
 def test_security__monitor_s_attacks_leave_the_day_as_it_is(
     node: NodeProgram, pki: Path, bus: Bus, watcher: Bus
 ) -> None:
@@ -287,6 +288,7 @@ def test_security__same_attacks_work_under_the_own_name_of_an_operator_who_contr
         assert bus.status("office").episode == episode
 
 
+@pytest.mark.slow
 def test_security__programs_that_reset_connect_with_the_trainer_s_certificate(node: NodeProgram, pki: Path) -> None:
     plant = FoundPlant("office", node.endpoint, pki)
     try:
@@ -302,6 +304,7 @@ def test_security__programs_that_reset_connect_with_the_trainer_s_certificate(no
     assert "may not query rpc/reset" in " ".join(done.stderr.split())
 
 
+@pytest.mark.slow
 def test_security__operator_may_stop_a_node_and_a_monitor_not(scratch: Path, pki: Path) -> None:
     listen = [f"tls/127.0.0.1:{free_port()}"]
     with NodeProgram(scratch / "own", **SMALL, listen=listen, keys=str(pki), name="own") as running:
@@ -424,6 +427,7 @@ def test_security__only_a_node_answers_requests(
             assert answers == ([FORGED] if passes else [])
 
 
+@pytest.mark.slow
 def test_security__controller_s_certificate_cannot_be_listened_with(pki: Path) -> None:
     """Whoever stands in a node's place needs a node's certificate: the others are none of a TLS server."""
     endpoint = f"tls/127.0.0.1:{free_port()}"
@@ -468,11 +472,13 @@ def test_security__stranger_cannot_connect(
         assert ask(friend, keys.STATUS)
 
 
+@pytest.mark.slow
 def test_security__without_tls_nobody_gets_in(node: NodeProgram) -> None:
     with pytest.raises(NodeNotFound):
         open_session(connect=[node.endpoint.replace("tls/", "tcp/")])
 
 
+@pytest.mark.slow
 def test_security__expired_certificate_is_refused_by_the_node_and_before(
     node: NodeProgram, pki: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -505,6 +511,7 @@ def test_security__why_there_is_no_session(node: NodeProgram, pki: Path, strange
         open_session(connect=[node.endpoint], keys=mixed, role=Role.CONTROLLER)
 
 
+@pytest.mark.slow
 def test_diagnose_tls__reports_a_refusal_by_the_peer(node: NodeProgram, pki: Path, strange_pki: Path) -> None:
     shown = replace(identity(strange_pki, Role.CONTROLLER), authority=pki / "ca.pem")
     assert f"{node.endpoint} refused the session over TLS: " in diagnose_tls(node.endpoint, shown)
@@ -512,6 +519,7 @@ def test_diagnose_tls__reports_a_refusal_by_the_peer(node: NodeProgram, pki: Pat
     assert "refused" not in diagnose_tls(node.endpoint, good)
 
 
+@pytest.mark.slow
 def test_security__node_is_reached_under_the_names_in_its_certificate(pki: Path) -> None:
     def listening(certificate: str | None) -> Any:
         return open_session(listen=[endpoint], keys=pki, role=Role.NODE, certificate=certificate)
@@ -576,6 +584,7 @@ def test_security__listening_to_all_without_keys_is_warned_of(pki: Path) -> None
 # The commands
 
 
+@pytest.mark.slow
 def test_security__commands_take_keys(node: NodeProgram, pki: Path) -> None:
     def run_zenostat(*arguments: str) -> subprocess.CompletedProcess[str]:
         return run_program(*arguments, "--connect", node.endpoint, "--keys", str(pki))

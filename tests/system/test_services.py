@@ -126,6 +126,7 @@ def test_reported__watchdog_of_another_process_is_not_served(systemd: Systemd, m
     until(lambda: systemd.states == ["READY=1", "STOPPING=1"], "it starts and stops")
 
 
+@pytest.mark.slow
 def test_node__as_a_service_reports_its_state_and_logs_json(systemd: Systemd, scratch: Path) -> None:
     endpoint = f"unixsock-stream/{scratch}/bus"
     with own_node(scratch, endpoint) as node:
@@ -196,6 +197,7 @@ def words_are_accepted(words: list[str]) -> None:
             assert re.search(rf"{re.escape(word)}\b", help_.stdout), (word, command)
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("path", UNITS, ids=lambda path: path.stem)
 def test_unit_files__start_commands_that_exist_and_restrict_them(path: Path) -> None:
     unit = configparser.RawConfigParser(strict=False)
@@ -220,6 +222,7 @@ def test_unit_files__are_valid_for_systemd(path: Path, tmp_path: Path) -> None:
     assert [line for line in done.stderr.splitlines() if name in line] == []
 
 
+@pytest.mark.slow
 def test_compose_file__services_are_restricted_and_have_commands_that_exist() -> None:
     file = yaml.safe_load((SERVICES / "compose.yaml").read_text())
     services = file["services"]

@@ -159,6 +159,7 @@ def test_threads__that_step_a_real_node(slots: int) -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.usefixtures("scratch")
 @pytest.mark.parametrize("reset", [False, True])
@@ -173,6 +174,7 @@ def test_threads__controller_has_one_receiver(bus: zenostat.Bus, *, reset: bool)
             assert first.result().step == 1
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.usefixtures("scratch")
 @pytest.mark.parametrize("slots", [1, 2])
@@ -203,6 +205,7 @@ def test_threads__close_while_another_thread_steps(slots: int) -> None:
     env.close()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("scratch")
 def test_threads__close_while_another_thread_waits_for_a_sample(bus: zenostat.Bus) -> None:
     link = bus.controller("office")

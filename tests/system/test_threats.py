@@ -111,6 +111,7 @@ def open_node(module_folder: Path) -> Iterator[NodeProgram]:
         yield running
 
 
+@pytest.mark.slow
 def test_threats__node_listens_on_loopback_alone_unless_exposed(open_node: NodeProgram) -> None:
     assert NodeSettings().listen == [f"tcp/{keys.DEFAULT_HOST}:{keys.DEFAULT_PORT}"]
     processes = [psutil.Process(open_node.pid), *psutil.Process(open_node.pid).children(recursive=True)]
@@ -216,6 +217,7 @@ def test_threats__link_ends_when_its_certificate_expires(
         until(lambda: session.info.links() == [], "its link has ended")
 
 
+@pytest.mark.slow
 def test_threats__copy_of_a_certificate_and_its_key_is_that_name(node: NodeProgram, pki: Path, tmp_path: Path) -> None:
     for name in ("ca.pem", "operator.pem", "operator.key"):
         shutil.copy(pki / name, tmp_path)

@@ -41,6 +41,7 @@ def rooms(request: pytest.FixtureRequest, module_folder: Path) -> Iterator[tuple
             yield pair
 
 
+@pytest.mark.variants
 @given(history=histories(25))
 @settings(max_examples=25)
 def test_trials__leave_no_trace(rooms: tuple[Player, Player], history: list[Operation]) -> None:

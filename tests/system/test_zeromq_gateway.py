@@ -123,6 +123,7 @@ def test_zeromq_gateway__commands_sent_without_waiting_are_answered_in_order(gat
     assert f"answers episode {sample.episode} step [9]" in answers[4][1]["message"]
 
 
+@pytest.mark.slow
 def test_zeromq_gateway__command_to_a_node_that_runs_freely(scratch):
     with (
         NodeProgram(scratch / "node", **{**SMALL, "mode": "free", "begin": "01-01", "end": "12-31"}) as node,
@@ -290,6 +291,7 @@ def test_zeromq_gateway__killed_gateway_breaks_nothing_of_the_node(episode_bus):
         assert [sample.step for sample in link][-1] == 96
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("end", ["killed", "stopped"])
 def test_end_of_the_node__published_and_answered(scratch, node, own_gateway, end):

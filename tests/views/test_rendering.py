@@ -72,6 +72,7 @@ def has_color(picture: Picture, color: tuple[float, ...]) -> bool:
 # The interface
 
 
+@pytest.mark.slow
 def test_rendering__picture_has_gymnasiums_form_from_the_reset_to_the_end() -> None:
     env = fake(steps_per_hour=1)
     with pytest.raises(EpisodeChanged, match="reset"):
@@ -115,6 +116,7 @@ def test_rendering__without_a_render_mode_nothing_is_recorded_or_imported() -> N
 # Equal pictures
 
 
+@pytest.mark.slow
 def test_rendering__picture_depends_on_its_samples_alone() -> None:
     """Neither on what was drawn before, nor on the user's style."""
     once, often = fake(end="07-04"), fake(end="07-04")
@@ -243,6 +245,7 @@ def test_rendering__band_and_occupied_hours_are_where_they_belong() -> None:
     assert color_at(25.4, 10.3) not in {white, green, color_at(28.6, 10.3)}
 
 
+@pytest.mark.slow
 def test_rendering__zones_have_the_colors_of_all_pictures() -> None:
     from zenostat.metrics.roles import roles
 

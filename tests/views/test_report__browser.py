@@ -89,6 +89,7 @@ def test_report__lines_and_texts_of_drawings_are_light_on_dark_pages(opened: Any
     assert light != dark
 
 
+@pytest.mark.slow
 def test_report__names_of_users_do_not_run(opened: Any) -> None:
     page = opened()
     assert page.title().startswith("<script>")
@@ -192,6 +193,7 @@ def ticks(page: Any, name: str) -> list[str]:
     return texts
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("width", [390, 1400])
 def test_report__values_at_the_pointer_are_those_of_the_data(opened: Any, width: int) -> None:
     page = opened(width)
@@ -221,6 +223,7 @@ def test_report__values_disappear_with_the_pointer(opened: Any) -> None:
     assert page.locator(".tip:visible").count() == page.locator(".marks > *").count() == 0
 
 
+@pytest.mark.variants
 @pytest.mark.parametrize("back", ["double click", "Escape"])
 def test_report__dragging_zooms_in_time_and_out_again(opened: Any, back: str) -> None:
     page = opened()

@@ -132,6 +132,7 @@ HOSTILE_NAMES = ("$a_1$ & $b$", "<img src=x onerror=alert(1)>")
 """Names of controllers, short enough for figures."""
 
 
+@pytest.mark.slow
 def test_report__names_of_users_are_text() -> None:
     hostile = office_comparison(HOSTILE_NAMES, building=HOSTILE, scenario=f"id: {HOSTILE}", command=HOSTILE)
     hostile = Comparison(hostile.runs, hostile.scenario, hostile.command, {HOSTILE: HOSTILE}, {"peak_kw": HOSTILE})
@@ -152,6 +153,7 @@ def test_report__names_of_users_are_text() -> None:
         assert any("Stacked bars" in data and name in data for data in shown)
 
 
+@pytest.mark.slow
 def test_report__same_input_gives_the_same_bytes(comparison: Comparison, text: str) -> None:
     assert page(office_comparison(scenario=comparison.scenario, command=comparison.command)) == text
 
