@@ -85,7 +85,7 @@ matrix-%:
 check: $(READY)-dev  ## Format, lint, types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy
+	$(BIN)/mypy --num-workers $(WORKERS)
 	$(BIN)/python .ci/check_source.py
 
 bench: $(READY)-dev  ## What a step costs, as ratios within one run; results in bench/results/

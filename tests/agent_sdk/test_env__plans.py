@@ -98,6 +98,7 @@ def test_plan__leaves_the_episode_alone(office: BuildingEnv) -> None:
     assert office.plan(sequences(office, 1, 3))[0].tolist() == expected
 
 
+@pytest.mark.slow
 def test_branch_with_slots__steps_and_plans_are_equal(office: BuildingEnv) -> None:
     """A plan of 6 timesteps, two of 3, and 6 steps of the vector give the same rewards and observations."""
     actions = sequences(office, 3, 6)

@@ -126,6 +126,7 @@ def test_fleet_env__each_slot_has_the_noise_of_its_seed(nodes: list[NodeProgram]
     assert any(not np.array_equal(*slots) for slots in outdoor[49:72]), "the slots have different noise"
 
 
+@pytest.mark.slow
 def test_fleet_env__wrappers_are_around_the_fleet(nodes: list[NodeProgram]) -> None:
     chain = [{"wrapper": "CyclicTime", "fields": ["hour"]}, {"wrapper": "PreviousObservation", "names": []}]
     chain[1]["names"] = ["core_zn_air_temperature"]

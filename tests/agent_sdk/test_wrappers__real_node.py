@@ -115,6 +115,7 @@ def test_wrappers__log_has_n_rows_with_n_steps(building: gym.Env[Any, Any], tmp_
         assert float(row["reward"]) == pytest.approx(sum(terms.values()))
 
 
+@pytest.mark.slow
 def test_wrappers__chain_as_data_around_a_scenario(building: gym.Env[Any, Any]) -> None:
     chain: list[dict[str, Any]] = [
         {"wrapper": "WeatherForecast", "columns": [DRY, HUMIDITY], "n": 2, "errors": {DRY: 1.0}},

@@ -47,6 +47,7 @@ def test_district_copies__snapshot_is_returned_to_and_goes_on_to_the_bit(env: An
         assert steps(env, 3, 7)[: len(straight)] == straight
 
 
+@pytest.mark.slow
 def test_district_copies__branches_do_not_touch_the_episode(env: Any) -> None:
     env.reset(seed=4)
     steps(env, 0, 2)

@@ -143,6 +143,7 @@ def _mappings(process: psutil.Process) -> tuple[int, set[str]]:
     return sum(end - begin for begin, end in spans), {line[4] for line in lines}
 
 
+@pytest.mark.slow
 def test_shrink_caches__each_engine_has_a_cache_of_its_own() -> None:
     with make(SMALL) as env:
         env.reset(seed=0)

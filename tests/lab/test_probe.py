@@ -93,6 +93,7 @@ def test_probe__cooling_setpoint_is_felt_by_its_zone_and_the_meter_and_by_nothin
     assert cooling.pass_through == ("core_asked",)
 
 
+@pytest.mark.slow
 def test_probe__heating_setpoint_far_below_a_summer_s_day_changes_nothing(office: ProbeReport) -> None:
     _, heating = office.effects
     assert (heating.responses, heating.identical, heating.pass_through) == ((), True, ())

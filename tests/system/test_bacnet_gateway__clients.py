@@ -140,6 +140,7 @@ def test_bacnet_gateway__address_that_is_not_possible_is_one_line(address: str, 
     assert expected in error_of("gateway", "bacnet", "office", "--address", address, columns=200)
 
 
+@pytest.mark.slow
 def test_bacnet_gateway__node_that_does_not_exist_is_one_line(shared_node: NodeProgram) -> None:
     address = f"127.0.0.1:{free_udp_port()}"
     ended = run_program("gateway", "bacnet", "nobody", "--connect", shared_node.endpoint, "--address", address)

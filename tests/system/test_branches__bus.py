@@ -78,6 +78,7 @@ def test_branches__plain_controller_drives_a_branch_as_any_node(bus: Bus) -> Non
         assert all(b.private_bytes > 0 for b in status.branches)
 
 
+@pytest.mark.slow
 def test_branches__status_command_shows_forks_with_their_memory(bus: Bus) -> None:
     with bus.controller("office") as link:
         link.reset()

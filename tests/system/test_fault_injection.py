@@ -131,6 +131,7 @@ def test_fault_injection__windows_that_never_come_leave_all_as_it_is(stage: Stag
     assert [s.fault_free_values for s in ran] == [s.values for s in ran]
 
 
+@pytest.mark.slow
 def test_fault_injection__without_faults_again_nothing_is_left_of_them(stage: Stage) -> None:
     stage.faulty({"kind": "bias", "points": "*", "offset": 1.0})
     assert not stage.bus.manifest("office").faults_injected

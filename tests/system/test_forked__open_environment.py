@@ -57,6 +57,7 @@ print("done", flush=True)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("slots", [1, 2])
 def test_forked_child__gets_an_error_and_the_parent_goes_on(slots: int) -> None:

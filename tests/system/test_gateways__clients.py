@@ -95,6 +95,7 @@ def test_modbus__client_writes_under_its_name_what_it_may_and_others_nothing(
     ]
 
 
+@pytest.mark.slow
 async def test_bacnet__device_is_known_by_its_instance_and_writes_under_its_name(
     stepping_bus: Bus, clients: Clients
 ) -> None:

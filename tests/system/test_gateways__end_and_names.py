@@ -53,6 +53,7 @@ def commands(bus: Bus) -> list[dict[int, tuple[float, str]]]:
 OTHERS = [{12: (900.0, "operator")}] * 2
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @ENDS
 def test_modbus__relinquishes_what_it_commanded_although_a_client_is_connected(
@@ -72,6 +73,7 @@ def test_modbus__relinquishes_what_it_commanded_although_a_client_is_connected(
     assert commands(bus) == OTHERS
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @needs_broker
 @ENDS

@@ -123,6 +123,7 @@ def trajectory(hosts: Hosts, folder: Path) -> tuple[int, str]:
     return steps, digest
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(300)
 def test_links__network_that_loses_and_reorders_packets_changes_no_bit(hosts: Hosts, scratch: Path) -> None:
     quiet = trajectory(hosts, scratch / "quiet")

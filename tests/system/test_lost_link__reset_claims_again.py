@@ -191,6 +191,7 @@ def test_lost_link__controller_without_gymnasium(link: CuttableLink) -> None:
         assert controller.receive().value_source["core_zn_cooling_setpoint"] == controller.name
 
 
+@pytest.mark.slow
 def test_lost_link__claim_that_only_the_node_lost(tcp_node: NodeProgram, link: CuttableLink) -> None:
     """Another controller has taken the level over meanwhile: the refusal names it, and steps work once it has left."""
     env = make(1, connect=link.endpoint, node="office")

@@ -111,6 +111,7 @@ def test_lost_messages__failure_whose_event_is_lost_is_raised(bus: Bus, node: No
     assert lost
 
 
+@pytest.mark.slow
 def test_lost_messages__reset_by_another_controller_is_raised_though_its_messages_are_lost(episode_bus: Bus) -> None:
     with episode_bus.controller("office", actuators=[POINT]) as link:
         link.reset()

@@ -109,6 +109,7 @@ def test_monitor__batches_have_all_that_was_streamed_in_the_order_sent(scratch):
     assert len(arrived) < len(streamed) / 4
 
 
+@pytest.mark.slow
 def test_monitor__late_monitor_has_the_episode_from_its_beginning(scratch, episode_bus):
     """From the node's history, to the bit."""
     path = scratch / "run.rrd"

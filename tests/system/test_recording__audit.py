@@ -83,6 +83,7 @@ def test_log__has_the_proven_name_and_the_way_in_of_each_sender(recorded: Any) -
     assert {(row["proven"], row["via"]) for row in printed} == {("gateway", "modbus")}
 
 
+@pytest.mark.slow
 def test_verify__whole_audit_log_is_unbroken(recorded: Any) -> None:
     with RecordingReader(recorded.path) as reader:
         result = check_audit(reader)

@@ -175,6 +175,7 @@ def test_recording__names_of_the_points_are_in_the_metadata(watched: Any, scratc
     assert decoded.zone_1_temperature == loaded.episodes[2].values[0, 0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("to", ["rrd", "mcap", "csv"])
 def test_recording__what_cannot_be_exported_is_one_error(watched: Any, scratch: Path, to: str) -> None:
     empty = rewrite(

@@ -90,6 +90,7 @@ def interrupted(module_scratch: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_recording__only_complete_episodes_are_compared_with_the_parallel_baseline(interrupted: Path) -> None:
     with pytest.warns(UserWarning, match="is not in the report") as warned:
         comparison = compare_recordings([interrupted])

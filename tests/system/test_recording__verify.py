@@ -246,6 +246,7 @@ def test_recording__running_node_is_recorded_from_its_next_reset(shared_node: No
     assert (result.steps, result.episodes) == (3, 1)
 
 
+@pytest.mark.slow
 def test_recording__recording_from_within_an_episode_names_what_it_cannot_verify(
     shared_node: NodeProgram, scratch: Path
 ) -> None:
@@ -271,6 +272,7 @@ def test_recording__recording_from_within_an_episode_names_what_it_cannot_verify
     assert "taken before the recording began" in result.skipped[1]
 
 
+@pytest.mark.slow
 def test_recording__recording_without_a_timestep_is_reported(shared_node: NodeProgram, scratch: Path) -> None:
     path = scratch / "none.mcap"
     with zenostat.connect(shared_node.endpoint, affinity="off") as bus, bus.controller("office") as link:

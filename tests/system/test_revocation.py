@@ -237,6 +237,7 @@ def test_revoked_file__that_is_damaged_is_reported_and_the_names_stay(scratch: P
         read_revoked(pki)
 
 
+@pytest.mark.slow
 def test_revoke__without_keys_is_refused(scratch: Path) -> None:
     with (
         NodeProgram(scratch / "open", plant=PLANT, name="room") as node,

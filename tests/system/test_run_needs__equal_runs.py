@@ -65,6 +65,7 @@ def test_run__of_a_model_that_lacks_an_object_equals_the_whole_model(
     assert [words in text for text in warnings] == [True] * bool(words)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*missing values")
 def test_run__missing_temperature_is_that_of_the_hour_before(tmp_path: Path) -> None:
     lines = find_weather("USA_CO_Denver").path.read_text("latin-1").splitlines()

@@ -224,6 +224,7 @@ def test_scenarios__environment_on_a_bus_takes_the_scenario_over(scratch: Path) 
     own.close()
 
 
+@pytest.mark.slow
 def test_model_that_works_against_its_actuators__warns(scratch: Path) -> None:
     packs.sinergym()
     with pytest.warns(UserWarning, match="cooling_setpoint.*no effect.*FlowControlWithApproachTemperatures"):

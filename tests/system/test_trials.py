@@ -360,6 +360,7 @@ def test_trial__requester_is_killed_in_the_middle(tank: tuple[NodeProgram, Bus])
         until(lambda: not [*(node.folder / "run").rglob("trials/*")], "their files are removed")
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("end", ["stop", "kill"])
 def test_trial__node_ends_in_the_middle(scratch: Path, end: str) -> None:
@@ -382,6 +383,7 @@ def test_trial__node_ends_in_the_middle(scratch: Path, end: str) -> None:
     until(lambda: not programs_of(scratch), "all processes have ended")
 
 
+@pytest.mark.slow
 def test_trial__reset_ends_a_trial_that_hangs(scratch: Path) -> None:
     file = scratch / "tank.py"
     file.write_text(CLASS.replace("time.sleep(1e6)", "exec('while True: pass')"))

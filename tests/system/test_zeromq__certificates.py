@@ -83,6 +83,7 @@ def example(language: str, folder: Path, gateway: GatewayProgram, name: str) -> 
     return [str(program), *arguments]
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("language", ["py", "c", "js"])
 def test_zeromq_gateway__clients_send_under_the_name_of_its_certificate(

@@ -24,6 +24,7 @@ NAMED = KILLED.replace("requests.connect", f"requests.routing_id = {IDENTITY!r}\
 MIB = 1 << 20
 
 
+@pytest.mark.slow
 def test_zeromq__controller_that_starts_again_takes_its_identity_from_a_connection_that_is_still_open(
     shared_node, gateway
 ):

@@ -52,6 +52,7 @@ def test_sockets_older_than_the_gateway__receive_samples_and_answers(episode_bus
             assert "'c' has claimed nothing; claim first" in early.answer()[1]["message"]
 
 
+@pytest.mark.slow
 def test_requests__wait_for_the_manifest_of_their_node(shared_node, gateway):
     """slow's token → a request for slow is kept → slow's manifest and sample → the request is answered"""
     asked: queue.Queue[zenoh.Query] = queue.Queue()

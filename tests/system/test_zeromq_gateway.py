@@ -161,6 +161,7 @@ def test_refusals__carry_the_reason_of_the_node(gateway):
         assert peer.ask("rpc/scenario")[0] == "ScenarioText"
 
 
+@pytest.mark.slow
 def test_zeromq_gateway__writes_are_answered(gateway):
     with Peer(gateway) as peer:
         sample = peer.first_sample()

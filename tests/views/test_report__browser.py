@@ -97,6 +97,7 @@ def test_report__names_of_users_do_not_run(opened: Any) -> None:
     assert page.locator("img").count() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [390, 768, 1400])
 def test_report__page_does_not_scroll_sideways(opened: Any, width: int) -> None:
     page = opened(width)
