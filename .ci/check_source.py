@@ -27,7 +27,10 @@ LAYERS = {
     "views": {"topics", "bridge", "agent_sdk", "metrics"},
     "lab": {"topics", "bridge", "agent_sdk", "metrics", "views"},
     "gateways": {"topics", "bridge", "agent_sdk", "metrics"},
-    "cli": {"topics", "models", "bridge", "eplus_node", "cosim", "agent_sdk", "metrics", "views", "lab", "gateways"},
+    "cli": {
+        *("topics", "models", "bridge", "eplus_node", "plants", "cosim"),
+        *("agent_sdk", "metrics", "views", "lab", "gateways"),
+    },
 }
 # These use the public names: `zenostat.connect`.
 PUBLIC = {"cli"}

@@ -14,7 +14,7 @@ import typer
 from zenostat.bridge.transport.session import default_endpoint, exposure
 from zenostat.cli import node_options as options
 from zenostat.cli.console import err, out, progress
-from zenostat.cli.options import CertificateName, Keys
+from zenostat.cli.options import CertificateName, Keys, Loops
 from zenostat.cli.tables import show
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Mode, OnFull, Policy, State
@@ -30,6 +30,13 @@ def cosim(
         bool, typer.Option("--check", help="Only check the file, with the points and units of its plants.")
     ] = False,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of such files, for editors.")] = False,
+    from_ssp: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="SYSTEM.ssp", help="Write FILE.yaml from an SSP file, with its FMUs, and end."),
+    ] = None,
+    loops: Annotated[
+        Loops, typer.Option("--loops", help="With --from: solve the connections that close a loop, or delay them.")
+    ] = Loops.SOLVE,
     once: Annotated[
         bool, typer.Option("--once", help="Simulate one episode without a controller, print its balances, and end.")
     ] = False,
@@ -58,6 +65,8 @@ def cosim(
     Example: `zenostat cosim examples/district.yaml --check`
 
     Example: `zenostat cosim --schema > district.schema.json`
+
+    Example: `zenostat cosim --from system.ssp district.yaml`
     """
     if schema:
         from zenostat.cosim.file import json_schema
@@ -67,6 +76,11 @@ def cosim(
         return
     if file is None:
         raise InvalidConfig("name the file of a district: zenostat cosim FILE.yaml")
+    if from_ssp is not None:
+        from zenostat.cli.cosim_ssp import convert
+
+        convert(from_ssp, file, loops, overwrite=overwrite)
+        return
     if speed is not None and mode is not Mode.PACED:
         raise InvalidConfig(f"--speed {speed:g} needs --mode paced; {mode} mode has no speed")
     if once and mode is not Mode.LOCKSTEP:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import wraps
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -49,6 +50,13 @@ Emissions = Annotated[
         help="Emission factor of a fuel in kg CO2 per kWh, for the KPI of emissions; as for --price.",
     ),
 ]
+
+
+class Loops(StrEnum):
+    """Treatment of loops, of which SSP does not say anything: solved within the step, or delayed by a step."""
+
+    SOLVE = "solve"
+    DELAY = "delay"
 
 
 @dataclass(frozen=True, slots=True)

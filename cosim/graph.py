@@ -62,6 +62,32 @@ def components(graph: Graph[N]) -> list[list[N]]:
     return results[::-1]
 
 
+def feedback_edges(nodes: Iterable[N], edges: Sequence[tuple[N, N]]) -> list[int]:
+    """Return the indices of edges without which a graph has no cycle: those that lead back in a depth-first search."""
+    outgoing: dict[N, list[int]] = {node: [] for node in nodes}
+    for number, (source, _) in enumerate(edges):
+        outgoing[source].append(number)
+    back: list[int] = []
+    active: dict[N, bool] = {}
+    for root in outgoing:
+        if root in active:
+            continue
+        active[root] = True
+        work = [(root, iter(outgoing[root]))]
+        while work:
+            node, rest = work[-1]
+            number = next(rest, -1)
+            if number < 0:
+                active[node] = False
+                work.pop()
+            elif active.get(edges[number][1]):
+                back.append(number)
+            elif edges[number][1] not in active:
+                active[edges[number][1]] = True
+                work.append((edges[number][1], iter(outgoing[edges[number][1]])))
+    return sorted(back)
+
+
 def is_loop(component: Sequence[N], graph: Graph[N]) -> bool:
     """Return whether a component has a cycle: several nodes, or one that is its own successor."""
     return len(component) > 1 or component[0] in graph[component[0]]

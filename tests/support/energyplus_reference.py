@@ -29,7 +29,7 @@ from zenostat.models.weather.header import read_header
 from zenostat.topics.energyplus_names import HVAC_METERS
 from zenostat.topics.messages import Aggregation, Manifest, Meter, Sensor
 
-_CLOCK = "2"
+_PERIOD, _CLOCK = "1", "2"
 _STEP, _EACH = "TimeStep", "Each Call"
 _MINUTE_DIGITS = 0.02  # ends of system timesteps are written in minutes with two digits
 
@@ -177,7 +177,7 @@ def _dictionary(file: Iterator[str]) -> dict[tuple[str, str, str], str]:
 
 
 def _table(file: Iterator[str], columns: dict[str, int], period: tuple[int, int], width: int) -> NDArray[np.float64]:
-    """The rest of an ESO file; later entries of a timestep replace earlier ones of it."""
+    """The last period in the rest of an ESO file; later entries of a timestep replace earlier ones of it."""
     steps, steps_per_hour = period
     table = np.full((steps, width), np.nan)
     present: dict[int, str] = {}
@@ -187,6 +187,10 @@ def _table(file: Iterator[str], columns: dict[str, int], period: tuple[int, int]
         column = columns.get(identity)
         if column is not None:
             present[column] = text
+        elif identity == _PERIOD:  # design days come before the run period
+            table[:] = np.nan
+            present.clear()
+            row, days, day = -1, -1, ("", "")
         elif identity == _CLOCK:
             _, month, day_of_month, _, hour, _, minute, _ = text.split(",")
             if (month, day_of_month) != day:

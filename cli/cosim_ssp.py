@@ -1,0 +1,104 @@
+"""`zenostat cosim --from system.ssp`: the file of a district from an SSP file."""
+
+from __future__ import annotations
+
+import re
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from zenostat.cli.console import err, out
+from zenostat.cli.options import Loops
+from zenostat.cosim.file import read_district
+from zenostat.cosim.graph import feedback_edges
+from zenostat.plants.ssp.structure import Link, Structure, read_structure
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.yaml12 import dump
+
+_TOLERANCE = 1e-3
+
+
+def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> None:
+    """Write the file of a district, and its FMUs into a folder beside it that has its name.
+
+    Args:
+        source: the SSP file.
+        target: the file to write.
+        loops: treatment of loops.
+        overwrite: whether an existing file and its folder are replaced.
+
+    Raises:
+        InvalidConfig: the SSP file cannot be used, or the target exists.
+    """
+    if target.suffix not in (".yaml", ".yml"):
+        raise InvalidConfig(f"{target}: name a file that ends in .yaml, for the district of {source}")
+    folder = target.with_suffix("")
+    existing = [path for path in (target, folder) if path.exists()]
+    if existing and not overwrite:
+        raise InvalidConfig(f"{existing[0]} exists; choose another name, or --overwrite")
+    work = folder.with_name(f".{folder.name}.new")
+    shutil.rmtree(work, ignore_errors=True)
+    try:
+        structure = read_structure(source, work)
+        if folder.exists():
+            shutil.rmtree(folder)
+        work.rename(folder)
+    finally:
+        shutil.rmtree(work, ignore_errors=True)
+    target.write_text(dump(district(structure, folder.name, loops, source.name)), encoding="utf-8")
+    read_district(target)
+    for note in structure.notes:
+        err.print(f"note: {note}", style="yellow", markup=False, soft_wrap=True)
+    plants, links = len(structure.components), len(structure.links)
+    out.print(f"{target}: {plants} FMUs, {links} connections; check it with: zenostat cosim {target} --check",
+              markup=False, soft_wrap=True)  # fmt: skip
+
+
+def district(structure: Structure, folder: str, loops: Loops, source: str) -> dict[str, Any]:
+    """Return the content of a district's file.
+
+    Args:
+        structure: what the SSP file has.
+        folder: of the FMUs, beside the district's file.
+        loops: treatment of loops.
+        source: name of the SSP file.
+    """
+    name = re.sub(r"[^A-Za-z0-9_\-]", "_", structure.name or "")[:64].strip("-_") or "district"
+    content: dict[str, Any] = {"name": name, "about": f"From {source}."}
+    experiment: dict[str, Any] = {}
+    if structure.step_s is not None:
+        content["timestep"] = experiment["step_s"] = structure.step_s
+    if structure.start_s:
+        experiment["start_s"] = structure.start_s
+    if structure.stop_s is not None and structure.stop_s > (structure.start_s or 0.0):
+        experiment["duration_s"] = structure.stop_s - (structure.start_s or 0.0)
+    content["plants"] = {}
+    for component in structure.components:
+        arguments = dict(experiment)
+        if component.interface:
+            arguments["interface"] = component.interface
+        if component.starts:
+            arguments["set"] = dict(component.starts)
+        content["plants"][component.name] = {"fmu": f"{folder}/{component.file.name}"}
+        if arguments:
+            content["plants"][component.name]["plant_arguments"] = arguments
+    edges = [(link.source.partition(".")[0], link.target.partition(".")[0]) for link in structure.links]
+    back = set(feedback_edges(content["plants"], edges))
+    connections = [_connection(link, loops if number in back else None) for number, link in enumerate(structure.links)]
+    return content | ({"connections": connections} if connections else {})
+
+
+def _connection(link: Link, loops: Loops | None) -> Mapping[str, Any]:
+    entry: dict[str, Any] = {"from": link.source, "to": link.target}
+    if link.unit:
+        entry["unit"] = link.unit
+    if link.factor != 1.0:
+        entry["factor"] = link.factor
+    if link.offset:
+        entry["offset"] = link.offset
+    if loops is Loops.SOLVE:
+        entry |= {"solve": True, "tolerance": _TOLERANCE}
+    elif loops is Loops.DELAY:
+        entry["delay"] = 1
+    return entry

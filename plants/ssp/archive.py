@@ -1,0 +1,122 @@
+"""The content of an SSP file: its XML documents, checked against the standard's schemas, and its FMUs."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.extras import import_extra
+
+NAMESPACES = {
+    "ssc": "http://ssp-standard.org/SSP1/SystemStructureCommon",
+    "ssd": "http://ssp-standard.org/SSP1/SystemStructureDescription",
+    "ssm": "http://ssp-standard.org/SSP1/SystemStructureParameterMapping",
+    "ssv": "http://ssp-standard.org/SSP1/SystemStructureParameterValues",
+}
+"""Namespaces of the standard's documents."""
+
+STRUCTURE = "SystemStructure.ssd"
+_SCHEMAS = {
+    "ssd": "SystemStructureDescription.xsd",
+    "ssm": "SystemStructureParameterMapping.xsd",
+    "ssv": "SystemStructureParameterValues.xsd",
+}
+_LARGEST_DOCUMENT = 1 << 26
+
+
+class Archive:
+    """An SSP file that is open for reading.
+
+    Args:
+        path: the file.
+        content: it as a ZIP archive.
+    """
+
+    def __init__(self, path: Path, content: zipfile.ZipFile) -> None:
+        self.path, self._content = path, content
+        self._names = {str(PurePosixPath(name)) for name in content.namelist()}
+
+    def error(self, text: str, element: Any = None, document: str = STRUCTURE) -> InvalidConfig:
+        """Return an error about an element of a document, with its line."""
+        line = "" if element is None else f" line {element.sourceline}:"
+        return InvalidConfig(f"{self.path}: {document}:{line} {text}")
+
+    def document(self, name: str, kind: str) -> Any:
+        """Return the root element of a document, which has the form that its schema requires.
+
+        Args:
+            name: its path in the archive.
+            kind: `ssd`, `ssm` or `ssv`.
+
+        Raises:
+            InvalidConfig: there is no such document, or it does not have this form.
+        """
+        name = self._find(name)
+        if self._content.getinfo(name).file_size > _LARGEST_DOCUMENT:
+            raise self.error(f"more than {_LARGEST_DOCUMENT >> 20} MB of XML", document=name)
+        etree = import_extra("lxml.etree", "fmi", "an SSP file")
+        parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
+        try:
+            root = etree.fromstring(self._content.read(name), parser)
+        except etree.XMLSyntaxError as error:
+            raise self.error(f"not XML: {error}", document=name) from None
+        self.check(root, kind, name)
+        return root
+
+    def check(self, root: Any, kind: str, document: str = STRUCTURE) -> None:
+        """Check an element against the schema of its kind of document.
+
+        Raises:
+            InvalidConfig: it does not have the form that the schema requires; names the first error and its line.
+        """
+        etree = import_extra("lxml.etree", "fmi", "an SSP file")
+        expected = f"{{{NAMESPACES[kind]}}}"
+        if not root.tag.startswith(expected):
+            text = f"{etree.QName(root).localname} is in the namespace {etree.QName(root).namespace!r}; SSP 1.0 has "
+            raise self.error(f"{text}{NAMESPACES[kind]!r}", root, document)
+        folder = Path(import_extra("fmpy.ssp.ssd", "fmi", "an SSP file").__file__).parent / "schema"
+        schema = etree.XMLSchema(file=str(folder / _SCHEMAS[kind]))
+        if not schema.validate(root):
+            first = schema.error_log[0]
+            raise InvalidConfig(f"{self.path}: {document}: line {first.line}: {first.message}")
+
+    def unpack(self, name: str, folder: Path) -> Path:
+        """Copy an entry of the archive into a folder, where its folders become a part of its name; return the copy.
+
+        Raises:
+            InvalidConfig: the archive does not have it.
+        """
+        entry = self._find(name)
+        target = folder / "_".join(part for part in PurePosixPath(entry).parts if part not in ("resources", "..", "/"))
+        folder.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(self._content.read(entry))
+        return target
+
+    def _find(self, name: str) -> str:
+        """Return the name of an entry; a path that leads outside of the archive is none."""
+        entry = str(PurePosixPath(name.removeprefix("./")))
+        if entry not in self._names:
+            raise InvalidConfig(f"{self.path} has no {name!r}; an SSP file contains all that it names")
+        return entry
+
+
+@contextmanager
+def open_archive(path: Path) -> Iterator[Archive]:
+    """Open an SSP file.
+
+    Raises:
+        InvalidConfig: there is no such file, or it is no SSP file.
+    """
+    if not path.is_file():
+        raise InvalidConfig(f"there is no file {path}; name an SSP file, such as system.ssp")
+    try:
+        with zipfile.ZipFile(path) as content:
+            if STRUCTURE not in content.namelist():
+                raise InvalidConfig(f"{path} is no SSP file: it has no {STRUCTURE}")
+            yield Archive(path, content)
+    except zipfile.BadZipFile:
+        raise InvalidConfig(f"{path} is no SSP file: it is not a ZIP file") from None

@@ -1,0 +1,285 @@
+"""Read an SSP file: its FMUs with their parameters, and the connections between them, without nested systems."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from zenostat.plants.fmi.model import check_starts, read_model
+from zenostat.plants.fmi.variables import PointNames, Variable, inputs, outputs, unit
+from zenostat.plants.ssp import parameters
+from zenostat.plants.ssp.archive import NAMESPACES, Archive, open_archive
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.units import conversion
+
+_FMU_TYPE = "application/x-fmu-sharedlibrary"
+
+Connector = tuple[parameters.Path, str]
+"""Path of an element, and the name of one of its connectors."""
+
+
+class Link(NamedTuple):
+    """A connection between two points.
+
+    Attributes:
+        source, target: PLANT.POINT.
+        unit: unit to which the source is converted first; empty: that of the target.
+        factor, offset: applied after that.
+        target_unit: unit of the target.
+    """
+
+    source: str
+    target: str
+    unit: str
+    factor: float
+    offset: float
+    target_unit: str
+
+
+@dataclass(frozen=True)
+class Component:
+    """An FMU of a system.
+
+    Attributes:
+        name: of the plant.
+        file: the FMU.
+        interface: `CoSimulation` or `ModelExchange`; empty if the file does not say.
+        starts: values of parameters, by the name of the variable.
+    """
+
+    name: str
+    file: Path
+    interface: str
+    starts: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Structure:
+    """The content of an SSP file.
+
+    Attributes:
+        name: of the system.
+        components: its FMUs.
+        links: connections between them, in the order of the components' inputs.
+        step_s: step size of the master algorithm, in s; None if the file does not say.
+        start_s, stop_s: begin and end of its default experiment, in s; None if the file does not say.
+        notes: what of the file is not used, a sentence each.
+    """
+
+    name: str
+    components: tuple[Component, ...]
+    links: tuple[Link, ...]
+    step_s: float | None
+    start_s: float | None
+    stop_s: float | None
+    notes: tuple[str, ...]
+
+
+def read_structure(path: Path, folder: Path) -> Structure:
+    """Read an SSP file; nothing of it runs.
+
+    Args:
+        path: the file.
+        folder: for copies of its FMUs.
+
+    Raises:
+        InvalidConfig: it is no SSP file of version 1.0, or has what is not supported; names the element and its line.
+    """
+    with open_archive(path) as archive:
+        return _Reader(archive, folder).read()
+
+
+class _Reader:
+    """Reader of one file."""
+
+    def __init__(self, archive: Archive, folder: Path) -> None:
+        self._archive, self._folder = archive, folder
+        self._kinds: dict[Connector, str] = {}
+        self._fmus: dict[parameters.Path, Any] = {}
+        self._systems: set[parameters.Path] = set()
+        self._drivers: dict[Connector, tuple[Connector, Any]] = {}
+        self._values: list[parameters.Parameter] = []
+        self._notes: list[str] = []
+
+    def read(self) -> Structure:
+        root = self._archive.document("SystemStructure.ssd", "ssd")
+        system = root.find("ssd:System", NAMESPACES)
+        self._read_system(system, ())
+        self._values += parameters.parameters(self._archive, system, ())
+        if not self._fmus:
+            raise self._archive.error("the system has no components", system)
+        names = _plant_names(self._fmus)
+        starts = self._starts()
+        components, points = [], dict[Connector, Variable]()
+        for path, element in self._fmus.items():
+            file = self._archive.unpack(element.get("source"), self._folder)
+            interface = element.get("implementation", "any").replace("any", "")
+            description = read_model(file, interface or None).description
+            values = _start_values(description, starts.get(path, {}), ".".join(path))
+            components.append(Component(names[path], file, interface, values))
+            used = PointNames()
+            for variable in (*outputs(description, (), used), *inputs(description, values, used)):
+                points[path, variable.name] = variable
+        experiment = root.find("ssd:DefaultExperiment", NAMESPACES)
+        first, last = (None if experiment is None else experiment.get(f"{end}Time") for end in ("start", "stop"))
+        return Structure(
+            root.get("name"),
+            tuple(components),
+            tuple(self._links(names, points)),
+            self._step_s(root),
+            None if first is None else float(first),
+            None if last is None else float(last),
+            tuple(self._notes),
+        )
+
+    def _read_system(self, system: Any, path: parameters.Path) -> None:
+        self._systems.add(path)
+        self._read_connectors(system, path)
+        for element in system.iterfind("ssd:Elements/*", NAMESPACES):
+            child, kind = (*path, element.get("name")), element.tag.rpartition("}")[2]
+            if child in self._systems or child in self._fmus:
+                raise self._archive.error(f"another element has the name {element.get('name')!r}, too", element)
+            if kind == "System":
+                self._read_system(element, child)
+            elif kind == "Component":
+                if element.get("type", _FMU_TYPE) != _FMU_TYPE:
+                    text = f"component {element.get('name')!r} is of the type {element.get('type')!r}; an FMU expected"
+                    raise self._archive.error(text, element)
+                self._fmus[child] = element
+                self._read_connectors(element, child)
+            else:
+                raise self._archive.error(f"{kind} {element.get('name')!r} is not supported", element)
+            self._values += parameters.parameters(self._archive, element, child)  # those of outer systems come later
+        for connection in system.iterfind("ssd:Connections/ssd:Connection", NAMESPACES):
+            self._read_connection(connection, path)
+
+    def _read_connectors(self, element: Any, path: parameters.Path) -> None:
+        for connector in element.iterfind("ssd:Connectors/ssd:Connector", NAMESPACES):
+            self._kinds[path, connector.get("name")] = connector.get("kind")
+
+    def _read_connection(self, connection: Any, path: parameters.Path) -> None:
+        """Note what drives the end of a connection; either of its ends may be the source."""
+        ends: dict[bool, Connector] = {}
+        for side in ("start", "end"):
+            element, name = connection.get(f"{side}Element"), connection.get(f"{side}Connector")
+            end = (path if element is None else (*path, element)), name
+            if end not in self._kinds:
+                known = [name for owner, name in self._kinds if owner == end[0]]
+                owner = f"element {element!r}" if element else "the system"
+                text = f"{owner} has no connector {name!r}; {did_you_mean(name, known)}"
+                raise self._archive.error(text, connection)
+            kind = self._kinds[end]
+            if kind not in ("input", "output"):
+                text = f"connector {name!r} is of the kind {kind!r}; input or output is supported"
+                raise self._archive.error(text, connection)
+            is_source = (kind == "input") == (end[0] == path)  # within a system, its own inputs are sources
+            if is_source in ends:
+                which = "sources" if is_source else "inputs"
+                raise self._archive.error(f"{ends[is_source][1]!r} and {name!r} are both {which}", connection)
+            ends[is_source] = end
+        if ends[False] in self._drivers:
+            text = f"{'.'.join([*ends[False][0], ends[False][1]])} has another connection already"
+            raise self._archive.error(text, connection)
+        self._drivers[ends[False]] = (ends[True], connection)
+
+    def _links(self, names: Mapping[parameters.Path, str], points: Mapping[Connector, Variable]) -> Iterator[Link]:
+        outer: dict[str, list[str]] = {}
+        for target in self._drivers:
+            if target[0] not in self._fmus:
+                continue
+            factor, offset, is_plain = 1.0, 0.0, False
+            source = target
+            while source in self._drivers:
+                source, connection = self._drivers[source]
+                own, more = parameters.transformation(self._archive, connection, "ssc")
+                offset += factor * more
+                factor *= own
+                is_plain |= parameters.is_true(connection, "suppressUnitConversion")
+            entry = self._point(target, points, connection)
+            target_name = f"{names[target[0]]}.{entry.points[0]}"
+            if source[0] not in self._fmus:
+                outer.setdefault(".".join([*source[0], source[1]]), []).append(target_name)
+                continue
+            start = self._point(source, points, connection)
+            name = f"{names[source[0]]}.{start.points[0]}"
+            without = "1" in (start.unit, entry.unit) or conversion(start.unit, entry.unit) is None
+            unit_ = start.unit if (is_plain or without) and start.unit != entry.unit else ""
+            yield Link(name, target_name, unit_, factor, offset, entry.unit)
+        self._notes += [
+            f"the system's input {name!r} is not connected: command {', '.join(targets)} instead"
+            for name, targets in outer.items()
+        ]
+
+    def _point(self, connector: Connector, points: Mapping[Connector, Variable], connection: Any) -> Variable:
+        variable = points.get(connector)
+        if variable is None or len(variable.points) != 1:
+            known = [name for path, name in points if path == connector[0]]
+            text = f"the FMU of {'.'.join(connector[0])!r} has no scalar input or output {connector[1]!r}; "
+            raise self._archive.error(text + did_you_mean(connector[1], known), connection)
+        return variable
+
+    def _starts(self) -> dict[parameters.Path, dict[str, parameters.Parameter]]:
+        """Return the parameters by component; a later value replaces an earlier one."""
+        starts: dict[parameters.Path, dict[str, parameters.Parameter]] = {}
+        for value in self._values:
+            owners = [path for path in self._fmus if value.name.startswith(".".join([*path, ""]))]
+            if not owners:
+                self._notes.append(f"the parameter {value.name!r} belongs to no component and is not used")
+                continue
+            path = max(owners, key=len)
+            starts.setdefault(path, {})[value.name[len(".".join([*path, ""])) :]] = value
+        return starts
+
+    @staticmethod
+    def _step_s(root: Any) -> float | None:
+        """Return the step size in an annotation, such as that of OMSimulator; SSP itself has no field for it."""
+        sizes = [master.get("stepSize") for master in root.iterfind(".//{*}FixedStepMaster")]
+        try:
+            return next(float(size) for size in sizes if size and float(size) > 0)
+        except (StopIteration, ValueError):
+            return None
+
+
+def _plant_names(components: Mapping[parameters.Path, Any]) -> dict[parameters.Path, str]:
+    """Return a name for each component's plant: its path, in letters that names of plants may have."""
+    names: dict[parameters.Path, str] = {}
+    for path in components:
+        base = re.sub(r"[^A-Za-z0-9_\-]", "_", "_".join(path))[:56]
+        base = f"_{base}" if base in ("", "exchange", "loop", "plant", "residual") or base[0] == "-" else base
+        name, number = base, 2
+        while name in names.values():
+            name, number = f"{base}_{number}", number + 1
+        names[path] = name
+    return names
+
+
+def _start_values(description: Any, values: Mapping[str, parameters.Parameter], component: str) -> dict[str, Any]:
+    """Return the values of an FMU's parameters in the units of its variables.
+
+    Raises:
+        InvalidConfig: the FMU has no such variable, or it cannot have this value.
+    """
+    by_name = {variable.name: variable for variable in description.modelVariables}
+    starts: dict[str, Any] = {}
+    for name, parameter in values.items():
+        value, variable = parameter.value, by_name.get(name)
+        if variable is not None and parameter.unit and isinstance(value, float):
+            own = unit(variable)
+            factors = (1.0, 0.0) if own == "1" else conversion(parameter.unit, own)
+            if factors is None:
+                raise InvalidConfig(f"{component}: {name} is in {parameter.unit}; the FMU has it in {own}")
+            value = factors[0] * value + factors[1]
+        if variable is not None and parameter.is_item:
+            items = {item.name: item.value for item in getattr(variable.declaredType, "items", None) or ()}
+            if value not in items:
+                raise InvalidConfig(f"{component}: {name} = {value!r}; {did_you_mean(str(value), list(items))}")
+            value = float(items[str(value)])
+        starts[name] = value
+    try:
+        check_starts(description, starts)
+    except InvalidConfig as error:
+        raise InvalidConfig(f"{component}: {error}") from None
+    return starts

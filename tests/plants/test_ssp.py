@@ -1,0 +1,201 @@
+"""SSP files as districts: what of them becomes which plant and connection, errors, and FMPy's own master beside it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from support import ssp_files as ssp
+from support.fmus import build_tank
+from support.run_cli import run_program
+
+import zenostat  # noqa: F401  # registers the environments
+from zenostat.cli.cosim_ssp import convert
+from zenostat.cli.options import Loops
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.yaml12 import parse
+
+pytest.importorskip("fmpy")
+
+
+@pytest.fixture(scope="module")
+def tank(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The tank as an FMU."""
+    return build_tank(tmp_path_factory.mktemp("tank"))
+
+
+def converted(folder: Path, tank: Path, root: str, loops: Loops = Loops.SOLVE, **options: Any) -> dict[str, Any]:
+    """The content of the district's file that an SSP file becomes."""
+    source = ssp.write_ssp(folder / "system.ssp", tank, root, **options)
+    convert(source, folder / "district.yaml", loops, overwrite=False)
+    return parse((folder / "district.yaml").read_text(), "the file")
+
+
+def test_convert__nested_systems_become_plants_and_connections(tank: Path, tmp_path: Path) -> None:
+    content = converted(tmp_path, tank, ssp.TWO_TANKS, files=ssp.VALUES)
+    experiment = {"step_s": 60.0, "duration_s": 1200.0}
+    assert content == {
+        "name": "two_tanks",
+        "about": "From system.ssp.",
+        "timestep": 60.0,
+        "plants": {
+            "first": {"fmu": "district/tank.fmu", "plant_arguments": {**experiment, "set": {ssp.LOSS: 3.0}}},
+            "sub_second_tank": {"fmu": "district/tank.fmu", "plant_arguments": {**experiment, "set": {ssp.LOSS: 4.0}}},
+        },
+        "connections": [
+            {"from": "first.T", "to": "sub_second_tank.heat", "unit": "degC", "factor": -20.0, "offset": 2000.0},
+            {"from": "sub_second_tank.power", "to": "first.heat", "factor": 0.5, "solve": True, "tolerance": 1e-3},
+        ],
+    }
+    assert (tmp_path / "district" / "tank.fmu").read_bytes() == tank.read_bytes()
+
+
+def test_convert__loops_are_delayed_on_request(tank: Path, tmp_path: Path) -> None:
+    content = converted(tmp_path, tank, ssp.TWO_TANKS, Loops.DELAY, files=ssp.VALUES)
+    assert [each.get("delay") for each in content["connections"]] == [None, 1]
+
+
+def test_convert__outer_parameters_replace_inner_ones_and_are_mapped(tank: Path, tmp_path: Path) -> None:
+    entry = f'<ssm:MappingEntry source="k" target="b.{ssp.LOSS}">{ssp.linear(2.0, 1.0)}</ssm:MappingEntry>'
+    mapping = (
+        f'<ssd:ParameterMapping><ssm:ParameterMapping{ssp.SPACES} version="1.0">{entry}</ssm:ParameterMapping>'
+        "</ssd:ParameterMapping>"
+    )
+    values = ssp.parameter_set(ssp.real("k", 3.0), ssp.real(f"b.{ssp.LOSS}", 9.0))
+    inner = ssp.bindings(ssp.inline(ssp.parameter_set(ssp.real(ssp.LOSS, 5.0))))
+    root = ssp.system(
+        "s",
+        ssp.component("a", inner) + ssp.component("b", inner),
+        inside=ssp.bindings(ssp.inline(values, mapping=mapping)),
+    )
+    plants = converted(tmp_path, tank, root)["plants"]
+    assert [plants[name]["plant_arguments"]["set"] for name in "ab"] == [{ssp.LOSS: 5.0}, {ssp.LOSS: 7.0}]
+
+
+def test_convert__inputs_of_the_system_remain_actuators(
+    tank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    root = ssp.system(
+        "s", ssp.component("a"), ssp.connection(":power_in", "a:heat"), ssp.connector("power_in", "input")
+    )
+    assert "connections" not in converted(tmp_path, tank, root)
+    assert "the system's input 'power_in' is not connected: command a.heat instead" in capsys.readouterr().err
+
+
+A, B = ssp.component("a"), ssp.component("b")
+CASES = {
+    "not XML": ("<", "not XML"),
+    "no such connector": (
+        ssp.system("s", A + B, ssp.connection("a:T", "b:heet")), "line 3: element 'b' has no connector 'heet'; did you mean 'heat'"),
+    "two outputs": (ssp.system("s", A + B, ssp.connection("a:T", "b:T")), "'T' and 'T' are both sources"),
+    "two sources": (
+        ssp.system("s", A + B, ssp.connection("a:T", "b:heat") + ssp.connection("a:power", "b:heat")),
+        "b.heat has another connection already"),
+    "no variable": (
+        ssp.system("s", A + ssp.component("b", connectors=ssp.connector("warmth", "input")),
+                   ssp.connection("a:T", "b:warmth")),
+        "the FMU of 'b' has no scalar input or output 'warmth'"),
+    "not in the schema": (ssp.system("s", '<ssd:Component name="a"/>'), "The attribute 'source' is required"),
+    "not linear": (
+        ssp.system("s", A + B, ssp.connection("a:T", "b:heat", '<ssc:BooleanMappingTransformation>'
+                   '<ssc:MapEntry source="true" target="false"/></ssc:BooleanMappingTransformation>')),
+        "BooleanMappingTransformation is not supported"),
+    "no FMU": (
+        ssp.system("s", ssp.component("a", attributes='type="application/x-ssp-package"')), "an FMU expected"),
+    "outside of the file": (
+        ssp.system("s", A.replace("resources/tank.fmu", "../tank.fmu")), "has no '../tank.fmu'; an SSP file contains all"),
+    "unknown parameter": (
+        ssp.system("s", ssp.component("a", ssp.bindings(ssp.inline(ssp.parameter_set(ssp.real("loss", 1.0)))))),
+        "a: set: the FMU has no variable 'loss'"),
+    "out of bounds": (
+        ssp.system("s", ssp.component("a", ssp.bindings(ssp.inline(ssp.parameter_set(ssp.real(ssp.LOSS, 0.0)))))),
+        "out of bounds; from 0.5"),
+    "other unit": (
+        ssp.system("s", ssp.component("a", ssp.bindings(ssp.inline(ssp.parameter_set(ssp.real(ssp.LOSS, 1.0, "bar")))))),
+        f"{ssp.LOSS} is in bar; the FMU has it in W/K"),
+    "no document": (
+        ssp.system("s", A, inside=ssp.bindings('<ssd:ParameterBinding source="values.ssv"/>')), "has no 'values.ssv'"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_convert__what_cannot_be_used_is_one_error_and_writes_nothing(case: str, tank: Path, tmp_path: Path) -> None:
+    root, words = CASES[case]
+    with pytest.raises(InvalidConfig) as raised:
+        converted(tmp_path, tank, root)
+    assert words in str(raised.value)
+    assert "system.ssp" in str(raised.value) or case in ("unknown parameter", "out of bounds", "other unit")
+    assert [path.name for path in tmp_path.iterdir()] == ["system.ssp"]
+
+
+def test_convert__document_type_does_not_read_files(tank: Path, tmp_path: Path) -> None:
+    secret = tmp_path / "secret"
+    secret.write_text("secret text")
+    source = ssp.write_ssp(tmp_path / "system.ssp", tank, ssp.system("&x;", A))
+    import zipfile
+
+    with zipfile.ZipFile(source) as archive:
+        text, fmu = archive.read("SystemStructure.ssd").decode(), archive.read("resources/tank.fmu")
+    declared = text.replace("?>\n", f'?>\n<!DOCTYPE d [<!ENTITY x SYSTEM "file://{secret}">]>\n', 1)
+    with zipfile.ZipFile(source, "w") as archive:
+        archive.writestr("SystemStructure.ssd", declared)
+        archive.writestr("resources/tank.fmu", fmu)
+    try:
+        convert(source, tmp_path / "district.yaml", Loops.SOLVE, overwrite=False)
+    except InvalidConfig as error:
+        assert "secret text" not in str(error)
+    else:
+        assert "secret text" not in (tmp_path / "district.yaml").read_text()
+
+
+def test_convert__existing_file_is_not_replaced_unasked(tank: Path, tmp_path: Path) -> None:
+    (tmp_path / "district.yaml").write_text("mine")
+    with pytest.raises(InvalidConfig, match=r"district\.yaml exists; choose another name, or --overwrite"):
+        converted(tmp_path, tank, ssp.TWO_TANKS, files=ssp.VALUES)
+    assert (tmp_path / "district.yaml").read_text() == "mine"
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_converted_district__runs_by_the_command(tank: Path, scratch: Path) -> None:
+    ssp.write_ssp(scratch / "system.ssp", tank, ssp.TWO_TANKS, files=ssp.VALUES)
+    run_program("cosim", "--from", str(scratch / "system.ssp"), str(scratch / "district.yaml"))
+    done = run_program("cosim", str(scratch / "district.yaml"), "--once")
+    assert "first.T-sub_second_tank.heat" in done.stdout
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_converted_district__equals_fmpys_own_master_to_the_bit(tank: Path, scratch: Path) -> None:
+    """FMPy passes all values on after a step, and begins with zeros; the same delays give the same trajectory."""
+    import fmpy.ssp.simulation
+    import fmpy.ssp.ssd
+
+    root = ssp.system(
+        "Plant", A + B, ssp.connection("a:T", "b:heat", attributes='suppressUnitConversion="true"')
+        + ssp.connection("b:power", "a:heat")
+    )  # fmt: skip
+    content = converted(scratch, tank, root, Loops.DELAY)
+    path = scratch / "district.yaml"
+    text = path.read_text()
+    for entry in content["connections"]:
+        entry |= {"delay": 1, "initial": 0.0}
+    import yaml
+
+    path.write_text(yaml.safe_dump(content), encoding="utf-8")
+    assert text != path.read_text()
+    expected = fmpy.ssp.simulation.simulate_ssp(str(scratch / "system.ssp"), stop_time=1200.0, step_size=60.0)
+    with gym.make("zenostat/District-v1", file=path, reward=None) as created:
+        env = created.unwrapped
+        env.reset(seed=1)
+        rows = []
+        own = {"a.extra": 50.0, "b.extra": 50.0, "a.mode": 1.0, "b.mode": 1.0}  # what the tanks do without a command
+        idle = np.array([own.get(point.name, 0.0) for point in env.manifest.actuators], np.float32)
+        for _ in range(20):
+            env.step(idle)
+            rows.append([env.sample[name] for name in ("a.T", "b.T", "a.power", "b.power")])
+    columns = [expected[f"{name}"] for name in ("a.T", "b.T", "a.power", "b.power")]
+    assert np.array(rows).T.tolist() == [column.tolist() for column in columns]
