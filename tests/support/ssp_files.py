@@ -55,12 +55,14 @@ def system(name: str, elements: str, connections: str = "", connectors: str = ""
 
 def parameter_set(*values: str) -> str:
     """Return a set of parameters, each such as `<ssv:Parameter …>`."""
-    return f'<ssv:ParameterSet{SPACES} version="1.0" name="s"><ssv:Parameters>{"".join(values)}</ssv:Parameters></ssv:ParameterSet>'  # noqa: E501
+    inside = f"<ssv:Parameters>{''.join(values)}</ssv:Parameters>"
+    return f'<ssv:ParameterSet{SPACES} version="1.0" name="s">{inside}</ssv:ParameterSet>'
 
 
 def real(name: str, value: float, unit: str = "") -> str:
     """Return a number for a parameter."""
-    return f'<ssv:Parameter name="{name}"><ssv:Real value="{value}"{f" unit={unit!r}" if unit else ""}/></ssv:Parameter>'
+    attributes = f' unit="{unit}"' if unit else ""
+    return f'<ssv:Parameter name="{name}"><ssv:Real value="{value}"{attributes}/></ssv:Parameter>'
 
 
 def bindings(*each: str) -> str:
