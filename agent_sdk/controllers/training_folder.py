@@ -11,6 +11,7 @@ from zenostat.topics.errors import InvalidConfig
 
 TRAINING, SCENARIO, VERSIONS, WRAPPERS = "training.yaml", "scenario.yaml", "versions.json", "wrappers.yaml"
 MODEL, BEST, CHECKPOINTS = "model.zip", "best.zip", "checkpoints"
+CURVE, EVALUATIONS, REFERENCES, LOCK = "curve.csv", "evaluations.csv", "references.csv", ".lock"
 FORMAT = 1
 """Version of the folder's format; it changes whenever an older version cannot read it, or a newer one not that."""
 

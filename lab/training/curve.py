@@ -11,10 +11,11 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.agent_sdk.controllers.training_folder import CURVE, EVALUATIONS, REFERENCES
 from zenostat.metrics.episode_metrics import EpisodeMetrics
 from zenostat.topics.atomic_file import atomic_file
 
-CURVE, EVALUATIONS, REFERENCES, PICTURE = "curve.csv", "evaluations.csv", "references.csv", "curve"
+PICTURE = "curve"
 _COLUMNS = ("step", "slot", "reward", "steps")
 _SHOWN = 100
 """Number of episodes in a moving mean, as stable-baselines3 logs it."""

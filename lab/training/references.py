@@ -10,10 +10,11 @@ import gymnasium as gym
 
 from zenostat.agent_sdk.controllers import CONTROLLERS
 from zenostat.agent_sdk.controllers.policy import preserve_random_state
+from zenostat.agent_sdk.controllers.training_folder import REFERENCES
 from zenostat.lab.evaluate import Evaluation, evaluate
 from zenostat.lab.scenario_env import pop_env_id
 from zenostat.lab.training.config import TrainingConfig
-from zenostat.lab.training.curve import REFERENCES, CurveFile
+from zenostat.lab.training.curve import CurveFile
 from zenostat.topics.errors import UnknownName, UsageError, did_you_mean
 
 _BUILDING = "zenostat/Building-v1"

@@ -147,7 +147,7 @@ def train(
     folder.mkdir(parents=True, exist_ok=True)
     with ExitStack() as stack:
         stack.callback(_remove_if_empty, folder)
-        stack.enter_context(locked(folder / ".lock", f"{folder}: another process is training there"))
+        stack.enter_context(locked(folder / training_folder.LOCK, f"{folder}: another process is training there"))
         run = _Run(config, folder, stack, on_evaluation, on_references)
         return run.train(progress, stop or threading.Event(), resume=resume)
 
