@@ -57,7 +57,9 @@ def points(
         model = read_building(catalog.find_building(building))
         discovered = discover(model, catalog.weathers()[0].path)
     of_run = default or bool(monitoring)
-    rows = _of_run(building, model, default=default, monitoring=monitoring) if of_run else listing(discovered, model)
+    rows = (
+        points_of_run(building, model, default=default, monitoring=monitoring) if of_run else listing(discovered, model)
+    )
     listed = [row for row in rows if kind is None or row.kind == kind]
     rows = _matching(listed, match, f"no {kind or 'point'} of {model.name}")
     if as_json:
@@ -73,7 +75,7 @@ def points(
     )
 
 
-def _of_run(name: str, building: Building, *, default: bool, monitoring: bool | None) -> list[PointListing]:
+def points_of_run(name: str, building: Building, *, default: bool, monitoring: bool | None) -> list[PointListing]:
     """Return the points that a node of the building has by default, or those of them for pictures and reports."""
     from zenostat.eplus_node.config import read_config, scenario_of
     from zenostat.eplus_node.plan import run_points

@@ -34,6 +34,24 @@ def room(
         Path | None,
         typer.Option(help="File with the token of Prometheus and Grafana; created if it is missing."),
     ] = None,
+    scenarios: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of scenarios, with the models and weather files that they may name: operators save scenarios "
+            "there and start nodes from them.",
+        ),
+    ] = None,
+    trainings: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Folder of trainings and studies whose curves are shown; reports and nodes load their policies.",
+        ),
+    ] = None,
+    audit_log: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="File to which each change is added as a line of JSON.")
+    ] = None,
 ) -> None:
     """Serve a web page to watch and operate all nodes of a bus, until Ctrl-C.
 
@@ -43,6 +61,7 @@ def room(
     """
     with requires_extra("room", "the control room", "starlette and uvicorn"):
         from zenostat.views.room.access import OPERATOR
+        from zenostat.views.room.app import RoomSettings
         from zenostat.views.room.server import RoomServer
     token = None if api_token_file is None else _api_token(api_token_file)
     name = safe_name(_user())[:64] if operator is None else operator
@@ -50,15 +69,33 @@ def room(
         raise InvalidConfig(
             f"--operator {name!r}: a name of up to 64 letters, digits, '_', '.' and '-' expected, such as ada.lovelace"
         )
+    settings = RoomSettings(
+        scenarios=_folder("--scenarios", scenarios),
+        trainings=_folder("--trainings", trainings),
+        node_settings={"connect": [options.endpoint], "keys": _key_folder(options.keys)},
+        audit_log=audit_log,
+    )
     with (
         options.open_bus(Role.GATEWAY) as bus,
-        RoomServer(bus, address, operator=name, api_token=token) as server,
+        RoomServer(bus, address, operator=name, api_token=token, settings=settings) as server,
         override_signals(lambda *_: server.stop(), *TERMINATION_SIGNALS),
     ):
         out.print(f"ready: {server.link}", soft_wrap=True)
         out.print("The link signs one browser in, once; press Ctrl-C to stop.", soft_wrap=True)
         bus.via = "http"
         server.run()
+
+
+def _folder(option: str, folder: Path | None) -> Path | None:
+    """Return a folder of the user's as an absolute path; `InvalidConfig` if it is none."""
+    if folder is not None and not folder.is_dir():
+        raise InvalidConfig(f"{option} {folder}: there is no such folder")
+    return None if folder is None else folder.resolve()
+
+
+def _key_folder(keys: Path | None) -> Path | None:
+    """Return the folder of a certificate, or of all of them."""
+    return None if keys is None else (keys.parent if keys.suffix == ".pem" else keys).resolve()
 
 
 def _user() -> str:

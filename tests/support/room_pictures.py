@@ -7,11 +7,14 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
+import numpy as np
+
 import zenostat
 from support.control_room import Visitor, chromium, control_room
 from support.nodes import NodeProgram, until
 from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.views.room.app import RoomSettings
 
 IMAGES = Path(__file__).parents[2] / "docs" / "images"
 BUILDING: dict[str, Any] = {
@@ -87,6 +90,71 @@ def main() -> None:
             until_end.close()
     systems()
     district()
+    builder_and_trainings()
+
+
+def builder_and_trainings() -> None:
+    """The scenario builder with a node that was started from it, and three trainings whose rewards follow a formula."""
+    with tempfile.TemporaryDirectory(prefix="zt-", dir="/tmp") as name:
+        folder = Path(name)
+        (folder / "scenarios").mkdir()
+        for algorithm, seed, gain, steps in (
+            ("ppo", 1, 85.0, 44_000),
+            ("ppo", 2, 74.0, 31_000),
+            ("sac", 1, 58.0, 44_000),
+        ):
+            learning_curve(folder / "runs" / f"{algorithm}-{seed}", algorithm, seed, gain, steps)
+        with (
+            NodeProgram(folder / "node", **{**BUILDING, "end": "07-01"}) as node,
+            control_room(
+                node.endpoint,
+                operator="ada.lovelace",
+                settings=RoomSettings(
+                    scenarios=folder / "scenarios",
+                    trainings=folder / "runs",
+                    node_settings={"connect": [node.endpoint], "affinity": "off"},
+                ),
+            ) as room,
+            chromium() as browser,
+        ):
+            visitor = Visitor(browser, width=1440)
+            visitor.open(room.link).locator(".card").wait_for()
+            page = visitor.open(f"{room.url}/?page=builder")
+            page.get_by_text("No errors").wait_for()
+            page.locator("#point-search").fill("core zone mean air temperature")
+            page.locator(".point-results tbody button").first.click()
+            page.locator("#scenario-name").fill("office-summer")
+            page.locator("#node-name").fill("office-2")
+            page.get_by_role("button", name="Save and start").click()
+            page.get_by_role("link", name="Open office-2").wait_for()
+            page.locator(".toast").last.wait_for(state="detached")
+            picture(page, "room-builder.png")
+            visitor = Visitor(browser, width=1440, scheme="light")
+            visitor.open(room.room.link("grace.hopper")).locator(".card").first.wait_for()
+            page = visitor.open(f"{room.url}/?page=trainings")
+            page.locator(".legend li").nth(4).wait_for()
+            picture(page, "room-trainings.png")
+
+
+def learning_curve(folder: Path, algorithm: str, seed: int, gain: float, steps: int) -> None:
+    """Write the files of a training whose reward approaches a limit."""
+    folder.mkdir(parents=True)
+    rng = np.random.default_rng([seed, len(algorithm), steps])
+
+    def reward(step: int) -> float:
+        return float(-180 + gain * (1 - np.exp(-step / 11_000)) + rng.normal(0, 4))
+
+    scenario = "office-small-USA_CO_Denver-continuous-v1"
+    (folder / "training.yaml").write_text(f"algorithm: {algorithm}\nscenario: {scenario}\nsteps: 44000\nseed: {seed}\n")
+    (folder / "versions.json").write_text('{"format": 1}')
+    (folder / "scenario.yaml").write_text("building: office-small\nweather: [USA_CO_Denver]\n")
+    episodes = [f"{step},0,{reward(step):.2f},672" for step in range(672, steps + 1, 672)]
+    (folder / "curve.csv").write_text("\n".join(["step,slot,reward,steps", *episodes, ""]))
+    evaluations = [f"{step},{10_000 + k},{reward(step):.2f}" for step in range(2000, steps + 1, 2000) for k in range(3)]
+    (folder / "evaluations.csv").write_text("\n".join(["step,seed,reward", *evaluations, ""]))
+    (folder / "references.csv").write_text("controller,seed,reward\nbaseline,10000,-135\nrbc,10000,-118\n")
+    if steps == 44_000:
+        (folder / "model.zip").write_bytes(b"")
 
 
 def district() -> None:

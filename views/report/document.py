@@ -10,6 +10,8 @@ from pathlib import Path
 from zenostat.views.report.theme import DARK, LIGHT
 
 _STYLE = Path(__file__).with_name("page.css")
+REPORT_SCRIPT = Path(__file__).with_name("page.js").read_text(encoding="utf-8")
+"""Script of reports: shows values at the pointer, zooms, and opens what is folded while the page is printed."""
 
 
 def document(title: str, body: str, script: str) -> str:

@@ -7,13 +7,12 @@ from collections.abc import Sequence
 from html import escape
 from importlib.metadata import PackageNotFoundError, version
 from math import isnan
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from zenostat.views.report.district_section import ANCHOR, TITLE, district_section, has_district
-from zenostat.views.report.document import document
+from zenostat.views.report.document import REPORT_SCRIPT, document
 from zenostat.views.report.figures.base import Figure
 from zenostat.views.report.readings import readings
 from zenostat.views.report.runs import Comparison, Run
@@ -25,8 +24,6 @@ from zenostat.views.report.totals_section import NONE, totals_section
 
 _PACKAGES = ("numpy", "gymnasium", "eclipse-zenoh", "pyenergyplus-lbnl", "matplotlib")
 _MAX_TABLE_ROWS = 100
-_SCRIPT = Path(__file__).with_name("page.js").read_text(encoding="utf-8")
-"""Shows values at the pointer, zooms, and opens what is folded while the page is printed."""
 _HINT = (
     "Point at a figure over time to read its values; drag to zoom in, double-click or press Escape to zoom out. With "
     "the keyboard: Tab to a figure, arrow keys, + and \N{MINUS SIGN}."
@@ -52,7 +49,7 @@ def page(comparison: Comparison) -> str:
             "</main>",
         ]
     )
-    return document(_title(comparison), body, _SCRIPT)
+    return document(_title(comparison), body, REPORT_SCRIPT)
 
 
 def _title(comparison: Comparison) -> str:

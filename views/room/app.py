@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections import Counter
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -18,8 +19,11 @@ from starlette.staticfiles import StaticFiles
 
 from zenostat.bridge.client.bus import Bus
 from zenostat.topics import VERSION
-from zenostat.topics.errors import BusError, PeerError, RequestRejected, UsageError, ZenostatError
+from zenostat.topics.errors import BusError, NameInUse, PeerError, RequestRejected, UsageError, ZenostatError
 from zenostat.views.room.access import OPERATOR, Access, BodyTooLarge, Guard, Session
+from zenostat.views.room.audit import TOPIC as AUDIT
+from zenostat.views.room.audit import AuditLog
+from zenostat.views.room.builder import Builder
 from zenostat.views.room.bus_watch import BusWatch
 from zenostat.views.room.dashboards import (
     METRICS_TYPE,
@@ -33,6 +37,10 @@ from zenostat.views.room.numbers import to_json
 from zenostat.views.room.operations import read_body, read_operation
 from zenostat.views.room.priorities import priority_arrays
 from zenostat.views.room.series import HistoryCache, history_content
+from zenostat.views.room.started_nodes import TOPIC as STARTED
+from zenostat.views.room.started_nodes import StartedNodes
+from zenostat.views.room.training_pages import TrainingPages
+from zenostat.views.room.trainings import Trainings
 from zenostat.views.room.updates import MAX_STREAMS, Updates
 from zenostat.views.room.what_if import WhatIf, what_if
 
@@ -41,6 +49,33 @@ _MAX_PENDING = 8
 """Largest number of requests of pages that wait for one node: one that is frozen must not stop the others."""
 
 T = TypeVar("T")
+
+_PAGES: Mapping[str, frozenset[str]] = {
+    "builder": frozenset({STARTED}),
+    "trainings": frozenset({STARTED}),
+    "audit": frozenset({AUDIT}),
+}
+"""Topics of pages besides the list of nodes."""
+
+
+@dataclass(frozen=True)
+class RoomSettings:
+    """Permissions and files of a control room, as the person who starts it names them.
+
+    Attributes:
+        scenarios: folder of scenarios, which pages save and start nodes from; None permits neither.
+        trainings: folder of trainings and studies; None shows none.
+        node_settings: of nodes that are started: the bus that they join, and their keys.
+        audit_log: file to which each change is added; None keeps the latest changes in memory only.
+    """
+
+    scenarios: Path | None = None
+    trainings: Path | None = None
+    node_settings: Mapping[str, Any] = field(default_factory=dict)
+    audit_log: Path | None = None
+
+
+DEFAULTS = RoomSettings()
 
 
 class _SignIn(BaseModel):
@@ -62,10 +97,17 @@ class Room:
         bus: connection to the bus, which the caller closes after the application has ended.
         access: who may use it.
         address: of the page, for links.
+        settings: what pages may do besides operating nodes.
     """
 
-    def __init__(self, bus: Bus, access: Access, address: str) -> None:
+    def __init__(self, bus: Bus, access: Access, address: str, settings: RoomSettings = DEFAULTS) -> None:
         self.updates = Updates()
+        self.audit = AuditLog(self.updates, settings.audit_log)
+        self.nodes = StartedNodes(settings.node_settings, self.updates)
+        trainings = None if settings.trainings is None else Trainings(settings.trainings)
+        self._builder = Builder(settings.scenarios, self.nodes, self.audit, self._is_online)
+        self._training_pages = TrainingPages(trainings, self.nodes, self.audit, self._is_online)
+        self._settings = settings
         self._bus, self._access, self._address = bus, access, address
         self._watch: BusWatch | None = None
         self._histories = HistoryCache(bus)
@@ -78,6 +120,9 @@ class Room:
             Route("/api/session", self._who_am_i),
             Route("/api/invitation", self._invite, methods=["POST"]),
             Route("/api/stream", self._stream),
+            Route("/api/audit", self._audit_log),
+            *self._builder.routes,
+            *self._training_pages.routes,
             Route("/api/nodes/{node}", self._description),
             Route("/api/nodes/{node}/history", self._history),
             Route("/api/nodes/{node}/events", self._events),
@@ -102,6 +147,9 @@ class Room:
         assert self._watch is not None
         return self._watch
 
+    def _is_online(self, node: str) -> bool:
+        return self.watch.is_online(node)
+
     @asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
         self.updates.start()
@@ -109,7 +157,10 @@ class Room:
         try:
             yield
         finally:
+            for part in (self._builder, self._training_pages, self.nodes):
+                await asyncio.to_thread(part.close)
             await asyncio.to_thread(self._watch.close)
+            self.audit.close()
 
     def link(self, operator: str) -> str:
         """Return an address that signs one browser in as this operator."""
@@ -130,6 +181,7 @@ class Room:
             text = "this link was used already or is too old; get another one from `zenostat room` or a colleague"
             return JSONResponse({"error": "AccessDenied", "message": text}, 403)
         identity, session = signed_in
+        self.audit.add(session.operator, "sign in", "", "signed in", accepted=True)
         response = JSONResponse({"operator": session.operator})
         response.set_cookie(self._access.cookie, identity, path="/", httponly=True, samesite="strict")
         return response
@@ -142,20 +194,26 @@ class Room:
 
     async def _who_am_i(self, request: Request) -> Response:
         session: Session | None = request.state.session
-        return JSONResponse({"operator": session.operator if session is not None else None})
+        has_trainings = self._settings.trainings is not None
+        return JSONResponse({"operator": session.operator if session is not None else None, "trainings": has_trainings})
 
     async def _invite(self, request: Request) -> Response:
-        _operator(request)
-        return JSONResponse({"link": self.link(read_body(_Invitation, await request.body()).operator)})
+        invited = read_body(_Invitation, await request.body()).operator
+        self.audit.add(_operator(request), "invite", invited, "a link was created", accepted=True)
+        return JSONResponse({"link": self.link(invited)})
 
     # Data
 
     async def _stream(self, request: Request) -> Response:
         node = request.query_params.get("node", "")
         topics = {"overview"} | ({f"node:{node}", f"events:{node}"} if node else set())
+        topics |= _PAGES.get(request.query_params.get("page", ""), frozenset())
         if self.updates.followers >= MAX_STREAMS:
             return JSONResponse({"error": "RequestRejected", "message": f"{MAX_STREAMS} pages are open"}, 503)
         return StreamingResponse(self.updates.follow(topics), media_type="text/event-stream")
+
+    async def _audit_log(self, _: Request) -> Response:
+        return _json({"entries": self.audit.entries()})
 
     async def _description(self, request: Request) -> Response:
         description = self._node(request).description
@@ -184,12 +242,16 @@ class Room:
     # Changes
 
     async def _operate(self, request: Request) -> Response:
-        watch, operator = self._node(request), _operator(request)
-        operation = read_operation(request.path_params["operation"], await request.body())
+        watch, operator, name = self._node(request), _operator(request), request.path_params["operation"]
+        operation = read_operation(name, await request.body())
         try:
             text = await self._call(watch, lambda: operation.run(self._bus, watch.node, operator))
+        except ZenostatError as error:
+            self.audit.add(operator, name, watch.node, str(error), accepted=False)
+            raise
         finally:
             watch.refresh()
+        self.audit.add(operator, name, watch.node, text, accepted=True)
         return JSONResponse({"text": text})
 
     async def _what_if(self, request: Request) -> Response:
@@ -244,7 +306,7 @@ def _json(content: Any) -> Response:
     return Response(to_json(content), media_type="application/json")
 
 
-_STATUS = ((RequestRejected, 409), (UsageError, 400), (BusError, 404), (PeerError, 502))
+_STATUS = ((NameInUse, 409), (RequestRejected, 409), (UsageError, 400), (BusError, 404), (PeerError, 502))
 
 
 async def _failure(_: Request, error: Exception) -> Response:

@@ -78,6 +78,12 @@ class BusWatch:
             raise NodeNotFound(f"no node {node!r} on the bus; {did_you_mean(node, names)}")
         return watch
 
+    def is_online(self, node: str) -> bool:
+        """Return whether a node of a name is on the bus."""
+        with self._lock:
+            watch = self._nodes.get(node)
+        return watch is not None and watch.state is not None
+
     def watches(self) -> list[NodeWatch]:
         """Return all nodes by name."""
         with self._lock:

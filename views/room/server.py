@@ -16,7 +16,7 @@ from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.runtime import service_manager
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 from zenostat.views.room.access import Access
-from zenostat.views.room.app import Room
+from zenostat.views.room.app import DEFAULTS, Room, RoomSettings
 
 DEFAULT_ADDRESS = "127.0.0.1:8600"
 
@@ -34,6 +34,7 @@ class RoomServer:
         address: `HOST:PORT`; port 0 chooses a free one.
         operator: name of the user of the first link, the source of this user's changes.
         api_token: token of programs that read metrics and histories; None closes these.
+        settings: what pages may do besides operating nodes.
 
     Attributes:
         url: of the page.
@@ -44,14 +45,22 @@ class RoomServer:
         AddressInUse: another program listens there.
     """
 
-    def __init__(self, bus: Bus, address: str, *, operator: str, api_token: str | None = None) -> None:
+    def __init__(
+        self,
+        bus: Bus,
+        address: str,
+        *,
+        operator: str,
+        api_token: str | None = None,
+        settings: RoomSettings = DEFAULTS,
+    ) -> None:
         bus.timeout_s = _REQUEST_S
         self._socket = _listen(address)
         host, port = self._socket.getsockname()[:2]
         host = f"[{host}]" if ":" in host else host
         self.url = f"http://{host}:{port}"
         hosts = frozenset({f"{host}:{port}", f"localhost:{port}"})
-        self.room = Room(bus, Access(hosts, f"zenostat-room-{port}", api_token=api_token), self.url)
+        self.room = Room(bus, Access(hosts, f"zenostat-room-{port}", api_token=api_token), self.url, settings)
         self.link = self.room.link(operator)
         config = uvicorn.Config(
             self.room.asgi,

@@ -52,9 +52,10 @@ export async function operate(node, operation, content = {}) {
   }
 }
 
-/** Follow the list of nodes and one node; returns a function that ends it. */
-export function follow(node, handlers, onConnection) {
-  const source = new EventSource(`/api/stream${node ? `?node=${encodeURIComponent(node)}` : ""}`);
+/** Follow the list of nodes and one node, or what a page shows; returns a function that ends it. */
+export function follow(shown, handlers, onConnection) {
+  const query = new URLSearchParams(Object.entries(shown).filter(([, value]) => value));
+  const source = new EventSource(`/api/stream?${query}`);
   for (const [kind, handle] of Object.entries(handlers)) {
     source.addEventListener(kind, (event) => handle(JSON.parse(event.data)));
   }

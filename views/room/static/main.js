@@ -1,16 +1,21 @@
 // The page: sign-in, and the list of nodes or one node, by the address.
 
 import { follow, get, post, remove, toast } from "./api.js";
+import { AuditPage } from "./audit.js";
+import { BuilderPage } from "./builder.js";
 import { fill, h, icon } from "./dom.js";
 import { NodePage } from "./node.js";
 import { Overview } from "./overview.js";
-import { change, link, onView, view } from "./view.js";
+import { TrainingsPage } from "./trainings.js";
+import { address, change, link, onView, view } from "./view.js";
+
+const PAGES = { builder: [BuilderPage, "Scenario builder"], trainings: [TrainingsPage, "Trainings"], audit: [AuditPage, "Audit log"] };
 
 const main = document.getElementById("main");
 const header = document.getElementById("header");
 let page = null;
 let stop = null;
-let shownNode = null;
+let shown = null;
 let operator = null;
 let connection;
 
@@ -30,6 +35,11 @@ async function signIn() {
     return (await post("/api/session", { token })).operator;
   }
   return (await get("/api/session")).operator;
+}
+
+/** Pages that this server has. */
+async function choosePages() {
+  if (!(await get("/api/session")).trainings) delete PAGES.trainings;
 }
 
 function showSignIn(message) {
@@ -79,25 +89,35 @@ function showHeader() {
   fill(header,
     h("a", { class: "home", href: "/", onclick: (event) => link(event, {}) },
       h("img", { src: "/static/icon.svg", alt: "", width: 26, height: 26 }), h("h1", {}, "Control room")),
-    h("nav", { id: "crumbs", "aria-label": "Nodes" }),
+    h("nav", { id: "pages", "aria-label": "Pages" }),
+    h("span", { id: "crumbs" }),
     h("span", { class: "grow" }), connection,
     h("button", { class: "quiet", "aria-label": "Light or dark", title: "Light or dark",
       onclick: () => { theme(theme() === "dark" ? "light" : "dark"); page?.redraw?.(); } }, icon("moon")),
     h("button", { class: "quiet", onclick: invite, title: "Session" }, icon("user"), h("span", { class: "wide" }, operator)));
 }
 
+function showPages(name, node) {
+  const entries = [["", "Nodes"], ...Object.entries(PAGES).map(([each, [, text]]) => [each, text])];
+  fill(document.getElementById("pages"), entries.map(([each, text]) => h("a", {
+    href: address({ page: each }, false), "aria-current": each === name && !node ? "page" : null, onclick: (event) => link(event, { page: each }) }, text)));
+  fill(document.getElementById("crumbs"), node && [h("span", { "aria-hidden": "true" }, "›"), h("span", { class: "crumb" }, node)]);
+}
+
 function show() {
   const node = view().node ?? null;
-  if (page && node === shownNode) { page.onView(); return; }
-  shownNode = node;
+  const name = !node && view().page in PAGES ? view().page : "";
+  const key = node ? `node ${node}` : `page ${name}`;
+  if (page && key === shown) { page.onView(); return; }
+  shown = key;
   stop?.();
   page?.close();
   fill(document.getElementById("drawer"));
-  page = node ? new NodePage(main, node, operator) : new Overview(main);
-  const crumbs = document.getElementById("crumbs");
-  fill(crumbs, node && [h("span", { "aria-hidden": "true" }, "›"), h("span", { class: "crumb" }, node)]);
-  document.title = node ? `${node} – Control room` : "Control room";
-  stop = follow(node, page.handlers, (isConnected) => { connection.hidden = isConnected; });
+  page = node ? new NodePage(main, node, operator) : name ? new PAGES[name][0](main) : new Overview(main);
+  showPages(name, node);
+  const title = node ?? PAGES[name]?.[1];
+  document.title = title ? `${title} – Control room` : "Control room";
+  stop = follow({ node, page: name }, page.handlers, (isConnected) => { connection.hidden = isConnected; });
 }
 
 async function start() {
@@ -109,6 +129,7 @@ async function start() {
     return;
   }
   if (!operator) { showSignIn(""); return; }
+  await choosePages();
   showHeader();
   onView(show);
   show();

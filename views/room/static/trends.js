@@ -6,7 +6,7 @@ import { seconds, shown, ticks, withUnit } from "./format.js";
 import { change, view } from "./view.js";
 
 const uPlot = window.uPlot;
-const COLORS = ["#2878dc", "#eb6e00", "#00903c", "#b44696", "#8a6fd1", "#c08a1e", "#19a0a5", "#e0566f", "#6b7f95", "#4f9a2f"];
+export const COLORS = ["#2878dc", "#eb6e00", "#00903c", "#b44696", "#8a6fd1", "#c08a1e", "#19a0a5", "#e0566f", "#6b7f95", "#4f9a2f"];
 export const RANGES = [["6", "6 h"], ["24", "24 h"], ["72", "3 d"], ["168", "7 d"], ["all", "all"]];
 const MAX_SAMPLES = 1200;
 
@@ -28,26 +28,32 @@ function timeLabels(_, splits, axis, space, step) {
   });
 }
 
-/** Create a chart of some series on a time axis; `series` have label, unit, color, values and optionally stepped, dash, lows, highs. */
-export function chart(root, { time, series, band = null, height = 260, onZoom = null, onReset = null, range = null }) {
+/** A range around values, so that lines do not touch its ends. */
+function padded(low, high, unit) {
+  const least = unit === "°C" ? 2 : 1e-6;
+  const pad = Math.max((high - low) * 0.08, least / 2, Math.abs(high) * 1e-3);
+  return [low >= 0 && low - pad < 0 ? 0 : low - pad, high + pad];
+}
+
+/** Create a chart of some series on an axis of times, or of steps; `series` have label, unit, color, values and optionally stepped, dash, lows, highs. */
+export function chart(root, { time, series, band = null, height = 260, onZoom = null, onReset = null, range = null, isTime = true, least = 60 }) {
   const units = [...new Set(series.map((each) => each.unit))].slice(0, 4);
   const grid = css("--grid"), text = css("--muted");
   const font = "12px system-ui, sans-serif";
   const axes = [
-    { stroke: text, font, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid }, values: timeLabels, space: 64, size: 46 },
+    { stroke: text, font, grid: { stroke: grid, width: 1 }, ticks: { stroke: grid }, values: isTime ? timeLabels : (_, splits) => ticks(splits), space: 64, size: isTime ? 46 : 30 },
     ...units.map((unit, place) => ({
       scale: unit || "1", side: place === 0 ? 3 : 1, stroke: text, font, size: 58, ticks: { stroke: grid },
       grid: { show: place === 0, stroke: grid, width: 1 }, values: (_, splits) => ticks(splits),
       label: unit || undefined, labelFont: font, labelSize: 18, labelGap: 0,
     })),
   ];
-  const scales = { x: { time: true, range: range ? () => range : undefined } };
+  const scales = { x: { time: isTime, range: range ? () => range : undefined } };
   for (const unit of units) {
-    scales[unit || "1"] = { range: (_, low, high) => {
-      if (low === null) return [0, 1];
-      const least = unit === "°C" ? 2 : 1e-6;
-      const pad = Math.max((high - low) * 0.08, least / 2, Math.abs(high) * 1e-3);
-      return [low >= 0 && low - pad < 0 ? 0 : low - pad, high + pad];
+    scales[unit || "1"] = { range: (_, least, most) => {
+      if (least === null) return [0, 1];
+      const limits = series.filter((each) => each.unit === unit && each.lows).flatMap((each) => [...each.lows, ...each.highs]).filter((value) => value !== null);
+      return padded(limits.reduce((first, value) => Math.min(first, value), least), limits.reduce((first, value) => Math.max(first, value), most), unit);
     } };
   }
   const options = {
@@ -59,7 +65,7 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
     focus: { alpha: 0.35 },
     series: [{}, ...series.map((each) => ({
       label: each.label, scale: each.unit || "1", stroke: each.color, width: each.width ?? 1.6, dash: each.dash,
-      points: { show: false }, spanGaps: false, paths: each.stepped ? uPlot.paths.stepped({ align: -1 }) : undefined,
+      points: { show: each.dots ?? false, size: 5 }, spanGaps: each.gaps ?? false, paths: each.stepped ? uPlot.paths.stepped({ align: -1 }) : undefined,
       value: (_, value) => withUnit(value, each.unit),
     }))],
     hooks: {
@@ -70,7 +76,7 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
         if (plot.select.width < 4) return;
         const from = plot.posToVal(plot.select.left, "x"), to = plot.posToVal(plot.select.left + plot.select.width, "x");
         plot.setSelect({ left: 0, top: 0, width: 0, height: 0 }, false);
-        if (to - from > 60) onZoom?.(from, to);
+        if (to - from > least) onZoom?.(from, to);
       }],
     },
   };

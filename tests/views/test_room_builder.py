@@ -1,0 +1,287 @@
+"""The scenario builder of the control room: its program, what a scenario of a page may name, and nodes from it."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.control_room import control_room
+from support.nodes import NodeProgram, nothing_left, until
+from typer.testing import CliRunner
+
+import zenostat
+from zenostat.cli.commands import app
+from zenostat.cli.scenario_answers import ScenarioAnswers
+from zenostat.models.catalog import find_building
+from zenostat.topics import yaml12
+from zenostat.topics.errors import InvalidConfig, PeerError, RequestRejected, UnknownName, UsageError
+
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+
+import httpx
+
+from zenostat.views.room.app import RoomSettings
+from zenostat.views.room.audit import AuditLog
+from zenostat.views.room.scenario_program import ScenarioProgram
+from zenostat.views.room.started_nodes import StartedNodes
+from zenostat.views.room.updates import Updates
+
+FIELDS: dict[str, Any] = {
+    "building": "ref-small-office",
+    "weather": ["USA_CO_Denver"],
+    "begin": "07-03",
+    "end": "07-03",
+    "steps_per_hour": 4,
+}
+TANK = '''
+class Tank:
+    """A tank of one level."""
+    step_s = 60.0
+    begin = "2026-01-12T00:00"
+    duration_s = 86400.0
+    sensors = {"level": ("m", 0.0, None)}
+    actuators = {"pump": ("W", 0.0, 100.0, 5.0)}
+
+    def reset(self, seed):
+        return {"level": 0.0}
+
+    def step(self, commands):
+        return {"level": 0.0}
+'''
+
+
+@pytest.fixture
+def answers(tmp_path: Path) -> ScenarioAnswers:
+    return ScenarioAnswers(tmp_path)
+
+
+def errors_of_command(folder: Path, name: str, fields: dict[str, Any]) -> list[str]:
+    """The errors of `zenostat scenarios check` for a file in a folder, in that folder."""
+    (folder / f"{name}.yaml").write_text(yaml12.dump(fields))
+    done = CliRunner().invoke(app, ["scenarios", "check", f"{name}.yaml"])
+    assert isinstance(done.exception, UsageError), done.output
+    return str(done.exception).split("\n")
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"begin": "02-30", "steps_per_hour": 7},
+        {"weather": ["USA_CO_Denvr"], "reward": {"kind": "lineer"}},
+        {"sensors": {"a": ["Zone Air Temperatur", "Core_ZN"]}, "reward": {"kind": "linear", "temperatures": ["b"]}},
+        {"buildin": "x", "time": ["houer"]},
+        {"edits": {"Material:NoMas": {}}},
+        {"building": "tower.idf"},
+    ],
+    ids="_".join,
+)
+def test_scenario_answers__errors_are_those_of_the_command_line(
+    answers: ScenarioAnswers, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, wrong: dict[str, Any]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "tower.idf").write_text("Version,25.2;\nZone,A,,,,,,,;\nZone,A;\n")
+    fields = FIELDS | wrong
+    answer = answers.check(fields, "mine")
+    assert answer["errors"] == errors_of_command(tmp_path, "mine", fields)
+    assert yaml12.parse(answer["yaml"], "the answer") == fields
+
+
+@pytest.mark.process
+def test_scenario_answers__valid_scenario_is_summarized(answers: ScenarioAnswers) -> None:
+    answer = answers.check(FIELDS)
+    assert answer["errors"] == []
+    assert "USA_CO_Denver, 96 timesteps; " in answer["summary"]
+    assert yaml12.parse(answer["yaml"], "the answer") == FIELDS
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"building": "/etc/passwd.idf"}, "building: /etc/passwd.idf is not in the folder of scenarios"),
+        ({"building": "../tower.idf"}, "building: ../tower.idf is not in the folder"),
+        ({"building": "/etc"}, "building: /etc is not in the folder"),
+        ({"building": "~/tower.idf"}, "building: ~/tower.idf is not in the folder"),
+        ({"building": "link.idf"}, "building: link.idf is not in the folder"),
+        ({"weather": ["USA_CO_Denver", "/root/a.epw"]}, "weather: /root/a.epw is not in the folder"),
+        ({"reward": {"kind": "energy_cost", "price": {"csv": "../p.csv"}}}, "reward: ../p.csv is not in the folder"),
+        ({"wrappers": [{"wrapper": "ResidualAction", "controller": "evil.py:Evil"}]}, "wrappers: not from a browser"),
+        ({"edits": {"schedule:file": {"A": {"file_name": "/etc/passwd"}}}}, "edits: schedule:file: not from a browser"),
+        ({"edits": {"PythonPlugin:Instance": {"A": {}}}}, "edits: PythonPlugin:Instance: not from a browser"),
+        ({"edits": {"ExternalInterface": {"A": {}}}}, "edits: ExternalInterface: not from a browser"),
+    ],
+)
+def test_scenario_answers__scenario_of_a_page_names_no_code_and_no_file_elsewhere(
+    tmp_path: Path, fields: dict[str, Any], text: str
+) -> None:
+    folder = tmp_path / "scenarios"
+    folder.mkdir()
+    (tmp_path / "tower.idf").write_text("Version,25.2;\n")
+    (folder / "link.idf").symlink_to(tmp_path / "tower.idf")
+    answer = ScenarioAnswers(folder).check(FIELDS | fields)
+    assert len(answer["errors"]) == 1
+    assert answer["errors"][0].startswith(text)
+    assert ScenarioAnswers(None).check(FIELDS | fields)["errors"]
+    assert ScenarioAnswers(folder).form()["own_buildings"] == []
+    if "building" in fields:
+        with pytest.raises(InvalidConfig, match="not in the folder"):
+            ScenarioAnswers(folder).points(fields["building"])
+
+
+def test_scenario_answers__scenario_elsewhere_is_not_read(tmp_path: Path) -> None:
+    folder = tmp_path / "scenarios"
+    folder.mkdir()
+    (tmp_path / "other.yaml").write_text("building: x\n")
+    (folder / "link.yaml").symlink_to(tmp_path / "other.yaml")
+    (folder / "own.yaml").write_text("building: y\n")
+    for name in ("../other", "link", "none", "/etc/hosts", ""):
+        with pytest.raises(UnknownName):
+            ScenarioAnswers(folder).read(name)
+    assert ScenarioAnswers(folder).read("own") == {"building": "y"}
+    assert ScenarioAnswers(folder).form()["scenarios"] == ["own"]
+
+
+def test_scenario_answers__form_has_all_fields_but_wrappers(answers: ScenarioAnswers) -> None:
+    form = answers.form()
+    assert {"building", "weather", "sensors", "actions", "reward"} <= form["schema"]["properties"].keys()
+    assert "wrappers" not in form["schema"]["properties"]
+    assert "ref-small-office" in form["buildings"]
+    assert "USA_CO_Denver" in form["weathers"]
+
+
+@pytest.mark.process
+def test_scenario_answers__points_are_searched_by_all_words(answers: ScenarioAnswers) -> None:
+    answer = answers.points("ref-small-office", "zone temperature core", "sensor")
+    assert 0 < answer["count"] < answer["total"]
+    assert all("core" in f"{each['key']}{each['where']}".casefold() for each in answer["points"])
+    assert {each["kind"] for each in answer["points"]} == {"sensor"}
+    defaults = answers.points("ref-small-office", kind="actuator", default=True)["points"]
+    assert "core_zn_cooling_setpoint" in {each["bus_name"] for each in defaults}
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_scenario_program__answers_after_errors_and_after_its_end() -> None:
+    program = ScenarioProgram(None)
+    try:
+        assert "schema" in program.ask("form")
+        with pytest.raises(UnknownName, match="no building 'ref-smal-office'"):
+            program.ask("points", building="ref-smal-office")
+        assert program._process is not None
+        program._process.kill()
+        program._process.wait()
+        assert program.ask("check", fields={"building": "/etc"})["errors"]
+    finally:
+        program.close()
+    with pytest.raises(PeerError, match="ending"):
+        program.ask("form")
+
+
+def test_audit_log__each_entry_is_a_line_of_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "audit.jsonl"
+    for number in range(2):  # it goes on with the file
+        log = AuditLog(Updates(), file)
+        log.add("ada", "write", "office", f"{number}\nsecond line", accepted=bool(number))
+        assert [entry["outcome"] for entry in log.entries()] == [f"{number}\nsecond line"]
+        log.close()
+    entries = [json.loads(line) for line in file.read_text().splitlines()]
+    assert [(entry["operator"], entry["accepted"]) for entry in entries] == [("ada", False), ("ada", True)]
+    assert file.stat().st_mode & 0o777 == 0o600
+    with pytest.raises(InvalidConfig, match="audit-log"):
+        AuditLog(Updates(), tmp_path)
+
+
+@pytest.fixture(scope="module")
+def tank(module_folder: Path) -> Iterator[NodeProgram]:
+    (module_folder / "tank.py").write_text(TANK)
+    with NodeProgram(module_folder / "node", plant=f"{module_folder}/tank.py:Tank", name="tank") as node:
+        yield node
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_builder__node_is_started_from_a_page_audited_and_ends_with_the_room(tank: NodeProgram, scratch: Path) -> None:
+    folder = scratch / "scenarios"
+    folder.mkdir()
+    settings = RoomSettings(scenarios=folder, node_settings={"connect": [tank.endpoint], "affinity": "off"})
+    with nothing_left(scratch), zenostat.connect(tank.endpoint, affinity="off") as bus:
+        with control_room(tank.endpoint, settings=settings) as server, signed_in(server) as client:
+            (folder / "mine.yaml").write_text("building: another\n")
+            started = {"fields": FIELDS, "name": "mine", "node": "branch office", "mode": "free"}
+            answer = client.post("/api/builder/start", json=started)
+            assert (answer.status_code, "'branch_office'" in answer.json()["message"]) == (400, True)
+            answer = client.post("/api/builder/start", json=started | {"node": "tank", "overwrite": True})
+            assert (answer.status_code, "on the bus already" in answer.json()["message"]) == (409, True)
+            answer = client.post("/api/builder/start", json=started | {"node": "second"})
+            assert answer.status_code == 409  # the file is there from the first request
+            wrong = {"fields": FIELDS | {"begin": "x"}, "name": "wrong", "node": "second"}
+            assert client.post("/api/builder/start", json=wrong).status_code == 400
+            assert not (folder / "wrong.yaml").exists()
+            answer = client.post("/api/builder/start", json=started | {"node": "second", "overwrite": True})
+            assert answer.json() == {"text": "saved as mine.yaml; node second is starting"}
+            until(lambda: client.get("/api/builder").json()["started"][-1]["state"] == "running", "it runs")
+            until(lambda: "second" in bus.nodes(), "it is on the bus")
+            assert client.post("/api/builder/stop", json={"node": "tank"}).status_code == 404
+            entries = client.get("/api/audit").json()["entries"]
+            kinds = [(entry["operation"], entry["target"], entry["accepted"]) for entry in entries]
+            assert kinds[0] == ("sign in", "", True)
+            assert kinds[-2:] == [("start node", "second", True), ("end node", "tank", False)]
+            assert {entry["operator"] for entry in entries} == {"ada"}
+            assert yaml12.read_mapping(folder / "mine.yaml") == FIELDS
+        until(lambda: "second" not in bus.nodes(), "it has ended with the room")
+
+
+@contextmanager
+def signed_in(server: Any) -> Iterator[Any]:
+    with httpx.Client(base_url=server.url, headers={"origin": server.url}, timeout=120) as client:
+        assert client.post("/api/session", json={"token": server.link.partition("#token=")[2]}).status_code == 200
+        yield client
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_builder__without_a_folder_it_checks_and_neither_saves_nor_starts(tank: NodeProgram) -> None:
+    with control_room(tank.endpoint) as server:
+        with httpx.Client(base_url=server.url, headers={"origin": server.url}) as stranger:
+            assert stranger.post("/api/builder/check", json={"fields": {}}).status_code == 401
+            assert stranger.get("/api/builder").status_code == 401
+        with signed_in(server) as client:
+            answer = client.post("/api/builder/check", json={"fields": {"building": "office-smoll"}, "name": "mine"})
+            assert any("office-small" in error for error in answer.json()["errors"])
+            for operation, more in (("save", {}), ("start", {"node": "second"})):
+                answer = client.post(f"/api/builder/{operation}", json={"fields": FIELDS, "name": "mine", **more})
+                assert (answer.status_code, "--scenarios FOLDER" in answer.json()["message"]) == (409, True)
+            for body in ({"fields": [], "name": "a"}, {"fields": {}, "name": "../a"}, {"fields": {}, "path": "a"}):
+                assert client.post("/api/builder/check", json=body).status_code == 400
+
+
+def test_started_nodes__failure_to_start_is_shown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """The program is replaced by one that fails as a node does."""
+    import zenostat.views.room.started_nodes as module
+
+    script = tmp_path / "node.py"
+    script.write_text('import sys; sys.stdin.readline(); print(\'{"error": "InvalidConfig", "message": "no"}\')')
+    start = subprocess.Popen
+    monkeypatch.setattr(module.subprocess, "Popen", lambda _, **options: start([sys.executable, script], **options))
+    nodes = StartedNodes({"connect": ["tcp/127.0.0.1:1"]}, Updates())
+    nodes.start(tmp_path / "mine.yaml", "second", "ada", {"mode": "free"})
+    until(lambda: nodes.content()[0]["state"] == "failed", "it has failed")
+    assert nodes.content() == [
+        {"name": "second", "scenario": "mine", "operator": "ada", "state": "failed", "text": "no"}
+    ]
+    nodes.close()
+    with pytest.raises(RequestRejected):
+        nodes.start(tmp_path / "mine.yaml", "second", "ada", {"mode": "free"})
+
+
+def test_scenario_answers__own_building_is_listed_and_read(answers: ScenarioAnswers, tmp_path: Path) -> None:
+    (tmp_path / "models").mkdir()
+    source = find_building("ref-small-office").path
+    (tmp_path / "models" / source.name).write_bytes(source.read_bytes())
+    (tmp_path / ".hidden.idf").write_text("")
+    assert answers.form()["own_buildings"] == [f"models/{source.name}"]

@@ -1,0 +1,84 @@
+"""The audit log of a control room: who has changed what, with the outcome of each change."""
+
+from __future__ import annotations
+
+import json
+import os
+import threading
+from collections import deque
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+from zenostat.topics.errors import InvalidConfig
+from zenostat.views.room.numbers import to_json
+from zenostat.views.room.updates import Updates
+
+TOPIC = "audit"
+
+_KEPT = 500
+_SENT = 100
+_MAX_TEXT = 2000
+
+
+class AuditLog:
+    """Changes in the order in which they were answered; thread-safe.
+
+    Args:
+        updates: receives the latest entries.
+        file: to which each entry is added as a line of JSON; None for none.
+
+    Raises:
+        InvalidConfig: the file cannot be written.
+    """
+
+    def __init__(self, updates: Updates, file: Path | None = None) -> None:
+        self._updates, self._lock = updates, threading.Lock()
+        self._entries: deque[dict[str, Any]] = deque(maxlen=_KEPT)
+        self._number = 0
+        try:
+            # Each entry is one write to the end of the file, which a rotation may move.
+            self._file = None if file is None else os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
+        except OSError as error:
+            raise InvalidConfig(f"--audit-log {file}: {error.strerror}") from None
+
+    def add(self, operator: str, operation: str, target: str, outcome: str, *, accepted: bool) -> None:
+        """Add a change.
+
+        Args:
+            operator: name of the user.
+            operation: the change, as in its address.
+            target: of the change: a node, a scenario, or a user.
+            outcome: answer, or the reason for which it was rejected.
+            accepted: whether it was carried out.
+
+        Raises:
+            OSError: it cannot be written to the file.
+        """
+        entry = {
+            "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
+            "operator": operator,
+            "operation": operation,
+            "target": target,
+            "accepted": accepted,
+            "outcome": outcome[:_MAX_TEXT],
+        }
+        with self._lock:
+            self._number += 1
+            self._entries.append(entry | {"number": self._number})
+            if self._file is not None:
+                os.write(self._file, json.dumps(entry).encode() + b"\n")
+            latest = [*self._entries][-_SENT:]
+        self._updates.publish(TOPIC, to_json({"entries": latest}))
+
+    def entries(self) -> list[dict[str, Any]]:
+        """Return the latest entries, the newest one last."""
+        with self._lock:
+            return [*self._entries]
+
+    def close(self) -> None:
+        """Close the file."""
+        with self._lock:
+            if self._file is not None:
+                os.close(self._file)
+                self._file = None

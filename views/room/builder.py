@@ -1,0 +1,187 @@
+"""The scenario builder: its form, the check of a scenario, and starting a node from it.
+
+A scenario of a page is data. It is checked, saved and simulated without choosing any code, and it names files in the
+folder of scenarios only. Without that folder, it is checked and shown as YAML, and nothing is saved or started.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig, NameInUse, RequestRejected, ZenostatError
+from zenostat.topics.keys import check_name
+from zenostat.topics.messages import Mode
+from zenostat.views.room.access import OPERATOR, Session
+from zenostat.views.room.audit import AuditLog
+from zenostat.views.room.operations import read_body
+from zenostat.views.room.scenario_program import ScenarioProgram
+from zenostat.views.room.started_nodes import StartedNodes
+
+ScenarioName = Annotated[str, Field(pattern=OPERATOR)]
+
+
+class _Request(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class CheckScenario(_Request):
+    """Check a scenario: its fields, and the name that its file would have."""
+
+    fields: dict[str, Any]
+    name: ScenarioName = "scenario"
+
+
+class SaveScenario(CheckScenario):
+    """Save a scenario in the folder of scenarios, over an earlier one only if it says so."""
+
+    overwrite: bool = False
+
+
+class StartNode(SaveScenario):
+    """Save a scenario, and start a node from it."""
+
+    node: Annotated[str, Field(max_length=128)]
+    mode: Literal["lockstep", "paced", "free"] = Mode.PACED.value
+    speed: Annotated[float, Field(gt=0, le=1e9)] = 60.0
+
+
+class StopNode(_Request):
+    """End a node that was started from the page."""
+
+    node: str
+
+
+class Builder:
+    """The routes of the scenario builder.
+
+    Args:
+        folder: of scenarios; None: they are neither saved nor started.
+        nodes: starts nodes.
+        audit: receives what is saved, started and ended.
+        is_online: whether a node of a name is on the bus.
+    """
+
+    def __init__(
+        self,
+        folder: Path | None,
+        nodes: StartedNodes,
+        audit: AuditLog,
+        is_online: Callable[[str], bool],
+    ) -> None:
+        self._folder, self._nodes, self._audit, self._is_online = folder, nodes, audit, is_online
+        self._program = ScenarioProgram(folder)
+        self.routes = [
+            Route("/api/builder", self._form),
+            Route("/api/builder/points", self._points),
+            Route("/api/builder/scenario", self._read),
+            Route("/api/builder/check", self._check, methods=["POST"]),
+            Route("/api/builder/save", self._save, methods=["POST"]),
+            Route("/api/builder/start", self._start, methods=["POST"]),
+            Route("/api/builder/stop", self._stop, methods=["POST"]),
+        ]
+
+    def close(self) -> None:
+        """End the program that answers."""
+        self._program.close()
+
+    async def _form(self, _: Request) -> Response:
+        content = await asyncio.to_thread(self._program.ask, "form")
+        return JSONResponse(content | {"can_start": self._folder is not None, "started": self._nodes.content()})
+
+    async def _points(self, request: Request) -> Response:
+        query = request.query_params
+        arguments = {name: query.get(name, "")[:500] for name in ("building", "search", "kind")}
+        default = query.get("default") == "1"
+        return JSONResponse(await asyncio.to_thread(self._program.ask, "points", **arguments, default=default))
+
+    async def _read(self, request: Request) -> Response:
+        name = request.query_params.get("name", "")
+        return JSONResponse({"fields": await asyncio.to_thread(self._program.ask, "read", name=name)})
+
+    async def _check(self, request: Request) -> Response:
+        asked = read_body(CheckScenario, await request.body())
+        return JSONResponse(await asyncio.to_thread(self._checked, asked))
+
+    def _checked(self, asked: CheckScenario) -> dict[str, Any]:
+        answer: dict[str, Any] = self._program.ask("check", fields=asked.fields, name=asked.name)
+        return answer
+
+    async def _save(self, request: Request) -> Response:
+        asked = read_body(SaveScenario, await request.body())
+        text = await self._audited(request, "save scenario", asked.name, lambda: self._write(asked))
+        return JSONResponse({"text": text})
+
+    async def _start(self, request: Request) -> Response:
+        asked = read_body(StartNode, await request.body())
+        operator = _operator(request)
+        text = await self._audited(request, "start node", asked.node, lambda: self._run(asked, operator))
+        return JSONResponse({"text": text})
+
+    async def _stop(self, request: Request) -> Response:
+        node = read_body(StopNode, await request.body()).node
+        text = await self._audited(request, "end node", node, lambda: self._end(node))
+        return JSONResponse({"text": text})
+
+    async def _audited(self, request: Request, operation: str, target: str, function: Callable[[], str]) -> str:
+        """Call a function in a thread, and add its outcome to the audit log."""
+        operator = _operator(request)
+        try:
+            text = await asyncio.to_thread(function)
+        except ZenostatError as error:
+            self._audit.add(operator, operation, target, str(error), accepted=False)
+            raise
+        self._audit.add(operator, operation, target, text, accepted=True)
+        return text
+
+    # In threads
+
+    def _write(self, asked: SaveScenario, *, may_have_errors: bool = True) -> str:
+        """Save a scenario, and return the answer."""
+        path = self._path(asked.name)
+        answer = self._checked(asked)
+        if answer["errors"] and not may_have_errors:
+            raise InvalidConfig("\n".join(answer["errors"]))
+        if path.exists() and not asked.overwrite:
+            raise NameInUse(f"there is a scenario {asked.name!r} already; choose another name, or replace it")
+        try:
+            with atomic_file(path) as temporary:
+                temporary.write_text(answer["yaml"], encoding="utf-8")
+        except OSError as error:
+            raise InvalidConfig(f"{path}: {error.strerror}") from None
+        return f"saved as {path.name}"
+
+    def _run(self, asked: StartNode, operator: str) -> str:
+        path = self._path(asked.name)
+        check_name(asked.node, "the node's name")
+        if self._is_online(asked.node):
+            raise NameInUse(f"a node {asked.node!r} is on the bus already; choose another name")
+        saved = self._write(asked, may_have_errors=False)
+        pace = {"mode": asked.mode} | ({"speed": asked.speed} if asked.mode == Mode.PACED.value else {})
+        self._nodes.start(path, asked.node, operator, pace)
+        return f"{saved}; node {asked.node} is starting"
+
+    def _end(self, node: str) -> str:
+        self._nodes.stop(node)
+        return f"node {node} is ending"
+
+    def _path(self, name: str) -> Path:
+        if self._folder is None:
+            raise RequestRejected(
+                "the control room has no folder of scenarios; start it with --scenarios FOLDER to save them and to "
+                "start nodes"
+            )
+        return self._folder / f"{name}.yaml"
+
+
+def _operator(request: Request) -> str:
+    session: Session = request.state.session
+    return session.operator

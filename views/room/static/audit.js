@@ -1,0 +1,27 @@
+// The audit log: who has changed what.
+
+import { fill, h } from "./dom.js";
+import { words } from "./format.js";
+import { address, link } from "./view.js";
+
+export class AuditPage {
+  constructor(root) {
+    this.rows = h("tbody");
+    this.empty = h("p", { class: "empty" }, "Nothing has been changed since the control room was started.");
+    fill(root, h("section", { class: "panel", "aria-labelledby": "audit-heading" }, h("h2", { id: "audit-heading" }, "Audit log"), this.empty,
+      h("div", { class: "scroll audit", tabindex: 0, role: "region", "aria-label": "Changes, the latest first" }, h("table", {},
+        h("thead", {}, h("tr", {}, ["Time", "Who", "Change", "Of", "Outcome"].map((head) => h("th", { scope: "col" }, head)))), this.rows))));
+    this.handlers = { overview: () => {}, audit: (content) => this.show(content.entries) };
+  }
+
+  close() {}
+  onView() {}
+
+  show(entries) {
+    this.empty.hidden = entries.length > 0;
+    fill(this.rows, [...entries].reverse().map((entry) => h("tr", {},
+      h("td", {}, h("time", { datetime: entry.time }, `${entry.time.slice(0, 19).replace("T", " ")} UTC`)), h("td", {}, entry.operator), h("td", {}, words(entry.operation)),
+      h("td", {}, entry.operation in { invite: 1, "save scenario": 1 } || !entry.target ? entry.target : h("a", { href: address({ node: entry.target }, false), onclick: (event) => link(event, { node: entry.target }) }, entry.target)),
+      h("td", { class: entry.accepted ? null : "worse" }, entry.outcome))));
+  }
+}

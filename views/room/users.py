@@ -1,0 +1,127 @@
+"""Users of a control room that other machines reach: the names and roles of the bus, proven by certificates."""
+
+from __future__ import annotations
+
+import ssl
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+from time import monotonic
+from typing import Any
+
+from cryptography import x509
+
+from zenostat.bridge.transport.certificates import AUTHORITY, names_of
+from zenostat.bridge.transport.deny_list import read_revoked
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import Role
+
+CERTIFICATE_NAME = "certificate_name"
+"""Key of the state of a connection: the name in its client's certificate."""
+
+_READ_S = 1.0
+_READERS = (Role.MONITOR, Role.CONTROLLER)
+
+
+class BusUsers:
+    """Roles of names by the list of names in a folder of keys, without those that are revoked.
+
+    Args:
+        folder: of keys, with `ca.pem` and `names.json`.
+        clock: monotonic time in seconds.
+
+    Raises:
+        InvalidConfig: the list is missing, is damaged, or its authority has not signed it.
+    """
+
+    def __init__(self, folder: Path, clock: Callable[[], float] = monotonic) -> None:
+        self._folder, self._clock, self._lock = folder, clock, threading.Lock()
+        self._names: Mapping[str, tuple[Role, ...]] = names_of(folder)
+        self._revoked = read_revoked(folder)
+        self._read_s = clock()
+
+    def role(self, name: str) -> Role | None:
+        """Return what a name may do on the page: `operator` or `monitor`; None for nothing."""
+        with self._lock:
+            self._refresh()
+            roles = () if name in self._revoked else self._names.get(name, ())
+        if Role.OPERATOR in roles:
+            return Role.OPERATOR
+        return Role.MONITOR if any(role in roles for role in _READERS) else None
+
+    def _refresh(self) -> None:
+        """Read both lists again, at most once a second; a damaged one is not followed."""
+        if self._clock() - self._read_s < _READ_S:
+            return
+        self._read_s = self._clock()
+        with suppress(InvalidConfig):
+            self._revoked |= read_revoked(self._folder)
+        with suppress(InvalidConfig):
+            self._names = names_of(self._folder)
+
+
+@dataclass(frozen=True)
+class PageTls:
+    """TLS of a control room that other machines reach.
+
+    Attributes:
+        certificate: file with the server's certificate, and those of intermediate authorities.
+        key: file with its private key.
+        keys: folder of keys of the bus, whose authority has issued the users' certificates.
+    """
+
+    certificate: Path
+    key: Path
+    keys: Path
+
+    def hosts(self) -> tuple[str, ...]:
+        """Return the names and addresses in the server's certificate, as in addresses of pages.
+
+        Raises:
+            InvalidConfig: it cannot be read, or has none.
+        """
+        try:
+            certificate = x509.load_pem_x509_certificate(self.certificate.read_bytes())
+            alternative = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        except OSError as error:
+            raise InvalidConfig(f"--page-certificate {self.certificate}: {error.strerror}") from None
+        except (ValueError, x509.ExtensionNotFound):
+            raise InvalidConfig(
+                f"--page-certificate {self.certificate}: a certificate (PEM) with the names of this machine expected"
+            ) from None
+        return tuple(_host(str(name.value)).lower() for name in alternative)
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings of uvicorn; a browser may present a certificate of the bus's authority.
+
+        Raises:
+            InvalidConfig: certificate and key do not belong together, or cannot be read.
+        """
+        try:
+            context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+            context.load_cert_chain(self.certificate, self.key)
+        except (OSError, ssl.SSLError) as error:
+            raise InvalidConfig(f"--page-certificate {self.certificate} and its key {self.key}: {error}") from None
+        return {
+            "ssl_certfile": str(self.certificate),
+            "ssl_keyfile": str(self.key),
+            "ssl_ca_certs": str(self.keys / f"{AUTHORITY}.pem"),
+            "ssl_cert_reqs": ssl.CERT_OPTIONAL,
+        }
+
+
+def _host(name: str) -> str:
+    try:
+        return f"[{name}]" if ip_address(name).version == 6 else name
+    except ValueError:
+        return name
+
+
+def common_name(certificate: Mapping[str, Any] | None) -> str:
+    """Return the common name in a verified certificate, as `ssl` describes it; empty without one."""
+    fields = [field for part in (certificate or {}).get("subject", ()) for field in part]
+    names = [value for name, value in fields if name == "commonName"]
+    return names[0] if len(names) == 1 else ""
