@@ -90,6 +90,18 @@ class Transfer:
     source_steps: int
     target_steps: int
 
+    @property
+    def balance_terms(self) -> tuple[str, ...]:
+        """Names of the terms of its balance, besides what it received, that may differ from 0; see `Balance`."""
+        may_differ = {
+            "sent": True,
+            "clipped": True,
+            "resampled": not self.resample.is_identity,
+            "residual": self.tolerance is not None,
+            "stored": self.delay > 0,
+        }
+        return tuple(name for name, may in may_differ.items() if may)
+
     def convert(self, values: Floats) -> Floats:
         """Return values of the source in the target's unit."""
         if self.factor == 1.0 and self.offset == 0.0:

@@ -18,7 +18,7 @@ from zenostat.topics.model_file import FileErrors, read_with_lines
 from zenostat.topics.scenario_fields import MEANING, NodeArguments
 from zenostat.topics.yaml12 import Lines
 
-RESERVED = ("exchange", "loop", "plant", "residual")
+RESERVED = ("balance", "exchange", "loop", "plant", "residual")
 """First parts of the names of the orchestrator's own points; no plant has such a name."""
 
 BUILDING_KINDS = ("building", "scenario", "config")

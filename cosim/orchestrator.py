@@ -68,6 +68,7 @@ class _Flow:
         received: values that the target got in the latest step, shape (target's timesteps,).
         unknown: those of a solved connection, with which the next step begins.
         residual: of the latest step, shape (target's timesteps,).
+        terms: those of the balance of the latest step, means over the step in the target's unit.
     """
 
     ledger: Ledger
@@ -76,6 +77,7 @@ class _Flow:
     received: Floats = field(default_factory=lambda: np.zeros(1))
     unknown: Floats = field(default_factory=lambda: np.zeros(1))
     residual: Floats = field(default_factory=lambda: np.zeros(1))
+    terms: dict[str, float] = field(default_factory=dict)
 
 
 class Orchestrator:
@@ -127,6 +129,7 @@ class Orchestrator:
         flow.store.extend([np.repeat(first, transfer.source_steps)] * transfer.delay)
         flow.unknown = np.repeat(transfer.clip(first), transfer.target_steps)
         flow.received, flow.residual = flow.unknown, np.zeros(transfer.target_steps)
+        flow.terms = dict.fromkeys(transfer.balance_terms, 0.0) | {"sent": float(value[0])}
         return flow
 
     def capture(self) -> dict[str, Any]:
@@ -343,6 +346,14 @@ class Orchestrator:
             ledger.residual.add(-received * h_target)
             ledger.received.add(received * h_target)
         flow.previous = float(current[-1])
+        sent, kept, carried, limited, got = map(_mean, (converted, current, resampled, clipped, flow.received))
+        flow.terms = {
+            "sent": sent,
+            "clipped": carried - limited,
+            "resampled": kept - carried,
+            "residual": limited - got,
+            "stored": sent - kept,
+        }
 
     def _settle_input(self, target: Input, ledger: Ledger) -> None:
         """Enter what an input got in a step: the values of its connections, and what it was commanded to."""
@@ -359,12 +370,18 @@ class Orchestrator:
     @property
     def received(self) -> Floats:
         """Value that each connection brought in the latest step, the mean over the target's timesteps."""
-        return np.array([fsum(flow.received.tolist()) / len(flow.received) for flow in self._flows])
+        return np.array([_mean(flow.received) for flow in self._flows])
 
     @property
     def residuals(self) -> Floats:
         """Residual of each connection in the latest step, of the greatest absolute value; 0 if it is not solved."""
         return np.array([float(flow.residual[np.argmax(np.abs(flow.residual))]) for flow in self._flows])
+
+    @property
+    def balance_terms(self) -> list[float]:
+        """Terms of the balances of the latest step, of each connection those of `Transfer.balance_terms`."""
+        pairs = zip(self._transfers, self._flows, strict=True)
+        return [flow.terms[name] for transfer, flow in pairs for name in transfer.balance_terms]
 
     def balances(self) -> list[Balance]:
         """Return the balance of each connection since sample 0, then of each input that adds several."""
@@ -377,3 +394,7 @@ class Orchestrator:
         """Return texts about plants and loops since the last call."""
         warnings, self._warnings = self._warnings, []
         return [*(text for plant in self._plants.values() for text in plant.drain_warnings()), *warnings]
+
+
+def _mean(values: Floats) -> float:
+    return fsum(values.tolist()) / len(values)

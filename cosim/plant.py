@@ -113,6 +113,11 @@ def _own_sensors(binding: Binding) -> list[Sensor]:
 
     sensors = [own(f"exchange.{transfer.name}", transfer.unit) for transfer in binding.transfers]
     sensors += [own(f"residual.{transfer.name}", transfer.unit) for transfer in binding.transfers if transfer.tolerance]
+    sensors += [
+        own(f"balance.{transfer.name}.{term}", transfer.unit)
+        for transfer in binding.transfers
+        for term in transfer.balance_terms
+    ]
     for block in binding.topology.loops:
         sensors += [
             own(f"loop.{block.name}.trials", "count", 0.0),

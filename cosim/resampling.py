@@ -22,10 +22,13 @@ class Resampler:
         kind: hold, mean or interpolate.
         inputs: timesteps of the source in a step of the district.
         outputs: those of the target.
+
+    Attributes:
+        is_identity: whether values remain as they are.
     """
 
     def __init__(self, kind: Resample, inputs: int, outputs: int) -> None:
-        self._is_identity = inputs == outputs and kind is not Resample.INTERPOLATE
+        self.is_identity = inputs == outputs and kind is not Resample.INTERPOLATE
         self._columns: list[int] = []
         self._weights: list[list[float]] = []
         if kind is Resample.HOLD:
@@ -44,7 +47,7 @@ class Resampler:
             values: of the source's timesteps, shape (inputs,).
             previous: the source's value before them, for interpolation.
         """
-        if self._is_identity:
+        if self.is_identity:
             return values
         if self._columns:
             return values[self._columns]

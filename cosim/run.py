@@ -140,7 +140,14 @@ class DistrictRun:
         available = [plant.is_available for plant in self.plants.values()]
         available += [self.plants[name].is_tried for name in self._tried]
         return np.array(
-            [*orchestrator.received, *orchestrator.residuals[is_solved], *loops, *available], dtype=np.float64
+            [
+                *orchestrator.received,
+                *orchestrator.residuals[is_solved],
+                *orchestrator.balance_terms,
+                *loops,
+                *available,
+            ],
+            dtype=np.float64,
         )
 
 

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from math import fsum
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +59,60 @@ class CarrierBalance:
             return None
         greatest = max(abs(self.supplied), sum(map(abs, known)), 1e-12)
         return (self.supplied - sum(known)) / greatest
+
+
+@dataclass(frozen=True, slots=True)
+class ConnectionBalance:
+    """Balance of a connection: sent = received + clipped + resampled + residual + stored; means over the trajectory.
+
+    Attributes:
+        connection: its name.
+        unit: of the target.
+        sent: what the source had, in the target's unit.
+        received: what was commanded to the target.
+        clipped: what limits cut off.
+        resampled: what the conversion of timesteps changes.
+        residual: what a solved connection left open.
+        stored: what a delay holds, more than before.
+        closure: part that is missing, relative to the mean of the absolute values that were sent; 0 but for rounding.
+    """
+
+    connection: str
+    unit: str
+    sent: float
+    received: float
+    clipped: float
+    resampled: float
+    residual: float
+    stored: float
+    closure: float
+
+
+_TERMS = ("sent", "clipped", "resampled", "residual", "stored")
+
+
+def connection_balances(trajectory: Trajectory) -> tuple[ConnectionBalance, ...]:
+    """Return the balances of a district's connections over its timesteps; none for other nodes."""
+    columns = {sensor.name: place for place, sensor in enumerate(trajectory.manifest.sensors)}
+    balances = []
+    for name, place in columns.items():
+        connection = name.removeprefix("exchange.")
+        terms = [term for term in _TERMS if f"balance.{connection}.{term}" in columns]
+        if connection == name or "sent" not in terms:
+            continue
+        places = [place, *(columns[f"balance.{connection}.{term}"] for term in terms)]
+        rows = trajectory.fault_free_values[1:, places]
+        rows = rows[~np.isnan(rows).any(axis=1)]
+        if not len(rows):
+            continue
+        received, *means = (fsum(column.tolist()) / len(rows) for column in rows.T)
+        by_term = dict.fromkeys(_TERMS, 0.0) | dict(zip(terms, means, strict=True))
+        missing = fsum([by_term["sent"], -received, *(-by_term[term] for term in _TERMS[1:])])
+        greatest = fsum(np.abs(rows[:, 1 + terms.index("sent")]).tolist()) / len(rows)
+        closure = missing / greatest if greatest else missing
+        unit = trajectory.manifest.sensors[place].unit
+        balances.append(ConnectionBalance(connection, unit, received=received, closure=closure, **by_term))
+    return tuple(balances)
 
 
 def plant_names(manifest: Manifest) -> tuple[str, ...]:

@@ -2,7 +2,13 @@
 
 from zenostat.lab.evaluate import Evaluation, evaluate, run_episode
 from zenostat.lab.probe import ProbeReport, probe
-from zenostat.metrics.district_balance import CarrierBalance, district_balances, plant_trajectory
+from zenostat.metrics.district_balance import (
+    CarrierBalance,
+    ConnectionBalance,
+    connection_balances,
+    district_balances,
+    plant_trajectory,
+)
 from zenostat.metrics.district_kpis import DistrictPoints, district_kpis, relative
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.trajectory import Trajectory
@@ -10,6 +16,7 @@ from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 
 __all__ = [
     "CarrierBalance",
+    "ConnectionBalance",
     "DistrictPoints",
     "EpisodeMetrics",
     "Evaluation",
@@ -17,6 +24,7 @@ __all__ = [
     "ProbeReport",
     "Trajectory",
     "TrajectoryRecorder",
+    "connection_balances",
     "district_balances",
     "district_kpis",
     "evaluate",

@@ -201,6 +201,9 @@ CONNECTION = st.tuples(
 )
 
 
+TERMS = ("sent", "clipped", "resampled", "residual", "stored")
+
+
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.tuples(CONNECTION, CONNECTION), st.sampled_from([300.0, 450.0, 900.0]), st.integers(1, 12))
 def test_balance__closes_for_each_connection(
@@ -217,11 +220,18 @@ def test_balance__closes_for_each_connection(
     if "delay" in first[1] and "solve" in back[1]:
         lines[1] = lines[1].replace(", solve: true, tolerance: 0.01", "")
     plants = {"a": plant(mixed, first=[1.0], step_s=step_s, steps=960), "b": plant(mixed, first=[-2.0])}
-    orchestrator, _, _ = orchestrated(file_of(folder, "".join(lines)), plants)
+    orchestrator, binding, _ = orchestrated(file_of(folder, "".join(lines)), plants)
+    names = [(number, term) for number, each in enumerate(binding.transfers) for term in each.balance_terms]
+    sums = dict.fromkeys(((number, term) for number in (0, 1) for term in TERMS), 0.0)
     for number in range(steps):
         orchestrator.step(free(plants))
         for balance in orchestrator.balances():
             assert abs(balance.closure) <= 1e-9, (number, balance)
+        for name, value in zip(names, orchestrator.balance_terms, strict=True):
+            sums[name] += value * 900.0
+    for (number, term), published in sums.items():
+        balance = orchestrator.balances()[number]
+        assert published == pytest.approx(getattr(balance, term), abs=1e-9 * max(balance.greatest, 1.0)), (number, term)
     first_balance = orchestrator.balances()[0]
     received = sum(row[0] for row in plants["b"].commands) * 900.0
     assert first_balance.received == pytest.approx(received, rel=1e-12)

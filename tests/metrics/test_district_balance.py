@@ -1,12 +1,20 @@
 """Energy balances and comfort of the plants of a district, by hand and from the equations of the plants."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.builders import manifest
 
-from zenostat.metrics.district_balance import CarrierBalance, district_balances, plant_names, plant_trajectory
+from zenostat.metrics.district_balance import (
+    CarrierBalance,
+    ConnectionBalance,
+    connection_balances,
+    district_balances,
+    plant_names,
+    plant_trajectory,
+)
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.plants.heat import DistrictHeating
 from zenostat.topics.messages import Meter, Sensor
@@ -46,6 +54,44 @@ def district(plants: dict[str, Columns], meters: dict[str, list[float]], step_s:
         manifest=base.model_copy(update={"step_s": step_s, "steps": count - 1}), step=np.arange(count), values=values,
         effective=np.zeros((count, 0)), source_index=np.zeros((count, 0), np.uint16), sources=("",),
     )  # fmt: skip
+
+
+CONNECTION: Columns = {  # sample 0, then sent = received + clipped + stored
+    "exchange.a.x-b.u": ("W", [0.0, 4.0, 4.0, 6.0]),
+    "balance.a.x-b.u.sent": ("W", [1.0, 5.0, 10.0, 3.0]),
+    "balance.a.x-b.u.clipped": ("W", [0.0, 0.0, 1.0, 0.0]),
+    "balance.a.x-b.u.stored": ("W", [0.0, 1.0, 5.0, -3.0]),
+}
+
+
+def connected(columns: Columns) -> Trajectory:
+    """A trajectory of a district with one plant and these own points."""
+    run = district({"a": SHOP}, {})
+    sensors = [*run.manifest.sensors, *(Sensor(name=name, unit=unit) for name, (unit, _) in columns.items())]
+    return replace(
+        run,
+        manifest=run.manifest.model_copy(update={"sensors": tuple(sensors)}),
+        values=np.hstack([run.values, np.array([values for _, values in columns.values()]).T]),
+        fault_free_values=None,
+    )
+
+
+def test_connection_balances__by_hand() -> None:
+    (balance,) = connection_balances(connected(CONNECTION))
+    assert balance == ConnectionBalance(
+        "a.x-b.u", "W", 6.0, pytest.approx(14 / 3), pytest.approx(1 / 3), 0.0, 0.0, 1.0, pytest.approx(0.0, abs=1e-15)
+    )
+    unbalanced = CONNECTION | {"exchange.a.x-b.u": ("W", [0.0, 4.0, 4.0, 9.0])}
+    assert connection_balances(connected(unbalanced))[0].closure == pytest.approx(-1 / 6)
+    assert connection_balances(district({"shop": SHOP}, {})) == ()
+
+
+def test_district_section__has_balances_of_connections() -> None:
+    text = district_section(Comparison((Run("rule", (), connected(CONNECTION)),)))
+    rows = [re.findall(r"<t[hd][^>]*>([^<]*)</t[hd]>", row) for row in re.findall(r"<tr>(.*?)</tr>", text)]
+    (row,) = [row for row in rows if row[0] == "a.x-b.u"]
+    assert row[:8] == ["a.x-b.u", "W", "6", "4.67", "0.333", "0", "0", "1"]
+    assert abs(float(row[8])) < 1e-12
 
 
 def test_district_balances__grid_by_hand() -> None:

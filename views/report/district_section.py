@@ -1,11 +1,17 @@
-"""The section of a district: its energy balances, and the comfort in each of its buildings."""
+"""The section of a district: balances of energy and of connections, and the comfort in each of its buildings."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
 
-from zenostat.metrics.district_balance import CarrierBalance, district_balances, plant_names, plant_trajectory
+from zenostat.metrics.district_balance import (
+    CarrierBalance,
+    connection_balances,
+    district_balances,
+    plant_names,
+    plant_trajectory,
+)
 from zenostat.views.report.quantities import Quantities
 from zenostat.views.report.runs import Comparison, Run
 from zenostat.views.report.totals import number
@@ -13,6 +19,12 @@ from zenostat.views.report.totals_section import NONE
 
 ANCHOR, TITLE = "district", "District"
 _ENERGIES = ("supplied", "consumed", "exported", "lost", "stored")
+_EXCHANGED = ("sent", "received", "clipped", "resampled", "residual", "stored")
+_CONNECTION_NOTES = (
+    "Means over the run in the unit of the target. Sent = received + clipped + resampled + residual + stored: what "
+    "limits cut off, what the conversion of timesteps changes, what a solved loop leaves open, what a delay holds. The "
+    "closure is what is missing of that, relative to what was sent."
+)
 _NOTES = (
     "Energies in kWh. Supplied = consumed + exported + lost + stored; the closure is what is missing of that, relative "
     "to the supply, 0 but for rounding. Vehicles are part of the consumption of a grid, and losses of batteries part "
@@ -31,6 +43,9 @@ def district_section(comparison: Comparison) -> str:
         return ""
     parts = [_balances(run, is_single=len(comparison.runs) == 1) for run in comparison.runs]
     parts.append(f'<div class="notes"><p>{escape(_NOTES)}</p></div>')
+    connections = [_connections(run, is_single=len(comparison.runs) == 1) for run in comparison.runs]
+    if any(connections):
+        parts += [*connections, f'<div class="notes"><p>{escape(_CONNECTION_NOTES)}</p></div>']
     parts += [text for run in comparison.runs if (text := _comfort(run, is_single=len(comparison.runs) == 1))]
     return f'<section id="{ANCHOR}"><h2>{TITLE}</h2>{"".join(parts)}</section>'
 
@@ -49,6 +64,17 @@ def _balance_row(balance: CarrierBalance) -> list[str]:
     energies = [getattr(balance, name) for name in _ENERGIES]
     closure = NONE if balance.closure is None else f"{balance.closure:.1e}"
     return [balance.plant, balance.carrier, *(NONE if kwh is None else number(kwh) for kwh in energies), closure]
+
+
+def _connections(run: Run, *, is_single: bool) -> str:
+    """Return the table of the connections; empty if there are none."""
+    rows = [
+        [each.connection, each.unit, *(number(getattr(each, term)) for term in _EXCHANGED), f"{each.closure:.1e}"]
+        for each in connection_balances(run.trajectory)
+    ]
+    head = ("Connection", "Unit", *(term.capitalize() for term in _EXCHANGED), "Closure")
+    title = "Balances of connections"
+    return _heading(title, run, is_single=is_single) + _table(title, head, rows, texts=2) if rows else ""
 
 
 def _comfort(run: Run, *, is_single: bool) -> str:
