@@ -84,3 +84,14 @@ class Visitor:
 
     def close(self) -> None:
         self._context.close()
+
+
+def violations(page: Any, *, exclude: tuple[str, ...] = ()) -> list[str]:
+    """What axe-core finds against WCAG 2.2 AA and its best practices: rule, elements and reason of each."""
+    from axe_playwright_python.sync_playwright import Axe
+
+    context = {"exclude": [[selector] for selector in exclude]} if exclude else None
+    result = Axe().run(page, context, {"resultTypes": ["violations"]}).response["violations"]
+    return [
+        f"{rule['id']}: {node['html'][:160]}: {node['failureSummary']}" for rule in result for node in rule["nodes"][:4]
+    ]

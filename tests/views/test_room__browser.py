@@ -11,7 +11,7 @@ from urllib.parse import quote
 
 import httpx
 import pytest
-from support.control_room import CHROMIUM, Visitor, chromium, control_room
+from support.control_room import CHROMIUM, Visitor, chromium, control_room, violations
 from support.nodes import SMALL, NodeProgram, free_port, nothing_left, until
 
 import zenostat
@@ -329,6 +329,14 @@ def test_room__controls_have_names(ada: Visitor, room: Any) -> None:
           .map(e => e.outerHTML)"""
     )
     assert unnamed == []
+
+
+def test_room__overview_has_contrast_names_and_structure(ada: Visitor, room: Any) -> None:
+    """The other pages, in light and dark, are in test_room__accessibility.py."""
+    pytest.importorskip("axe_playwright_python", reason="pip install axe-playwright-python")
+    page = ada.open(room.url)
+    page.locator(".card").wait_for()
+    assert violations(page) == []
 
 
 def test_room__strangers_requests_are_rejected(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:

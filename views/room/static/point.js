@@ -118,7 +118,7 @@ export class PointPanel {
       h("td", {}, h("button", { class: "small", "aria-label": `Relinquish priority ${entry.priority}`, onclick: () => this.relinquish(entry.priority) }, "Relinquish"))));
     const isBaseline = !used.length;
     fill(this.array, h("table", {},
-      h("thead", {}, h("tr", {}, [["Priority", ""], ["Value", "number"], ["By", ""], ["Until", ""], ["", ""]].map(([text, kind]) => h("th", { scope: "col", class: kind || null }, text)))),
+      h("thead", {}, h("tr", {}, [["Priority", ""], ["Value", "number"], ["By", ""], ["Until", ""], ["", ""]].map(([text, kind]) => h("th", { scope: "col", class: kind || null }, text || h("span", { class: "visually-hidden" }, "Change"))))),
       h("tbody", {}, rows,
         h("tr", { class: isBaseline ? "effective" : null }, h("th", { scope: "row" }, "baseline control"),
           h("td", { class: "number" }, point.default === null || point.default === undefined ? "" : withUnit(point.default, point.unit)), h("td", {}, isBaseline ? "in effect" : ""), h("td"), h("td")))));

@@ -31,7 +31,7 @@ export class TrainingsPage {
       h("section", { class: "panel", "aria-labelledby": "curves-heading" }, h("h2", { id: "curves-heading" }, "Learning curves"),
         h("div", { class: "row wrap" }, h("label", { for: "metric" }, "Metric"), this.metric, h("span", { class: "grow" }), this.when), this.canvas, this.legend, this.watched),
       h("section", { class: "panel", "aria-labelledby": "runs-heading" }, h("h2", { id: "runs-heading" }, "Trainings"),
-        h("div", { class: "scroll runs", tabindex: 0, role: "region", "aria-label": "Trainings" }, h("table", {}, h("thead", {}, h("tr", {}, heads.map(([text, hidden, kind]) => h("th", { scope: "col", class: kind || null }, text || h("span", { class: "visually-hidden" }, hidden))))), this.rows))),
+        h("div", { class: "scroll runs", tabindex: 0, role: "region", "aria-label": "List of trainings" }, h("table", {}, h("thead", {}, h("tr", {}, heads.map(([text, hidden, kind]) => h("th", { scope: "col", class: kind || null }, text || h("span", { class: "visually-hidden" }, hidden))))), this.rows))),
       this.studies);
     fill(root, h("h2", { class: "visually-hidden" }, "Trainings"), this.empty, this.body);
     this.observer = new ResizeObserver(() => this.draw());
