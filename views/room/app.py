@@ -28,8 +28,10 @@ from zenostat.views.room.bus_watch import BusWatch
 from zenostat.views.room.dashboards import (
     METRICS_TYPE,
     GrafanaQuery,
+    GrafanaVariableQuery,
     grafana_series,
     grafana_targets,
+    grafana_variable,
     prometheus,
 )
 from zenostat.views.room.node_watch import NodeWatch
@@ -134,6 +136,7 @@ class Room:
             Route("/grafana/", self._health),
             Route("/grafana/metrics", self._grafana_metrics, methods=["POST"]),
             Route("/grafana/search", self._grafana_metrics, methods=["POST"]),
+            Route("/grafana/variable", self._grafana_variable, methods=["POST"]),
             Route("/grafana/query", self._grafana_query, methods=["POST"]),
             Mount("/static", StaticFiles(directory=_STATIC)),
         ]
@@ -274,6 +277,9 @@ class Room:
 
     async def _grafana_metrics(self, _: Request) -> Response:
         return JSONResponse(grafana_targets(self.watch))
+
+    async def _grafana_variable(self, request: Request) -> Response:
+        return _json(grafana_variable(self.watch, read_body(GrafanaVariableQuery, await request.body())))
 
     async def _grafana_query(self, request: Request) -> Response:
         query = read_body(GrafanaQuery, await request.body())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Sequence
 from typing import Annotated, Any
 
@@ -11,7 +12,7 @@ from zenostat.topics.errors import InvalidConfig, ZenostatError
 from zenostat.views.room.bus_watch import BusWatch
 from zenostat.views.room.node_watch import NodeWatch
 from zenostat.views.room.numbers import numbers
-from zenostat.views.room.series import HistoryCache, simulated_time, times_ms
+from zenostat.views.room.series import MAX_POINTS, HistoryCache, simulated_time, times_ms
 
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -121,6 +122,60 @@ class GrafanaQuery(_Part):
     max_samples: Annotated[int, Field(ge=2, le=20_000, alias="maxDataPoints")] = 1000
 
 
+class GrafanaVariable(_Part):
+    """A query of a dashboard's variable: `nodes`, or the `points` of one, of some unit and kind."""
+
+    target: str = "nodes"
+    node: str | list[str] = ""
+    unit: str = ""
+    kind: str = ""
+
+
+class GrafanaVariableQuery(_Part):
+    """What Grafana's JSON data source sends to fill a variable."""
+
+    payload: GrafanaVariable = Field(default_factory=GrafanaVariable)
+
+
+def grafana_variable(watch: BusWatch, query: GrafanaVariableQuery) -> list[dict[str, str]]:
+    """Return the values of a dashboard's variable: names of nodes, or of points as in `grafana_targets`.
+
+    Units are those of the bus, such as `degC`; kinds are `sensor`, `meter` and `actuator`.
+
+    Raises:
+        InvalidConfig: it is neither of nodes nor of points.
+    """
+    asked = query.payload
+    if asked.target not in ("nodes", "points"):
+        raise InvalidConfig(f"target {asked.target!r}: nodes or points expected")
+    wanted = [asked.node] if isinstance(asked.node, str) else asked.node
+    values = []
+    for node in watch.watches():
+        if node.state is None or node.description is None:
+            continue
+        if asked.target == "nodes":
+            values.append((node.node, node.node))
+        elif node.node in wanted or wanted == [""]:
+            points, listed = node.description.manifest, node.description.content["points"]
+            units = [point.unit for point in (*points.points, *points.actuators)]
+            values += [
+                (point["label"], f"{node.node}/{point['name']}")
+                for point, unit in zip(listed, units, strict=True)
+                if asked.unit in ("", unit) and asked.kind in ("", point["kind"])
+            ]
+    return [{"__text": text, "__value": value} for text, value in values]
+
+
+def target_names(target: str) -> list[str]:
+    """Return the points that a target names: `NODE/POINT`, or what Grafana makes of a variable.
+
+    Grafana writes a variable's value as a regular expression: characters are escaped, and several values are
+    alternatives in parentheses.
+    """
+    text = target[1:-1] if target.startswith("(") and target.endswith(")") else target
+    return [re.sub(r"\\(.)", r"\1", name) for name in text.split("|") if name]
+
+
 def grafana_targets(watch: BusWatch) -> list[dict[str, str]]:
     """Return all points of all nodes as targets."""
     targets = []
@@ -132,12 +187,14 @@ def grafana_targets(watch: BusWatch) -> list[dict[str, str]]:
 
 
 def grafana_series(watch: BusWatch, cache: HistoryCache, query: GrafanaQuery) -> list[dict[str, Any]]:
-    """Return for each target its values with their simulated times in ms, which stand for UTC.
+    """Return for each point its values with their simulated times in ms, which stand for UTC.
 
     Raises:
-        ZenostatError: no such node or point, or the node keeps no history.
+        ZenostatError: no such node or point, too many of them, or the node keeps no history.
     """
-    names = [target.target for target in query.targets if target.target]
+    names = [name for target in query.targets for name in target_names(target.target)]
+    if len(names) > MAX_POINTS:
+        raise InvalidConfig(f"targets: at most {MAX_POINTS} points expected, not {len(names)}")
     result = []
     for name in dict.fromkeys(names):
         node, _, point = name.partition("/")

@@ -1,0 +1,159 @@
+"""The dashboard files for Grafana: each query in them is answered by the control room's endpoints."""
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.control_room import control_room
+from support.nodes import NodeProgram, until
+
+import zenostat
+
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+
+import httpx
+
+from zenostat.views.room.dashboards import target_names
+
+FOLDER = Path(__file__).parents[2] / "examples" / "dashboards"
+TOKEN = "a-token-of-programs-of-the-tests-1"
+ALARMS = "alarms: [{name: warm, points: [temperature], high: 10.0, unit: degC, priority: high}]\n"
+ROOM = '''
+class Room:
+    """A room with points of each unit of the dashboards; its temperature is that of its setpoint."""
+    step_s = 60.0
+    begin = "2026-01-12T00:00"
+    duration_s = 86400.0
+    sensors = {"temperature": ("degC", 0.0, 50.0), "heater": ("W", 0.0, 9e3)}
+    meters = {"electricity": ("J", 0.0, None)}
+    actuators = {"setpoint": ("degC", 10.0, 30.0, 20.0)}
+
+    def reset(self, seed):
+        return {"temperature": 20.0, "heater": 0.0, "electricity": 0.0}
+
+    def step(self, commands):
+        return {"temperature": commands["setpoint"], "heater": 500.0, "electricity": 3e4}
+'''
+
+
+def panels(name: str) -> list[dict[str, Any]]:
+    return json.loads((FOLDER / name).read_text())["panels"]
+
+
+@pytest.fixture(scope="module")
+def client(module_folder: Path) -> Iterator[httpx.Client]:
+    """A program with the token; the node of a room has a controller, an alarm, a fault and ten timesteps."""
+    (module_folder / "room.py").write_text(ROOM)
+    (module_folder / "alarms.yaml").write_text(ALARMS)
+    settings = {"plant": f"{module_folder}/room.py:Room", "name": "room", "alarms": f"{module_folder}/alarms.yaml"}
+    with (
+        NodeProgram(module_folder / "node", **settings) as node,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
+        control_room(node.endpoint, api_token=TOKEN) as server,
+        bus.controller("room", name="rule") as link,
+        httpx.Client(base_url=server.url, headers={"authorization": f"Bearer {TOKEN}"}) as started,
+    ):
+        for sample in link:
+            if sample.step == 10:
+                break
+            sample.send({"setpoint": 21.0})
+        until(lambda: 'zenostat_node_step{node="room"} 10' in started.get("/metrics").text, "it is polled")
+        yield started
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_dashboards__each_prometheus_query_selects_series_that_are_exported(client: httpx.Client) -> None:
+    series: dict[str, list[dict[str, str]]] = {}
+    for line in client.get("/metrics").text.splitlines():
+        if not line.startswith("#"):
+            name, _, labels = line.rpartition(" ")[0].partition("{")
+            series.setdefault(name, []).append(dict(re.findall(r'(\w+)="([^"]*)"', labels)))
+    queries = [target["expr"] for panel in panels("grafana-prometheus.json") for target in panel["targets"]]
+    assert len(queries) >= 16
+    for query in queries:
+        selectors = re.findall(r"(zenostat_\w+)(?:\{([^}]*)\})?", query)
+        assert selectors
+        for name, matchers in selectors:
+            wanted = re.findall(r'(\w+)(=~|=)"([^"]*)"', matchers)
+            matching = [
+                labels
+                for labels in series.get(name, [])
+                if all(re.fullmatch(text.replace("$node", ".*"), labels.get(label, "")) for label, _, text in wanted)
+            ]
+            assert matching, query
+            assert all(label in matching[0] for label, *_ in wanted)
+    shown = {name for query in queries for name in re.findall(r"zenostat_\w+", query)}
+    assert set(series) <= shown  # no metric is without a panel
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_dashboards__legends_have_labels_of_their_series(client: httpx.Client) -> None:
+    text = client.get("/metrics").text
+    for panel in panels("grafana-prometheus.json"):
+        for target in panel["targets"]:
+            name = re.search(r"zenostat_\w+", target["expr"])
+            assert name is not None
+            labels = next(line for line in text.splitlines() if line.startswith(name[0]))
+            assert all(f'{label}="' in labels for label in re.findall(r"\{\{(\w+)\}\}", target["legendFormat"]))
+
+
+def as_regular_expression(values: list[str]) -> str:
+    """A variable's values as Grafana writes them into a target of the JSON data source."""
+    escaped = [re.sub(r"[\\^$*+?.()|\[\]{}/-]", r"\\\g<0>", value) for value in values]
+    return escaped[0] if len(escaped) == 1 else f"({'|'.join(escaped)})"
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_dashboards__each_query_of_the_history_is_answered_with_values(client: httpx.Client) -> None:
+    dashboard = json.loads((FOLDER / "grafana-history.json").read_text())
+    values: dict[str, list[str]] = {}
+    for variable in dashboard["templating"]["list"][1:]:
+        query = variable["query"]["query"].replace("${node:json}", json.dumps("room"))
+        answer = client.post("/grafana/variable", json={"payload": json.loads(query)})
+        values[variable["name"]] = [entry["__value"] for entry in answer.json()]
+    assert values["node"] == ["room"]
+    assert (values["temperatures"], values["setpoints"]) == (["room/temperature"], ["room/setpoint"])
+    assert values["points"] == ["room/temperature", "room/heater", "room/electricity", "room/setpoint"]
+    for panel in dashboard["panels"]:
+        for target in panel["targets"]:
+            names = values[target["target"].removeprefix("$")]
+            content = {
+                "range": {"from": "2026-01-12T00:00:00.000Z", "to": "2026-01-12T01:00:00.000Z"},
+                "targets": [{"target": as_regular_expression(names), "refId": "A", "payload": {}}],
+                "maxDataPoints": 500,
+            }
+            answer = client.post("/grafana/query", json=content).json()
+            assert [series["target"] for series in answer] == names
+            assert all(len(series["datapoints"]) == 11 for series in answer)
+            if names == ["room/setpoint"]:
+                assert [value for value, _ in answer[0]["datapoints"][1:]] == [21.0] * 10
+
+
+@pytest.mark.parametrize("values", [["office/zone.a_1"], ["a/b", "c-d/e"], ["a.b/c"]])
+def test_target_names__variables_of_grafana_are_names(values: list[str]) -> None:
+    assert target_names(as_regular_expression(values)) == values
+    assert target_names(values[0]) == values[:1]
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_grafana_variable__unknown_target_is_an_error(client: httpx.Client) -> None:
+    answer = client.post("/grafana/variable", json={"payload": {"target": "zones"}})
+    assert (answer.status_code, "nodes or points" in answer.json()["message"]) == (400, True)
+    assert client.post("/grafana/variable", json={"payload": {"target": "points", "node": "none"}}).json() == []
+
+
+@pytest.mark.parametrize("name", ["grafana-prometheus.json", "grafana-history.json"])
+def test_dashboards__panels_have_ids_of_their_own_and_do_not_overlap(name: str) -> None:
+    places = [panel["gridPos"] for panel in panels(name)]
+    assert len({panel["id"] for panel in panels(name)}) == len(places)
+    cells = [(x, y) for p in places for x in range(p["x"], p["x"] + p["w"]) for y in range(p["y"], p["y"] + p["h"])]
+    assert len(set(cells)) == len(cells)
+    assert max(x for x, _ in cells) < 24
