@@ -87,7 +87,7 @@ class Visitor:
 
 
 def violations(page: Any, *, exclude: tuple[str, ...] = ()) -> list[str]:
-    """What axe-core finds against WCAG 2.2 AA and its best practices: rule, elements and reason of each."""
+    """Violations that axe-core reports by its default rules: rule, element and reason of each."""
     from axe_playwright_python.sync_playwright import Axe
 
     context = {"exclude": [[selector] for selector in exclude]} if exclude else None

@@ -132,7 +132,7 @@ class GrafanaVariable(_Part):
 
 
 class GrafanaVariableQuery(_Part):
-    """What Grafana's JSON data source sends to fill a variable."""
+    """Request of Grafana's JSON data source for the values of a variable."""
 
     payload: GrafanaVariable = Field(default_factory=GrafanaVariable)
 
