@@ -34,6 +34,7 @@ from zenostat.views.room.dashboards import (
     grafana_variable,
     prometheus,
 )
+from zenostat.views.room.description import NodeDescription
 from zenostat.views.room.node_watch import NodeWatch
 from zenostat.views.room.numbers import to_json
 from zenostat.views.room.operations import read_body, read_operation
@@ -219,10 +220,7 @@ class Room:
         return _json({"entries": self.audit.entries()})
 
     async def _description(self, request: Request) -> Response:
-        description = self._node(request).description
-        if description is None:
-            raise RequestRejected("the node has not answered yet")
-        return _json(description.content)
+        return _json(_described(self._node(request)).content)
 
     async def _history(self, request: Request) -> Response:
         watch, query = self._node(request), request.query_params
@@ -240,7 +238,8 @@ class Room:
 
     async def _priorities(self, request: Request) -> Response:
         watch, point = self._node(request), request.query_params.get("point", "")
-        return _json(await self._call(watch, lambda: priority_arrays(self._bus, watch, point)))
+        manifest = _described(watch).manifest
+        return _json(await self._call(watch, lambda: priority_arrays(self._bus, manifest, point)))
 
     # Changes
 
@@ -259,9 +258,7 @@ class Room:
 
     async def _what_if(self, request: Request) -> Response:
         watch, operator = self._node(request), _operator(request)
-        description = watch.description
-        if description is None:
-            raise RequestRejected("the node has not answered yet")
+        description = _described(watch)
         question = read_body(WhatIf, await request.body())
 
         def simulate() -> Response:
@@ -301,6 +298,13 @@ class Room:
             return await asyncio.to_thread(function)
         finally:
             self._pending[watch.node] -= 1
+
+
+def _described(watch: NodeWatch) -> NodeDescription:
+    """Return the description of a node; `RequestRejected` before its first poll."""
+    if watch.description is None:
+        raise RequestRejected("the node has not answered yet")
+    return watch.description
 
 
 def _operator(request: Request) -> str:

@@ -1,4 +1,4 @@
-"""Priority arrays of actuators for the page, requested from a node once for all pages."""
+"""Priority arrays of actuators, as JSON values."""
 
 from __future__ import annotations
 
@@ -8,25 +8,19 @@ from typing import Any
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.priorities import decode_priorities, decode_remaining
 from zenostat.topics import keys
-from zenostat.topics.errors import RequestRejected
-from zenostat.topics.messages import PriorityArrays, Query
+from zenostat.topics.messages import Manifest, PriorityArrays, Query
 from zenostat.topics.points import actuator_index
-from zenostat.views.room.node_watch import NodeWatch
 from zenostat.views.room.numbers import number
 
 
-def priority_arrays(bus: Bus, watch: NodeWatch, point: str) -> dict[str, Any]:
+def priority_arrays(bus: Bus, manifest: Manifest, point: str) -> dict[str, Any]:
     """Return the 16 entries of an actuator's priority array, that of priority 1 first, with the time of its expiry.
 
     Raises:
         UnknownName: there is no such actuator; the text lists similar names.
     """
-    description = watch.description
-    if description is None:
-        raise RequestRejected("the node has not answered yet")
-    actuator_index(description.manifest.actuators).require([point])
-    manifest = description.manifest
-    arrays = bus.ask(keys.PRIORITIES, watch.node, Query(), PriorityArrays)
+    actuator_index(manifest.actuators).require([point])
+    arrays = bus.ask(keys.PRIORITIES, manifest.node, Query(), PriorityArrays)
     entries, remaining_s = decode_priorities(arrays, manifest)[point], decode_remaining(arrays, manifest)[point]
     now = datetime.fromisoformat(manifest.begin) + timedelta(seconds=arrays.step[0] * manifest.step_s)
     ends = {priority: (now + timedelta(seconds=after_s)).isoformat() for priority, after_s in remaining_s.items()}

@@ -1,12 +1,14 @@
 """The question "what if": the next hours of a running building with other commands, beside those as they are.
 
-Both are simulated on branches of the same sample, by a plan, so the building itself does not notice. Commands of
+All futures are simulated on branches of the same sample, by a plan, so the building itself does not notice. Commands of
 controllers stay as they are, since the controllers do not run on a branch.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Annotated, Any
 
@@ -17,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.controller_link import open_link
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import InvalidConfig, RequestRejected, ZenostatError
+from zenostat.topics.errors import BadMessage, InvalidConfig, RequestRejected, ZenostatError
 from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Sample, SimulatePlan
 from zenostat.views.room.description import NodeDescription
 from zenostat.views.room.numbers import number, numbers
@@ -40,16 +42,48 @@ class WhatIf(BaseModel):
     hours: Annotated[float, Field(gt=0, le=7 * 24)] = 24.0
 
 
+@dataclass(frozen=True)
+class Future:
+    """Commands of a future, in place of those as they are.
+
+    Attributes:
+        values: by actuator; None relinquishes it at the priority.
+        priority: of the values, 1 (highest) to 16.
+        is_relinquished: whether all other commands are relinquished: the future is that of the baseline control.
+    """
+
+    values: Mapping[str, float | None] = field(default_factory=dict)
+    priority: int = 8
+    is_relinquished: bool = False
+
+
 def what_if(bus: Bus, description: NodeDescription, request: WhatIf, operator: str) -> dict[str, Any]:
-    """Return the values of all points and the totals of both futures.
+    """Return the values of all points and the totals of both futures; errors as of `simulate_futures`."""
+    futures = {"as_is": Future(), "changed": Future(request.values, request.priority)}
+    samples = simulate_futures(bus, description, futures, request.hours, operator)
+    return futures_content(description, samples)
+
+
+def simulate_futures(
+    bus: Bus, description: NodeDescription, futures: Mapping[str, Future], hours: float, operator: str
+) -> dict[str, list[Sample]]:
+    """Return the samples of the next hours under several commands, equally many for each.
+
+    Args:
+        bus: connection to the bus.
+        description: of the node.
+        futures: commands by the name of the future.
+        hours: length, in simulated hours.
+        operator: name of who asks.
 
     Raises:
         InvalidConfig: the hours are shorter than a timestep.
         RequestRejected: the node cannot branch now, or rejects a value.
         ForkFailed: the system cannot fork the simulation.
+        BadMessage: the node named a node that is none of its branches.
     """
     manifest = description.manifest
-    steps = min(_MAX_STEPS, int(request.hours * 3600 / manifest.step_s + 1e-6))
+    steps = min(_MAX_STEPS, int(hours * 3600 / manifest.step_s + 1e-6))
     if steps < 1:
         raise InvalidConfig(f"hours: at least a timestep of {manifest.step_s / 3600:g} h expected")
     with ExitStack() as stack:
@@ -60,17 +94,20 @@ def what_if(bus: Bus, description: NodeDescription, request: WhatIf, operator: s
         snapshot = bus.snapshot(manifest.node, owner)
         stack.callback(_end, bus.drop, manifest.node, snapshot.snapshot)
         branches = {}
-        for name, values in (("as_is", {}), ("changed", request.values)):
-            branch = bus.branch(manifest.node, CreateBranch(controller=owner, snapshot=snapshot.snapshot))
+        for name, future in futures.items():
+            request = CreateBranch(controller=owner, snapshot=snapshot.snapshot, relinquished=future.is_relinquished)
+            branch = bus.branch(manifest.node, request)
+            if bus.manifest(branch).branch_of != manifest.node:
+                raise BadMessage(f"{branch} is no branch of {manifest.node}")  # it may be another building
             stack.callback(_end, bus.stop, branch)
-            for point, value in values.items():
-                bus.write(branch, point, value, priority=request.priority, source=operator)
+            for point, value in future.values.items():
+                bus.write(branch, point, value, priority=future.priority, source=operator)
             branches[name] = branch
-        futures = {name: _simulate(bus, branch, steps) for name, branch in branches.items()}
-    steps = min(map(len, futures.values()))
+        samples = {name: _simulate(bus, branch, steps) for name, branch in branches.items()}
+    steps = min(map(len, samples.values()))
     if not steps:
         raise RequestRejected("the episode is over")
-    return _content(description, {name: samples[:steps] for name, samples in futures.items()})
+    return {name: each[:steps] for name, each in samples.items()}
 
 
 def _end(end: Any, *arguments: str) -> None:
@@ -110,7 +147,8 @@ def _steps_per_request(manifest: Manifest) -> int:
     return max(1, min(_STEPS_PER_REQUEST, _REPLY_BYTES // size))
 
 
-def _content(description: NodeDescription, futures: dict[str, list[Sample]]) -> dict[str, Any]:
+def futures_content(description: NodeDescription, futures: Mapping[str, list[Sample]]) -> dict[str, Any]:
+    """Return the times, and for each future the values of all points and the totals."""
     manifest = description.manifest
     width, actuators = len(manifest.points), len(manifest.actuators)
     result: dict[str, Any] = {"names": [*manifest.names, *(actuator.name for actuator in manifest.actuators)]}
