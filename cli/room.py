@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import getpass
-import os
 import re
-import secrets
 from pathlib import Path
 from typing import Annotated
 
@@ -14,11 +12,10 @@ import typer
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
 from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
+from zenostat.cli.token_file import read_token
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import Role, safe_name
-
-_SHORTEST_TOKEN = 32
 
 
 @on_bus
@@ -63,7 +60,7 @@ def room(
         from zenostat.views.room.access import OPERATOR
         from zenostat.views.room.app import RoomSettings
         from zenostat.views.room.server import RoomServer
-    token = None if api_token_file is None else _api_token(api_token_file)
+    token = None if api_token_file is None else read_token(api_token_file, "--api-token-file")
     name = safe_name(_user())[:64] if operator is None else operator
     if not re.fullmatch(OPERATOR, name):
         raise InvalidConfig(
@@ -103,27 +100,3 @@ def _user() -> str:
         return getpass.getuser()
     except (KeyError, OSError):  # a user without a name, as in containers
         return "operator"
-
-
-def _api_token(path: Path) -> str:
-    """Return the token in a file, which is created if it is missing.
-
-    Raises:
-        InvalidConfig: it cannot be read or written, others may read it, or it is too short.
-    """
-    try:
-        with open(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
-            file.write(secrets.token_urlsafe(32) + "\n")
-    except FileExistsError:
-        pass
-    except OSError as error:
-        raise InvalidConfig(f"--api-token-file {path}: {error.strerror}") from None
-    try:
-        if path.stat().st_mode & 0o077:
-            raise InvalidConfig(f"--api-token-file {path}: others may read it; chmod 600 {path}")
-        token = path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
-        raise InvalidConfig(f"--api-token-file {path}: {error}") from None
-    if len(token) < _SHORTEST_TOKEN:
-        raise InvalidConfig(f"--api-token-file {path}: a token of at least {_SHORTEST_TOKEN} characters expected")
-    return token

@@ -31,7 +31,7 @@ _MAX_TOKENS = 16
 _IDLE_S = 12 * 3600.0
 _TOKEN_S = 3600.0
 _OPEN = ("/", "/api/session", "/health")
-_BEARER = ("/metrics", "/grafana")
+_PROGRAM_PATHS = ("/metrics", "/grafana")
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; "
@@ -68,7 +68,9 @@ class Access:
     Args:
         hosts: permitted values of the header `Host`.
         cookie: name of the cookie; browsers share cookies between all ports of a host.
-        api_token: token of programs that read `/metrics` and `/grafana`; None closes these.
+        api_token: token of programs that use the program paths; None closes these.
+        program_paths: beginnings of the paths for programs, which need the token and no session.
+        hint: where the token is from, for the error of a request without it.
         clock: monotonic time in seconds.
     """
 
@@ -78,9 +80,12 @@ class Access:
         cookie: str,
         *,
         api_token: str | None = None,
+        program_paths: tuple[str, ...] = _PROGRAM_PATHS,
+        hint: str = "see --api-token-file",
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.hosts, self.cookie = hosts, cookie
+        self._program_paths, self._hint = program_paths, hint
         self._api_digest = None if api_token is None else _digest(api_token)
         self._clock = clock
         self._tokens: dict[str, tuple[str, float]] = {}
@@ -140,9 +145,9 @@ class Access:
             return 421, f"this server is none of that name; open {sorted(self.hosts)[0]}"
         if method not in ("GET", "HEAD", "POST", "DELETE"):
             return 405, "no such method"
-        if path.startswith(_BEARER):
+        if path.startswith(self._program_paths):
             if not self.allows_program(headers.get("authorization", "")):
-                return 401, "a bearer token is required; see --api-token-file"
+                return 401, f"a bearer token is required; {self._hint}"
             return None
         if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") and path != "/":
             return 403, "a request of another site"

@@ -1,0 +1,110 @@
+"""HTTP servers for this machine only: their sockets, and uvicorn in a process that handles signals itself."""
+
+from __future__ import annotations
+
+import asyncio
+import errno
+import ipaddress
+import socket
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import Any
+
+import uvicorn
+
+from zenostat.bridge.runtime import service_manager
+from zenostat.topics.errors import AddressInUse, InvalidConfig
+
+_BACKLOG = 256
+_MAX_CONNECTIONS = 512
+_SHUTDOWN_S = 3
+
+
+def listen(address: str, default: str, program: str) -> socket.socket:
+    """Return a socket that listens on the loopback interface.
+
+    Args:
+        address: `HOST:PORT`; port 0 chooses a free one.
+        default: the address that errors name.
+        program: name of the program that listens, for errors.
+
+    Raises:
+        InvalidConfig: a malformed address, or one that other machines can reach.
+        AddressInUse: another program listens there.
+    """
+    host, _, port = address.rpartition(":")
+    host = host.strip("[]")
+    if not host or not port.isdecimal() or int(port) > 65535:
+        raise InvalidConfig(f"address {address!r}: HOST:PORT expected, such as {default}")
+    try:
+        family, _, _, _, target = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)[0]
+    except OSError as error:
+        raise InvalidConfig(f"address {address!r}: {error.strerror}") from None
+    if not ipaddress.ip_address(str(target[0]).partition("%")[0]).is_loopback:
+        raise InvalidConfig(
+            f"{address} can be reached from other machines, and {program} serves this machine only; listen on "
+            f"{default} and forward the port: ssh -L {default.rpartition(':')[2]}:{default} HOST"
+        )
+    # asyncio sets TCP_NODELAY only on sockets whose protocol is named.
+    listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind(target)
+        listening.listen(_BACKLOG)
+    except OSError as error:
+        listening.close()
+        if error.errno == errno.EADDRINUSE:
+            raise AddressInUse(f"another program listens on {address}; name another port with --address") from None
+        raise InvalidConfig(f"{address}: {error.strerror}; name an address of this machine and a port") from None
+    return listening
+
+
+def names_of(listening: socket.socket) -> tuple[str, frozenset[str]]:
+    """Return the host and port of a socket as URLs have them, and the permitted values of the header `Host`."""
+    host, port = listening.getsockname()[:2]
+    name = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
+    return name, frozenset({name, f"localhost:{port}"})
+
+
+class LoopbackServer(uvicorn.Server):
+    """A server of an ASGI application in a process that handles signals itself.
+
+    Args:
+        app: the application.
+        end_streams: called before the server waits for requests to end.
+    """
+
+    def __init__(self, app: Any, end_streams: Callable[[], None] = lambda: None) -> None:
+        super().__init__(
+            uvicorn.Config(
+                app,
+                log_level="error",
+                access_log=False,
+                proxy_headers=False,
+                server_header=False,
+                backlog=_BACKLOG,
+                limit_concurrency=_MAX_CONNECTIONS,
+                timeout_graceful_shutdown=_SHUTDOWN_S,
+                ws="none",
+                lifespan="on",
+            )
+        )
+        self._end_streams = end_streams
+        self._reported = ExitStack()
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Start, and report to the service manager."""
+        await super().startup(sockets)
+        loop = asyncio.get_running_loop()
+        self._reported.enter_context(service_manager.reported(loop.call_soon_threadsafe))
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """End the streams, then wait for requests to end."""
+        self._reported.close()
+        self._end_streams()
+        await super().shutdown(sockets)
+
+    @contextmanager
+    def capture_signals(self) -> Iterator[None]:
+        """Leave signals to the process."""
+        yield
