@@ -25,8 +25,8 @@ GROUPS: dict[str, tuple[str, ...]] = {
     ),
     "Train agents": ("train.train", "tune.tune", "benchmark.benchmark", "bounds.bounds"),
     "Watch a bus": (
-        "status.status", "room.room", "monitor.monitor", "view.view", "watch.watch", "read.read", "plot.plot",
-        "alarms.alarms", "priorities.priorities",
+        "status.status", "room.room", "mcp.mcp", "monitor.monitor", "view.view", "watch.watch", "read.read",
+        "plot.plot", "alarms.alarms", "priorities.priorities",
     ),
     "Operate a running node": (
         "write.write", "write.relinquish", "lifecycle.reset", "pace.pause", "pace.resume", "pace.step", "pace.pace",

@@ -1,0 +1,1 @@
+"""The server of `zenostat mcp`: tools with which a language model reads a bus, asks what-if, and writes if it may."""
