@@ -1,0 +1,71 @@
+"""An MCP server in this process, and clients of the SDK."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import AsyncIterator, Iterator
+from contextlib import asynccontextmanager, contextmanager
+from pathlib import Path
+from typing import Any
+
+import zenostat
+from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.views.mcp.audit import AuditLog
+from zenostat.views.mcp.content import read_data
+from zenostat.views.mcp.desk import Desk
+from zenostat.views.mcp.server import HttpServer, ToolServer
+from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
+
+TOKEN = "t" * 40
+
+
+@contextmanager
+def tool_server(endpoint: str, audit: Path, *rules: str, reports: Path | None = None) -> Iterator[ToolServer]:
+    """The tools of a bus; with rules, those that write as well."""
+    with zenostat.connect(endpoint, affinity=Affinity.OFF, wait=True) as bus, AuditLog(audit) as log:
+        bus.via = "mcp"
+        writer = Writer(bus, "mcp", WriteLimits([WriteRule.parse(rule) for rule in rules])) if rules else None
+        with Desk(bus, "mcp", writer=writer, reports=reports) as desk:
+            yield ToolServer(desk, log)
+
+
+@contextmanager
+def http_server(tools: ToolServer) -> Iterator[HttpServer]:
+    """The tools over HTTP on a free port, in a thread."""
+    with HttpServer(tools, "127.0.0.1:0", TOKEN) as server:
+        thread = threading.Thread(target=server.run)
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.stop()
+            thread.join()
+
+
+@asynccontextmanager
+async def http_client(url: str, token: str = TOKEN) -> AsyncIterator[Any]:
+    """A client of the SDK over streamable HTTP."""
+    from mcp import Client
+    from mcp.client.streamable_http import streamable_http_client
+    from mcp.shared._httpx_utils import create_mcp_http_client
+
+    async with (
+        create_mcp_http_client({"authorization": f"Bearer {token}"}) as http,
+        Client(streamable_http_client(url, http_client=http)) as client,
+    ):
+        yield client
+
+
+async def ask(client: Any, tool: str, **arguments: Any) -> Any:
+    """The data of a result that is no error."""
+    result = await client.call_tool(tool, arguments)
+    assert not result.is_error, result.content[0].text
+    return read_data(result.content[0].text)
+
+
+async def refused(client: Any, tool: str, **arguments: Any) -> str:
+    """The class and the text of an error."""
+    result = await client.call_tool(tool, arguments)
+    assert result.is_error, result.content[0].text
+    error = read_data(result.content[0].text)
+    return f"{error['error']}: {error['message']}"
