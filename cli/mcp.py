@@ -56,7 +56,7 @@ def mcp(
         str, typer.Option(metavar="TIME", help="Longest simulated time until a write is relinquished.")
     ] = "4h",
     writes_per_minute: Annotated[int, typer.Option(min=1, max=600, help="Largest number of writes a minute.")] = 6,
-    audit: Annotated[
+    audit_log: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Append all calls as JSON lines. Default: standard error.")
     ] = None,
     reports: Annotated[
@@ -66,12 +66,12 @@ def mcp(
 ) -> None:
     """Serve tools for language models (MCP): read, plot, ask what-if, and write if that is allowed.
 
-    Example: `zenostat mcp --allow-writes '*_cooling_setpoint=22:28' --audit calls.jsonl`
+    Example: `zenostat mcp --allow-writes '*_cooling_setpoint=22:28' --audit-log calls.jsonl`
 
     With keys, it uses the gateway role.
     """
     with requires_extra("mcp", "the MCP server", "the MCP SDK"):
-        from zenostat.views.mcp.audit import AuditLog
+        from zenostat.views.mcp.call_log import CallLog
         from zenostat.views.mcp.desk import Desk
         from zenostat.views.mcp.server import HttpServer, ToolServer
         from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
@@ -86,7 +86,7 @@ def mcp(
         limits = WriteLimits(rules, priority, parse_duration(max_duration, "--max-duration"), writes_per_minute)
     token = secrets.token_urlsafe(32) if token_file is None else read_token(token_file, "--token-file")
     with ExitStack() as stack:
-        log = stack.enter_context(AuditLog(audit))
+        log = stack.enter_context(CallLog(audit_log))
         bus = stack.enter_context(options.open_bus(Role.GATEWAY))
         bus.via = VIA
         writer = None if limits is None else Writer(bus, name, limits)

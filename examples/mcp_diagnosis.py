@@ -145,7 +145,7 @@ def main() -> None:
         try:
             with zenostat.connect(node.endpoint, affinity="off") as bus:
                 prepare(bus)
-            arguments = ["-P", "-m", "zenostat", "mcp", "--connect", node.endpoint, "--audit", str(audit)]
+            arguments = ["-P", "-m", "zenostat", "mcp", "--connect", node.endpoint, "--audit-log", str(audit)]
             finding = asyncio.run(talk(StdioServerParameters(command=sys.executable, args=arguments)))
         finally:
             node.close()

@@ -10,7 +10,7 @@ from typing import Any
 
 import zenostat
 from zenostat.bridge.runtime.affinity import Affinity
-from zenostat.views.mcp.audit import AuditLog
+from zenostat.views.mcp.call_log import CallLog
 from zenostat.views.mcp.content import read_data
 from zenostat.views.mcp.desk import Desk
 from zenostat.views.mcp.server import HttpServer, ToolServer
@@ -22,7 +22,7 @@ TOKEN = "t" * 40
 @contextmanager
 def tool_server(endpoint: str, audit: Path, *rules: str, reports: Path | None = None) -> Iterator[ToolServer]:
     """The tools of a bus; with rules, those that write as well."""
-    with zenostat.connect(endpoint, affinity=Affinity.OFF, wait=True) as bus, AuditLog(audit) as log:
+    with zenostat.connect(endpoint, affinity=Affinity.OFF, wait=True) as bus, CallLog(audit) as log:
         bus.via = "mcp"
         writer = Writer(bus, "mcp", WriteLimits([WriteRule.parse(rule) for rule in rules])) if rules else None
         with Desk(bus, "mcp", writer=writer, reports=reports) as desk:

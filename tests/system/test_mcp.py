@@ -307,7 +307,7 @@ def command(node: NodeProgram, *arguments: str) -> list[str]:
 
 @pytest.mark.slow
 async def test_mcp__command_serves_the_sdks_client_over_stdio(fake_node: NodeProgram, audit: Path) -> None:
-    program, *arguments = command(fake_node, "--audit", str(audit))
+    program, *arguments = command(fake_node, "--audit-log", str(audit))
     async with Client(StdioServerParameters(command=program, args=arguments)) as client:
         (office,) = (await ask(client, "list_nodes"))["nodes"]
         assert office["node"] == "office"

@@ -18,7 +18,7 @@ from support.examples import examples
 
 from zenostat.bridge.client.priorities import PriorityValue
 from zenostat.topics.errors import AccessDenied, BadMessage, InvalidConfig, RequestRejected, UnknownName
-from zenostat.views.mcp.audit import AuditLog
+from zenostat.views.mcp.call_log import CallLog
 from zenostat.views.mcp.content import CLOSE, MAX_TEXT, NOTICE, OPEN, read_data, render
 from zenostat.views.mcp.tools import TOOLS, call
 from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
@@ -237,9 +237,9 @@ def test_write_limits__values_out_of_range_are_refused(limits: dict[str, Any], t
 # The audit log
 
 
-def test_audit_log__call_is_logged_before_it_runs_and_its_outcome_after(tmp_path: Path) -> None:
+def test_call_log__call_is_logged_before_it_runs_and_its_outcome_after(tmp_path: Path) -> None:
     path = tmp_path / "calls.jsonl"
-    with AuditLog(path, now=lambda: datetime(2026, 1, 2, tzinfo=UTC)) as log:
+    with CallLog(path, now=lambda: datetime(2026, 1, 2, tzinfo=UTC)) as log:
         number = log.begin("client 1.0", "write", {"reason": "line one\nline two\x1b"})
         assert len(path.read_text().splitlines()) == 1
         log.end(number, "ok")
@@ -256,20 +256,20 @@ def test_audit_log__call_is_logged_before_it_runs_and_its_outcome_after(tmp_path
     assert stat.S_IMODE(path.stat().st_mode) == 0o600
 
 
-def test_audit_log__earlier_entries_stay_and_long_arguments_are_cut(tmp_path: Path) -> None:
+def test_call_log__earlier_entries_stay_and_long_arguments_are_cut(tmp_path: Path) -> None:
     path = tmp_path / "calls.jsonl"
     for _ in range(2):
-        with AuditLog(path) as log:
+        with CallLog(path) as log:
             log.begin("c", "find_points", {"words": "a" * 100_000})
     lines = path.read_text().splitlines()
     assert len(lines) == 2
     assert max(map(len, lines)) < 5000
 
 
-def test_audit_log__that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(InvalidConfig, match="--audit"):
-        AuditLog(tmp_path / "missing" / "calls.jsonl")
-    with AuditLog(Path("/dev/full")) as log, pytest.raises(RequestRejected, match="audit log cannot be written"):
+def test_call_log__that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfig, match="--audit-log"):
+        CallLog(tmp_path / "missing" / "calls.jsonl")
+    with CallLog(Path("/dev/full")) as log, pytest.raises(RequestRejected, match="audit log cannot be written"):
         log.begin("c", "list_nodes", {})
 
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from zenostat.bridge.client.history import History
 from zenostat.metrics.labels import label, unit_label
-from zenostat.topics.extras import requires_extra
+from zenostat.topics.extras import import_extra
 from zenostat.views.report.figures.base import draw, legend_above
 from zenostat.views.report.theme import LIGHT, series_color, series_dashes
 
@@ -17,8 +17,7 @@ _PANEL_IN = 2.3
 
 def draw_history(history: History) -> bytes:
     """Return a PNG file; the same history gives the same file. Not for several threads at a time."""
-    with requires_extra("mcp", "a plot", "matplotlib"):
-        from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+    dates = import_extra("matplotlib.dates", "mcp", "a plot")
     units: dict[str, list[int]] = {}
     for column, unit in enumerate(history.units):
         units.setdefault(unit, []).append(column)
@@ -36,9 +35,9 @@ def draw_history(history: History) -> bytes:
                 axis.plot(times, history.values[:, column], color=color, ls=series_dashes(place + 1), label=name)
             axis.set_ylabel(unit_label(unit))
             legend_above(axis)
-        locator = AutoDateLocator()
+        locator = dates.AutoDateLocator()
         axes[-1].xaxis.set_major_locator(locator)
-        axes[-1].xaxis.set_major_formatter(ConciseDateFormatter(locator))
+        axes[-1].xaxis.set_major_formatter(dates.ConciseDateFormatter(locator))
 
     figure = draw("history", _PANEL_IN * len(units) + 0.4, fill)
     file = io.BytesIO()

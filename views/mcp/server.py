@@ -13,7 +13,7 @@ from typing import Any
 from zenostat.topics import VERSION
 from zenostat.topics.errors import RequestRejected
 from zenostat.topics.extras import requires_extra
-from zenostat.views.mcp.audit import AuditLog
+from zenostat.views.mcp.call_log import CallLog
 from zenostat.views.mcp.content import NOTICE, Content, render
 from zenostat.views.mcp.desk import Desk
 from zenostat.views.mcp.tools import call, failure, offered
@@ -54,7 +54,7 @@ class ToolServer:
         audit: log of all calls.
     """
 
-    def __init__(self, desk: Desk, audit: AuditLog) -> None:
+    def __init__(self, desk: Desk, audit: CallLog) -> None:
         self._desk, self._audit = desk, audit
         self._threads, self._free = ThreadPoolExecutor(_MAX_RUNNING), BoundedSemaphore(_MAX_RUNNING)
         mode = _READ_ONLY if desk.writer is None else _WRITING

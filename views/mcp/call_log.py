@@ -22,7 +22,7 @@ from zenostat.topics.errors import InvalidConfig, RequestRejected
 _MAX_ARGUMENTS = 4000
 
 
-class AuditLog:
+class CallLog:
     """Lines of JSON in a file that is readable by its owner alone, or on standard error; for several threads.
 
     Args:
@@ -40,9 +40,9 @@ class AuditLog:
             try:
                 self._file = io.FileIO(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600), "a")
             except OSError as error:
-                raise InvalidConfig(f"--audit {path}: {error.strerror}") from None
+                raise InvalidConfig(f"--audit-log {path}: {error.strerror}") from None
 
-    def __enter__(self) -> AuditLog:
+    def __enter__(self) -> CallLog:
         return self
 
     def __exit__(
