@@ -22,6 +22,7 @@ from zenostat.topics import VERSION
 GROUPS: dict[str, tuple[str, ...]] = {
     "Simulate and control": (
         "demo.demo", "node.node", "run.run", "cosim.cosim", "evaluate.evaluate", "dataset.dataset", "probe.probe",
+        "calibrate.calibrate",
     ),
     "Train agents": ("train.train", "tune.tune", "benchmark.benchmark", "bounds.bounds"),
     "Watch a bus": (

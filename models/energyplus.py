@@ -1,11 +1,12 @@
-"""Run EnergyPlus once, in a separate process, to convert a model, list its points, or compute its schedules.
+"""Run EnergyPlus once, in a separate process, to convert a model, list its points, compute schedules or simulate.
 
 A model can make EnergyPlus terminate its process, so nothing here runs in the caller's. The child process is this
-module as a program: `python -m zenostat.models.energyplus convert|survey|schedules …`.
+module as a program: `python -m zenostat.models.energyplus convert|survey|schedules|simulate …`.
 """
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import signal
@@ -26,7 +27,7 @@ from zenostat.topics.errors import ModelError
 ISOLATED = (sys.executable, "-P", "-m")
 """Command prefix for a package's programs: `-P` excludes the caller's folder from imports."""
 
-_ACTIONS = {"convert": "convert", "survey": "start", "schedules": "compute the schedules of"}
+_ACTIONS = {"convert": "convert", "survey": "start", "schedules": "compute the schedules of", "simulate": "simulate"}
 """What EnergyPlus does for each verb, for errors."""
 
 
@@ -39,7 +40,7 @@ def call(
     """Run this module as a program, which writes its result to the file that the last argument names.
 
     Args:
-        verb: `convert`, `survey` or `schedules`.
+        verb: `convert`, `survey`, `schedules` or `simulate`.
         arguments: of the program.
         file: the file that an error refers to; the first argument if None.
         locate: finds the place in the user's file that a message is about; see `zenostat.models.err_file.explain`.
@@ -184,6 +185,20 @@ def _schedules(model: str, names: str, weather: str, target: str) -> None:
             temporary.write_bytes(values.tobytes())
 
 
+def _simulate(model: str, weather: str, target: str) -> None:
+    """Simulate a model to its end; EnergyPlus's reports are in the folder of the target, an empty file."""
+    if sys.platform.startswith("linux"):  # a long run must not outlive the process that waits for it
+        set_parent_death_signal = 1
+        ctypes.CDLL(None).prctl(set_parent_death_signal, signal.SIGKILL)
+    api = new_api()
+    state = api.state_manager.new_state()
+    api.runtime.set_console_output_status(state, False)
+    if api.runtime.run_energyplus(state, ["-w", weather, "-d", os.path.dirname(target), model]) == 0:
+        Path(target).touch()
+
+
 if __name__ == "__main__":
-    verbs: dict[str, Callable[..., None]] = {"convert": _convert, "survey": _survey, "schedules": _schedules}
+    verbs: dict[str, Callable[..., None]] = {
+        "convert": _convert, "survey": _survey, "schedules": _schedules, "simulate": _simulate,
+    }  # fmt: skip
     verbs[sys.argv[1]](*sys.argv[2:])

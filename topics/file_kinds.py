@@ -15,6 +15,7 @@ class FileKind(StrEnum):
     TRAINING = "training"
     TUNING = "tuning"
     CONTROLLER = "controller"
+    CALIBRATION = "calibration"
 
 
 _FIELDS = {
@@ -22,6 +23,7 @@ _FIELDS = {
     FileKind.TRAINING: {"algorithm", "scenario", "steps", "normalization"},
     FileKind.TUNING: {"study", "training", "sampler", "trials"},
     FileKind.CONTROLLER: {"controller"},
+    FileKind.CALIBRATION: {"timestamps", "periods", "held_out", "columns", "margin"},
 }
 """Fields that only files of one kind have, at least one of which is required."""
 
@@ -30,6 +32,7 @@ _COMMANDS = {
     FileKind.TRAINING: "use zenostat train",
     FileKind.TUNING: "use zenostat tune",
     FileKind.CONTROLLER: "give it to zenostat run or evaluate as --controller",
+    FileKind.CALIBRATION: "use zenostat calibrate",
 }
 
 

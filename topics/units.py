@@ -46,6 +46,8 @@ _CONVERSIONS: dict[str, tuple[str, float, float]] = {
     "Wh": ("energy", 3.6e3, 0.0),
     "kWh": ("energy", 3.6e6, 0.0),
     "MWh": ("energy", 3.6e9, 0.0),
+    "kBtu": ("energy", 1.05505585262e6, 0.0),
+    "therm": ("energy", 1.05505585262e8, 0.0),
     "var": ("reactive power", 1.0, 0.0),
     "kvar": ("reactive power", 1e3, 0.0),
     "Mvar": ("reactive power", 1e6, 0.0),
@@ -80,6 +82,11 @@ _CONVERSIONS: dict[str, tuple[str, float, float]] = {
 def quantity(unit: str) -> str:
     """Return the quantity that a unit measures, such as `power`; the unit itself where it is not known."""
     return _CONVERSIONS[unit][0] if unit in _CONVERSIONS else unit
+
+
+def units_of(name: str) -> tuple[str, ...]:
+    """Return the known units of a quantity, such as `power`."""
+    return tuple(unit for unit, (own, _, _) in _CONVERSIONS.items() if own == name)
 
 
 @cache

@@ -1,0 +1,1 @@
+"""Calibration of building models on measured data."""

@@ -1,0 +1,181 @@
+"""Calibrate a model: trials, the best one before and after on all periods, and how well it is determined."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from zenostat.lab.benchmark.workers import RunAll, worker_pool
+from zenostat.lab.calibration.config import Calibration
+from zenostat.lab.calibration.determination import Determined, determine, linearize, points, stepped
+from zenostat.lab.calibration.measured import MeasuredData
+from zenostat.lab.calibration.objective import (
+    ColumnErrors,
+    Compared,
+    Days,
+    Floats,
+    Hours,
+    check_comparable,
+    column_errors,
+    compare,
+    objective,
+    scales_of,
+)
+from zenostat.lab.calibration.trials import OnResult, Setting, Simulator, Trials, simulate_all, study_folder
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
+
+SCRATCH = "runs"
+"""Folder of running simulations, below that of the calibration."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model against measured data.
+
+    Attributes:
+        error: the objective.
+        columns: errors of each column.
+        compared: measured and simulated values of each column.
+    """
+
+    error: float
+    columns: list[ColumnErrors]
+    compared: list[Compared]
+
+    def plain(self) -> dict[str, Any]:
+        """Return the errors as JSON."""
+        return {"error": self.error, "columns": {each.header: each.plain() for each in self.columns}}
+
+
+@dataclass(frozen=True)
+class CalibrationResult:
+    """The result of a calibration.
+
+    Attributes:
+        config: the calibration.
+        data: measured data.
+        values: best values of the parameters.
+        fits: by `before`, `after`, `held-out before` and `held-out after`; the last two only with a held-out period.
+        parameters: how well each parameter is determined.
+        trials: values and error of each trial that was simulated to its end, in order.
+        states: number of trials of each state.
+    """
+
+    config: Calibration
+    data: MeasuredData
+    values: dict[str, float]
+    fits: dict[str, Fit]
+    parameters: list[Determined]
+    trials: list[tuple[dict[str, float], float]]
+    states: dict[str, int]
+
+    def plain(self) -> dict[str, Any]:
+        """Return the result as JSON."""
+        return {
+            "values": self.values,
+            "parameters": {each.name: each.plain() for each in self.parameters},
+            "fits": {name: fit.plain() for name, fit in self.fits.items()},
+            "trials": self.states,
+        }
+
+    def write(self, path: Path) -> None:
+        """Write the result as JSON; what is not a number is null."""
+        with atomic_file(path) as temporary:
+            text = json.dumps(_finite(self.plain()), indent=1, allow_nan=False)
+            temporary.write_text(text + "\n", encoding="utf-8")
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {name: _finite(part) for name, part in value.items()}
+    return [_finite(part) for part in value] if isinstance(value, list) else value
+
+
+def calibrate(
+    config: Calibration, data: MeasuredData, simulator: Simulator, on_result: OnResult | None = None
+) -> CalibrationResult:
+    """Run the trials of a calibration, or continue them, and return its result.
+
+    The result is the same, to the bit, for any number of workers, and after any interruption.
+
+    Args:
+        config: the calibration.
+        data: measured data.
+        simulator: the model; picklable.
+        on_result: called with each trial that has ended.
+
+    Raises:
+        InvalidConfig: the data cannot be compared with the model, no trial can be simulated, the folder has a
+            calibration with other settings, or another process works there.
+        SimulatorError: the model as it is cannot be simulated, or a worker process was killed.
+    """
+    periods = [*config.periods, *config.held_out]
+    with study_folder(config) as folder, worker_pool(config.workers) as run_all:
+        scratch = folder / SCRATCH
+        shutil.rmtree(scratch, ignore_errors=True)
+        scratch.mkdir()
+        try:
+            (before,) = simulate_all(simulator, [{}], periods, run_all)
+            check_comparable(data, compare(data, _part(before, config.periods)), config.adjustable)
+            setting = Setting(config, data, simulator, scales_of(data, config.periods))
+            trials = Trials(setting, on_result)
+            trials.run(run_all)
+            complete = [
+                (dict(trial.params), float(trial.value)) for trial in trials.complete() if trial.value is not None
+            ]
+            if not complete:
+                raise InvalidConfig("no trial was simulated to its end: allow more trials, or set pruner: false")
+            best, covariance = _refine(setting, min(complete, key=lambda each: each[1]), run_all)
+            (after,) = simulate_all(simulator, [best[0]], periods, run_all)
+        finally:
+            shutil.rmtree(scratch, ignore_errors=True)
+        fits = {
+            f"{prefix}{name}": _fit(setting, _part(hours, chosen))
+            for prefix, chosen in (("", config.periods), ("held-out ", config.held_out))
+            for name, hours in (("before", before), ("after", after))
+            if chosen
+        }
+        states: dict[str, int] = {}
+        for trial in trials.study.get_trials(deepcopy=False):
+            states[trial.state.name.lower()] = states.get(trial.state.name.lower(), 0) + 1
+        determined = determine(config, best[0], covariance, [*complete, best])
+        return CalibrationResult(config, data, best[0], fits, determined, complete, states)
+
+
+def _refine(
+    setting: Setting, best: tuple[dict[str, float], float], run_all: RunAll
+) -> tuple[tuple[dict[str, float], float], Floats]:
+    """Return the best values and their error after steps from the best trial, and the covariance there."""
+    config, data, scales = setting.config, setting.data, setting.scales
+    for last in (*[False] * config.refine, True):
+        values = [best[0], *points(config, best[0])]
+        center, *around = simulate_all(setting.simulator, values, config.periods, run_all)
+        linear = linearize(config, data, scales, best[0], center, around)
+        if last:
+            break
+        near = stepped(config, best[0], linear.step)
+        (hours,) = simulate_all(setting.simulator, [near], config.periods, run_all)
+        error = objective(compare(data, hours), scales, config.adjustable)
+        if not error < best[1]:
+            break
+        best = near, error
+    return best, linear.covariance
+
+
+def _part(hours: Hours, periods: Sequence[Days]) -> Mapping[Days, Floats]:
+    return {days: hours[days] for days in periods}
+
+
+def _fit(setting: Setting, hours: Hours) -> Fit:
+    compared, adjustable = compare(setting.data, hours), setting.config.adjustable
+    return Fit(
+        objective(compared, setting.scales, adjustable), column_errors(setting.data, compared, adjustable), compared
+    )

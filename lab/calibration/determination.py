@@ -1,0 +1,232 @@
+"""Intervals and correlations of parameters by measured data, and a step towards the optimum.
+
+Around a point, simulated values are taken as linear in the parameters, on the scale of the search (0 to 1 in a range).
+With residuals r, derivatives J and their means over the n rows of a column, the gradient of the squared objective is
+-2 sum(w g r) with g = J / (n R^2) + mean(J) / (n B^2), where R and B are the RMSE and the mean bias that count as 1. So
+
+    step       = inv(A) sum(w g r)              A = sum(w g J')
+    covariance = inv(A inv(C) A + 12)           C = sum(w^2 g g' r^2 (1 + q) / (1 - q))
+
+which is the covariance of an M-estimator (Huber 1967, White 1980: errors of any variance) with the number of
+independent residuals n (1 - q) / (1 + q) of a series with the lag-1 autocorrelation q (Bayley and Hammersley 1946), and
+with a uniform distribution over the range, of variance 1/12, before any measurement.
+
+The interval of a parameter joins the 95 % confidence interval with the span of all trials whose error is at most the
+best one's times 1 + margin. It is determined if that is at most half of its range.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zenostat.lab.calibration.config import Calibration, Parameter
+from zenostat.lab.calibration.measured import MeasuredData
+from zenostat.lab.calibration.objective import Compared, Hours, Scales, compare
+
+Floats = NDArray[np.float64]
+
+STEP = 0.05
+"""Step of the derivatives, as share of a range."""
+
+_NORMAL_95 = 1.959963984540054
+_AT_END = 0.01
+_CORRELATED = 0.9
+_BINS = 12
+_SINGULAR = 1e-9
+"""Ratio of singular values below which a direction has no effect."""
+_EXACT = 1e-3
+"""Residuals as share of the RMSE that counts as 1, below which they tell nothing more."""
+
+
+@dataclass(frozen=True)
+class Determined:
+    """Interval and verdict of a parameter.
+
+    Attributes:
+        value: best value.
+        low, high: joined interval, within the range.
+        spread: lowest and highest value of the trials within the margin.
+        interval: 95 % confidence interval, within the range.
+        share: share of the range that the joined interval has, on the scale of the search.
+        is_determined: whether that is small enough.
+        is_at_end: whether the best value is at an end of the range.
+        correlations: correlation with each other parameter.
+        profile: for parts of the range, the middle and the lowest error of a trial there, of parts with trials.
+    """
+
+    name: str
+    value: float
+    low: float
+    high: float
+    spread: tuple[float, float]
+    interval: tuple[float, float]
+    share: float
+    is_determined: bool
+    is_at_end: bool
+    correlations: Mapping[str, float]
+    profile: Sequence[tuple[float, float]]
+
+    @property
+    def confused_with(self) -> list[str]:
+        """Parameters that can hardly be told apart from this one."""
+        return [name for name, value in self.correlations.items() if abs(value) >= _CORRELATED]
+
+    @property
+    def verdict(self) -> str:
+        """Verdict of the data on the parameter."""
+        parts = ["determined" if self.is_determined else "not determined"]
+        if self.is_at_end:
+            parts.append("at an end of its range")
+        if self.confused_with:
+            parts.append(f"hardly told apart from {', '.join(self.confused_with)}")
+        return "; ".join(parts)
+
+    def plain(self) -> dict[str, Any]:
+        """Return it as JSON."""
+        return {
+            "value": self.value, "low": self.low, "high": self.high, "spread": list(self.spread),
+            "interval": list(self.interval), "share": self.share, "determined": self.is_determined,
+            "at_end": self.is_at_end, "correlations": dict(self.correlations), "verdict": self.verdict,
+        }  # fmt: skip
+
+
+def points(config: Calibration, best: Mapping[str, float]) -> list[dict[str, float]]:
+    """Return the values to simulate for the derivatives: two for each parameter, below and above the best value."""
+    return [
+        {**best, name: parameter.from_unit(place)}
+        for name, parameter in config.parameters.items()
+        for place in _places(parameter, best[name])
+    ]
+
+
+def _places(parameter: Parameter, value: float) -> tuple[float, float]:
+    place = parameter.to_unit(value)
+    return max(place - STEP, 0.0), min(place + STEP, 1.0)
+
+
+@dataclass(frozen=True)
+class Linearization:
+    """The objective around a point of the search.
+
+    Attributes:
+        step: step to the optimum of the linearized model, shape (parameters,), on the scale of the search.
+        covariance: covariance of the parameters there, shape (parameters, parameters).
+    """
+
+    step: Floats
+    covariance: Floats
+
+
+def linearize(
+    config: Calibration, data: MeasuredData, scales: Scales, center: Mapping[str, float], at_center: Hours,
+    at_points: Sequence[Hours],
+) -> Linearization:  # fmt: skip
+    """Return step and covariance at a point; see the module.
+
+    Args:
+        config: the calibration.
+        data: measured data.
+        scales: RMSE and mean bias of each column that count as 1.
+        center: values at the point.
+        at_center: simulated hours there.
+        at_points: simulated hours with `points`.
+    """
+    count = len(config.parameters)
+    sides = [compare(data, hours) for hours in at_points]
+    curvature, noise, gradient = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
+    for number, each in enumerate(compare(data, at_center)):
+        slopes = []
+        for place, (name, parameter) in enumerate(config.parameters.items()):
+            low, high = _places(parameter, center[name])
+            slopes.append((sides[2 * place + 1][number].simulated - sides[2 * place][number].simulated) / (high - low))
+        derivatives = np.stack(slopes, axis=1)
+        residuals, free = each.measured - each.simulated, max(len(each.measured) - config.adjustable, 1)
+        spread, bias = scales[each.column.header]
+        pull = derivatives / (free * spread**2) + derivatives.sum(axis=0) / (free * bias) ** 2
+        weight = each.column.settings.weight
+        curvature += weight * pull.T @ derivatives
+        gradient += weight * pull.T @ residuals
+        squares = residuals**2 + (_EXACT * spread) ** 2
+        noise += weight**2 * (pull * squares[:, None]).T @ pull * _dependence(each)
+    precision = curvature.T @ np.linalg.pinv(noise, rcond=_SINGULAR, hermitian=True) @ curvature
+    covariance: Floats = np.linalg.inv(precision + 12.0 * np.eye(count))
+    step: Floats = np.linalg.pinv(curvature, rcond=_SINGULAR) @ gradient
+    return Linearization(step, covariance)
+
+
+def _dependence(each: Compared) -> float:
+    """Return the factor by which autocorrelated residuals raise the variance of their sum."""
+    centered = each.measured - each.simulated
+    centered = centered - centered.mean()
+    total = float(np.sum(centered**2))
+    lag = float(np.sum(centered[1:] * centered[:-1])) / total if total > 0.0 else 0.0
+    lag = min(max(lag, 0.0), 0.99)
+    return (1.0 + lag) / (1.0 - lag)
+
+
+def stepped(config: Calibration, center: Mapping[str, float], step: Floats) -> dict[str, float]:
+    """Return the values a step away from a point, within the ranges."""
+    return {
+        name: parameter.from_unit(min(max(parameter.to_unit(center[name]) + float(part), 0.0), 1.0))
+        for (name, parameter), part in zip(config.parameters.items(), step, strict=True)
+    }
+
+
+def determine(
+    config: Calibration, best: Mapping[str, float], covariance: Floats,
+    trials: Sequence[tuple[Mapping[str, float], float]],
+) -> list[Determined]:  # fmt: skip
+    """Return interval and verdict of each parameter.
+
+    Args:
+        config: the calibration.
+        best: best values.
+        covariance: covariance at these.
+        trials: values and error of each trial that was simulated to its end, and of the best values.
+    """
+    names = list(config.parameters)
+    lowest = min(error for _, error in trials)
+    good = [values for values, error in trials if error <= lowest * (1.0 + config.margin)]
+    result = []
+    for place, (name, parameter) in enumerate(config.parameters.items()):
+        middle = parameter.to_unit(best[name])
+        of_trials = [parameter.to_unit(values[name]) for values in good]
+        spread = min(of_trials), max(of_trials)
+        half = _NORMAL_95 * math.sqrt(max(float(covariance[place, place]), 0.0))
+        interval = max(middle - half, 0.0), min(middle + half, 1.0)
+        joined = min(spread[0], interval[0]), max(spread[1], interval[1])
+        share = joined[1] - joined[0]
+        result.append(
+            Determined(
+                name, best[name], parameter.from_unit(joined[0]), parameter.from_unit(joined[1]),
+                (parameter.from_unit(spread[0]), parameter.from_unit(spread[1])),
+                (parameter.from_unit(interval[0]), parameter.from_unit(interval[1])),
+                share, share <= config.determined, not _AT_END < middle < 1.0 - _AT_END,
+                _correlations(covariance, place, names), _profile(parameter, name, trials),
+            )
+        )  # fmt: skip
+    return result
+
+
+def _correlations(covariance: Floats, place: int, names: Sequence[str]) -> dict[str, float]:
+    deviations = np.sqrt(np.maximum(np.diag(covariance), np.finfo(np.float64).tiny))
+    return {
+        name: float(covariance[place, other] / (deviations[place] * deviations[other]))
+        for other, name in enumerate(names) if other != place
+    }  # fmt: skip
+
+
+def _profile(
+    parameter: Parameter, name: str, trials: Sequence[tuple[Mapping[str, float], float]]
+) -> list[tuple[float, float]]:
+    lowest: dict[int, float] = {}
+    for values, error in trials:
+        part = min(int(parameter.to_unit(values[name]) * _BINS), _BINS - 1)
+        lowest[part] = min(error, lowest.get(part, error))
+    return [(parameter.from_unit((part + 0.5) / _BINS), error) for part, error in sorted(lowest.items())]

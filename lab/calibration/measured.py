@@ -1,0 +1,478 @@
+"""Measured data of a calibration: a CSV file with timestamps, checked line by line before anything starts."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, date, datetime, timedelta
+from itertools import pairwise
+from pathlib import Path
+from typing import Protocol
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError
+
+import numpy as np
+from numpy.typing import NDArray
+
+from zenostat.lab.calibration.config import Calibration, Column
+from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.units import conversion, quantity, unit_name, units_of
+from zenostat.topics.user_file import user_file
+
+Floats = NDArray[np.float64]
+
+_HEADER = re.compile(r"(?P<name>.*?)\s*[\[(](?P<unit>[^\])]*)[\])](?:\((?:Hourly|TimeStep)\))?\s*")
+_HOUR = timedelta(hours=1)
+_DAY = timedelta(days=1)
+_INTERVALS = {"1h": _HOUR, "1d": _DAY} | {f"{n}min": timedelta(minutes=n) for n in (5, 10, 15, 20, 30)}
+_LONG = timedelta(days=27)
+"""Rows of this length are those of bills, which are compared by the monthly criteria."""
+_MAX_TEMPERATURE_C, _MIN_TEMPERATURE_C = 60.0, -60.0
+"""Plausible temperatures of a building and its surroundings; what is outside has another unit."""
+
+
+class SimulatedSeries(Protocol):
+    """Simulated series that a column is compared with."""
+
+    @property
+    def name(self) -> str:
+        """Name of the point."""
+
+    @property
+    def unit(self) -> str:
+        """Unit of its values."""
+
+    @property
+    def summed(self) -> bool:
+        """Whether a value is the sum over an hour rather than the mean."""
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A column of the file: its header, the unit in it, and its settings."""
+
+    header: str
+    name: str
+    unit: str | None
+    settings: Column
+
+    @property
+    def place(self) -> str:
+        """The column's place, for errors."""
+        return f"column {self.header!r} (line 1)"
+
+    @property
+    def target(self) -> str | dict[str, str | None]:
+        """The point, as of `TargetFinder.find`."""
+        named = self.settings.model_dump(include={"point", "meter", "variable", "key"}, exclude_none=True)
+        return named or self.name
+
+
+def read_headings(path: Path, config: Calibration) -> tuple[str, list[Heading]]:
+    """Return the header of the timestamps, and the columns to compare.
+
+    Raises:
+        InvalidConfig: there is no such column, or none is left to compare.
+    """
+    rows = _rows(path, config.delimiter)
+    header = [cell.strip() for cell in rows[0][1]] if rows else []
+    if len(header) < 2:
+        raise InvalidConfig(
+            f"{path}, line 1: a header with a column of timestamps and measured columns expected, with "
+            f"{config.delimiter!r} between them; got {config.delimiter.join(header)[:60]!r}"
+        )
+    time = config.time_column or header[0]
+    for name, count in Counter(header).items():
+        if count > 1:
+            raise InvalidConfig(f"{path}, line 1: the header {name!r} occurs {count} times; rename all but one")
+    names = {_split(cell)[0]: cell for cell in header}
+    if time not in header:
+        raise InvalidConfig(f"{path}, line 1: there is no column {time!r}; {did_you_mean(time, header)}")
+    settings = {}
+    for name, column in config.columns.items():
+        if name not in header and name not in names:
+            hint = did_you_mean(name, [cell for cell in header if cell != time])
+            raise InvalidConfig(f"columns: {path.name} has no header {name!r} in line 1; {hint}")
+        settings[name if name in header else names[name]] = column
+    headings = []
+    for cell in header:
+        column = settings.get(cell, Column())
+        if cell != time and isinstance(column, Column):
+            name, unit = _split(cell)
+            headings.append(Heading(cell, name, column.unit or unit, column))
+    if not headings:
+        raise InvalidConfig(f"{path}, line 1: no column is left to compare with; set one of `columns` to its point")
+    return time, headings
+
+
+def _split(header: str) -> tuple[str, str | None]:
+    """Return name and unit of a header such as `electricity_facility [kWh]`."""
+    match = _HEADER.fullmatch(header)
+    return (match["name"], unit_name(match["unit"])) if match else (header, None)
+
+
+def _rows(path: Path, delimiter: str) -> list[tuple[int, list[str]]]:
+    with user_file(path), path.open(encoding="utf-8-sig", newline="") as file:
+        reader = csv.reader(file, delimiter=delimiter)
+        return [(reader.line_num, row) for row in reader if any(cell.strip() for cell in row)]
+
+
+@dataclass(frozen=True)
+class MeasuredColumn:
+    """A measured column and how simulated hours become its values.
+
+    Attributes:
+        values: measured values in the column's own unit, shape (rows,); NaN where missing.
+        factor, offset: from the point's unit to the column's: factor * value + offset.
+        per_hour: whether the column is a power and the point an energy (-1), the reverse (1), or neither (0).
+        is_absolute: whether its errors are rated in K rather than in percent of the mean.
+    """
+
+    header: str
+    unit: str
+    point: str
+    settings: Column
+    values: Floats
+    factor: float
+    offset: float
+    per_hour: int
+    summed: bool
+    is_absolute: bool
+
+    @property
+    def is_total(self) -> bool:
+        """Whether a value is a total of its interval, as an energy, rather than a mean."""
+        return self.per_hour == 1 or (self.summed and self.per_hour == 0)
+
+    @property
+    def tolerance(self) -> float:
+        """Tolerance of a temperature in the column's unit."""
+        scale = conversion("K", "delta_degF") if self.unit == "degF" else (1.0, 0.0)
+        assert scale is not None
+        return self.settings.tolerance * scale[0]
+
+    def of_hours(self, hours: Floats) -> float:
+        """Return the value of the column for an interval with these simulated hours, shape (hours,)."""
+        value = float(np.sum(hours)) if self.summed else float(np.mean(hours))
+        seconds = 3600.0 * len(hours)
+        return (value * seconds**self.per_hour) * self.factor + self.offset
+
+
+@dataclass(frozen=True)
+class MeasuredData:
+    """Measured data.
+
+    Attributes:
+        columns: the columns.
+        begins, ends: begin and end of each row's interval in local standard time; whole hours.
+        lines: line of each row in the file.
+        is_monthly: whether the rows are those of bills, which have the monthly limits.
+    """
+
+    columns: tuple[MeasuredColumn, ...]
+    begins: tuple[datetime, ...]
+    ends: tuple[datetime, ...]
+    lines: tuple[int, ...]
+    is_monthly: bool
+
+    def rows_of(self, days: tuple[date, date]) -> list[int]:
+        """Return the rows whose intervals are within a period."""
+        begin, end = bounds(days)
+        return [
+            row for row, (first, last) in enumerate(zip(self.begins, self.ends, strict=True))
+            if begin <= first and last <= end
+        ]  # fmt: skip
+
+
+def bounds(days: tuple[date, date]) -> tuple[datetime, datetime]:
+    """Return begin and end of a period of whole days."""
+    first, last = (datetime(day.year, day.month, day.day) for day in days)
+    return first, last + timedelta(days=1)
+
+
+def read_measured(
+    path: Path,
+    config: Calibration,
+    headings: Sequence[Heading],
+    targets: Sequence[SimulatedSeries],
+    utc_offset_h: float,
+) -> MeasuredData:
+    """Read the measured data of a calibration.
+
+    Args:
+        path: the CSV file.
+        config: the calibration.
+        headings: its columns to compare.
+        targets: what each of them is compared with.
+        utc_offset_h: standard time of the weather file, h east of Greenwich.
+
+    Raises:
+        InvalidConfig: an error of the file, with its line and what would be right.
+    """
+    time, _ = read_headings(path, config)
+    rows = _rows(path, config.delimiter)
+    header = [cell.strip() for cell in rows[0][1]]
+    lines, stamps = _stamps(path, config, rows[1:], header.index(time), utc_offset_h)
+    interval = _interval(config, stamps)
+    begins, ends = _intervals(path, config, lines, stamps, interval)
+    columns = []
+    for heading, target in zip(headings, targets, strict=True):
+        values = _values(path, rows[1:], header.index(heading.header), heading)
+        columns.append(_column(path, heading, target, values, lines))
+    if interval is None:  # the first or last stamp only begins or ends a row
+        kept = slice(1, None) if config.timestamps == "end" else slice(None, -1)
+        lines = lines[kept]
+        columns = [replace(column, values=column.values[kept]) for column in columns]
+    if interval is not None and interval < _HOUR:
+        lines, begins, ends, columns = _to_hours(lines, begins, columns, interval)
+    is_monthly = bool(begins) and float(np.median([(e - b) / _LONG for b, e in zip(begins, ends, strict=True)])) >= 1.0
+    data = MeasuredData(tuple(columns), tuple(begins), tuple(ends), tuple(lines), is_monthly)
+    for name, periods in (("periods", config.periods), ("held_out", config.held_out)):
+        for number, days in enumerate(periods):
+            _check_period(path, data, config, days, f"{name}[{number}]", is_hourly=interval is not None)
+    return data
+
+
+def _stamps(
+    path: Path, config: Calibration, rows: Sequence[tuple[int, list[str]]], place: int, utc_offset_h: float
+) -> tuple[list[int], list[datetime]]:
+    """Return lines and timestamps in local standard time, in their order."""
+    zone = _zone(config.time_zone)
+    lines: list[int] = []
+    stamps: list[datetime] = []
+    written: list[datetime] = []
+    for line, row in rows:
+        text = row[place].strip() if place < len(row) else ""
+        where = f"{path}, line {line}"
+        try:
+            stamp = datetime.strptime(text, config.time_format) if config.time_format else datetime.fromisoformat(text)
+        except ValueError:
+            wanted = config.time_format or "ISO 8601, as 2017-01-09 13:00, or time_format in the parameters file"
+            raise InvalidConfig(f"{where}: {text!r} is no timestamp; expected {wanted}") from None
+        standard = _standard(where, stamp, zone, utc_offset_h, written[-1] if written else None)
+        written.append(stamp)
+        if stamps and standard <= stamps[-1]:
+            raise InvalidConfig(f"{where}: {_order_error(text, standard, stamps, lines, config)}")
+        lines.append(line)
+        stamps.append(standard)
+    if len(stamps) < 2:
+        raise InvalidConfig(f"{path}: {len(stamps)} rows with data; a calibration needs more")
+    return lines, stamps
+
+
+def _zone(name: str | None) -> ZoneInfo | None:
+    if name is None:
+        return None
+    try:
+        return ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError):
+        raise InvalidConfig(f"time_zone: {name!r} is no IANA time zone, such as America/Denver") from None
+
+
+def _standard(
+    where: str, stamp: datetime, zone: ZoneInfo | None, utc_offset_h: float, before: datetime | None
+) -> datetime:
+    """Return a timestamp in the standard time of the weather file."""
+    if stamp.tzinfo is not None:
+        return (stamp.astimezone(UTC) + timedelta(hours=utc_offset_h)).replace(tzinfo=None)
+    if zone is None:
+        return stamp
+    # The hour that a clock shows twice: the second one follows the first one in the file.
+    again = before is not None and before.tzinfo is None and stamp <= before
+    local = stamp.replace(tzinfo=zone, fold=int(again))
+    back = local.astimezone(UTC).astimezone(zone).replace(tzinfo=None)
+    if back != stamp:
+        raise InvalidConfig(
+            f"{where}: {stamp} does not exist in {zone.key}, whose clock jumps to {back} there; the timestamps are "
+            "not local time with daylight saving: remove time_zone if they are standard time"
+        )
+    offset, saving = local.utcoffset(), local.dst()
+    assert offset is not None
+    standard = (offset - (saving or timedelta())) / _HOUR
+    if standard != utc_offset_h:
+        raise InvalidConfig(
+            f"time_zone: {zone.key} has the standard time UTC{standard:+g}, the weather file UTC{utc_offset_h:+g}; use "
+            "the zone or the weather file of the building"
+        )
+    return (local.astimezone(UTC) + timedelta(hours=utc_offset_h)).replace(tzinfo=None)
+
+
+def _order_error(
+    text: str, stamp: datetime, stamps: Sequence[datetime], lines: Sequence[int], config: Calibration
+) -> str:
+    """Return what is wrong with a timestamp that is not after the one before it."""
+    if stamp in stamps:
+        error = f"{text} occurs again, after line {lines[stamps.index(stamp)]}; each time may occur once"
+    else:
+        error = f"{text} is before the time of line {lines[-1]}; sort the rows by time"
+    return error + (_SAVING if _may_be_saving(stamp) and config.time_zone is None else "")
+
+
+_SAVING = (
+    ". If the clock of the data has daylight saving time, set time_zone (as America/Denver), or convert the times to "
+    "standard time"
+)
+
+
+def _may_be_saving(stamp: datetime) -> bool:
+    """Whether clocks change around a time: early on a Sunday in spring or autumn."""
+    return stamp.month in (3, 4, 9, 10, 11) and stamp.weekday() == 6 and stamp.hour <= 4
+
+
+def _interval(config: Calibration, stamps: Sequence[datetime]) -> timedelta | None:
+    """Return the length of rows; None: each lasts to the next stamp, or since the one before."""
+    if config.interval is not None:
+        return _INTERVALS.get(config.interval)
+    common: timedelta = Counter(after - before for before, after in pairwise(stamps)).most_common(1)[0][0]
+    return None if common >= _LONG else common
+
+
+def _intervals(
+    path: Path, config: Calibration, lines: Sequence[int], stamps: Sequence[datetime], interval: timedelta | None
+) -> tuple[list[datetime], list[datetime]]:
+    """Return begins and ends of the rows, which are whole hours, or whole parts of an hour."""
+    grid = min(interval or _HOUR, _DAY)
+    if _HOUR % grid and grid % _HOUR:
+        minutes = grid / timedelta(minutes=1)
+        raise InvalidConfig(
+            f"{path}, lines {lines[0]} and {lines[1]}: the timestamps are {minutes:g} min apart; expected a part of an "
+            "hour, as 15 min, or whole hours"
+        )
+    for line, stamp in zip(lines, stamps, strict=True):
+        since = stamp - datetime(stamp.year, stamp.month, stamp.day)
+        if since % grid:
+            raise InvalidConfig(
+                f"{path}, line {line}: {stamp} is no multiple of {grid / timedelta(minutes=1):g} min after midnight; "
+                "resample the data to whole intervals"
+            )
+    if interval is None:
+        return list(stamps[:-1]), list(stamps[1:])
+    if config.timestamps == "end":
+        return [stamp - interval for stamp in stamps], list(stamps)
+    return list(stamps), [stamp + interval for stamp in stamps]
+
+
+def _values(path: Path, rows: Sequence[tuple[int, list[str]]], place: int, heading: Heading) -> Floats:
+    values = np.full(len(rows), np.nan)
+    for number, (line, row) in enumerate(rows):
+        text = row[place].strip() if place < len(row) else ""
+        if text.casefold() in ("", "nan", "na", "null"):
+            continue
+        try:
+            values[number] = float(text)
+        except ValueError:
+            raise InvalidConfig(
+                f"{path}, line {line}, column {heading.header!r}: {text!r} is no number; expected one as 12.5, or an "
+                "empty cell where nothing was measured"
+            ) from None
+        if math.isinf(values[number]):
+            raise InvalidConfig(f"{path}, line {line}, column {heading.header!r}: {text!r} is not finite")
+    return values
+
+
+def _column(
+    path: Path, heading: Heading, target: SimulatedSeries, values: Floats, lines: Sequence[int]
+) -> MeasuredColumn:
+    unit = heading.unit
+    kind = quantity(target.unit)
+    per_hour, allowed = 0, list(units_of(kind)) or [target.unit]
+    if unit is None:
+        raise InvalidConfig(
+            f"{path}, line 1: column {heading.header!r} has no unit; write it in brackets, as "
+            f"{heading.name} [{allowed[0]}], or set columns.{heading.header}.unit"
+        )
+    way = conversion(target.unit, unit)
+    other = {"energy": ("power", "W", -1), "power": ("energy", "J", 1)}.get(kind)
+    if way is None and other is not None and quantity(unit) == other[0]:
+        way, per_hour = conversion(other[1], unit), other[2]
+        to_base = conversion(target.unit, "J" if kind == "energy" else "W")
+        assert way is not None
+        assert to_base is not None
+        way = (way[0] * to_base[0], way[1])
+    if way is None:
+        allowed += list(units_of(other[0])) if other else []
+        raise InvalidConfig(
+            f"{path}, line 1: column {heading.header!r} has the unit {unit!r}, but {target.name} is in {target.unit}; "
+            f"expected one of {', '.join(allowed)}"
+        )
+    is_absolute = kind == "temperature"
+    if is_absolute:
+        _check_temperatures(path, heading, unit, values, lines)
+    return MeasuredColumn(
+        heading.header,
+        unit,
+        target.name,
+        heading.settings,
+        values,
+        way[0],
+        way[1],
+        per_hour,
+        target.summed,
+        is_absolute,
+    )
+
+
+def _check_temperatures(path: Path, heading: Heading, unit: str, values: Floats, lines: Sequence[int]) -> None:
+    way = conversion(unit, "degC")
+    assert way is not None
+    celsius = values * way[0] + way[1]
+    wrong = np.flatnonzero((celsius > _MAX_TEMPERATURE_C) | (celsius < _MIN_TEMPERATURE_C))
+    if wrong.size:
+        hint = " (degF?)" if unit == "degC" else " (degC?)" if unit in ("K", "degF") else ""
+        raise InvalidConfig(
+            f"{path}, line {lines[wrong[0]]}, column {heading.header!r}: {values[wrong[0]]:g} {unit} is no "
+            f"temperature of a building; expected {_MIN_TEMPERATURE_C:g} to {_MAX_TEMPERATURE_C:g} degC: is the unit "
+            f"wrong{hint}?"
+        )
+
+
+def _to_hours(
+    lines: Sequence[int], begins: Sequence[datetime], columns: Sequence[MeasuredColumn], interval: timedelta
+) -> tuple[list[int], list[datetime], list[datetime], list[MeasuredColumn]]:  # fmt: skip
+    """Return rows of whole hours: sums of energies, means of all else; an hour that lacks a row is left out."""
+    parts = round(_HOUR / interval)
+    hours: dict[datetime, list[int]] = {}
+    for row, begin in enumerate(begins):
+        hours.setdefault(begin.replace(minute=0), []).append(row)
+    whole = {begin: rows for begin, rows in hours.items() if len(rows) == parts}
+    joined = []
+    for column in columns:
+        table = column.values[np.array(list(whole.values()), dtype=int).reshape(-1, parts)]
+        joined.append(replace(column, values=table.sum(axis=1) if column.is_total else table.mean(axis=1)))
+    return [lines[rows[0]] for rows in whole.values()], list(whole), [begin + _HOUR for begin in whole], joined
+
+
+def _check_period(
+    path: Path, data: MeasuredData, config: Calibration, days: tuple[date, date], name: str, *, is_hourly: bool
+) -> None:
+    """Check that a period has measured data, without gaps unless these are to be left out."""
+    begin, end = bounds(days)
+    rows = data.rows_of(days)
+    if not rows:
+        raise InvalidConfig(
+            f"{name}: {days[0]} to {days[1]} has no measured data; {path.name} covers {data.begins[0]} to "
+            f"{data.ends[-1]} (lines {data.lines[0]} to {data.lines[-1]})"
+        )
+    if config.missing == "leave_out":
+        return
+    times = [begin, *(data.ends[row] for row in rows)]
+    starts = [*(data.begins[row] for row in rows), end]
+    for number, (last, first) in enumerate(zip(times, starts, strict=True)):
+        if first > last and is_hourly:
+            line = data.lines[rows[number]] if number < len(rows) else data.lines[rows[-1]] + 1
+            saving = _SAVING if _may_be_saving(last) and config.time_zone is None and first - last == _HOUR else ""
+            raise InvalidConfig(
+                f"{path}, before line {line}: no data for {last} to {first}, within {name}; add the rows, choose other "
+                f"days, or set missing: leave_out{saving}"
+            )
+    for column in data.columns:
+        empty = [row for row in rows if math.isnan(column.values[row])]
+        if empty:
+            raise InvalidConfig(
+                f"{path}, line {data.lines[empty[0]]}, column {column.header!r}: no value, within {name}"
+                f"{f' (and {len(empty) - 1} more)' if empty[1:] else ''}; fill it in, choose other days, or set "
+                "missing: leave_out"
+            )

@@ -1,0 +1,168 @@
+"""Measured data of a calibration: units, intervals, daylight saving, and errors with their lines."""
+
+from __future__ import annotations
+
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from support.calibration_model import Series
+
+from zenostat.lab.calibration.config import Calibration, read_calibration
+from zenostat.lab.calibration.measured import MeasuredData, read_headings, read_measured
+from zenostat.topics.errors import InvalidConfig
+
+METER, ROOM, POWER = Series("meter", "J", True), Series("room", "degC", False), Series("power", "W", False)
+HOURS = [f"2017-03-12 {hour:02}:00" for hour in range(24)]
+
+
+def configuration(**changes: Any) -> Calibration:
+    fields: dict[str, Any] = {
+        "timestamps": "begin", "periods": [["2017-03-12", "2017-03-12"]], "trials": 1,
+        "parameters": {"a": {"edit": "people", "low": 0, "high": 1}},
+    }  # fmt: skip
+    return read_calibration({**fields, **changes})
+
+
+def read(path: Path, lines: list[str], *targets: Series, **changes: Any) -> MeasuredData:
+    path.write_text("\n".join(lines) + "\n")
+    config = configuration(**changes)
+    _, headings = read_headings(path, config)
+    return read_measured(path, config, headings, targets, -7.0)
+
+
+def rows(times: list[str], *values: str) -> list[str]:
+    return [",".join([time, *values]) for time in times]
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    return tmp_path / "measured.csv"
+
+
+# Units
+
+
+@pytest.mark.parametrize(
+    ("target", "unit", "hour", "value"),
+    [
+        (METER, "kWh", 7.2e6, 2.0),
+        (METER, "kW", 7.2e6, 2.0),  # the mean power of an hour with 2 kWh
+        (METER, "kBtu", 1.05505585262e6, 1.0),
+        (POWER, "kWh", 2000.0, 2.0),
+        (POWER, "kW", 2000.0, 2.0),
+        (ROOM, "degC", 20.0, 20.0),
+        (ROOM, "C", 20.0, 20.0),
+        (ROOM, "degF", 20.0, 68.0),
+    ],
+)
+def test_measured_column__converts_simulated_hours(
+    file: Path, target: Series, unit: str, hour: float, value: float
+) -> None:
+    data = read(file, [f"time,{target.name} [{unit}]", *rows(HOURS, "20")], target)
+    assert data.columns[0].of_hours(np.array([hour])) == pytest.approx(value)
+
+
+def test_read_measured__adds_or_averages_parts_of_hours(file: Path) -> None:
+    times = [f"2017-03-12 {hour:02}:{minute:02}" for hour in range(24) for minute in (0, 15, 30, 45)]
+    lines = [f"{time},{number % 4},{10 + number % 4}" for number, time in enumerate(times)]
+    data = read(file, ["time,meter (kWh),power (kW)", *lines], METER, POWER)
+    assert data.columns[0].values.tolist() == [6.0] * 24
+    assert data.columns[1].values.tolist() == [11.5] * 24
+    assert data.lines[:3] == (2, 6, 10)
+
+
+def test_read_measured__rows_between_stamps_are_bills_with_monthly_limits(file: Path) -> None:
+    stamps = ["2017-01-01", "2017-02-01", "2017-03-01", "2017-04-01"]
+    periods = [["2017-01-01", "2017-03-31"]]
+    lines = ["date,meter [kWh]", *(f"{stamp},{number}" for number, stamp in enumerate(stamps))]
+    begun = read(file, lines, METER, periods=periods)
+    assert begun.is_monthly
+    assert begun.begins[1] == datetime(2017, 2, 1)
+    assert begun.ends[1] == datetime(2017, 3, 1)
+    assert begun.columns[0].values.tolist() == [0.0, 1.0, 2.0]
+    ended = read(file, lines, METER, periods=periods, timestamps="end")
+    assert ended.columns[0].values.tolist() == [1.0, 2.0, 3.0]
+    assert ended.columns[0].of_hours(np.full(24 * 31, 3.6e6)) == pytest.approx(744.0)
+
+
+# Time
+
+
+def test_read_measured__converts_daylight_saving_time(file: Path) -> None:
+    spring = [hour for hour in HOURS if " 02:" not in hour] + ["2017-03-13 00:00"]
+    data = read(file, ["time,meter [kWh]", *rows(spring, "1")], METER, time_zone="America/Denver")
+    assert data.begins == tuple(datetime(2017, 3, 12, hour) for hour in range(24))
+    autumn = [f"2017-11-05 {hour:02}:00" for hour in (0, 1, 1, *range(2, 23))]
+    days = [["2017-11-05", "2017-11-05"]]
+    first = ["2017-11-04 23:00"]  # 0:00 summer time is 23:00 standard time
+    data = read(
+        file, ["time,meter [kWh]", *rows([*first, *autumn, "2017-11-05 23:00"], "1")], METER,
+        time_zone="America/Denver", periods=days,
+    )  # fmt: skip
+    assert data.begins[2:5] == (datetime(2017, 11, 5), datetime(2017, 11, 5, 1), datetime(2017, 11, 5, 2))
+
+
+def test_read_measured__converts_timestamps_with_an_offset(file: Path) -> None:
+    times = [f"2017-03-12T{hour:02}:00:00Z" for hour in range(7, 24)]
+    times += [f"2017-03-13T{hour:02}:00:00Z" for hour in range(7)]
+    data = read(file, ["time,meter [kWh]", *rows(times, "1")], METER)
+    assert data.begins[0] == datetime(2017, 3, 12)
+
+
+# Errors
+
+
+@pytest.mark.parametrize(
+    ("lines", "changes", "error"),
+    [
+        (["time,meter [kWh]", *rows(HOURS[:5] + HOURS[4:], "1")], {},
+         "line 7: 2017-03-12 04:00 occurs again, after line 6"),
+        (["time,meter [kWh]", *rows(HOURS[:4] + HOURS[3:], "1")], {}, "set time_zone (as America/Denver)"),
+        (["time,meter [kWh]", *rows([*HOURS[:5], HOURS[7], HOURS[5]], "1")], {},
+         "line 8: 2017-03-12 05:00 is before the time of line 7; sort the rows"),
+        (["time,meter [kWh]", *rows(HOURS[:2] + HOURS[3:], "1")], {},
+         "before line 4: no data for 2017-03-12 02:00:00 to 2017-03-12 03:00:00, within periods[0]; add the rows"),
+        (["time,meter [kWh]", *rows(HOURS[:2] + HOURS[3:], "1")], {}, "daylight saving"),
+        (["time,meter [kWh]", *rows(HOURS[:20], "1")], {}, "no data for 2017-03-12 20:00:00 to 2017-03-13"),
+        (["time,meter [kWh]", *rows(HOURS[:6], "1"), f"{HOURS[6]},", *rows(HOURS[7:], "1")], {},
+         "line 8, column 'meter [kWh]': no value, within periods[0]"),
+        (["time,meter [kWh]", *rows(HOURS[:6], "1"), f"{HOURS[6]},1;5", *rows(HOURS[7:], "1")], {},
+         "line 8, column 'meter [kWh]': '1;5' is no number"),
+        (["time,meter [kWh]", *rows(HOURS, "1")], {"periods": [["2018-03-12", "2018-03-12"]]},
+         "periods[0]: 2018-03-12 to 2018-03-12 has no measured data; measured.csv covers 2017-03-12 00:00:00 to "
+         "2017-03-13 00:00:00 (lines 2 to 25)"),
+        (["time,meter [degC]", *rows(HOURS, "1")], {},
+         "line 1: column 'meter [degC]' has the unit 'degC', but meter is in J; expected one of J, kJ"),
+        (["time,meter", *rows(HOURS, "1")], {}, "line 1: column 'meter' has no unit; write it in brackets"),
+        (["time,meter [kWh]", "12.03.2017 0:00,1"], {}, "line 2: '12.03.2017 0:00' is no timestamp; expected ISO 8601"),
+        (["time,meter [kWh]", *rows([hour[:-2] + "07" for hour in HOURS], "1")], {},
+         "line 2: 2017-03-12 00:07:00 is no multiple of 60 min after midnight"),
+        (["time,meter [kWh]", *rows(HOURS, "1")], {"time_zone": "Europe/Berlin"}, "the weather file UTC-7"),
+        (["time,meter [kWh]", *rows(HOURS, "1")], {"time_zone": "America/Denver"},
+         "line 4: 2017-03-12 02:00:00 does not exist in America/Denver"),
+        (["time,meter [kWh]", *rows(HOURS, "1")], {"columns": {"metre": "x"}}, "no header 'metre' in line 1"),
+        (["time"], {}, "line 1: a header with a column of timestamps and measured columns expected"),
+    ],
+)  # fmt: skip
+def test_read_measured__errors_have_line_and_what_is_right(
+    file: Path, lines: list[str], changes: dict[str, Any], error: str
+) -> None:
+    with pytest.raises(InvalidConfig) as caught:
+        read(file, lines, METER, **changes)
+    assert error in str(caught.value)
+
+
+def test_read_measured__temperatures_in_another_unit_are_an_error_with_the_line(file: Path) -> None:
+    lines = ["time,room [degC]", *rows(HOURS[:3], "21"), *rows(HOURS[3:], "70")]
+    with pytest.raises(InvalidConfig, match=r"line 5, column 'room \[degC\]': 70 degC is no temperature .*\(degF\?\)"):
+        read(file, lines, ROOM)
+
+
+def test_read_measured__leaves_out_what_is_missing_if_asked_to(file: Path) -> None:
+    lines = ["time,meter [kWh]", *rows(HOURS[:6], "1"), f"{HOURS[6]},", *rows(HOURS[9:], "1")]
+    data = read(file, lines, METER, missing="leave_out")
+    assert len(data.lines) == 22
+    assert np.isnan(data.columns[0].values).sum() == 1
