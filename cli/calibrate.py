@@ -89,7 +89,8 @@ def prepare(
     from zenostat.bridge.recording.file import file_digest
     from zenostat.lab.calibration.calibrate import SCRATCH
     from zenostat.lab.calibration.config import read_calibration
-    from zenostat.lab.calibration.measured import read_headings, read_measured
+    from zenostat.lab.calibration.headings import read_headings
+    from zenostat.lab.calibration.measured import read_measured
     from zenostat.lab.config_file import read_file
     from zenostat.models.building.model import read_building
     from zenostat.models.calibration.model_edits import places, read_parameter

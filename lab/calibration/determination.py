@@ -155,8 +155,8 @@ def linearize(
         squares = residuals**2 + (_EXACT * spread) ** 2
         noise += weight**2 * (pull * squares[:, None]).T @ pull * _dependence(each)
     precision = curvature.T @ np.linalg.pinv(noise, rcond=_SINGULAR, hermitian=True) @ curvature
-    covariance: Floats = np.linalg.inv(precision + 12.0 * np.eye(count))
-    step: Floats = np.linalg.pinv(curvature, rcond=_SINGULAR) @ gradient
+    covariance = np.asarray(np.linalg.inv(precision + 12.0 * np.eye(count)), np.float64)
+    step = np.asarray(np.linalg.pinv(curvature, rcond=_SINGULAR) @ gradient, np.float64)
     return Linearization(step, covariance)
 
 

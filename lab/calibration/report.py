@@ -25,7 +25,7 @@ _NONE = "\N{EN DASH}"
 def error_rows(result: CalibrationResult) -> tuple[Row, list[Row]]:
     """Return headings and rows of the table of errors: each column before and after, in training and held out."""
     headings = ("column", "model", "CV(RMSE)", "NMBE", "monthly CV(RMSE)", "monthly NMBE", "within limits")
-    rows = []
+    rows: list[Row] = []
     for header in [column.header for column in result.data.columns]:
         for name, fit in result.fits.items():
             (errors,) = [each for each in fit.columns if each.header == header]
@@ -51,7 +51,7 @@ def parameter_rows(result: CalibrationResult) -> tuple[Row, list[Row]]:
     """Return headings and rows of the table of parameters."""
     has_truth = any(parameter.truth is not None for parameter in result.config.parameters.values())
     headings = ("parameter", "value", *(("truth",) if has_truth else ()), "from", "to", "share of range", "verdict")
-    rows = []
+    rows: list[Row] = []
     for each in result.parameters:
         truth = result.config.parameters[each.name].truth
         shown = (_number(truth) if truth is not None else _NONE,) if has_truth else ()

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from datetime import date, timedelta
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from zenostat.lab.calibration.calibrate import CalibrationResult
-from zenostat.lab.calibration.objective import Compared, bounds
+from zenostat.lab.calibration.measured import bounds
+from zenostat.lab.calibration.objective import Compared
 from zenostat.topics.units import unit_label
 from zenostat.views.report.figures.base import draw, legend_above, mark_days
 from zenostat.views.report.theme import LIGHT
@@ -31,7 +33,7 @@ def figures(result: CalibrationResult, units: Mapping[str, str]) -> dict[str, tu
         panels = len(result.config.periods) + len(result.config.held_out)
         drawn[name] = (
             column.header, caption + ".",
-            draw(name, 0.5 + 1.7 * panels, lambda figure, number=number: _curves(figure, result, number)),
+            draw(name, 0.5 + 1.7 * panels, partial(_curves, result=result, number=number)),
         )  # fmt: skip
     rows = -(-len(result.config.parameters) // _COLUMNS)
     drawn["profiles"] = (
@@ -70,7 +72,8 @@ def _lines(axis: Any, result: CalibrationResult, days: tuple[date, date], before
         [(data.begins[row] - begin + (data.ends[row] - data.begins[row]) / 2) / timedelta(days=1)
          for row in (before.rows[place] for place in chosen)]
     )  # fmt: skip
-    gaps = np.flatnonzero(np.diff(times) > 1.5 * np.median(np.diff(times))) + 1 if len(times) > 1 else []
+    distances = np.diff(times)
+    gaps = np.flatnonzero(distances > 1.5 * np.median(distances)) + 1 if distances.size else np.zeros(0, int)
     for label, values, color, width in (
         ("before", before.simulated[chosen], "series-3", 0.9),
         ("after", after.simulated[chosen], "series-2", 1.1),

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 from zenostat.models.building import schema
 from zenostat.models.building.compact_schedules import compact_values
+from zenostat.models.building.edits import Edits
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 Objects = Mapping[str, Mapping[str, Mapping[str, Any]]]
@@ -335,14 +336,14 @@ def _nothing_to_edit(objects: Objects, edit: FieldEdit) -> str:
     return f"{edit.type} {names[0]!r} has no number as {fields} (what EnergyPlus sizes cannot be edited)"
 
 
-def edits_of(objects: Objects, parameter: ModelParameter, value: float) -> dict[str, dict[str, dict[str, Any]]]:
+def edits_of(objects: Objects, parameter: ModelParameter, value: float) -> Edits:
     """Return the edits of a model, as of a scenario, for a value of a parameter; see `apply_edits`."""
     changed: dict[tuple[str, str], dict[str, Any]] = {}
     for edit, place in places(objects, parameter):
         fields = changed.setdefault((place.kind, place.name), {})
         number = OPERATIONS[edit.operation](place.number, value)
         _put(objects[place.kind][place.name], fields, place.path, number)
-    edits: dict[str, dict[str, dict[str, Any]]] = {}
+    edits: Edits = {}
     for (kind, name), fields in changed.items():
         edits.setdefault(kind, {})[name] = fields
     return edits

@@ -91,7 +91,7 @@ class TargetFinder:
         match = _CSV_HEADER.fullmatch(name)
         if match is not None and match["key"].casefold() in {v.key.casefold() for v in self._catalog.variables}:
             return self._variable(place, match["variable"], match["key"])
-        names = [point.name for point in (*self._points.sensors, *self._points.meters)]
+        names = [sensor.name for sensor in self._points.sensors] + [meter.name for meter in self._points.meters]
         hint = did_you_mean(name, [*names, *(meter.name for meter in self._catalog.meters)])
         raise UnknownName(
             f"{place}: the model has no point {name!r} (name it in `columns`, or set the column to false there); {hint}"

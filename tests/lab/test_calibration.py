@@ -13,7 +13,8 @@ import pytest
 from support.calibration_model import HELD_OUT, SERIES, SUMMER, TRUTH, WINTER, Interrupted, LinearModel, write_measured
 
 from zenostat.lab.calibration.config import Calibration, read_calibration
-from zenostat.lab.calibration.measured import MeasuredData, read_headings, read_measured
+from zenostat.lab.calibration.headings import read_headings
+from zenostat.lab.calibration.measured import MeasuredData, read_measured
 from zenostat.metrics.calibration_errors import HOURLY, MONTHLY, fit_errors
 from zenostat.topics.errors import InvalidConfig
 

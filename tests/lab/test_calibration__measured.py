@@ -11,7 +11,8 @@ import pytest
 from support.calibration_model import Series
 
 from zenostat.lab.calibration.config import Calibration, read_calibration
-from zenostat.lab.calibration.measured import MeasuredData, read_headings, read_measured
+from zenostat.lab.calibration.headings import read_headings
+from zenostat.lab.calibration.measured import MeasuredData, read_measured
 from zenostat.topics.errors import InvalidConfig
 
 METER, ROOM, POWER = Series("meter", "J", True), Series("room", "degC", False), Series("power", "W", False)

@@ -170,5 +170,8 @@ def test_check__names_parameter_and_limit_before_anything_is_simulated() -> None
     model = runs(parameters=(read_parameter("eta", "heating_efficiency"),))
     with pytest.raises(InvalidConfig, match=r"parameters.eta = 2: .*burner_efficiency is 1.6; expected .* at most 1"):
         model.check([DAYS], {"eta": (0.5, 2.0)})
-    with pytest.raises(UnknownName, match=r"a column: the model has no point 'electricty_facility'; did you mean"):
+    with pytest.raises(
+        UnknownName,
+        match=r"a column: the model has no point 'electricty_facility' .*did you mean 'electricity_facility'",
+    ):
         TargetFinder(model.building, model.weather).find("a column", "electricty_facility")
