@@ -103,8 +103,9 @@ def _profiles(figure: Any, result: CalibrationResult, units: Mapping[str, str]) 
         axis.set_xlim(*parameter.ends)
         if parameter.log:
             axis.set_xscale("log")
-            axis.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
-            axis.xaxis.set_minor_formatter(lambda *_: "")
+            ticks = [parameter.from_unit(place) for place in (0.0, 0.25, 0.5, 0.75, 1.0)]
+            axis.set_xticks(ticks, [f"{tick:.2g}" for tick in ticks])
+            axis.set_xticks([], minor=True)
         unit = unit_label(units.get(each.name, "1"))
         axis.set_xlabel(f"{each.name} ({unit})" if unit else each.name)
         axis.set_ylim(0.0, min(_HIGHEST * lowest, float(errors.max()) * 1.05))

@@ -85,7 +85,7 @@ def _setpoint(use: str) -> Kind:
         FieldEdit("ThermostatSetpoint:DualSetpoint", (field,), "add"),
         FieldEdit(single, ("setpoint_temperature_schedule_name",), "add"),
     )
-    return Kind(f"offset of all values of the {use} setpoint schedules", "delta_degC", edits)
+    return Kind(f"offset of all values of the {use} setpoint schedules", "K", edits)
 
 
 _INSULATION = (
