@@ -30,6 +30,9 @@ from zenostat.lab.calibration.trials import OnResult, Setting, Simulator, Trials
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
 
+_GAIN = 1e-3
+"""Share by which a step has to lower the error, so that another one follows."""
+
 SCRATCH = "runs"
 """Folder of running simulations, below that of the calibration."""
 
@@ -155,18 +158,21 @@ def _refine(
 ) -> tuple[tuple[dict[str, float], float], Floats]:
     """Return the best values and their error after steps from the best trial, and the covariance there."""
     config, data, scales = setting.config, setting.data, setting.scales
+
+    def simulate(values: Sequence[Mapping[str, float]]) -> list[Hours]:
+        return simulate_all(setting.simulator, values, config.periods, run_all)
+
+    (center,) = simulate([best[0]])
     for last in (*[False] * config.refine, True):
-        values = [best[0], *points(config, best[0])]
-        center, *around = simulate_all(setting.simulator, values, config.periods, run_all)
-        linear = linearize(config, data, scales, best[0], center, around)
+        linear = linearize(config, data, scales, best[0], center, simulate(points(config, best[0])))
         if last:
             break
         near = stepped(config, best[0], linear.step)
-        (hours,) = simulate_all(setting.simulator, [near], config.periods, run_all)
+        (hours,) = simulate([near])
         error = objective(compare(data, hours), scales, config.adjustable)
-        if not error < best[1]:
+        if error > best[1] * (1.0 - _GAIN):
             break
-        best = near, error
+        best, center = (near, error), hours
     return best, linear.covariance
 
 
