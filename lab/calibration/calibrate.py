@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,15 @@ from zenostat.lab.calibration.objective import (
     objective,
     scales_of,
 )
-from zenostat.lab.calibration.trials import OnResult, Setting, Simulator, Trials, simulate_all, study_folder
+from zenostat.lab.calibration.trials import (
+    OnResult,
+    Setting,
+    Simulator,
+    TrialResult,
+    Trials,
+    simulate_all,
+    study_folder,
+)
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
 
@@ -66,8 +75,7 @@ class CalibrationResult:
         values: best values of the parameters.
         fits: by `before`, `after`, `held-out before` and `held-out after`; the last two only with a held-out period.
         parameters: how well each parameter is determined.
-        trials: values and error of each trial that was simulated to its end, in order.
-        states: number of trials of each state.
+        ended: all trials, in order.
     """
 
     config: Calibration
@@ -75,8 +83,17 @@ class CalibrationResult:
     values: dict[str, float]
     fits: dict[str, Fit]
     parameters: list[Determined]
-    trials: list[tuple[dict[str, float], float]]
-    states: dict[str, int]
+    ended: list[TrialResult]
+
+    @property
+    def trials(self) -> list[tuple[dict[str, float], float]]:
+        """Values and error of each trial that was simulated to its end, in order."""
+        return [(each.values, each.error) for each in self.ended if each.is_complete]
+
+    @property
+    def states(self) -> dict[str, int]:
+        """Number of trials of each state."""
+        return dict(Counter(each.result["state"] for each in self.ended))
 
     def plain(self) -> dict[str, Any]:
         """Return the result as JSON."""
@@ -131,9 +148,8 @@ def calibrate(
             setting = Setting(config, data, simulator, scales_of(data, config.periods))
             trials = Trials(setting, on_result)
             trials.run(run_all)
-            complete = [
-                (dict(trial.params), float(trial.value)) for trial in trials.complete() if trial.value is not None
-            ]
+            ended = trials.results
+            complete = [(each.values, each.error) for each in ended if each.is_complete]
             if not complete:
                 raise InvalidConfig("no trial was simulated to its end: allow more trials, or set pruner: false")
             best, covariance = _refine(setting, min(complete, key=lambda each: each[1]), run_all)
@@ -146,11 +162,8 @@ def calibrate(
             for name, hours in (("before", before), ("after", after))
             if chosen
         }
-        states: dict[str, int] = {}
-        for trial in trials.study.get_trials(deepcopy=False):
-            states[trial.state.name.lower()] = states.get(trial.state.name.lower(), 0) + 1
         determined = determine(config, best[0], covariance, [*complete, best])
-        return CalibrationResult(config, data, best[0], fits, determined, complete, states)
+        return CalibrationResult(config, data, best[0], fits, determined, ended)
 
 
 def _refine(

@@ -11,7 +11,6 @@ import math
 import multiprocessing
 import os
 import signal
-import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -25,10 +24,8 @@ from zenostat.lab.benchmark.workers import RunAll
 from zenostat.lab.calibration.config import Calibration
 from zenostat.lab.calibration.measured import MeasuredData
 from zenostat.lab.calibration.objective import Days, Floats, Hours, Scales, column_errors, compare, objective
-from zenostat.lab.tuning.search_space import ask, distributions
-from zenostat.lab.tuning.study import REASON, open_study
-from zenostat.lab.tuning.study_config import Pruner
-from zenostat.lab.tuning.study_storage import database_errors
+from zenostat.lab.tuning.search_space import ask
+from zenostat.lab.tuning.study_config import Pruner, starting_point
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig, SimulatorError
 from zenostat.topics.extras import requires_extra
@@ -36,13 +33,37 @@ from zenostat.topics.file_lock import locked
 
 with requires_extra("tune", "calibration", "Optuna"):
     import optuna
-    from optuna.trial import FrozenTrial, TrialState
+    from optuna.trial import TrialState
+
+    from zenostat.lab.tuning.study_sampler import make_sampler
 
 Result = dict[str, Any]
 OnResult = Callable[[int, Mapping[str, float], Result], None]
 """Callback with the number, the values and the result of each trial that has ended."""
 
+SETTINGS = "settings.json"
+"""File of what must not change while a calibration exists."""
+
 _STATES = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "fail": TrialState.FAIL}
+
+
+@dataclass(frozen=True)
+class TrialResult:
+    """A trial that has ended: its number, its values and its result."""
+
+    number: int
+    values: dict[str, float]
+    result: Result
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether it was simulated to its end."""
+        return bool(self.result["state"] == "complete")
+
+    @property
+    def error(self) -> float:
+        """Error after the last period that was simulated."""
+        return float(self.result["stages"][-1])
 
 
 class Simulator(Protocol):
@@ -136,28 +157,45 @@ def leave_signals_to(parent: int) -> None:
 
 
 class Trials:
-    """The trials of a calibration.
+    """The trials of a calibration: a study of Optuna in memory, and a file for each result.
+
+    A study that continues draws its trials again, and reads the results that it had.
 
     Args:
         setting: what they share.
-        on_result: called with each result.
+        on_result: called with each result that is new.
 
     Raises:
-        InvalidConfig: the folder has a study with other settings.
+        InvalidConfig: the folder has a calibration with other settings.
     """
 
     def __init__(self, setting: Setting, on_result: OnResult | None = None) -> None:
         self._setting, self._on_result = setting, on_result
-        self.config = setting.config
-        optuna.logging.set_verbosity(optuna.logging.WARNING)
-        self.study = open_study(self.config)
-        self._storage: Any = self.study._storage  # noqa: SLF001  # a trial of an ended process can be told only there
-        self._folder = self.config.folder / "trials"
+        self.config = config = setting.config
+        self._folder = config.folder / "trials"
+        self._check_settings()
         self._folder.mkdir(exist_ok=True)
+        optuna.logging.set_verbosity(optuna.logging.WARNING)
+        sampler = make_sampler(config.sampler, config.seed, config.parameters)
+        self.study = optuna.create_study(sampler=sampler, direction="minimize")
+        start = starting_point(config.parameters)
+        for point in config.grid() if config.sampler == "grid" else [start] if start else []:
+            self.study.enqueue_trial(point)
+        self.results: list[TrialResult] = []
 
-    def ended(self) -> int:
-        """Return the number of trials that have ended."""
-        return sum(trial.state.is_finished() for trial in self.study.get_trials(deepcopy=False))
+    def _check_settings(self) -> None:
+        path, identity = self.config.folder / SETTINGS, json.loads(json.dumps(self.config.identity()))
+        try:
+            saved = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            with atomic_file(path) as temporary:
+                temporary.write_text(json.dumps(identity, indent=1) + "\n", encoding="utf-8")
+            return
+        if differing := [name for name in identity if saved.get(name) != identity[name]]:
+            raise InvalidConfig(
+                f"{self.config.folder} has a calibration with other settings ({', '.join(differing)}): choose another "
+                "--output, or restore them"
+            )
 
     def run(self, run_all: RunAll) -> None:
         """Run batches until the study has its number of trials.
@@ -166,49 +204,30 @@ class Trials:
             InvalidConfig: all trials of the first batch failed.
             SimulatorError: a worker process was killed.
         """
-        with database_errors(self.config.url), warnings.catch_warnings():
-            warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-            warnings.filterwarnings("ignore", "Heartbeat of storage")  # the folder has a lock instead
-            self._run(run_all)
-
-    def _run(self, run_all: RunAll) -> None:
-        while batch := self._next_batch():
+        size, total = self.config.batch_size, self.config.total
+        for first in range(0, total, size):
+            batch = [ask(self.study, self.config.parameters) for _ in range(first, min(first + size, total))]
             results = self._results(batch, run_all)
             for trial in batch:
-                self._tell(trial, results[trial.number])
-            if batch[0].number < self.config.batch_size and all(r["state"] == "fail" for r in results.values()):
-                raise InvalidConfig(f"no trial can be simulated: {results[batch[0].number]['reason']}")
+                result = results[trial.number]
+                for step, value in enumerate(result["stages"], 1):
+                    trial.report(value, step)
+                value = result["stages"][-1] if result["state"] == "complete" else None
+                self.study.tell(trial, value, state=_STATES[result["state"]])
+                self.results.append(TrialResult(trial.number, dict(trial.params), result))
+            if not first and all(result["state"] == "fail" for result in results.values()):
+                raise InvalidConfig(f"no trial can be simulated: {results[0]['reason']}")
 
-    def _next_batch(self) -> list[FrozenTrial]:
-        """Return the trials to run next, drawn now or before an interruption; none if the study has all."""
-        size, trials = self.config.batch_size, self.study.get_trials(deepcopy=False)
-        asked = [trial for trial in trials if trial.state is not TrialState.WAITING]
-        running = [trial for trial in asked if trial.state is TrialState.RUNNING]
-        first = (running[0].number if running else len(asked)) // size * size
-        end = min(first + size, self.config.total)
-        if not any(trial.state.is_finished() and trial.number >= first for trial in asked):
-            searched = self.config.parameters
-            for trial in running:
-                if len(trial.params) < len(searched):  # the process ended while it was drawn
-                    again = optuna.trial.Trial(self.study, trial._trial_id)  # noqa: SLF001
-                    for name, space in distributions(searched).items():
-                        again._suggest(name, space)  # noqa: SLF001
-            for _ in range(len(asked), end):
-                ask(self.study, searched)
-        trials = self.study.get_trials(deepcopy=False)
-        return [trial for trial in trials if trial.state is TrialState.RUNNING]
-
-    def _results(self, batch: Sequence[FrozenTrial], run_all: RunAll) -> dict[int, Result]:
-        thresholds = self._thresholds()
-        results, missing = {}, []
-        for trial in batch:
-            known = self._read(trial)
-            if known is None:
-                missing.append(Job(self._setting, trial.number, trial.params, thresholds, os.getpid()))
-            else:
-                results[trial.number] = known
+    def _results(self, batch: Sequence[optuna.Trial], run_all: RunAll) -> dict[int, Result]:
+        """Return the results of a batch, those that are known from files and those of new simulations."""
+        thresholds, values = self._thresholds(), {trial.number: dict(trial.params) for trial in batch}
+        known = {number: self._read(number, values[number]) for number in values}
+        results = {number: result for number, result in known.items() if result is not None}
+        missing = [
+            Job(self._setting, number, values[number], thresholds, os.getpid())
+            for number in values if number not in results
+        ]  # fmt: skip
         errors: list[str] = []
-        values = {trial.number: trial.params for trial in batch}
         for number, result in run_all(run_trial, missing, "trials", None, errors):
             with atomic_file(self._path(number)) as temporary:
                 temporary.write_text(json.dumps({"values": values[number], **result}), encoding="utf-8")
@@ -222,35 +241,22 @@ class Trials:
     def _path(self, number: int) -> Path:
         return self._folder / f"{number:04}.json"
 
-    def _read(self, trial: FrozenTrial) -> Result | None:
+    def _read(self, number: int, values: Mapping[str, float]) -> Result | None:
         """Return the result that a trial had before an interruption; None if it had none."""
         try:
-            result: Result = json.loads(self._path(trial.number).read_text(encoding="utf-8"))
+            result: Result = json.loads(self._path(number).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        return result if result.pop("values", None) == trial.params else None
+        return result if result.pop("values", None) == values else None
 
     def _thresholds(self) -> dict[int, float]:
         """Return the medians of finished trials by period, above which a trial is ended, as Optuna's median pruner."""
         pruner = self.config.pruner
-        complete = [t for t in self.study.get_trials(deepcopy=False) if t.state is TrialState.COMPLETE]
+        complete = [each.result["stages"] for each in self.results if each.is_complete]
         if not isinstance(pruner, Pruner) or len(complete) < max(pruner.startup_trials, 1):
             return {}
         steps = range(max(pruner.warmup_steps, 1), len(self.config.periods))
-        return {step: float(np.median([trial.intermediate_values[step] for trial in complete])) for step in steps}
-
-    def _tell(self, trial: FrozenTrial, result: Result) -> None:
-        identity = trial._trial_id  # noqa: SLF001
-        for step, value in enumerate(result["stages"], 1):
-            self._storage.set_trial_intermediate_value(identity, step, value)
-        if "reason" in result:
-            self._storage.set_trial_user_attr(identity, REASON, result["reason"])
-        value = result["stages"][-1] if result["state"] == "complete" else None
-        self.study.tell(trial.number, value, state=_STATES[result["state"]])
-
-    def complete(self) -> list[FrozenTrial]:
-        """Return the trials that were simulated to their end, in order."""
-        return [t for t in self.study.get_trials(deepcopy=False) if t.state is TrialState.COMPLETE]
+        return {step: float(np.median([stages[step - 1] for stages in complete])) for step in steps}
 
 
 def simulate_all(

@@ -37,9 +37,7 @@ with requires_extra("tune", "tuning", "Optuna"):
 
     from zenostat.lab.tuning.study_sampler import RETRY_OF, make_sampler
 
-REASON = "reason"
-"""Attribute of a trial that failed or was pruned: why."""
-
+_REASON = "reason"
 _IDENTITY = "zenostat"
 _POLL_S = 0.2
 _INVALID_TRIALS = 3
@@ -56,7 +54,7 @@ OnTrial = Callable[[FrozenTrial], None]
 def reason_of(trial: FrozenTrial) -> str:
     """Return why a trial failed or was pruned; empty for one that did neither."""
     is_lost = trial.state is TrialState.FAIL  # by `fail_stale_trials`, which gives no reason
-    return str(trial.user_attrs.get(REASON, "the machine that ran it was lost" if is_lost else ""))
+    return str(trial.user_attrs.get(_REASON, "the machine that ran it was lost" if is_lost else ""))
 
 
 def _without_nulls(value: Any) -> Any:
@@ -238,9 +236,9 @@ class Tuning:
             result["again"] = interrupted or self._may_retry(worker.trial)
         states = {"complete": TrialState.COMPLETE, "pruned": TrialState.PRUNED, "fail": TrialState.FAIL}
         if result["state"] == "fail":
-            worker.trial.set_user_attr(REASON, "interrupted" if interrupted else result["reason"])
+            worker.trial.set_user_attr(_REASON, "interrupted" if interrupted else result["reason"])
         elif result["state"] == "pruned" and self._config.pruner:
-            worker.trial.set_user_attr(REASON, f"{_PRUNED[self._config.pruner.kind]} at step {result['step']}")
+            worker.trial.set_user_attr(_REASON, f"{_PRUNED[self._config.pruner.kind]} at step {result['step']}")
         reason = result["reason"] if result.get("invalid") else None
         # A pruned trial's value is that of its last report.
         value = result["value"] if result["state"] == "complete" else None

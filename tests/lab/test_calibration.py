@@ -162,7 +162,7 @@ def test_calibrate__continues_to_the_bit_after_a_kill(tmp_path: Path) -> None:
 
 def test_calibrate__refuses_a_folder_with_other_settings(tmp_path: Path) -> None:
     run(tmp_path / "out", trials=1, batch=1)
-    with pytest.raises(InvalidConfig, match=r"exists in .* with other settings \(seed\)"):
+    with pytest.raises(InvalidConfig, match=r"has a calibration with other settings \(seed\)"):
         run(tmp_path / "out", trials=1, batch=1, seed=1)
 
 
