@@ -110,18 +110,18 @@ def test_calibrate__recovers_the_truth_and_tells_what_is_not_determined(tmp_path
 
 
 def test_calibrate__continues_to_the_bit_after_any_interruption(tmp_path: Path) -> None:
-    whole = run(tmp_path / "whole", trials=6, batch=3)
+    whole = run(tmp_path / "whole", trials=6, batch=3, sampler="tpe")
     for left in (1, 6, 10, 16):  # before the study, in both batches, and after it
         with pytest.raises(Interrupted):
-            run(tmp_path / "parts", LinearModel(left), trials=6, batch=3)
-    parts = run(tmp_path / "parts", trials=6, batch=3)
+            run(tmp_path / "parts", LinearModel(left), trials=6, batch=3, sampler="tpe")
+    parts = run(tmp_path / "parts", trials=6, batch=3, sampler="tpe")
     assert parts.trials == whole.trials
     assert parts.plain() == whole.plain()
 
 
 def test_calibrate__does_not_depend_on_the_parts_in_which_trials_are_asked_for(tmp_path: Path) -> None:
-    run(tmp_path / "parts", trials=2, batch=3)
-    parts, whole = (run(tmp_path / name, trials=6, batch=3) for name in ("parts", "whole"))
+    run(tmp_path / "parts", trials=2, batch=3, sampler="tpe")
+    parts, whole = (run(tmp_path / name, trials=6, batch=3, sampler="tpe") for name in ("parts", "whole"))
     assert parts.trials == whole.trials
 
 
@@ -161,9 +161,9 @@ def test_calibrate__continues_to_the_bit_after_a_kill(tmp_path: Path) -> None:
 
 
 def test_calibrate__refuses_a_folder_with_other_settings(tmp_path: Path) -> None:
-    run(tmp_path / "out", trials=1, batch=1)
+    run(tmp_path / "out", trials=1, batch=1, sampler="tpe")
     with pytest.raises(InvalidConfig, match=r"has a calibration with other settings \(seed\)"):
-        run(tmp_path / "out", trials=1, batch=1, seed=1)
+        run(tmp_path / "out", trials=1, batch=1, sampler="tpe", seed=1)
 
 
 # Parameters files
