@@ -2,7 +2,7 @@
 
 import pytest
 
-from zenostat.bridge.node.resumption import _is_rejected
+from zenostat.bridge.node.repetition import _is_rejected
 from zenostat.bridge.recording.reader import RecordedItem
 from zenostat.topics import codec
 from zenostat.topics.messages import Event, EventKind
