@@ -5,7 +5,7 @@ from __future__ import annotations
 import getpass
 import re
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -17,6 +17,9 @@ from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import Role, safe_name
 
+if TYPE_CHECKING:
+    from zenostat.views.room.users import PageTls
+
 
 @on_bus
 def room(
@@ -24,6 +27,21 @@ def room(
     address: Annotated[
         str, typer.Option(help="HOST:PORT of this machine to listen on; port 0 chooses a free one.")
     ] = "127.0.0.1:8600",
+    expose: Annotated[
+        bool,
+        typer.Option("--expose", help="Allow an address that others reach; needs --page-certificate and --keys."),
+    ] = False,
+    page_certificate: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.pem",
+            help="Certificate of the page: HTTPS, with the names and roles of the bus for its users.",
+        ),
+    ] = None,
+    page_key: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Private key of the page's certificate. Default: FILE.key beside it."),
+    ] = None,
     operator: Annotated[
         str | None, typer.Option(help="Name under which your changes are recorded. Default: your user name.")
     ] = None,
@@ -66,6 +84,7 @@ def room(
         raise InvalidConfig(
             f"--operator {name!r}: a name of up to 64 letters, digits, '_', '.' and '-' expected, such as ada.lovelace"
         )
+    tls = _tls(options.keys, page_certificate, page_key, expose=expose)
     settings = RoomSettings(
         scenarios=_folder("--scenarios", scenarios),
         trainings=_folder("--trainings", trainings),
@@ -74,7 +93,9 @@ def room(
     )
     with (
         options.open_bus(Role.GATEWAY) as bus,
-        RoomServer(bus, address, operator=name, api_token=token, settings=settings) as server,
+        RoomServer(
+            bus, address, operator=name, api_token=token, settings=settings, tls=tls, is_exposed=expose
+        ) as server,
         override_signals(lambda *_: server.stop(), *TERMINATION_SIGNALS),
     ):
         out.print(f"ready: {server.link}", soft_wrap=True)
@@ -88,6 +109,27 @@ def _folder(option: str, folder: Path | None) -> Path | None:
     if folder is not None and not folder.is_dir():
         raise InvalidConfig(f"{option} {folder}: there is no such folder")
     return None if folder is None else folder.resolve()
+
+
+def _tls(keys: Path | None, certificate: Path | None, key: Path | None, *, expose: bool) -> PageTls | None:
+    """Return the TLS of the page; None without.
+
+    Raises:
+        InvalidConfig: options that need others.
+    """
+    from zenostat.views.room.users import PageTls
+
+    folder = _key_folder(keys)
+    if certificate is None or folder is None:
+        if expose or certificate is not None:
+            raise InvalidConfig(
+                "--expose needs --page-certificate FILE.pem, and both need --keys FOLDER with the names of users; "
+                "create a certificate with: zenostat keys add room --role node --host THIS.MACHINE"
+            )
+        if key is not None:
+            raise InvalidConfig("--page-key needs --page-certificate FILE.pem")
+        return None
+    return PageTls(certificate, key or certificate.with_suffix(".key"), folder)
 
 
 def _key_folder(keys: Path | None) -> Path | None:

@@ -1,4 +1,4 @@
-"""HTTP servers for this machine only: their sockets, and uvicorn in a process that handles signals itself."""
+"""HTTP servers for this machine: their sockets, and uvicorn in a process that handles signals itself."""
 
 from __future__ import annotations
 
@@ -20,16 +20,18 @@ _MAX_CONNECTIONS = 512
 _SHUTDOWN_S = 3
 
 
-def listen(address: str, default: str, program: str) -> socket.socket:
-    """Return a socket that listens on the loopback interface.
+def listen(address: str, default: str, program: str, *, is_exposed: bool = False, remedy: str = "") -> socket.socket:
+    """Return a socket that listens on the loopback interface; on any other one if it is exposed.
 
     Args:
         address: `HOST:PORT`; port 0 chooses a free one.
         default: the address that errors name.
         program: name of the program that listens, for errors.
+        is_exposed: whether other machines may reach the address.
+        remedy: what the error of an address that they reach also recommends.
 
     Raises:
-        InvalidConfig: a malformed address, or one that other machines can reach.
+        InvalidConfig: a malformed address, or one that other machines can reach, unless it is exposed.
         AddressInUse: another program listens there.
     """
     host, _, port = address.rpartition(":")
@@ -40,10 +42,11 @@ def listen(address: str, default: str, program: str) -> socket.socket:
         family, _, _, _, target = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)[0]
     except OSError as error:
         raise InvalidConfig(f"address {address!r}: {error.strerror}") from None
-    if not ipaddress.ip_address(str(target[0]).partition("%")[0]).is_loopback:
+    if not is_exposed and not ipaddress.ip_address(str(target[0]).partition("%")[0]).is_loopback:
         raise InvalidConfig(
             f"{address} can be reached from other machines, and {program} serves this machine only; listen on "
             f"{default} and forward the port: ssh -L {default.rpartition(':')[2]}:{default} HOST"
+            f"{remedy and f'; {remedy}'}"
         )
     # asyncio sets TCP_NODELAY only on sockets whose protocol is named.
     listening = socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP)
@@ -72,9 +75,10 @@ class LoopbackServer(uvicorn.Server):
     Args:
         app: the application.
         end_streams: called before the server waits for requests to end.
+        settings: further settings of uvicorn, such as those of TLS.
     """
 
-    def __init__(self, app: Any, end_streams: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, app: Any, end_streams: Callable[[], None] = lambda: None, **settings: Any) -> None:
         super().__init__(
             uvicorn.Config(
                 app,
@@ -87,6 +91,7 @@ class LoopbackServer(uvicorn.Server):
                 timeout_graceful_shutdown=_SHUTDOWN_S,
                 ws="none",
                 lifespan="on",
+                **settings,
             )
         )
         self._end_streams = end_streams

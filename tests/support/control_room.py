@@ -26,13 +26,13 @@ ARGUMENTS = (
 
 
 @contextmanager
-def control_room(endpoint: str, **settings: Any) -> Iterator[Any]:
-    """A server of the control room on a free port, in a thread."""
+def control_room(endpoint: str, *, keys: Any = None, role: Any = None, **settings: Any) -> Iterator[Any]:
+    """A server of the control room on a free port, in a thread; on a bus with `keys` in a role."""
     from zenostat.views.room.server import RoomServer
 
     settings = {"operator": "ada", **settings}
     with (
-        zenostat.connect(endpoint, affinity=Affinity.OFF, wait=True) as bus,
+        zenostat.connect(endpoint, affinity=Affinity.OFF, wait=True, keys=keys, role=role) as bus,
         RoomServer(bus, "127.0.0.1:0", **settings) as server,
     ):
         thread = threading.Thread(target=server.run)

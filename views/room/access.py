@@ -2,7 +2,8 @@
 
 The page runs in a browser beside pages of strangers. So a request must name this server as its `Host` (a name that
 somebody else resolves to this machine is rejected), a change must come from this page by its `Origin`, and both need
-the cookie of a session, which no script can read and which no other site's request carries.
+the cookie of a session, which no script can read and which no other site's request carries. Over a network, the names
+and roles of users are those of the bus, and a browser may prove its user's name by a certificate instead.
 """
 
 from __future__ import annotations
@@ -11,12 +12,16 @@ import hashlib
 import secrets
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from starlette.datastructures import Headers, MutableHeaders
 from starlette.requests import Request
 from starlette.responses import JSONResponse
+
+from zenostat.topics.errors import UnknownName
+from zenostat.topics.keys import Role
+from zenostat.views.room.users import CERTIFICATE, BusUsers, ClientCertificate
 
 ASGIApp = Callable[[MutableMapping[str, Any], Callable[[], Awaitable[Any]], Callable[[Any], Awaitable[None]]], Any]
 
@@ -32,6 +37,8 @@ _IDLE_S = 12 * 3600.0
 _TOKEN_S = 3600.0
 _OPEN = ("/", "/api/session", "/health")
 _PROGRAM_PATHS = ("/metrics", "/grafana")
+_OPERATORS = ("/api/builder", "/api/audit")
+"""Paths that monitors cannot read either."""
 
 POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; base-uri 'none'; "
@@ -56,10 +63,12 @@ class Session:
     Attributes:
         operator: name of its user, the source of all changes.
         used_s: time of its latest request.
+        role: `operator`, or `monitor`, who changes nothing.
     """
 
     operator: str
     used_s: float
+    role: Role = Role.OPERATOR
 
 
 class Access:
@@ -71,6 +80,8 @@ class Access:
         api_token: token of programs that use the program paths; None closes these.
         program_paths: beginnings of the paths for programs, which need the token and no session.
         hint: where the token is from, for the error of a request without it.
+        scheme: of the page, `http` or `https`.
+        users: names and roles of the bus; None: whoever has signed in is an operator.
         clock: monotonic time in seconds.
     """
 
@@ -82,17 +93,32 @@ class Access:
         api_token: str | None = None,
         program_paths: tuple[str, ...] = _PROGRAM_PATHS,
         hint: str = "see --api-token-file",
+        scheme: str = "http",
+        users: BusUsers | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self.hosts, self.cookie = hosts, cookie
+        self.hosts, self.cookie, self.scheme, self._users = hosts, cookie, scheme, users
         self._program_paths, self._hint = program_paths, hint
         self._api_digest = None if api_token is None else _digest(api_token)
         self._clock = clock
         self._tokens: dict[str, tuple[str, float]] = {}
         self._sessions: dict[str, Session] = {}
 
+    def role(self, name: str) -> Role | None:
+        """Return what a user may do now: `operator` or `monitor`; None for nothing."""
+        return Role.OPERATOR if self._users is None else self._users.role(name)
+
     def invite(self, operator: str) -> str:
-        """Return a token that signs one browser in, once and within an hour, as this operator."""
+        """Return a token that signs one browser in, once and within an hour, as this operator.
+
+        Raises:
+            UnknownName: the bus has no operator or monitor of that name.
+        """
+        if self.role(operator) is None:
+            raise UnknownName(
+                f"{operator!r} is no operator or monitor in the list of names of the bus; create a certificate with: "
+                f"zenostat keys add {operator} --role operator"
+            )
         token = secrets.token_urlsafe(32)
         while len(self._tokens) >= _MAX_TOKENS:
             del self._tokens[next(iter(self._tokens))]
@@ -149,19 +175,45 @@ class Access:
             if not self.allows_program(headers.get("authorization", "")):
                 return 401, f"a bearer token is required; {self._hint}"
             return None
+        return self._foreign(headers, method, path) or self._not_permitted(scope, method, path)
+
+    def _foreign(self, headers: Headers, method: str, path: str) -> tuple[int, str] | None:
+        """Return status and text for a request that another site's page may have sent; None for one of this page."""
         if headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none") and path != "/":
             return 403, "a request of another site"
         origins = headers.getlist("origin")
-        if method not in ("GET", "HEAD") or origins:
-            if origins != [f"http://{host[0]}"]:
-                return 403, "a change must come from this page"
-            if method == "POST" and headers.get("content-type", "").partition(";")[0].strip() != "application/json":
-                return 415, "application/json expected"
-        session = self.session(Request(scope).cookies.get(self.cookie))
-        scope.setdefault("state", {})["session"] = session
-        if session is None and path not in _OPEN and not path.startswith("/static/"):
-            return 401, "sign in with a link that `zenostat room` prints"
+        if method in ("GET", "HEAD") and not origins:
+            return None
+        if origins != [f"{self.scheme}://{headers['host']}"]:
+            return 403, "a change must come from this page"
+        if method == "POST" and headers.get("content-type", "").partition(";")[0].strip() != "application/json":
+            return 415, "application/json expected"
         return None
+
+    def _not_permitted(self, scope: MutableMapping[str, Any], method: str, path: str) -> tuple[int, str] | None:
+        """Return status and text for a request that its user may not send; None if the user may."""
+        session = self._proven(scope) or self.session(Request(scope).cookies.get(self.cookie))
+        if session is not None:
+            role = self.role(session.operator)
+            session = None if role is None else replace(session, role=role)
+        scope.setdefault("state", {})["session"] = session
+        if path == "/api/session":
+            return None
+        if session is None:
+            if path in _OPEN or path.startswith("/static/"):
+                return None
+            return 401, "sign in with a link that `zenostat room` prints, or a certificate of an operator or monitor"
+        if session.role is Role.OPERATOR:
+            return None
+        if method not in ("GET", "HEAD"):
+            return 403, f"{session.operator} is a monitor, who changes nothing; an operator may"
+        return (403, f"{session.operator} is a monitor; this is for operators") if path.startswith(_OPERATORS) else None
+
+    def _proven(self, scope: MutableMapping[str, Any]) -> Session | None:
+        """Return a session for the name in the connection's certificate; None without one."""
+        certificate: ClientCertificate = scope.get("state", {}).get(CERTIFICATE, ClientCertificate())
+        name = certificate.valid_name if self._users is not None else ""
+        return Session(name, self._clock()) if name else None
 
 
 class Guard:

@@ -20,6 +20,7 @@ from starlette.staticfiles import StaticFiles
 from zenostat.bridge.client.bus import Bus
 from zenostat.topics import VERSION
 from zenostat.topics.errors import BusError, NameInUse, PeerError, RequestRejected, UsageError, ZenostatError
+from zenostat.topics.keys import Role
 from zenostat.views.room.access import OPERATOR, Access, BodyTooLarge, Guard, Session
 from zenostat.views.room.audit import TOPIC as AUDIT
 from zenostat.views.room.audit import AuditLog
@@ -187,24 +188,28 @@ class Room:
         identity, session = signed_in
         self.audit.add(session.operator, "sign in", "", "signed in", accepted=True)
         response = JSONResponse({"operator": session.operator})
-        response.set_cookie(self._access.cookie, identity, path="/", httponly=True, samesite="strict")
+        is_secure = self._access.scheme == "https"
+        response.set_cookie(self._access.cookie, identity, path="/", httponly=True, samesite="strict", secure=is_secure)
         return response
 
     async def _sign_out(self, request: Request) -> Response:
         self._access.sign_out(request.cookies.get(self._access.cookie))
         response = JSONResponse({})
-        response.delete_cookie(self._access.cookie, path="/", httponly=True, samesite="strict")
+        is_secure = self._access.scheme == "https"
+        response.delete_cookie(self._access.cookie, path="/", httponly=True, samesite="strict", secure=is_secure)
         return response
 
     async def _who_am_i(self, request: Request) -> Response:
         session: Session | None = request.state.session
         has_trainings = self._settings.trainings is not None
-        return JSONResponse({"operator": session.operator if session is not None else None, "trainings": has_trainings})
+        operator, role = (None, None) if session is None else (session.operator, session.role.value)
+        return JSONResponse({"operator": operator, "role": role, "trainings": has_trainings})
 
     async def _invite(self, request: Request) -> Response:
         invited = read_body(_Invitation, await request.body()).operator
+        link = self.link(invited)
         self.audit.add(_operator(request), "invite", invited, "a link was created", accepted=True)
-        return JSONResponse({"link": self.link(invited)})
+        return JSONResponse({"link": link})
 
     # Data
 
@@ -214,7 +219,21 @@ class Room:
         topics |= _PAGES.get(request.query_params.get("page", ""), frozenset())
         if self.updates.followers >= MAX_STREAMS:
             return JSONResponse({"error": "RequestRejected", "message": f"{MAX_STREAMS} pages are open"}, 503)
-        return StreamingResponse(self.updates.follow(topics), media_type="text/event-stream")
+        session: Session = request.state.session
+        if session.role is not Role.OPERATOR:
+            topics -= {AUDIT, STARTED}
+        return StreamingResponse(self._follow(topics, session.operator), media_type="text/event-stream")
+
+    async def _follow(self, topics: set[str], user: str) -> AsyncIterator[bytes]:
+        """Yield the changes of some topics until the user's name is revoked."""
+        stream = self.updates.follow(topics)
+        try:
+            async for message in stream:
+                if self._access.role(user) is None:
+                    return
+                yield message
+        finally:
+            await stream.aclose()
 
     async def _audit_log(self, _: Request) -> Response:
         return _json({"entries": self.audit.entries()})

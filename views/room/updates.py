@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncIterator, Iterable
+from collections.abc import AsyncGenerator, Iterable
 from contextlib import suppress
 
 _KEEP_ALIVE_S = 15.0
@@ -54,7 +54,7 @@ class Updates:
         for stream in self._streams:
             stream.wake.set()
 
-    async def follow(self, topics: Iterable[str]) -> AsyncIterator[bytes]:
+    async def follow(self, topics: Iterable[str]) -> AsyncGenerator[bytes, None]:
         """Yield server-sent events of some topics: first their latest messages, then each change."""
         stream = _Stream(frozenset(topics))
         for topic in sorted(stream.topics & self._latest.keys()):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import ssl
 import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
-from time import monotonic
+from stat import S_IRWXG, S_IRWXO
 from typing import Any
 
 from cryptography import x509
@@ -19,8 +20,8 @@ from zenostat.bridge.transport.deny_list import read_revoked
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 
-CERTIFICATE_NAME = "certificate_name"
-"""Key of the state of a connection: the name in its client's certificate."""
+CERTIFICATE = "certificate"
+"""Key of the state of a connection: what its client's certificate states, a `ClientCertificate`."""
 
 _READ_S = 1.0
 _READERS = (Role.MONITOR, Role.CONTROLLER)
@@ -37,7 +38,7 @@ class BusUsers:
         InvalidConfig: the list is missing, is damaged, or its authority has not signed it.
     """
 
-    def __init__(self, folder: Path, clock: Callable[[], float] = monotonic) -> None:
+    def __init__(self, folder: Path, clock: Callable[[], float] = time.monotonic) -> None:
         self._folder, self._clock, self._lock = folder, clock, threading.Lock()
         self._names: Mapping[str, tuple[Role, ...]] = names_of(folder)
         self._revoked = read_revoked(folder)
@@ -98,9 +99,12 @@ class PageTls:
         """Return the settings of uvicorn; a browser may present a certificate of the bus's authority.
 
         Raises:
-            InvalidConfig: certificate and key do not belong together, or cannot be read.
+            InvalidConfig: certificate and key do not belong together, cannot be read, or others may read
+                the key.
         """
         try:
+            if self.key.stat().st_mode & (S_IRWXG | S_IRWXO):
+                raise InvalidConfig(f"{self.key} can be read by other users: chmod 600 {self.key}")
             context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
             context.load_cert_chain(self.certificate, self.key)
         except (OSError, ssl.SSLError) as error:
@@ -120,8 +124,28 @@ def _host(name: str) -> str:
         return name
 
 
-def common_name(certificate: Mapping[str, Any] | None) -> str:
-    """Return the common name in a verified certificate, as `ssl` describes it; empty without one."""
-    fields = [field for part in (certificate or {}).get("subject", ()) for field in part]
+@dataclass(frozen=True, slots=True)
+class ClientCertificate:
+    """Verified certificate of a browser.
+
+    Attributes:
+        name: its common name; empty without a certificate.
+        expires_s: end of its validity, in seconds since 1970.
+    """
+
+    name: str = ""
+    expires_s: float = 0.0
+
+    @property
+    def valid_name(self) -> str:
+        """Name until the certificate expires; a connection may last longer."""
+        return self.name if time.time() < self.expires_s else ""
+
+
+def client_certificate(verified: Mapping[str, Any] | None) -> ClientCertificate:
+    """Return what a verified certificate states, as `ssl` describes it."""
+    if not verified:
+        return ClientCertificate()
+    fields = [field for part in verified.get("subject", ()) for field in part]
     names = [value for name, value in fields if name == "commonName"]
-    return names[0] if len(names) == 1 else ""
+    return ClientCertificate(names[0] if len(names) == 1 else "", ssl.cert_time_to_seconds(verified["notAfter"]))

@@ -17,6 +17,7 @@ let page = null;
 let stop = null;
 let shown = null;
 let operator = null;
+let role = null;
 let connection;
 
 function theme(next) {
@@ -39,7 +40,10 @@ async function signIn() {
 
 /** Pages that this server has. */
 async function choosePages() {
-  if (!(await get("/api/session")).trainings) delete PAGES.trainings;
+  const user = await get("/api/session");
+  if (!user.trainings) delete PAGES.trainings;
+  if (user.role === "monitor") { delete PAGES.builder; delete PAGES.audit; }
+  role = user.role;
 }
 
 function showSignIn(message) {
@@ -94,7 +98,7 @@ function showHeader() {
     h("span", { class: "grow" }), connection,
     h("button", { class: "quiet", "aria-label": "Light or dark", title: "Light or dark",
       onclick: () => { theme(theme() === "dark" ? "light" : "dark"); page?.redraw?.(); } }, icon("moon")),
-    h("button", { class: "quiet", onclick: invite, title: "Session" }, icon("user"), h("span", { class: "wide" }, operator)));
+    h("button", { class: "quiet", onclick: invite, title: "Session" }, icon("user"), h("span", { class: "wide" }, operator), role === "monitor" && h("span", { class: "chip muted" }, "reads only")));
 }
 
 function showPages(name, node) {
