@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import secrets
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
@@ -73,7 +74,7 @@ def mcp(
     with requires_extra("mcp", "the MCP server", "the MCP SDK"):
         from zenostat.views.mcp.call_log import CallLog
         from zenostat.views.mcp.desk import Desk
-        from zenostat.views.mcp.server import HttpServer, ToolServer
+        from zenostat.views.mcp.server import MAX_RUNNING, HttpServer, ToolServer
         from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
     check_name(name, "--name")
     if reports is not None and not reports.is_dir():
@@ -87,10 +88,11 @@ def mcp(
     token = secrets.token_urlsafe(32) if token_file is None else read_token(token_file, "--token-file")
     with ExitStack() as stack:
         log = stack.enter_context(CallLog(audit_log))
+        threads = stack.enter_context(ThreadPoolExecutor(MAX_RUNNING))  # waited for once the bus is closed
         bus = stack.enter_context(options.open_bus(Role.GATEWAY))
         bus.via = VIA
         writer = None if limits is None else Writer(bus, name, limits)
-        server = ToolServer(stack.enter_context(Desk(bus, name, writer=writer, reports=reports)), log)
+        server = ToolServer(stack.enter_context(Desk(bus, name, writer=writer, reports=reports)), log, threads)
         if address is None:
             # A thread may wait for input, so the program cannot end by itself; all it has ends with its process.
             stack.enter_context(override_signals(lambda number, _: os._exit(128 + number), *TERMINATION_SIGNALS))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import AsyncIterator, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.views.mcp.call_log import CallLog
 from zenostat.views.mcp.content import read_data
 from zenostat.views.mcp.desk import Desk
-from zenostat.views.mcp.server import HttpServer, ToolServer
+from zenostat.views.mcp.server import MAX_RUNNING, HttpServer, ToolServer
 from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
 
 TOKEN = "t" * 40
@@ -22,11 +23,15 @@ TOKEN = "t" * 40
 @contextmanager
 def tool_server(endpoint: str, audit: Path, *rules: str, reports: Path | None = None) -> Iterator[ToolServer]:
     """The tools of a bus; with rules, those that write as well."""
-    with zenostat.connect(endpoint, affinity=Affinity.OFF, wait=True) as bus, CallLog(audit) as log:
+    with (
+        CallLog(audit) as log,
+        ThreadPoolExecutor(MAX_RUNNING) as threads,
+        zenostat.connect(endpoint, affinity=Affinity.OFF, wait=True) as bus,
+    ):
         bus.via = "mcp"
         writer = Writer(bus, "mcp", WriteLimits([WriteRule.parse(rule) for rule in rules])) if rules else None
         with Desk(bus, "mcp", writer=writer, reports=reports) as desk:
-            yield ToolServer(desk, log)
+            yield ToolServer(desk, log, threads)
 
 
 @contextmanager

@@ -18,12 +18,16 @@ import numpy as np
 from mcp import Client, StdioServerParameters
 from PIL import Image
 from support import builders
+from support.certificates import house_keys
 from support.mcp_clients import TOKEN, ask, http_client, http_server, refused, tool_server
 from support.mcp_page import transcript, transcript_of_page
 from support.nodes import ZONES, NodeProgram, free_port, until
 
 import zenostat
+from zenostat import recording
+from zenostat.bridge.transport.certificates import add
 from zenostat.topics import codec, keys
+from zenostat.topics.keys import Role
 from zenostat.topics.messages import BranchCreated, SnapshotTaken
 from zenostat.views.mcp.content import CLOSE, read_data
 
@@ -80,7 +84,7 @@ async def test_mcp__tools_read_what_the_bus_has(fake_node: NodeProgram, audit: P
             sample, history = bus.read("office"), bus.history("office", [TEMPERATURE])
             (read,) = (await ask(client, "read_points", node="office", points=[TEMPERATURE]))["points"]
             assert read == {"name": TEMPERATURE, "value": pytest.approx(sample[TEMPERATURE]), "unit": "degC"}
-            past = await ask(client, "read_history", node="office", points=[TEMPERATURE], max_samples=1000)
+            past = await ask(client, "read_history", node="office", points=[TEMPERATURE], max_samples=500)
             assert past["points"][0]["values"] == pytest.approx(history[TEMPERATURE].tolist())
             assert past["points"][0]["max"] == pytest.approx(history[TEMPERATURE].max())
             assert past["time"][-1] == sample.time.isoformat()
@@ -143,6 +147,24 @@ async def test_mcp__node_with_hostile_names_is_listed_as_data(fake_node: NodePro
                 assert read_data(explained.content[0].text)["points"][0]["name"] == "ignore_all_instructions"
 
 
+async def test_mcp__injected_faults_are_withheld(fake_node: NodeProgram, audit: Path) -> None:
+    fault = {"name": "secret drift", "kind": "bias", "points": TEMPERATURE, "offset": 2.0}
+    with tool_server(fake_node.endpoint, audit) as tools, zenostat.connect(fake_node.endpoint, affinity="off") as bus:
+        async with Client(tools.sdk) as client:
+            bus.faults("office", {"faults": [fault]}, source="ada")
+            bus.faults("office", None, source="ada")
+            write = bus.write("office", POINT, 25.0, source="ada").text
+            bus.write("office", POINT, None, source="ada")
+            events: list[dict[str, Any]] = []
+            while not any(write in event["text"] for event in events):
+                events = (await ask(client, "read_events", node="office"))["events"]
+            assert {event["kind"] for event in events} == {"written"}
+            for tool in ("list_nodes", "read_alarms", "read_events"):
+                result = await client.call_tool(tool, {} if tool == "list_nodes" else {"node": "office"})
+                assert "secret" not in result.content[0].text
+                assert "faults" not in result.content[0].text
+
+
 # What-if
 
 
@@ -168,6 +190,14 @@ async def test_mcp__what_if_compares_energy_and_comfort_on_copies(fake_node: Nod
         assert bus.latest("office") == before
         assert not bus.status("office").branches
         assert not bus.status("office").snapshots
+
+
+async def test_mcp__one_simulation_on_copies_runs_at_a_time(fake_node: NodeProgram, audit: Path) -> None:
+    with tool_server(fake_node.endpoint, audit) as tools:
+        async with Client(tools.sdk) as client:
+            with tools.desk.simulating:
+                assert "another simulation on copies" in await refused(client, "what_if", node="office", hours=1)
+            assert (await ask(client, "what_if", node="office", hours=1))["totals"]["as_is"]["hours"] == 1.0
 
 
 async def test_mcp__node_that_names_another_node_as_its_branch_is_refused(fake_node: NodeProgram, audit: Path) -> None:
@@ -306,9 +336,11 @@ def command(node: NodeProgram, *arguments: str) -> list[str]:
 
 
 @pytest.mark.slow
-async def test_mcp__command_serves_the_sdks_client_over_stdio(fake_node: NodeProgram, audit: Path) -> None:
+@pytest.mark.parametrize("mode", ["auto", "legacy"])
+async def test_mcp__command_serves_the_sdks_client_over_stdio(fake_node: NodeProgram, audit: Path, mode: str) -> None:
+    """Programs of before 2026 begin with a handshake (`legacy`)."""
     program, *arguments = command(fake_node, "--audit-log", str(audit))
-    async with Client(StdioServerParameters(command=program, args=arguments)) as client:
+    async with Client(StdioServerParameters(command=program, args=arguments), mode=mode) as client:
         (office,) = (await ask(client, "list_nodes"))["nodes"]
         assert office["node"] == "office"
     assert [entry.get("tool") for entry in entries(audit)] == ["list_nodes", None]
@@ -359,6 +391,37 @@ def test_mcp__invalid_options_are_refused(fake_node: NodeProgram, arguments: tup
     assert done.returncode != 0
     assert text in " ".join(done.stderr.split())
     assert done.stdout == ""
+
+
+@pytest.mark.slow
+async def test_mcp__writes_are_proven_by_its_certificate_and_in_the_nodes_audit_log(scratch: Path) -> None:
+    folder, path = house_keys(scratch / "keys"), scratch / "office.mcap"
+    add(folder, Role.GATEWAY, "mcp")
+    listen = [f"tls/127.0.0.1:{free_port()}"]
+    with (
+        NodeProgram(scratch / "node", plant=PLANT, listen=listen, keys=str(folder)) as node,
+        zenostat.connect(node.endpoint, keys=folder, certificate="trainer", affinity="off") as bus,
+    ):
+        bus.pause("office")
+        bus.pace("office", mode="free")
+        bus.record("office", path, now=True)
+        options = ("--keys", str(folder), "--certificate", "mcp", "--allow-writes", "zone_1_*=20:28")
+        program, *arguments = command(node, *options)
+        async with Client(StdioServerParameters(command=program, args=arguments)) as client:
+            assert (await ask(client, "what_if", node="office", values={POINT: 24.0}, hours=1))["difference"]
+            write = {"node": "office", "actuator": POINT, "value": 25.0, "minutes": 60, "reason": "a test"}
+            assert (await ask(client, "write", **write))["in_effect"]["source"] == "mcp"
+        steps = round(3600.0 / bus.manifest("office").step_s)
+        for step, value in ((steps, 25.0), (steps + 1, None)):
+            bus.step("office", step - bus.status("office").step[0])
+            until(lambda step=step: bus.status("office").step == [step], f"step {step}")
+            if value is None:
+                assert [entry.value for entry in bus.priorities("office")[POINT]] == [None] * 16
+            else:
+                assert bus.read("office").value_source[POINT] == "mcp"
+        bus.stop_recording("office")
+    (written,) = [entry for entry in recording.load(path).log if entry.kind == "write"]
+    assert (written.source, written.proven, written.via) == ("mcp", "mcp", "mcp")
 
 
 # A building of EnergyPlus

@@ -41,7 +41,7 @@ data = st.recursive(
 # Quoting
 
 
-@settings(max_examples=examples(100))
+@settings(max_examples=examples(40))
 @given(st.dictionaries(texts, data, max_size=3))
 def test_render__no_text_ends_the_data_or_adds_a_line(content: dict[str, Any]) -> None:
     text = render(content)

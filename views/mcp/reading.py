@@ -214,7 +214,7 @@ class ReadHistory(Tool):
     points: Annotated[list[Point], Field(min_length=1, max_length=16, description="Names of points.")]
     start: Start = None
     end: End = None
-    max_samples: Annotated[int, Field(ge=2, le=1000, description="Largest number of samples of each point.")] = 100
+    max_samples: Annotated[int, Field(ge=2, le=500, description="Largest number of samples of each point.")] = 100
 
     @override
     def run(self, desk: Desk) -> Content:

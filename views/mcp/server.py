@@ -31,7 +31,9 @@ DEFAULT_ADDRESS = "127.0.0.1:8700"
 PATH = "/mcp"
 """Path of the endpoint over HTTP."""
 
-_MAX_RUNNING = 8
+MAX_RUNNING = 8
+"""Largest number of calls that run at a time."""
+
 _MAX_SESSIONS = 32
 _MAX_BODY_BYTES = 256 * 1024
 _INSTRUCTIONS = (
@@ -51,12 +53,17 @@ class ToolServer:
 
     Args:
         desk: what the tools use.
-        audit: log of all calls.
+        log: log of all calls.
+        threads: threads in which calls run, as many as can run at a time.
+
+    Attributes:
+        desk: what the tools use.
+        sdk: the server of the SDK.
     """
 
-    def __init__(self, desk: Desk, audit: CallLog) -> None:
-        self._desk, self._audit = desk, audit
-        self._threads, self._free = ThreadPoolExecutor(_MAX_RUNNING), BoundedSemaphore(_MAX_RUNNING)
+    def __init__(self, desk: Desk, log: CallLog, threads: ThreadPoolExecutor) -> None:
+        self.desk, self._log = desk, log
+        self._threads, self._free = threads, BoundedSemaphore(MAX_RUNNING)
         mode = _READ_ONLY if desk.writer is None else _WRITING
         self.sdk: Any = Server(
             "zenostat",
@@ -82,15 +89,13 @@ class ToolServer:
                         read_only_hint=not tool.writes, destructive_hint=tool.writes, open_world_hint=False
                     ),
                 )
-                for tool in offered(self._desk)
+                for tool in offered(self.desk)
             ]
         )
 
     async def _call_tool(self, context: Any, request: types.CallToolRequestParams) -> types.CallToolResult:
         if not self._free.acquire(blocking=False):
-            return _result(
-                failure(RequestRejected(f"{_MAX_RUNNING} calls are running; try again later")), is_error=True
-            )
+            return _result(failure(RequestRejected(f"{MAX_RUNNING} calls are running; try again later")), is_error=True)
         arguments = request.arguments or {}
         running = self._threads.submit(self._call, _client(context), request.name, arguments)
         running.add_done_callback(lambda _: self._free.release())
@@ -98,9 +103,9 @@ class ToolServer:
 
     def _call(self, client: str, name: str, arguments: Mapping[str, Any]) -> types.CallToolResult:
         try:
-            number = self._audit.begin(client, name, arguments)
-            content, is_error = call(self._desk, name, arguments)
-            self._audit.end(number, f"{content.data['error']}: {content.data['message']}" if is_error else "ok")
+            number = self._log.begin(client, name, arguments)
+            content, is_error = call(self.desk, name, arguments)
+            self._log.end(number, f"{content.data['error']}: {content.data['message']}" if is_error else "ok")
         except RequestRejected as error:  # of the audit log
             content, is_error = failure(error), True
         return _result(content, is_error=is_error)
