@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 from typing import Annotated, Any, ClassVar
 
@@ -104,10 +105,11 @@ class MakeReport(Tool):
     def run(self, desk: Desk) -> Content:
         description = desk.description(self.node)
         if self.hours is None:
-            trajectories = {"so far": _so_far(desk, description)}
+            trajectories = {self.node: _so_far(desk, description)}
         else:
             futures = {"baseline": Future(is_relinquished=True), "as is": Future()}
-            samples = _simulate(desk, description, futures, self.hours)
+            step_h = description.manifest.step_s / 3600  # a trajectory begins with the sample after the first timestep
+            samples = _simulate(desk, description, futures, self.hours + step_h)
             trajectories = {name: _trajectory(description, each) for name, each in samples.items()}
         comparison = _comparison(trajectories)
         first = next(iter(trajectories.values()))
@@ -203,7 +205,8 @@ def _so_far(desk: Desk, description: NodeDescription) -> Trajectory:
 def _comparison(trajectories: Mapping[str, Trajectory]) -> Comparison:
     runs, sources = [], {}
     for name, trajectory in trajectories.items():
-        metrics = MetricsAccumulator(trajectory.manifest, None)
+        manifest = trajectory.manifest.model_copy(update={"steps": trajectory.steps})  # the report is of these
+        metrics = MetricsAccumulator(manifest, None)
         sources = metrics.sources
-        runs.append(Run(name, (metrics.measure(trajectory),), trajectory))
+        runs.append(Run(name, (metrics.measure(trajectory),), replace(trajectory, manifest=manifest)))
     return Comparison(tuple(runs), sources=sources)
