@@ -17,7 +17,7 @@ from support import builders
 from support.examples import examples
 
 from zenostat.bridge.client.priorities import PriorityValue
-from zenostat.topics.errors import AccessDenied, BadMessage, InvalidConfig, RequestRejected, UnknownName
+from zenostat.topics.errors import AccessDenied, BadMessage, InvalidConfig, PlantFailed, RequestRejected, UnknownName
 from zenostat.views.mcp.call_log import CallLog
 from zenostat.views.mcp.content import CLOSE, MAX_TEXT, NOTICE, OPEN, read_data, render
 from zenostat.views.mcp.tools import TOOLS, call
@@ -92,6 +92,10 @@ class OneNodeBus:
     def priorities(self, _: str) -> dict[str, list[PriorityValue]]:
         free = [PriorityValue(None, None)] * 16
         return {name: self.arrays.get(name, free) for name in ("core_cooling", "hall_cooling", "valve")}
+
+    def try_step(self, _: str, alternatives: Any, **__: Any) -> None:
+        if alternatives == [{"hall_cooling": 15.0}]:
+            raise PlantFailed("the chiller froze")
 
     def write(
         self,
@@ -199,6 +203,15 @@ def test_writer__values_of_others_are_neither_replaced_nor_relinquished() -> Non
             change()
     with pytest.raises(RequestRejected, match="hall_cooling has no value of this server"):
         allowed.relinquish(MANIFEST, "hall_cooling")
+    assert bus.written == []
+
+
+def test_writer__value_with_which_a_copy_fails_is_not_sent() -> None:
+    allowed, bus, _ = writer("*")
+    with pytest.raises(
+        AccessDenied, match="hall_cooling = 15: the simulation fails with it on a copy: the chiller froze"
+    ):
+        allowed.write(MANIFEST, "hall_cooling", 15.0, 60.0)
     assert bus.written == []
 
 

@@ -1,4 +1,7 @@
-"""Writes of a language model: to named actuators only, within a range, with an expiry, at a low priority, not often."""
+"""Writes of a language model: to named actuators only, within a range, with an expiry, at a low priority, not often.
+
+Each is first tried for a timestep on a copy of the building, since some values end a simulation.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from zenostat.bridge.client.bus import Bus
-from zenostat.topics.errors import AccessDenied, InvalidConfig, RequestRejected
+from zenostat.topics.errors import AccessDenied, ForkFailed, InvalidConfig, RequestRejected, SimulatorError
 from zenostat.topics.keys import own_name
 from zenostat.topics.messages import Actuator, Manifest
 from zenostat.topics.points import actuator_index
@@ -122,7 +125,7 @@ class Writer:
 
         Raises:
             UnknownName: there is no such actuator.
-            AccessDenied: the limits do not permit it.
+            AccessDenied: the limits do not permit it, or the simulation fails with it.
             RequestRejected: too many writes, the priority is another writer's, or the node rejected the write.
         """
         actuator_index(manifest.actuators).require([name])
@@ -131,6 +134,7 @@ class Writer:
         with self._lock:
             self._check_holder(manifest, name)
             self._count()
+            self._try(manifest, name, value)
             ack = self._bus.write(
                 manifest.node, name, value,
                 priority=self.limits.priority, duration_s=duration_s, source=self._source,
@@ -182,6 +186,19 @@ class Writer:
         if entry.source != own_name(self._bus.identity, self._source):
             raise RequestRejected(f"priority {self.limits.priority} of {name} is in use by {entry.source}")
         return True
+
+    def _try(self, manifest: Manifest, name: str, value: float) -> None:
+        """Simulate the next timestep with a value on a copy, where the plant can be copied.
+
+        Raises:
+            AccessDenied: the simulation fails.
+        """
+        try:
+            self._bus.try_step(manifest.node, [{name: value}], name=self._source, priority=self.limits.priority)
+        except (ForkFailed, RequestRejected):  # what is wrong with the value, the node answers to the write as well
+            return
+        except SimulatorError as error:
+            raise AccessDenied(f"{name} = {value:g}: the simulation fails with it on a copy: {error}") from None
 
     def _count(self) -> None:
         now_s = self._clock()
