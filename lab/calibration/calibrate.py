@@ -39,7 +39,7 @@ from zenostat.lab.calibration.trials import (
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
 
-_GAIN = 1e-3
+_GAIN = 0.01
 """Share by which a step has to lower the error, so that another one follows."""
 
 SCRATCH = "runs"

@@ -97,17 +97,15 @@ class Determined:
 
 
 def points(config: Calibration, best: Mapping[str, float]) -> list[dict[str, float]]:
-    """Return the values to simulate for the derivatives: two for each parameter, below and above the best value."""
+    """Return the values to simulate for the derivatives: for each parameter, a step towards the middle of its range."""
     return [
-        {**best, name: parameter.from_unit(place)}
+        {**best, name: parameter.from_unit(parameter.to_unit(best[name]) + _step(parameter, best[name]))}
         for name, parameter in config.parameters.items()
-        for place in _places(parameter, best[name])
     ]
 
 
-def _places(parameter: Parameter, value: float) -> tuple[float, float]:
-    place = parameter.to_unit(value)
-    return max(place - STEP, 0.0), min(place + STEP, 1.0)
+def _step(parameter: Parameter, value: float) -> float:
+    return STEP if parameter.to_unit(value) < 0.5 else -STEP
 
 
 @dataclass(frozen=True)
@@ -141,10 +139,10 @@ def linearize(
     sides = [compare(data, hours) for hours in at_points]
     curvature, noise, gradient = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
     for number, each in enumerate(compare(data, at_center)):
-        slopes = []
-        for place, (name, parameter) in enumerate(config.parameters.items()):
-            low, high = _places(parameter, center[name])
-            slopes.append((sides[2 * place + 1][number].simulated - sides[2 * place][number].simulated) / (high - low))
+        slopes = [
+            (sides[place][number].simulated - each.simulated) / _step(parameter, center[name])
+            for place, (name, parameter) in enumerate(config.parameters.items())
+        ]
         derivatives = np.stack(slopes, axis=1)
         residuals, free = each.measured - each.simulated, max(len(each.measured) - config.adjustable, 1)
         spread, bias = scales[each.column.header]

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import math
-import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -151,7 +150,7 @@ def run_trial(job: Job) -> tuple[int, Result]:
 
 def leave_signals_to(parent: int) -> None:
     """In a worker process, end with the parent in whatever way it ends, and ignore Ctrl-C, which it handles."""
-    if multiprocessing.parent_process() is not None:
+    if os.getpid() != parent:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
         die_with_parent(parent)
 
