@@ -36,7 +36,8 @@ from zenostat.topics.units import conversion
 WEATHER = "USA_IL_Chicago"
 TRAINING = (("2017-01-09", "2017-01-22"), ("2017-07-10", "2017-07-23"))
 HELD_OUT = (("2017-04-17", "2017-04-23"), ("2017-08-21", "2017-08-27"))
-TRIALS = 54
+TRIALS = {"ref-small-office": 54, "ref-stand-alone-retail": 27, "ref-warehouse": 27}
+"""Trials of each building; a generation has 9 with seven parameters and with six."""
 METER_NOISE, TEMPERATURE_NOISE_K = 0.05, 0.3
 """Standard deviations of the noise: of meters as share of the value, of temperatures."""
 
@@ -124,7 +125,7 @@ def _with_noise(hours: Any, meters: int, rng: np.random.Generator) -> Any:
     return noisy
 
 
-def run(folder: Path, buildings: Sequence[str], trials: int, workers: int) -> None:
+def run(folder: Path, buildings: Sequence[str], trials: int | None, workers: int) -> None:
     """Calibrate the buildings that the folder has no result of."""
     for building in buildings:
         case = folder / building
@@ -132,7 +133,7 @@ def run(folder: Path, buildings: Sequence[str], trials: int, workers: int) -> No
         if (case / "summary.json").exists():
             continue
         if not (case / "parameters.yaml").exists():
-            write_case(building, case, trials=trials, workers=workers)
+            write_case(building, case, trials=trials or TRIALS[building], workers=workers)
         measured = case / "measured.csv"
         config, data, runs = prepare(building, measured, case / "parameters.yaml", WEATHER, workers=workers)
         result = calibrate(
@@ -188,7 +189,7 @@ def main() -> None:
     parser.add_argument("action", choices=["run", "table"])
     parser.add_argument("folder", type=Path)
     parser.add_argument("buildings", nargs="*", default=list(CASES))
-    parser.add_argument("--trials", type=int, default=TRIALS)
+    parser.add_argument("--trials", type=int, help="trials of each building")
     parser.add_argument("--workers", type=int, default=2)
     arguments = parser.parse_args()
     if arguments.action == "run":

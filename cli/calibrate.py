@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -92,6 +91,7 @@ def prepare(
     from zenostat.lab.calibration.headings import read_headings
     from zenostat.lab.calibration.measured import read_measured
     from zenostat.lab.config_file import read_file
+    from zenostat.models import energyplus
     from zenostat.models.building.model import read_building
     from zenostat.models.calibration.model_edits import places, read_parameter
     from zenostat.models.calibration.runs import ModelRuns
@@ -124,12 +124,9 @@ def prepare(
     scratch = str((config.folder / SCRATCH).absolute())
     runs = ModelRuns(model, climate.path, parameters, targets, config.sizing, scratch)
     runs.check([*config.periods, *config.held_out], {name: each.ends for name, each in config.parameters.items()})
-    sources = {
-        "model": file_digest(entry.path),
-        "weather": file_digest(climate.path),
-        "measured": file_digest(measured),
-    }
-    return config.model_copy(update={"sources": sources}), data, replace(runs)
+    files = {"model": entry.path, "weather": climate.path, "measured": measured}
+    sources = {name: file_digest(path) for name, path in files.items()} | {"engine": energyplus.version()}
+    return config.model_copy(update={"sources": sources}), data, runs
 
 
 def write_files(result: CalibrationResult, runs: ModelRuns, measured: Path) -> list[Path]:

@@ -96,7 +96,11 @@ class CalibrationResult:
         return dict(Counter(each.result["state"] for each in self.ended))
 
     def plain(self) -> dict[str, Any]:
-        """Return the result as JSON."""
+        """Return the result as JSON; what is not a number is null."""
+        plain: dict[str, Any] = _finite(self._plain())
+        return plain
+
+    def _plain(self) -> dict[str, Any]:
         return {
             "values": self.values,
             "parameters": {each.name: each.plain() for each in self.parameters},
@@ -105,10 +109,9 @@ class CalibrationResult:
         }
 
     def write(self, path: Path) -> None:
-        """Write the result as JSON; what is not a number is null."""
+        """Write the result as JSON."""
         with atomic_file(path) as temporary:
-            text = json.dumps(_finite(self.plain()), indent=1, allow_nan=False)
-            temporary.write_text(text + "\n", encoding="utf-8")
+            temporary.write_text(json.dumps(self.plain(), indent=1, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def _finite(value: Any) -> Any:

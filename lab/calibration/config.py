@@ -128,7 +128,7 @@ class Calibration(StudyConfig):
         refine: largest number of steps from the best trial towards the optimum of the model linearized there.
         margin: trials whose error is at most the best one's times 1 + margin count as equally good.
         determined: largest share of a parameter's range within which it counts as determined.
-        sources: digests of model, weather and measured data; not in the file.
+        sources: digests of model, weather and measured data, and the version of the engine; not in the file.
     """
 
     trial_module: ClassVar[str] = ""
@@ -166,12 +166,12 @@ class Calibration(StudyConfig):
             raise ValueError("an error is minimized")
         return direction
 
-    @field_validator("storage")
+    @field_validator("storage", "retries")
     @classmethod
-    def _has_own_storage(cls, storage: str | None) -> str | None:
-        if storage is not None:
-            raise ValueError("a calibration keeps its study in its folder: remove it")
-        return storage
+    def _is_unused(cls, value: str | int | None) -> str | int | None:
+        if value:
+            raise ValueError("a calibration keeps its trials in its folder, and continues from there: remove it")
+        return value
 
     @model_validator(mode="after")
     def _do_not_overlap(self) -> Calibration:

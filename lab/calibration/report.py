@@ -37,7 +37,8 @@ def _errors(errors: ColumnErrors, each: FitErrors | None) -> tuple[str, str]:
     if each is None or math.isnan(each.rmse):
         return _NONE, _NONE
     if errors.is_absolute:
-        return f"{each.rmse:.2f} {errors.unit}", f"{each.mbe:+.2f} {errors.unit}"
+        unit = "K" if errors.unit == "degC" else errors.unit
+        return f"{each.rmse:.2f} {unit}", f"{each.mbe:+.2f} {unit}"
     return f"{each.cv_rmse_percent:.1f} %", f"{each.nmbe_percent:+.1f} %"
 
 
@@ -168,12 +169,16 @@ def summary(result: CalibrationResult) -> list[str]:
 
 def _table(columns: Sequence[str], rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
     def cells(tag: str, row: Sequence[str]) -> str:
-        return "".join(
-            f"<{tag}{' class=n' if place in numbers else ''}>{escape(text)}</{tag}>" for place, text in enumerate(row)
-        )
+        return "".join(f"<{tag}{_look(place, numbers)}>{escape(text)}</{tag}>" for place, text in enumerate(row))
 
     head, body = cells("th", columns), "".join(f"<tr>{cells('td', row)}</tr>" for row in rows)
     return f'<div class="scroll" tabindex="0"><table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></div>'
+
+
+def _look(place: int, numbers: Sequence[int]) -> str:
+    if place in numbers:
+        return ' class="n"'
+    return ' style="padding-left:18px"' if place - 1 in numbers else ""
 
 
 def _correlations(result: CalibrationResult) -> str:

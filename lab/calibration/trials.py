@@ -6,6 +6,7 @@ numbers. So the trials are the same, to the bit, for any number of processes, an
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 import os
@@ -108,11 +109,11 @@ class Job:
 
 @dataclass(frozen=True)
 class Simulation:
-    """Periods to simulate with some values."""
+    """A period to simulate with some values."""
 
     simulator: Simulator
     values: Mapping[str, float]
-    periods: tuple[Days, ...]
+    days: Days
     place: int
     parent: int
 
@@ -120,12 +121,10 @@ class Simulation:
         return f"simulation with {dict(self.values)}"
 
 
-def run_simulation(simulation: Simulation) -> tuple[int, Hours]:
-    """Return the place of a simulation and its hours."""
+def run_simulation(simulation: Simulation) -> tuple[int, Days, Floats]:
+    """Return the place of a simulation, its period and its hours."""
     leave_signals_to(simulation.parent)
-    return simulation.place, {
-        days: simulation.simulator.simulate(simulation.values, days) for days in simulation.periods
-    }
+    return simulation.place, simulation.days, simulation.simulator.simulate(simulation.values, simulation.days)
 
 
 def run_trial(job: Job) -> tuple[int, Result]:
@@ -184,6 +183,7 @@ class Trials:
 
     def _check_settings(self) -> None:
         path, identity = self.config.folder / SETTINGS, json.loads(json.dumps(self.config.identity()))
+        self._identity = hashlib.sha256(json.dumps(identity, sort_keys=True).encode()).hexdigest()[:16]
         try:
             saved = json.loads(path.read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -229,7 +229,8 @@ class Trials:
         errors: list[str] = []
         for number, result in run_all(run_trial, missing, "trials", None, errors):
             with atomic_file(self._path(number)) as temporary:
-                temporary.write_text(json.dumps({"values": values[number], **result}), encoding="utf-8")
+                text = json.dumps({"settings": self._identity, "values": values[number], **result})
+                temporary.write_text(text, encoding="utf-8")
             results[number] = result
             if self._on_result is not None:
                 self._on_result(number, values[number], result)
@@ -246,7 +247,8 @@ class Trials:
             result: Result = json.loads(self._path(number).read_text(encoding="utf-8"))
         except (OSError, ValueError):
             return None
-        return result if result.pop("values", None) == values else None
+        known = result.pop("settings", None), result.pop("values", None)
+        return result if known == (self._identity, values) else None
 
     def _thresholds(self) -> dict[int, float]:
         """Return the medians of finished trials by period, above which a trial is ended, as Optuna's median pruner."""
@@ -266,12 +268,14 @@ def simulate_all(
     Raises:
         SimulatorError: one of them failed.
     """
-    jobs = [Simulation(simulator, each, tuple(periods), place, os.getpid()) for place, each in enumerate(values)]
+    jobs = [
+        Simulation(simulator, each, days, place, os.getpid()) for place, each in enumerate(values) for days in periods
+    ]
     errors: list[str] = []
-    results = dict(run_all(run_simulation, jobs, "simulations", None, errors))
+    hours = {(place, days): table for place, days, table in run_all(run_simulation, jobs, "simulations", None, errors)}
     if errors:
         raise SimulatorError(errors[0])
-    return [results[place] for place in range(len(jobs))]
+    return [{days: hours[place, days] for days in periods} for place in range(len(values))]
 
 
 @contextmanager

@@ -177,7 +177,7 @@ def test_calibrate__refuses_a_folder_with_other_settings(tmp_path: Path) -> None
         ({"held_out": [["2017-01-11", "2017-01-12"]]}, "overlaps the period that ends on 2017-01-11"),
         ({"parameters": {"a": {"edit": "people", "low": 1.0, "high": 1.0}}}, "nothing to calibrate"),
         ({"pruner": {"kind": "halving"}}, "use median or false"),
-        ({"storage": "sqlite:///x.db"}, "keeps its study in its folder"),
+        ({"storage": "sqlite:///x.db"}, "keeps its trials in its folder"),
         ({"trial": 3}, "there is no such field; did you mean 'trials'"),
         ({"trials": None}, "trials: it is missing"),
     ],

@@ -10,6 +10,7 @@ FILES = {
     FileKind.TRAINING: {"algorithm", "scenario", "steps", "parameters"},
     FileKind.TUNING: {"study", "training", "parameters"},
     FileKind.CONTROLLER: {"controller", "parameters"},
+    FileKind.CALIBRATION: {"timestamps", "periods", "parameters"},
 }
 
 
