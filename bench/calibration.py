@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import csv
 import json
+import math
 import re
 import shutil
 from collections.abc import Mapping, Sequence
@@ -36,8 +37,11 @@ from zenostat.topics.units import conversion
 WEATHER = "USA_IL_Chicago"
 TRAINING = (("2017-01-09", "2017-01-22"), ("2017-07-10", "2017-07-23"))
 HELD_OUT = (("2017-04-17", "2017-04-23"), ("2017-08-21", "2017-08-27"))
-TRIALS = {"ref-small-office": 54, "ref-stand-alone-retail": 27, "ref-warehouse": 27}
-"""Trials of each building; a generation has 9 with seven parameters and with six."""
+TRIALS = {"ref-small-office": 54, "ref-stand-alone-retail": 27, "ref-warehouse": 9}
+"""Trials of each building: six, three and one generations of the sampler."""
+REFINE = 2
+"""Steps after the trials, at most."""
+
 METER_NOISE, TEMPERATURE_NOISE_K = 0.05, 0.3
 """Standard deviations of the noise: of meters as share of the value, of temperatures."""
 
@@ -108,6 +112,7 @@ def write_case(building: str, folder: Path, *, trials: int, workers: int) -> Non
         "held_out": [list(days) for days in HELD_OUT],
         "parameters": {name: {"edit": name, **RANGES[name], "truth": value} for name, value in truth.items()},
         "trials": trials,
+        "refine": REFINE,
         "workers": workers,
         "output": str(folder),
     }
@@ -225,16 +230,29 @@ def _statement(summaries: Sequence[Mapping[str, Any]]) -> str:
     known = [parameter for parameter in each if parameter["determined"]]
     inside = sum(parameter["low"] <= parameter["truth"] <= parameter["high"] for parameter in each)
     off = max((abs(parameter["place"] - parameter["true_place"]) for parameter in known), default=0.0)
+    outside = max(map(_outside, each))
     errors = ", ".join(
         f"{summary['fits']['before']['error']:.2f} to {summary['fits']['after']['error']:.3f} "
         f"({summary['truth_error']:.3f} with the truth) in {summary['building']}"
         for summary in summaries
     )
+    beyond = f"; in the others it is at most {100 * outside:.1f} % of the range outside" if outside else ""
     return (
         f"The error falls from {errors}. Of {len(each)} parameters, {len(known)} are determined; the calibrated value "
         f"of each of these is within {100 * off:.0f} % of its range of the truth. The truth is in the interval of "
-        f"{inside} of {len(each)}."
+        f"{inside} of {len(each)}{beyond}."
     )
+
+
+def _outside(parameter: Mapping[str, Any]) -> float:
+    """Return how far the truth is outside the interval of a parameter, as share of its range."""
+    low, high = map(float, parameter["range"])
+
+    def place(value: float) -> float:
+        return math.log(value / low) / math.log(high / low) if parameter["log"] else (value - low) / (high - low)
+
+    true = float(parameter["true_place"])
+    return max(place(parameter["low"]) - true, true - place(parameter["high"]), 0.0)
 
 
 def _markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
