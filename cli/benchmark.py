@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from zenostat.lab.benchmark import Results, Selection
-    from zenostat.lab.benchmark.workers import Progress
+    from zenostat.lab.workers import Progress
 
 _ALL = "baseline,fixed,rbc,tuned,pid,random,oracle,ppo,sac"
 

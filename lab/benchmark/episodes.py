@@ -30,8 +30,8 @@ from zenostat.lab.benchmark.processor_time import processor_s
 from zenostat.lab.benchmark.results_file import Row
 from zenostat.lab.benchmark.two_loop_pid import TwoLoopPID
 from zenostat.lab.evaluate import run_episode, without_actuators
+from zenostat.lab.workers import describe_error
 from zenostat.metrics.episode_metrics import EpisodeMetrics
-from zenostat.topics.errors import ZenostatError
 from zenostat.topics.messages import Manifest
 
 _METRICS = (
@@ -122,11 +122,6 @@ def run_job(job: Job) -> tuple[list[Row], list[str]]:
             except Exception as error:  # of a user's controller; the others still run
                 errors.append(f"{episode}: {describe_error(error)}")
     return rows, errors
-
-
-def describe_error(error: Exception) -> str:
-    """Return the text of an error of the product, and the type too of any other one."""
-    return str(error) if isinstance(error, ZenostatError) else f"{type(error).__name__}: {error}"
 
 
 def _run_episode(job: Job, env: BuildingEnv, episode: Episode) -> Row:

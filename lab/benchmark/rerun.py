@@ -11,7 +11,7 @@ from zenostat.lab.benchmark.results import Results, changed_versions, episode_of
 from zenostat.lab.benchmark.results_file import Row
 from zenostat.lab.benchmark.run import cache_folder, check_controllers, name_of, prepare_missing, stale_trainings
 from zenostat.lab.benchmark.selection import Selection
-from zenostat.lab.benchmark.workers import Progress, worker_pool
+from zenostat.lab.workers import Progress, worker_pool
 from zenostat.topics.errors import InvalidConfig
 
 

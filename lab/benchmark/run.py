@@ -14,7 +14,7 @@ from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared, prepar
 from zenostat.lab.benchmark.recipes import FORMS
 from zenostat.lab.benchmark.results import Results, changed_versions, load_results
 from zenostat.lab.benchmark.selection import Selection
-from zenostat.lab.benchmark.workers import Progress, RunAll, worker_pool
+from zenostat.lab.workers import Progress, RunAll, worker_pool
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.extras import import_extra
 from zenostat.topics.file_lock import locked

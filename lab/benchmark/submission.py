@@ -14,7 +14,7 @@ from zenostat.lab.benchmark.results import Results, changed_versions, episode_of
 from zenostat.lab.benchmark.results_file import Row
 from zenostat.lab.benchmark.run import name_of, stale_trainings
 from zenostat.lab.benchmark.scores import relative_reward
-from zenostat.lab.benchmark.workers import Progress
+from zenostat.lab.workers import Progress
 from zenostat.topics.errors import InvalidConfig
 
 _SHOWN = 5

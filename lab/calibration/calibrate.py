@@ -11,7 +11,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from zenostat.lab.benchmark.workers import RunAll, worker_pool
 from zenostat.lab.calibration.config import Calibration
 from zenostat.lab.calibration.determination import Determined, determine, linearize, points, stepped
 from zenostat.lab.calibration.measured import MeasuredData
@@ -36,6 +35,7 @@ from zenostat.lab.calibration.trials import (
     simulate_all,
     study_folder,
 )
+from zenostat.lab.workers import RunAll, worker_pool
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
 

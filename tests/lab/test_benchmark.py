@@ -35,7 +35,7 @@ from zenostat.lab.benchmark.page import write_page
 from zenostat.lab.benchmark.run import stale_trainings
 from zenostat.lab.benchmark.scores import bootstrap_interval, relative_linear
 from zenostat.lab.benchmark.tables import tables
-from zenostat.lab.benchmark.workers import worker_pool
+from zenostat.lab.workers import worker_pool
 from zenostat.models.catalog import find_building, find_weather
 from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError
 from zenostat.topics.file_lock import locked

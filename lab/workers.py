@@ -11,8 +11,7 @@ from functools import partial
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-from zenostat.lab.benchmark.episodes import describe_error
-from zenostat.topics.errors import SimulatorError
+from zenostat.topics.errors import SimulatorError, ZenostatError
 
 Progress = Callable[[str, int, int], None]
 """Callback with the stage (`training`, `episodes`), the number of finished items (first 0) and of all."""
@@ -78,3 +77,8 @@ def _attempt(function: Callable[..., Any], item: Any) -> tuple[Any, str]:
         return function(item), ""
     except Exception as error:
         return None, f"{item}: {describe_error(error)}"
+
+
+def describe_error(error: Exception) -> str:
+    """Return the text of an error of the product, and the type too of any other one."""
+    return str(error) if isinstance(error, ZenostatError) else f"{type(error).__name__}: {error}"
