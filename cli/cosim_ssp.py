@@ -51,7 +51,7 @@ def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> Non
     for note in structure.notes:
         err.print(f"note: {note}", style="yellow", markup=False, soft_wrap=True)
     plants, links = len(structure.components), len(structure.links)
-    out.print(f"{target}: {plants} FMUs, {links} connections; check it with: zenostat cosim {target} --check",
+    out.print(f"{target}: FMUs: {plants}, connections: {links}; check it with: zenostat cosim {target} --check",
               markup=False, soft_wrap=True)  # fmt: skip
 
 
