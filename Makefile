@@ -20,8 +20,8 @@ $(READY): pyproject.toml constraints.txt | $(VENV)
 	touch $@
 
 # Of torch and what comes with it, 13,000 files, the tests import a part: these are compiled when they are imported.
-$(READY)-dev: $(READY)
-	$(INSTALL) --no-compile -e '.[dev]'
+$(READY)-dev: pyproject.toml constraints.txt | $(VENV)
+	$(INSTALL) --no-compile -e '.[dev,plots]'
 	touch $(READY) $@
 
 demo: $(READY)  ## A building, its controller and its monitor in separate processes; results in demo/

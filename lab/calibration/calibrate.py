@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.lab.calibration.config import Calibration
-from zenostat.lab.calibration.determination import Determined, determine, linearize, points, stepped
+from zenostat.lab.calibration.determination import Determined, Linearization, determine, linearize, points, stepped
 from zenostat.lab.calibration.measured import MeasuredData
 from zenostat.lab.calibration.objective import (
     ColumnErrors,
@@ -155,7 +155,7 @@ def calibrate(
             complete = [(each.values, each.error) for each in ended if each.is_complete]
             if not complete:
                 raise InvalidConfig("no trial was simulated to its end: allow more trials, or set pruner: false")
-            best, covariance = _refine(setting, min(complete, key=lambda each: each[1]), run_all)
+            best, linear = _refine(setting, min(complete, key=lambda each: each[1]), run_all)
             (after,) = simulate_all(simulator, [best[0]], periods, run_all)
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
@@ -165,14 +165,14 @@ def calibrate(
             for name, hours in (("before", before), ("after", after))
             if chosen
         }
-        determined = determine(config, best[0], covariance, [*complete, best])
+        determined = determine(config, best[0], linear, [*complete, best])
         return CalibrationResult(config, data, best[0], fits, determined, ended)
 
 
 def _refine(
     setting: Setting, best: tuple[dict[str, float], float], run_all: RunAll
-) -> tuple[tuple[dict[str, float], float], Floats]:
-    """Return the best values and their error after steps from the best trial, and the covariance there."""
+) -> tuple[tuple[dict[str, float], float], Linearization]:
+    """Return the best values and their error after steps from the best trial, and the objective around them."""
     config, data, scales = setting.config, setting.data, setting.scales
 
     def simulate(values: Sequence[Mapping[str, float]]) -> list[Hours]:
@@ -189,7 +189,7 @@ def _refine(
         if error > best[1] * (1.0 - _GAIN):
             break
         best, center = (near, error), hours
-    return best, linear.covariance
+    return best, linear
 
 
 def _part(hours: Hours, periods: Sequence[Days]) -> Mapping[Days, Floats]:

@@ -12,7 +12,9 @@ independent residuals n (1 - q) / (1 + q) of a series with the lag-1 autocorrela
 with a uniform distribution over the range, of variance 1/12, before any measurement.
 
 The interval of a parameter joins the 95 % confidence interval with the span of all trials whose error is at most the
-best one's times 1 + margin. It is determined if that is at most half of its range.
+best one's times 1 + margin. The confidence interval is that of the best values, of the optimum to which the step leads,
+and of all between, since a search ends near an optimum only. A parameter is determined if the joined interval has at
+most half of its range.
 """
 
 from __future__ import annotations
@@ -52,7 +54,7 @@ class Determined:
         value: best value.
         low, high: joined interval, within the range.
         spread: lowest and highest value of the trials within the margin.
-        interval: 95 % confidence interval, within the range.
+        interval: 95 % confidence interval from the best value to the optimum of the linearized model, within the range.
         share: share of the range that the joined interval has, on the scale of the search.
         is_determined: whether that is small enough.
         is_at_end: whether the best value is at an end of the range.
@@ -177,7 +179,7 @@ def stepped(config: Calibration, center: Mapping[str, float], step: Floats) -> d
 
 
 def determine(
-    config: Calibration, best: Mapping[str, float], covariance: Floats,
+    config: Calibration, best: Mapping[str, float], linear: Linearization,
     trials: Sequence[tuple[Mapping[str, float], float]],
 ) -> list[Determined]:  # fmt: skip
     """Return interval and verdict of each parameter.
@@ -185,10 +187,10 @@ def determine(
     Args:
         config: the calibration.
         best: best values.
-        covariance: covariance at these.
+        linear: step and covariance at these.
         trials: values and error of each trial that was simulated to its end, and of the best values.
     """
-    names = list(config.parameters)
+    names, covariance = list(config.parameters), linear.covariance
     lowest = min(error for _, error in trials)
     good = [values for values, error in trials if error <= lowest * (1.0 + config.margin)]
     result = []
@@ -197,7 +199,8 @@ def determine(
         of_trials = [parameter.to_unit(values[name]) for values in good]
         spread = min(of_trials), max(of_trials)
         half = _NORMAL_95 * math.sqrt(max(float(covariance[place, place]), 0.0))
-        interval = max(middle - half, 0.0), min(middle + half, 1.0)
+        optimum = min(max(middle + float(linear.step[place]), 0.0), 1.0)
+        interval = max(min(middle, optimum) - half, 0.0), min(max(middle, optimum) + half, 1.0)
         joined = min(spread[0], interval[0]), max(spread[1], interval[1])
         share = joined[1] - joined[0]
         result.append(

@@ -238,6 +238,7 @@ def test_env__killed_branch_harms_nobody(moment: str, office: BuildingEnv) -> No
     same(episode(env, mine), straight)
 
 
+@pytest.mark.slow
 def test_branches__outlive_the_engine_that_they_were_forked_from(office: BuildingEnv) -> None:
     env = office
     mine = plan(env, 1)

@@ -399,6 +399,7 @@ def test_env__clock_that_is_observed_goes_back_too(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_env__wrappers_know_where_a_snapshot_is(office: BuildingEnv) -> None:
     """The forecast is of the hours that come, and the clock is that of the sample."""
     env: Any = w.WeatherForecast(w.CyclicTime(office), ["dry_bulb_temperature"], n=3)

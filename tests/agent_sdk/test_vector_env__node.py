@@ -110,6 +110,7 @@ def test_vector_env__wrong_choice_of_slots_claims_nothing(scratch: Path) -> None
             env.close()
 
 
+@pytest.mark.slow
 def test_vector_env__plain_node_has_one_slot(scratch: Path) -> None:
     with NodeProgram(scratch / "node", **SMALL) as node:
         way = {"connect": node.endpoint, "node": "office", "affinity": "off"}

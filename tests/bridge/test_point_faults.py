@@ -455,6 +455,7 @@ def test_point_faults__what_no_fault_names_is_untouched_to_the_bit(plan: list[di
     assert (values.tobytes(), wanted.tobytes()) == kept, "the true values stay"
 
 
+@pytest.mark.slow
 @given(plans, st.integers(0, STEPS - 1), st.integers(0, 1000))
 def test_point_faults__snapshot_goes_on_as_if_nothing_had_been(plan: list[dict[str, Any]], cut: int, seed: int) -> None:
     values, wanted = inputs(seed)

@@ -264,6 +264,7 @@ def test_chaos__nothing_of_an_episode_controls_the_next() -> None:
     assert after(lambda: sample(1, episode=1, value_source=BOTH, rows="30 21"))
 
 
+@pytest.mark.slow
 def test_chaos__controller_that_leaves_is_not_ended_by_the_signal_to_repeat(tmp_path: Path) -> None:
     """The signal comes again and again, also while the interpreter ends."""
     settings = {"endpoint": f"unixsock-stream/{tmp_path}/none", "journal": str(tmp_path / "journal")}

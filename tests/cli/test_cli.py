@@ -10,6 +10,7 @@ from support.nodes import SMALL, NodeProgram, command_of, free_port, interrupted
 from support.run_cli import DAY, ZENOSTAT, error_of, plain, run_program
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_node__that_is_ended_while_it_starts_leaves_nothing(scratch: Path, number: signal.Signals) -> None:
@@ -107,6 +108,7 @@ def test_node__port_taken_and_name_taken(scratch: Path) -> None:
         assert "'office'" in error
 
 
+@pytest.mark.slow
 def test_status__nobody_listens() -> None:
     assert "nobody listens" in error_of("status", "--connect", f"tcp/127.0.0.1:{free_port()}", code=1)
 

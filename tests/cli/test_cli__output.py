@@ -70,6 +70,7 @@ def test_monitor__without_a_display_names_the_alternatives(scratch: Path, monkey
     assert "--web, --save FILE.rrd or --screenshot FILE.png" in error_of("monitor", cwd=scratch)
 
 
+@pytest.mark.slow
 def test_points__have_units_and_bounds() -> None:
     done = run_program("points", "ref-small-office", "--match", "core_zn", "--json")
     points = {(p["kind"], p["name"], p["key"]): p["unit"] for p in json.loads(done.stdout)}

@@ -78,6 +78,7 @@ def test_cli__write_for_half_an_hour_rules_two_quarters(bus: zenostat.Bus) -> No
         assert [source for _, source in sources(link, 4)] == ["ann", "ann", "", ""]
 
 
+@pytest.mark.slow
 def test_cli__higher_priority_rules_and_a_release_is_of_one_level(bus: zenostat.Bus) -> None:
     for value, priority, source in (("25", "9", "low"), ("27", "3", "high")):
         done = run_zenostat(bus.endpoint, "write", "office", POINT, value, "--priority", priority, "--source", source)

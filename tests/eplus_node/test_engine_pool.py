@@ -175,6 +175,7 @@ def ended(client: EngineClient) -> None:
     until(lambda: not client.alive, "the engine has ended")
 
 
+@pytest.mark.slow
 def test_template__that_dies_within_a_reset_leaves_the_files_of_its_successor(folder: Path, small_plan: Plan) -> None:
     """It was alive when the reset chose to fork it, and dead when it was forked."""
     template = EngineTemplate()

@@ -21,6 +21,7 @@ from zenostat.topics.errors import InvalidConfig
 pytest.importorskip("optuna")
 
 from zenostat.lab.calibration.calibrate import CalibrationResult, calibrate
+from zenostat.lab.calibration.determination import Linearization, determine
 
 SPACE: dict[str, Any] = {
     "day": {"edit": "lighting", "low": 0.5, "high": 2.0, "start": 1.0},
@@ -87,6 +88,18 @@ def test_calibrate__errors_of_rows_months_and_objective_are_those_of_a_hand_calc
     assert before.error == pytest.approx(math.sqrt(sum(squares) / 2))
     assert set(result.fits) == {"before", "after", "held-out before", "held-out after"}
     assert result.trials[0] == ({"day": 1.0, "night": 1.0, "offset": 0.0}, before.error)  # the model as it is
+
+
+def test_determine__interval_reaches_the_optimum_of_the_linearized_model(tmp_path: Path) -> None:
+    config = configuration(tmp_path)
+    best = {"day": 1.25, "night": 1.25, "offset": 0.0}  # the middle of each range
+    step, deviations = np.array([0.2, -0.7, 0.0]), np.array([0.0, 0.05, 0.05])
+    determined = determine(config, best, Linearization(step, np.diag(deviations**2)), [(best, 1.0)])
+    ranges = [tuple(config.parameters[each.name].to_unit(end) for end in each.interval) for each in determined]
+    half = 0.05 * 1.959964
+    expected = [(0.5, 0.7), (0.0, 0.5 + half), (0.5 - half, 0.5 + half)]  # one step leads beyond the range
+    assert [end for each in ranges for end in each] == pytest.approx([end for each in expected for end in each])
+    assert [each.is_determined for each in determined] == [True, False, True]
 
 
 # Trials

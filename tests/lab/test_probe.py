@@ -154,6 +154,7 @@ def test_probe__reports_all_errors_at_once(scratch: Path) -> None:
     assert "add --high people=VALUE" in message  # its least is 0
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     ("arguments", "message"),

@@ -134,6 +134,7 @@ def heat(model: dict[str, Any], folder: Path) -> float:
     return float(run.values().sum())
 
 
+@pytest.mark.slow
 def test_model_edits__insulation_saves_heat_on_a_winter_day(folder: Path) -> None:
     model = read_building(find_building("ref-small-office")).objects
     assert heat(apply_edits(model, _insulation(model)), folder / "better") < 0.98 * heat(model, folder / "own")

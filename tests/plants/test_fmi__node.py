@@ -72,6 +72,7 @@ def test_fmu__manifest_has_its_points(env: BuildingEnv) -> None:
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 def test_fmu__reset_is_a_fork_at_the_first_sample(env: BuildingEnv) -> None:
     """Also what the FMU keeps in static variables begins again: the number of steps."""
     env.reset()

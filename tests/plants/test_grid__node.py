@@ -57,6 +57,7 @@ def go(env: BuildingEnv, steps: int) -> list[bytes]:
     return rows
 
 
+@pytest.mark.slow
 def test_grid__only_devices_are_actions_of_an_agent(env: BuildingEnv) -> None:
     assert env.manifest.building == "street"
     assert [action.name for action in env.manifest.task.actions] == ["store_setpoint"]

@@ -82,6 +82,7 @@ async def test_bacnet_gateway__malformed_requests_are_rejected_and_half_datagram
     assert commanded(episode_bus) == {}
 
 
+@pytest.mark.slow
 async def test_bacnet_gateway__random_and_mutated_datagrams_crash_nothing_and_move_no_other_actuator(
     episode_bus: Bus,
 ) -> None:

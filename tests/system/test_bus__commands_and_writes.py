@@ -375,6 +375,7 @@ def test_bus__branch_answers_commands_and_writes(client: Client) -> None:
         assert client.bus.status("office").step == [1]
 
 
+@pytest.mark.slow
 def test_bus__monitor_may_not_write(bus: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(bus, "roles", (keys.Role.MONITOR,))
     with pytest.raises(InvalidConfig, match=r"may not query rpc/write/\{sender\}/\{name\}"):

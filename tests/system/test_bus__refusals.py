@@ -39,6 +39,7 @@ BAD_WRITES = {
 }
 
 
+@pytest.mark.slow
 def test_bus__node_answers_each_malformed_write_to_its_source(episode_bus: zenostat.Bus) -> None:
     bus = episode_bus
     with bus.session.declare_subscriber(keys.EVENT.at("office"), RingChannel(1000)) as events:

@@ -99,6 +99,7 @@ def hostile(recorded: tuple[Path, list[bytes]]) -> Path:
     return rewrite(path, path.with_name("hostile.mcap"), changed, about={"zenostat": EVIL})
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("command", [("log",), ("verify", "--plant", PLANT), ("report",), ("export", "--to", "csv")])
 def test_control_characters__no_command_prints_a_control_character_of_a_file(

@@ -179,6 +179,7 @@ def test_controllers__zenostat_run_with_parameters_seeds_and_classes_of_anybodys
         assert 27.25 in rewards("--controller", "brain:Brain", cwd=scratch)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

@@ -163,6 +163,7 @@ def test_environment__torchrl_steps_a_vector_that_it_resets_itself() -> None:
     assert steps["next", "done"].sum(1).flatten().tolist() == [1, 1]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_environment__torchrl_steps_a_vector_that_resets_itself() -> None:
     envs = pytest.importorskip("torchrl.envs")

@@ -274,6 +274,7 @@ def test_failures__engine_is_killed_in_mid_step(env: gym.Env[Any, Any]) -> None:
     assert info["step"] == 1, "the node has outlived it"
 
 
+@pytest.mark.slow
 def test_failures__engine_is_killed_while_it_waits(env: gym.Env[Any, Any]) -> None:
     env.reset(seed=1)
     env.step(env.action_space.low)
@@ -390,6 +391,7 @@ def test_failures__faulty_actions_change_nothing(env: gym.Env[Any, Any]) -> None
     assert observation.tobytes() == undisturbed.tobytes()
 
 
+@pytest.mark.slow
 def test_failures__faulty_values_of_a_controller(episode_bus: zenostat.Bus) -> None:
     with episode_bus.controller("office") as link:
         sample = link.reset()

@@ -38,6 +38,7 @@ def steps(env: Any, actions: Any) -> list[tuple[str, bytes]]:
     return [row for action in actions for row in (env.step(action), values(env))[1]]
 
 
+@pytest.mark.slow
 def test_fake_plant__equal_spaces_and_names(env: Any, fake: Any) -> None:
     assert env.observation_space == fake.observation_space
     assert env.action_space == fake.action_space

@@ -224,6 +224,7 @@ def test_late_command_of_a_frozen_controller__reported_and_not_applied(scratch: 
     assert {(effective(s), s.value_source[POINT], s.fallback) for s in frozen} == {(25.0, name, True)}
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("policy", ["abort", "hold"])
 def test_fallback_policies__controller_that_joins_late_and_is_silent_meets_its_deadline(

@@ -292,6 +292,7 @@ NOISE = {"kind": "noise", "points": "*_air_temperature", "sigma": 0.3}
 BURST = {"kind": "bias", "points": CORE, "offset": 2.0, "when": {"probability": 0.2, "lasts_steps": 3}}
 
 
+@pytest.mark.slow
 def test_fault_injection__same_seed_gives_the_same_faults(stage: Stage) -> None:
     ran = stage.faulty(NOISE, BURST, seed=7)
     again = stage.faulty(NOISE, BURST, seed=7)
@@ -302,6 +303,7 @@ def test_fault_injection__same_seed_gives_the_same_faults(stage: Stage) -> None:
     assert 0.5 * 0.3 < noise.std() < 1.5 * 0.3  # of 97 numbers; six standard deviations
 
 
+@pytest.mark.slow
 def test_fault_injection__episode_without_a_seed_has_faults_of_its_own(stage: Stage) -> None:
     stage.bus.faults("office", {"seed": 7, "faults": [NOISE]})
     first, second = day(stage.link, seed=1), day(stage.link)

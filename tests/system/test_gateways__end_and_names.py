@@ -102,6 +102,7 @@ def test_mqtt__relinquishes_each_priority_and_source_and_is_offline(
     assert commands(bus) == OTHERS
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @ENDS
 def test_bacnet__relinquishes_what_its_clients_commanded(room: NodeProgram, bus: Bus, end: signal.Signals) -> None:
@@ -142,6 +143,7 @@ def test_gateways__end_of_the_episode_is_no_error_of_a_gateway_that_ends(tmp_pat
     assert err.splitlines() == [reason]  # once
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     ("first", "second", "name", "advice"),

@@ -46,6 +46,7 @@ def catalog(building: Building) -> PointCatalog:
     return discover(building, find_weather(CASE.weather).path)
 
 
+@pytest.mark.slow
 def test_integer_variables__all_that_energyplus_can_report_is_found(
     building: Building, catalog: PointCatalog, tmp_path: Path
 ) -> None:

@@ -163,6 +163,7 @@ def test_lost_messages__controller_without_a_claim_does_not_wait_for_ever() -> N
         receive_watchdog.query_sample(OneSample(), "office", "c")  # type: ignore[arg-type]
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("priority", ["DATA", "REAL_TIME"])
 def test_lost_messages__large_messages_of_a_stranger_do_not_displace_samples(

@@ -109,6 +109,7 @@ def test_monitor__node_of_an_older_schema_is_named_and_not_shown(scratch, shared
     assert f"v{codec.SCHEMA_VERSION}" in notice
 
 
+@pytest.mark.slow
 def test_monitor__node_whose_messages_cannot_be_read_is_named_once(scratch, shared_node):
     notices: list[str] = []
     with (

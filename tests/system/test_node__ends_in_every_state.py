@@ -219,6 +219,7 @@ def test_node__folder_of_a_live_owner_is_not_swept(scratch: Path) -> None:
     assert not mine.folder.exists()
 
 
+@pytest.mark.slow
 def test_node__node_has_no_file_in_shared_memory(shared_node: NodeProgram) -> None:
     """It would stay there if the node is killed."""
     maps = psutil.Process(shared_node.pid).memory_maps()

@@ -109,6 +109,7 @@ def test_own_node__vector_environment() -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_own_node__node_of_another_process_is_not_started_again() -> None:
     own = gym.make("zenostat/Building-v1", **SMALL, affinity="off")
     node = own.unwrapped.local_node

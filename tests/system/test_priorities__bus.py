@@ -41,6 +41,7 @@ def test_priorities__writes_and_commands_are_shown_at_their_priorities_at_once(e
         episode_bus.priorities("office", slot=1)
 
 
+@pytest.mark.slow
 def test_priorities__command_lists_the_effective_value_first(episode_bus: Bus) -> None:
     episode_bus.write("office", COOLING, 27.5, priority=12, source="night")
     episode_bus.write("office", COOLING, 26.0, source="panel")

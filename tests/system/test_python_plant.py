@@ -212,6 +212,7 @@ def test_python_plant__episode_is_what_the_class_computes_to_the_bit(own: Buildi
     assert (own.manifest.weather, own.manifest.location, own.manifest.latitude_deg) == ("", "", None)
 
 
+@pytest.mark.slow
 def test_python_plant__equal_seeds_give_equal_episodes_and_none_continues_their_sequence(own: BuildingEnv) -> None:
     def sequence(seed: int | None) -> list[bytes]:
         own.reset(seed=seed)
@@ -382,6 +383,7 @@ def test_python_plant__copies_continue_to_the_bit(copied: BuildingEnv) -> None:
     until(lambda: len(hosts_of(copied.local_node.pid)) == 1, "the copies have ended")
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 def test_python_plant__copy_is_as_mortal_as_its_origin(copied: BuildingEnv) -> None:
     copied.reset(seed=1)

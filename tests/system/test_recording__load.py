@@ -77,6 +77,7 @@ def seen(module_scratch: Path) -> Any:
     return SimpleNamespace(path=path, samples=samples, sources=sources, name=name, geometry=geometry, systems=systems)
 
 
+@pytest.mark.slow
 def test_recording__arrays_are_what_the_client_saw(seen: Any) -> None:
     loaded = recording.load(seen.path)
     assert loaded.is_complete

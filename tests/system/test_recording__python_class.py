@@ -211,6 +211,7 @@ def test_recording__recording_without_a_start_verifies_nothing(walk: Path) -> No
     assert run("verify", str(path), "--plant", plant_of(walk)).returncode == 1
 
 
+@pytest.mark.slow
 def test_recording__plant_that_cannot_be_created_again_is_refused(walk: Path) -> None:
     path = rewrite(walk, walk.with_name("other.mcap"), provenance={"kind": "", "settings": {}, "files": {}})
     with pytest.raises(InvalidRecording, match="neither a building nor a Python class"):

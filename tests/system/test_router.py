@@ -286,6 +286,7 @@ def test_router__router_keeps_the_rules(folder: Path, scratch: Path) -> None:
         assert answers(Role.CONTROLLER, "controller.x") == 1
 
 
+@pytest.mark.slow
 def test_router__router_that_all_can_reach_without_keys_is_warned_of() -> None:
     process = subprocess.Popen(
         [*ZENOSTAT, "router", "--listen", f"tcp/0.0.0.0:{free_port()}", "--expose"],

@@ -296,6 +296,7 @@ FAULTS: dict[str, tuple[dict[str, Any], type[UsageError], str]] = {
 }  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", FAULTS)
 def test_scenarios__fault_of_a_file_is_one_clear_error(fault: str, scratch: Path) -> None:
     changed, kind, words = FAULTS[fault]
@@ -308,6 +309,7 @@ def test_scenarios__reward_of_no_kind_is_refused_by_the_environment(scratch: Pat
         gym.make("zenostat/Scenario-v1", file=written(scratch, reward={"kind": "best"}), affinity="off")
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(
     ("broken", "field", "kind", "words"),

@@ -189,6 +189,7 @@ def _two_years(path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 @needs_vulkan
 @pytest.mark.parametrize(("samples", "at", "reason"), [
     (97, "07-05T12:00", "--at 07-05T12:00 is outside of the recorded time, 2017-07-03T00:00 to 2017-07-04T00:00"),

@@ -269,6 +269,7 @@ def test_security__monitor_s_attacks_leave_the_day_as_it_is(
         assert [name for name in controllers if ".fence-" not in name] == [link.name]
 
 
+@pytest.mark.slow
 def test_security__same_attacks_work_under_the_own_name_of_an_operator_who_controls(
     node: NodeProgram, pki: Path, bus: Bus
 ) -> None:

@@ -124,6 +124,7 @@ def test_threads__step_that_failed_leaves_nothing_behind() -> None:
 # On a real node
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.usefixtures("scratch")
 @pytest.mark.parametrize("slots", [1, 2])

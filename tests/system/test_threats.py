@@ -226,6 +226,7 @@ def test_threats__copy_of_a_certificate_and_its_key_is_that_name(node: NodeProgr
         assert thief.identity == "operator"
 
 
+@pytest.mark.slow
 def test_threats__authority_s_key_makes_certificates_of_any_role(node: NodeProgram, pki: Path, tmp_path: Path) -> None:
     """It makes a node's, whose holder is trusted with all messages although no list of names has it yet."""
     stolen = tmp_path / "stolen"

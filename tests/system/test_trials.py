@@ -247,6 +247,7 @@ def test_trial__engine_that_dies_takes_its_trial_only(scratch: Path, monkeypatch
         env.close()
 
 
+@pytest.mark.slow
 def test_trial__plant_in_the_nodes_process(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """It is copied by assignment; one that fails in a trial is as it was, and each copy is closed."""
     copies = scratch / "copies"

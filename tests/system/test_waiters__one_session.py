@@ -106,6 +106,7 @@ PAIRS = [*itertools.combinations(("controller", "env", "gateway", "listen", "req
 PAIRS += [(kind, kind) for kind in ("controller", "gateway", "listen")]
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("kinds", PAIRS, ids="-".join)
 def test_waiters__of_two_that_wait_for_a_paused_node_both_get_its_next_sample(

@@ -86,6 +86,7 @@ def test_zeromq__message_without_an_end_ends_its_connection(gateway: GatewayProg
         assert peer.ask("rpc/status")[0] == "Status"
 
 
+@pytest.mark.slow
 def test_zeromq__message_that_is_large_or_long_in_coming_is_read(gateway: GatewayProgram) -> None:
     topic = b"zenostat/v3/office/rpc/status"
     with bare(gateway.command, b"DEALER") as connection, Peer(gateway) as peer:

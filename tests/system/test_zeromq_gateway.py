@@ -279,6 +279,7 @@ def test_peer_with_too_many_unanswered_requests__gets_an_error_and_delays_no_oth
         assert flood.ask("rpc/status")[0] == "Status"
 
 
+@pytest.mark.slow
 def test_zeromq_gateway__killed_gateway_breaks_nothing_of_the_node(episode_bus):
     with GatewayProgram(episode_bus.endpoint) as gateway, Peer(gateway) as peer:
         peer.listen("sample")

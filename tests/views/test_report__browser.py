@@ -194,6 +194,7 @@ def ticks(page: Any, name: str) -> list[str]:
     return texts
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("width", [390, 1400])
 def test_report__values_at_the_pointer_are_those_of_the_data(opened: Any, width: int) -> None:

@@ -141,6 +141,7 @@ def test_report__carpet_of_a_zone_has_its_deviation() -> None:
     assert hours["2017-07-03 08:00"] == pytest.approx(2.0)
 
 
+@pytest.mark.slow
 def test_report__hours_of_a_year_without_occupants_are_fainter() -> None:
     steps = 365 * 24
     hours = np.arange(steps)

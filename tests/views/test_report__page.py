@@ -87,6 +87,7 @@ def test_report__totals_are_those_of_the_evaluation(comparison: Comparison, text
         assert change.verdict in cells[-1]  # in words, not by color alone
 
 
+@pytest.mark.slow
 def test_report__document_is_well_formed_and_its_ids_are_unique(text: str) -> None:
     document = Document(text)
     ids = list(document.attributes("id"))

@@ -57,6 +57,7 @@ def check_triangles(corners: np.ndarray) -> None:
             assert unit_normal(corners[triangle]) @ unit_normal(corners) > 0.99
 
 
+@pytest.mark.slow
 @settings(max_examples=200, deadline=None)
 @given(placed_polygons())
 def test_surfaces__triangles_cover_a_concave_polygon_once(corners: np.ndarray) -> None:
