@@ -33,7 +33,7 @@ from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.source_model import SourceModel
 from zenostat.topics.errors import list_errors
 
-FORMAT = "9"
+FORMAT = "10"
 """Version of the stored files."""
 
 REQUIRED = ("Building", "GlobalGeometryRules")

@@ -78,8 +78,8 @@ def _table_findings(fields: Mapping[str, Any], path: Path, text: str, minutes: i
     needed = hours * _HOUR_MIN // minutes
     if len(rows) < needed:
         text = (
-            f": {path} has {len(rows)} values, but {hours} hours need {needed}; EnergyPlus takes 0 for those that are "
-            "missing"
+            f": {path} has {len(rows)} values, but {hours} hours need {needed}; those that are missing are "
+            "undefined in EnergyPlus: 0, or any number, at which it may end"
         )
         yield FieldFinding("file_name", text, is_fatal=False)
 

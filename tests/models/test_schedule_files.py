@@ -54,7 +54,7 @@ FAULTS: dict[str, tuple[str | None, dict[str, Any], str, str]] = {
 ACCEPTED: dict[str, tuple[str, dict[str, Any], str]] = {
     "values": (VALUES, {}, ""),
     "more values": (VALUES * 2, {}, ""),
-    "too few values": (VALUES[:20000], {}, "has 5000 values, but 8760 hours need 8760; EnergyPlus takes 0 for"),
+    "too few values": (VALUES[:20000], {}, "has 5000 values, but 8760 hours need 8760; those that are missing"),
     "heading skipped": ("lights\n" + VALUES, {"rows_to_skip_at_top": 1}, ""),
     "second column": (PAIRS, {"column_number": 2}, ""),
     "semicolons": (PAIRS.replace(",", ";"), {"column_number": 2, "column_separator": "Semicolon"}, ""),
@@ -143,6 +143,7 @@ def test_read_building__name_of_a_file_that_is_absolute_is_kept(tmp_path: Path) 
 @pytest.mark.process
 def test_schedule_findings__energyplus_ends_at_exactly_the_fatal_faults_of_files(tmp_path: Path) -> None:
     cases = {case: FAULTS[case][:2] for case in FAULTS} | {case: ACCEPTED[case][:2] for case in ACCEPTED}
+    del cases["too few values"]  # of ten equal runs, six ended with an error: the missing values are undefined
     differing = {}
     for case, (text, fields) in cases.items():
         folder = tmp_path / case
