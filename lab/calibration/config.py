@@ -9,11 +9,11 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import BeforeValidator, Field, ValidationError, field_validator, model_validator
+from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from zenostat.lab.config_file import FIELDS, FIELDS_OR_FALSE, ConfigPart, Count, No
+from zenostat.lab.tuning.read import validated
 from zenostat.lab.tuning.study_config import Direction, Pruner, Range, Sampler, StudyConfig
-from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
 
 _BATCH = 8
@@ -248,9 +248,4 @@ def read_calibration(fields: Mapping[str, Any], what: str = "the calibration") -
     Raises:
         InvalidConfig: lists all errors.
     """
-    try:
-        config = Calibration.model_validate(dict(fields))
-    except ValidationError as error:
-        raise InvalidConfig(f"{what}: {describe_validation_errors(error, Calibration.model_fields)}") from None
-    checked: Calibration = config.checked(what)
-    return checked
+    return validated(Calibration, fields, what)

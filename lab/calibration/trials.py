@@ -1,7 +1,7 @@
-"""Trials of a calibration: drawn in batches, simulated in processes, told in order.
+"""Trials of a calibration: drawn in batches, simulated in processes, reported in order.
 
-All trials of a batch are drawn before any of their results is known, and their results are told in the order of their
-numbers. So the trials are the same, to the bit, for any number of processes, and after any interruption.
+All trials of a batch are drawn before any of their results is known, and their results are reported in the order
+of their numbers. So the trials are the same, to the bit, for any number of processes, and after any interruption.
 """
 
 from __future__ import annotations

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from pydantic import ValidationError
 
@@ -13,6 +13,8 @@ from zenostat.lab.tuning.study_config import StudyConfig
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.file_kinds import FileKind
+
+C = TypeVar("C", bound=StudyConfig)
 
 
 def read_tuning(fields: Mapping[str, Any], what: str = "the study", folder: Path = Path()) -> StudyConfig:
@@ -33,12 +35,20 @@ def read_tuning(fields: Mapping[str, Any], what: str = "the study", folder: Path
         raise InvalidConfig(f"{what}: a study has either a training or a controller; remove one of the fields")
     if isinstance(fields.get("training"), str):
         fields = {**fields, "training": read_file(folder / fields["training"])}
-    kind = _kind(fields)
+    return validated(_kind(fields), fields, what)
+
+
+def validated(kind: type[C], fields: Mapping[str, Any], what: str) -> C:
+    """Validate the fields of a study of a kind.
+
+    Raises:
+        InvalidConfig: lists all errors.
+    """
     try:
         config = kind.model_validate(dict(fields))
     except ValidationError as error:
         raise InvalidConfig(f"{what}: {describe_validation_errors(error, kind.model_fields)}") from None
-    checked: StudyConfig = config.checked(what)
+    checked: C = config.checked(what)
     return checked
 
 
