@@ -1,8 +1,8 @@
-"""The balance of a connection: what a plant sent, and what another one received of it."""
+"""The running balance of a connection: what a plant sent, and what another one received of it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from zenostat.topics.connection_balance import ConnectionBalance
 
 
 class Total:
@@ -26,41 +26,6 @@ class Total:
         return self._sum + self._rest
 
 
-@dataclass(frozen=True, slots=True)
-class Balance:
-    """Balance of a connection since sample 0: sent = received + clipped + resampled + residual + stored.
-
-    All terms are integrals over time in the target's unit times seconds (J for W), each summed on its own.
-
-    Attributes:
-        name: of the connection.
-        unit: of the target.
-        sent: what the source had, after the conversion of units.
-        received: what was commanded to the target's plant.
-        clipped: what the bounds cut off.
-        resampled: what `hold` or `interpolate` add or leave out; 0 for `mean` and equal timesteps.
-        residual: what the source of a solved connection had above the value that was accepted.
-        stored: increase of what a delay holds.
-        greatest: sum of the absolute values that were sent, to which the closure is related.
-    """
-
-    name: str
-    unit: str
-    sent: float
-    received: float
-    clipped: float
-    resampled: float
-    residual: float
-    stored: float
-    greatest: float
-
-    @property
-    def closure(self) -> float:
-        """Part that is missing, relative to the absolute values that were sent; 0 but for rounding."""
-        rest = self.sent - self.received - self.clipped - self.resampled - self.residual - self.stored
-        return rest / max(self.greatest, 1e-300)
-
-
 class Ledger:
     """The running balance of a connection."""
 
@@ -69,9 +34,9 @@ class Ledger:
         self.sent, self.received, self.clipped = Total(), Total(), Total()
         self.resampled, self.residual, self.stored, self.greatest = Total(), Total(), Total(), Total()
 
-    def balance(self) -> Balance:
+    def balance(self) -> ConnectionBalance:
         """Return the balance so far."""
-        return Balance(
+        return ConnectionBalance(
             self._name,
             self._unit,
             self.sent.value,

@@ -92,7 +92,7 @@ class Transfer:
 
     @property
     def balance_terms(self) -> tuple[str, ...]:
-        """Names of the terms of its balance, besides what it received, that may differ from 0; see `Balance`."""
+        """Terms of its balance, besides what it received, that may differ from 0; see `ConnectionBalance`."""
         may_differ = {
             "sent": True,
             "clipped": True,

@@ -20,7 +20,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.cosim.balance import Balance, Ledger
+from zenostat.cosim.balance import Ledger
 from zenostat.cosim.binding import Binding, Input, Transfer
 from zenostat.cosim.coupled import GuardedPlant, Rows
 from zenostat.cosim.file import SolverSpec
@@ -28,6 +28,7 @@ from zenostat.cosim.market import Bids, Clearing, Demand, LinearBids, clear
 from zenostat.cosim.market_plant import PRICE, SENSORS, Market, MarketPlant
 from zenostat.cosim.solver import Outcome, Problem, Solution, solve
 from zenostat.cosim.topology import Block
+from zenostat.topics.connection_balance import ConnectionBalance
 
 Floats = NDArray[np.float64]
 
@@ -383,7 +384,7 @@ class Orchestrator:
         pairs = zip(self._transfers, self._flows, strict=True)
         return [flow.terms[name] for transfer, flow in pairs for name in transfer.balance_terms]
 
-    def balances(self) -> list[Balance]:
+    def balances(self) -> list[ConnectionBalance]:
         """Return the balance of each connection since sample 0, then of each input that adds several."""
         several = [
             ledger for i, ledger in zip(self._binding.inputs, self._ledgers, strict=True) if len(i.transfers) > 1

@@ -17,7 +17,6 @@ from zenostat.bridge.node.plant import (
     WeatherTable,
     without_weather,
 )
-from zenostat.cosim.balance import Balance
 from zenostat.cosim.binding import Binding
 from zenostat.cosim.copies import DistrictCopy, PlantSnapshots
 from zenostat.cosim.coupled import GuardedPlant, RepeatedPlant
@@ -25,6 +24,7 @@ from zenostat.cosim.file import SolverSpec
 from zenostat.cosim.orchestrator import LoopState
 from zenostat.cosim.run import DistrictRun, RunState, free_actuators, tried_plants
 from zenostat.topics import VERSION
+from zenostat.topics.connection_balance import ConnectionBalance
 from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, ZenostatError
 from zenostat.topics.messages import (
     Action,
@@ -255,7 +255,7 @@ class DistrictPlant:
         """Effective values of the actuators; see `RunningPlant`."""
         return self.run.effective
 
-    def balances(self) -> list[Balance]:
+    def balances(self) -> list[ConnectionBalance]:
         """Return the balance of each connection since sample 0."""
         return self.run.orchestrator.balances()
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from zenostat.metrics.roles import roles
 from zenostat.metrics.trajectory import Trajectory
+from zenostat.topics.connection_balance import TERMS, ConnectionBalance
 from zenostat.topics.messages import Manifest, Meter, Task
 
 Floats = NDArray[np.float64]
@@ -61,43 +62,13 @@ class CarrierBalance:
         return (self.supplied - sum(known)) / greatest
 
 
-@dataclass(frozen=True, slots=True)
-class ConnectionBalance:
-    """Balance of a connection: sent = received + clipped + resampled + residual + stored; means over the trajectory.
-
-    Attributes:
-        connection: its name.
-        unit: of the target.
-        sent: what the source had, in the target's unit.
-        received: what was commanded to the target.
-        clipped: what limits cut off.
-        resampled: what the conversion of timesteps changes.
-        residual: what a solved connection left open.
-        stored: what a delay holds, more than before.
-        closure: part that is missing, relative to the mean of the absolute values that were sent; 0 but for rounding.
-    """
-
-    connection: str
-    unit: str
-    sent: float
-    received: float
-    clipped: float
-    resampled: float
-    residual: float
-    stored: float
-    closure: float
-
-
-_TERMS = ("sent", "clipped", "resampled", "residual", "stored")
-
-
 def connection_balances(trajectory: Trajectory) -> tuple[ConnectionBalance, ...]:
-    """Return the balances of a district's connections over its timesteps; none for other nodes."""
+    """Return the balances of a district's connections, means over its timesteps; none for other nodes."""
     columns = {sensor.name: place for place, sensor in enumerate(trajectory.manifest.sensors)}
     balances = []
     for name, place in columns.items():
         connection = name.removeprefix("exchange.")
-        terms = [term for term in _TERMS if f"balance.{connection}.{term}" in columns]
+        terms = [term for term in TERMS if f"balance.{connection}.{term}" in columns]
         if connection == name or "sent" not in terms:
             continue
         places = [place, *(columns[f"balance.{connection}.{term}"] for term in terms)]
@@ -106,12 +77,10 @@ def connection_balances(trajectory: Trajectory) -> tuple[ConnectionBalance, ...]
         if not len(rows):
             continue
         received, *means = (fsum(column.tolist()) / len(rows) for column in rows.T)
-        by_term = dict.fromkeys(_TERMS, 0.0) | dict(zip(terms, means, strict=True))
-        missing = fsum([by_term["sent"], -received, *(-by_term[term] for term in _TERMS[1:])])
+        by_term = dict.fromkeys(TERMS, 0.0) | dict(zip(terms, means, strict=True))
         greatest = fsum(np.abs(rows[:, 1 + terms.index("sent")]).tolist()) / len(rows)
-        closure = missing / greatest if greatest else missing
         unit = trajectory.manifest.sensors[place].unit
-        balances.append(ConnectionBalance(connection, unit, received=received, closure=closure, **by_term))
+        balances.append(ConnectionBalance(connection, unit, received=received, greatest=greatest, **by_term))
     return tuple(balances)
 
 

@@ -4,7 +4,6 @@ from zenostat.lab.evaluate import Evaluation, evaluate, run_episode
 from zenostat.lab.probe import ProbeReport, probe
 from zenostat.metrics.district_balance import (
     CarrierBalance,
-    ConnectionBalance,
     connection_balances,
     district_balances,
     plant_trajectory,
@@ -13,6 +12,7 @@ from zenostat.metrics.district_kpis import DistrictPoints, district_kpis, relati
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
+from zenostat.topics.connection_balance import ConnectionBalance
 
 __all__ = [
     "CarrierBalance",

@@ -9,7 +9,6 @@ from support.builders import manifest
 
 from zenostat.metrics.district_balance import (
     CarrierBalance,
-    ConnectionBalance,
     connection_balances,
     district_balances,
     plant_names,
@@ -17,6 +16,7 @@ from zenostat.metrics.district_balance import (
 )
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.plants.heat import DistrictHeating
+from zenostat.topics.connection_balance import ConnectionBalance
 from zenostat.topics.messages import Meter, Sensor
 from zenostat.views.report.district_section import district_section
 from zenostat.views.report.quantities import Quantities
@@ -79,8 +79,9 @@ def connected(columns: Columns) -> Trajectory:
 def test_connection_balances__by_hand() -> None:
     (balance,) = connection_balances(connected(CONNECTION))
     assert balance == ConnectionBalance(
-        "a.x-b.u", "W", 6.0, pytest.approx(14 / 3), pytest.approx(1 / 3), 0.0, 0.0, 1.0, pytest.approx(0.0, abs=1e-15)
+        "a.x-b.u", "W", 6.0, pytest.approx(14 / 3), pytest.approx(1 / 3), 0.0, 0.0, 1.0, 6.0
     )
+    assert balance.closure == pytest.approx(0.0, abs=1e-15)
     unbalanced = CONNECTION | {"exchange.a.x-b.u": ("W", [0.0, 4.0, 4.0, 9.0])}
     assert connection_balances(connected(unbalanced))[0].closure == pytest.approx(-1 / 6)
     assert connection_balances(district({"shop": SHOP}, {})) == ()
