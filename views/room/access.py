@@ -71,6 +71,12 @@ class Session:
     role: Role = Role.OPERATOR
 
 
+def operator_of(request: Request) -> str:
+    """Return the name of the user whose session a request belongs to."""
+    session: Session = request.state.session
+    return session.operator
+
+
 class Access:
     """The tokens and sessions of a server, for its event loop's thread.
 

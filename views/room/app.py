@@ -21,7 +21,7 @@ from zenostat.bridge.client.bus import Bus
 from zenostat.topics import VERSION
 from zenostat.topics.errors import BusError, NameInUse, PeerError, RequestRejected, UsageError, ZenostatError
 from zenostat.topics.keys import Role
-from zenostat.views.room.access import OPERATOR, Access, BodyTooLarge, Guard, Session
+from zenostat.views.room.access import OPERATOR, Access, BodyTooLarge, Guard, Session, operator_of
 from zenostat.views.room.audit import TOPIC as AUDIT
 from zenostat.views.room.audit import AuditLog
 from zenostat.views.room.builder import Builder
@@ -208,7 +208,7 @@ class Room:
     async def _invite(self, request: Request) -> Response:
         invited = read_body(_Invitation, await request.body()).operator
         link = self.link(invited)
-        self.audit.add(_operator(request), "invite", invited, "a link was created", accepted=True)
+        self.audit.add(operator_of(request), "invite", invited, "a link was created", accepted=True)
         return JSONResponse({"link": link})
 
     # Data
@@ -263,20 +263,17 @@ class Room:
     # Changes
 
     async def _operate(self, request: Request) -> Response:
-        watch, operator, name = self._node(request), _operator(request), request.path_params["operation"]
+        watch, operator, name = self._node(request), operator_of(request), request.path_params["operation"]
         operation = read_operation(name, await request.body())
+        change = self._call(watch, lambda: operation.run(self._bus, watch.node, operator))
         try:
-            text = await self._call(watch, lambda: operation.run(self._bus, watch.node, operator))
-        except ZenostatError as error:
-            self.audit.add(operator, name, watch.node, str(error), accepted=False)
-            raise
+            text = await self.audit.attempt(operator, name, watch.node, change)
         finally:
             watch.refresh()
-        self.audit.add(operator, name, watch.node, text, accepted=True)
         return JSONResponse({"text": text})
 
     async def _what_if(self, request: Request) -> Response:
-        watch, operator = self._node(request), _operator(request)
+        watch, operator = self._node(request), operator_of(request)
         description = _described(watch)
         question = read_body(WhatIf, await request.body())
 
@@ -324,11 +321,6 @@ def _described(watch: NodeWatch) -> NodeDescription:
     if watch.description is None:
         raise RequestRejected("the node has not answered yet")
     return watch.description
-
-
-def _operator(request: Request) -> str:
-    session: Session = request.state.session
-    return session.operator
 
 
 def _json(content: Any) -> Response:

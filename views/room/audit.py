@@ -6,11 +6,12 @@ import json
 import os
 import threading
 from collections import deque
+from collections.abc import Awaitable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, ZenostatError
 from zenostat.views.room.numbers import to_json
 from zenostat.views.room.updates import Updates
 
@@ -70,6 +71,20 @@ class AuditLog:
                 os.write(self._file, json.dumps(entry).encode() + b"\n")
             latest = [*self._entries][-_SENT:]
         self._updates.publish(TOPIC, to_json({"entries": latest}))
+
+    async def attempt(self, operator: str, operation: str, target: str, change: Awaitable[str]) -> str:
+        """Make a change, add it with its outcome, and return its answer; arguments and errors as of `add`.
+
+        Raises:
+            ZenostatError: the change was rejected, which is added as well.
+        """
+        try:
+            text = await change
+        except ZenostatError as error:
+            self.add(operator, operation, target, str(error), accepted=False)
+            raise
+        self.add(operator, operation, target, text, accepted=True)
+        return text
 
     def entries(self) -> list[dict[str, Any]]:
         """Return the latest entries, the newest one last."""

@@ -17,10 +17,10 @@ from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
 
 from zenostat.topics.atomic_file import atomic_file
-from zenostat.topics.errors import InvalidConfig, NameInUse, RequestRejected, ZenostatError
+from zenostat.topics.errors import InvalidConfig, NameInUse, RequestRejected
 from zenostat.topics.keys import check_name
 from zenostat.topics.messages import Mode
-from zenostat.views.room.access import OPERATOR, Session
+from zenostat.views.room.access import OPERATOR, operator_of
 from zenostat.views.room.audit import AuditLog
 from zenostat.views.room.operations import read_body
 from zenostat.views.room.scenario_program import ScenarioProgram
@@ -122,7 +122,7 @@ class Builder:
 
     async def _start(self, request: Request) -> Response:
         asked = read_body(StartNode, await request.body())
-        operator = _operator(request)
+        operator = operator_of(request)
         text = await self._audited(request, "start node", asked.node, lambda: self._run(asked, operator))
         return JSONResponse({"text": text})
 
@@ -133,14 +133,7 @@ class Builder:
 
     async def _audited(self, request: Request, operation: str, target: str, function: Callable[[], str]) -> str:
         """Call a function in a thread, and add its outcome to the audit log."""
-        operator = _operator(request)
-        try:
-            text = await asyncio.to_thread(function)
-        except ZenostatError as error:
-            self._audit.add(operator, operation, target, str(error), accepted=False)
-            raise
-        self._audit.add(operator, operation, target, text, accepted=True)
-        return text
+        return await self._audit.attempt(operator_of(request), operation, target, asyncio.to_thread(function))
 
     # In threads
 
@@ -180,8 +173,3 @@ class Builder:
                 "start nodes"
             )
         return self._folder / f"{name}.yaml"
-
-
-def _operator(request: Request) -> str:
-    session: Session = request.state.session
-    return session.operator

@@ -18,10 +18,10 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from zenostat.agent_sdk.controllers.training_folder import SCENARIO, model_file
-from zenostat.topics.errors import NameInUse, RequestRejected, UnknownName, ZenostatError
+from zenostat.topics.errors import NameInUse, RequestRejected, UnknownName
 from zenostat.topics.messages import Mode
 from zenostat.views.report.document import REPORT_SCRIPT
-from zenostat.views.room.access import Session
+from zenostat.views.room.access import operator_of
 from zenostat.views.room.audit import AuditLog
 from zenostat.views.room.numbers import to_json
 from zenostat.views.room.operations import read_body
@@ -118,7 +118,7 @@ class TrainingPages:
 
     async def _watch(self, request: Request) -> Response:
         asked = read_body(WatchTraining, await request.body())
-        operator = _operator(request)
+        operator = operator_of(request)
 
         def start() -> str:
             run = self._trainings.run(asked.name)
@@ -135,13 +135,8 @@ class TrainingPages:
         return await self._audited(request, "watch training", asked.node, start)
 
     async def _audited(self, request: Request, operation: str, target: str, function: Callable[[], str]) -> Response:
-        operator = _operator(request)
-        try:
-            text = await asyncio.to_thread(function)
-        except ZenostatError as error:
-            self._audit.add(operator, operation, target, str(error), accepted=False)
-            raise
-        self._audit.add(operator, operation, target, text, accepted=True)
+        change = asyncio.to_thread(function)
+        text = await self._audit.attempt(operator_of(request), operation, target, change)
         return JSONResponse({"text": text})
 
 
@@ -193,8 +188,3 @@ class _Reports:
                 process.wait(_END_S)
             except subprocess.TimeoutExpired:
                 process.kill()
-
-
-def _operator(request: Request) -> str:
-    session: Session = request.state.session
-    return session.operator
