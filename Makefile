@@ -14,9 +14,9 @@ $(VENV):
 	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "Zenostat needs Python 3.11 or newer")'
 	$(PYTHON) -m venv $(VENV)
 
-# What the product needs, and what the tests need besides (torch among it), in one environment, in either order.
+# What the README shows, and what the tests need besides (torch among it), in one environment, in either order.
 $(READY): pyproject.toml constraints.txt | $(VENV)
-	$(INSTALL) -e '.[plots]'
+	$(INSTALL) -e '.[grid,plots,recording]'
 	touch $@
 
 # Of torch and what comes with it, 13,000 files, the tests import a part: these are compiled when they are imported.

@@ -12,6 +12,7 @@ from zenostat.cli.console import out, progress
 from zenostat.cli.demo_programs import remaining_lines, run_episode, start_program, write_demo_report
 from zenostat.cli.reports import command_line
 from zenostat.cli.tables import show
+from zenostat.topics.extras import import_extra, requires_extra
 
 if TYPE_CHECKING:
     from zenostat.metrics.trajectory import Trajectory
@@ -33,12 +34,14 @@ def demo_district(folder: Path) -> None:
     from zenostat.bridge.client.local_node import LocalNode
     from zenostat.bridge.runtime.affinity import Affinity
     from zenostat.cosim.demo import copy_files
-    from zenostat.cosim.verify_recording import verify_district
     from zenostat.metrics.district_kpis import district_kpis, points_of
     from zenostat.views.district_figure import draw_district
     from zenostat.views.live.viewer import NO_VULKAN, has_vulkan
     from zenostat.views.report import Comparison, Run
 
+    with requires_extra("recording", "the district's recording", "mcap and zstandard"):
+        from zenostat.cosim.verify_recording import verify_district
+    import_extra("power_grid_model", "grid", "the district's feeder")
     file = copy_files(folder)
     live, live_picture = folder / "district.rrd", folder / "district-live.png"
     recording, report, picture = folder / "district.mcap", folder / "district.html", folder / "district.png"
