@@ -99,7 +99,6 @@ def prepare(
     from zenostat.models.catalog import find_building, find_weather
     from zenostat.models.weather.header import read_header
 
-    import_extra("optuna", "tune", "a calibration")
     options: dict[str, Any] = {"workers": workers, "trials": trials}
     options["output"] = None if output is None else str(output)
     overrides = {name: value for name, value in options.items() if value is not None}

@@ -18,7 +18,7 @@ from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.token_file import read_token
 from zenostat.topics.calendar import parse_duration
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.extras import requires_extra
+from zenostat.topics.extras import import_extra
 from zenostat.topics.keys import Role, check_name
 
 VIA = "mcp"
@@ -71,11 +71,12 @@ def mcp(
 
     With keys, it uses the gateway role.
     """
-    with requires_extra("mcp", "the MCP server", "the MCP SDK"):
-        from zenostat.views.mcp.call_log import CallLog
-        from zenostat.views.mcp.desk import Desk
-        from zenostat.views.mcp.server import MAX_RUNNING, HttpServer, ToolServer
-        from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
+    import_extra("mcp", "mcp", "the MCP server")  # first: the extra has all that the modules below need as well
+    from zenostat.views.mcp.call_log import CallLog
+    from zenostat.views.mcp.desk import Desk
+    from zenostat.views.mcp.server import MAX_RUNNING, HttpServer, ToolServer
+    from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
+
     check_name(name, "--name")
     if reports is not None and not reports.is_dir():
         raise InvalidConfig(f"--reports {reports}: expected a folder")
