@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
-from support.examples import FAST
+from support.examples import ALL, FAST, QUICK
 from support.mqtt_broker import BROKER, missing_broker
 from support.nodes import SMALL, NodeProgram, begin_new_episode, node_on_bus, nothing_left
 from support.process_starts import starts_processes
@@ -23,9 +23,10 @@ from support.process_starts import starts_processes
 import zenostat
 
 # No deadlines: beside running simulations an example may take any time.
-settings.register_profile("zenostat", deadline=None)
+settings.register_profile("all", deadline=None, max_examples=ALL)
+settings.register_profile("quick", deadline=None, max_examples=QUICK)
 settings.register_profile("fast", deadline=None, max_examples=FAST)
-settings.load_profile("zenostat")
+settings.load_profile("all")
 
 # A shell without job control has what it starts in the background ignore Ctrl-C, and so would all that tests start.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -41,12 +42,14 @@ COROUTINE_LIMIT_S = 120.0
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Try fewer examples of each property where the tests that start processes are left out: `make test-fast`."""
+    """Try fewer examples of each property in `make test`, and fewest in `make test-fast`."""
     if "not process" in config.option.markexpr:
         settings.load_profile("fast")
+    elif "not slow" in config.option.markexpr:
+        settings.load_profile("quick")
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Mark the tests that start other processes, and all but the first variant of a test marked `variants` as slow.
 
     A test starts processes if it is in one of the `SYSTEM` folders, uses a scratch folder, or refers to what starts
@@ -54,9 +57,10 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     the other workers are idle.
     """
     root, first = Path(__file__).parent, set[tuple[Path, str]]()
+    is_selected = "process" in config.option.markexpr  # to search all tests takes a second of each worker
     for item in items:
         is_system = item.path.relative_to(root).parts[0] in SYSTEM
-        if is_system or "scratch" in getattr(item, "fixturenames", ()) or starts_processes(item):
+        if is_selected and (is_system or "scratch" in getattr(item, "fixturenames", ()) or starts_processes(item)):
             item.add_marker(pytest.mark.process)
         if item.get_closest_marker("variants"):
             test = (item.path, getattr(item, "originalname", item.name))

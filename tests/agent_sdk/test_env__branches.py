@@ -259,6 +259,7 @@ def test_branches__outlive_the_engine_that_they_were_forked_from(office: Buildin
     same(episode(env, mine), straight)
 
 
+@pytest.mark.slow
 def test_env__without_an_engine_nothing_is_forked(office: BuildingEnv) -> None:
     """An engine that died unnoticed while its node waited: the fork's error tells it."""
     env = office

@@ -117,6 +117,7 @@ def test_branch_with_slots__steps_and_plans_are_equal(office: BuildingEnv) -> No
     assert (np.diff(rollout.metrics["peak_kw"], axis=1) >= 0.0).all()
 
 
+@pytest.mark.slow
 def test_plan__ends_with_the_episode(office: BuildingEnv) -> None:
     left = office.manifest.steps - office.sample.step
     actions = sequences(office, 2, left + 4)

@@ -122,6 +122,7 @@ def test_network_policy__other_files_are_refused(tmp_path: Path) -> None:
         load_network(path)
 
 
+@pytest.mark.slow
 def test_network_policy__only_known_policies_are_exported(tmp_path: Path) -> None:
     parameters = {**PARAMETERS["ppo"], "use_sde": True}
     folder = trained("ppo", tmp_path / "training", parameters=parameters)

@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.builders import actuator, manifest, sensor, view
+from support.examples import examples
 
 from zenostat.agent_sdk.controllers import Agent, OracleController, action_of, load_controller
 from zenostat.agent_sdk.controllers.action_roles import setpoint_pairs
@@ -97,7 +98,7 @@ def episode(toy: Toy, steps: int, **parameters: Any) -> list[float]:
     return rewards
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=examples(30), deadline=None)
 @given(
     seed=st.integers(0, 10_000),
     method=st.sampled_from(["mppi", "cem"]),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.examples import examples
 
 from zenostat.bridge.alarms.monitor import AlarmMonitor
 from zenostat.bridge.alarms.rules import applies_at, point_alarms, read_rules
@@ -348,7 +349,7 @@ SAMPLES = st.lists(
 )
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(SAMPLES)
 def test_the_screening__misses_nothing(samples: list[tuple[float, float]]) -> None:
     """Each alarm has the states of a state machine that gets every value."""
@@ -368,7 +369,7 @@ def test_the_screening__misses_nothing(samples: list[tuple[float, float]]) -> No
         assert [(a.alarm, a.transition, a.event_state, a.state) for a in alarms] == transitions
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(SAMPLES, SAMPLES)
 def test_a_snapshot__continues_with_the_same_events(
     first: list[tuple[float, float]], second: list[tuple[float, float]]

@@ -60,6 +60,7 @@ def test_district_copies__branches_do_not_touch_the_episode(env: Any) -> None:
             assert steps(again, 2, 3) == ahead[:9]
 
 
+@pytest.mark.slow
 def test_district_copies__trial_is_the_step_that_follows(env: Any) -> None:
     env.reset(seed=2)
     steps(env, 0, 2)

@@ -8,6 +8,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.coupled_plants import FakeCoupled, Step, district_file, free, gain, manifest_of, orchestrated
+from support.examples import examples
 
 W: Any = {"x": "W"}
 U: Any = {"u": ("W", -1e6, 1e6)}
@@ -204,7 +205,7 @@ CONNECTION = st.tuples(
 TERMS = ("sent", "clipped", "resampled", "residual", "stored")
 
 
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(60), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.tuples(CONNECTION, CONNECTION), st.sampled_from([300.0, 450.0, 900.0]), st.integers(1, 12))
 def test_balance__closes_for_each_connection(
     folder: Path, connections: tuple[tuple[str, str, str], ...], step_s: float, steps: int

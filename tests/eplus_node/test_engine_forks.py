@@ -98,6 +98,7 @@ def test_template__is_restarted_after_its_death(scratch: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_killed_fork__raises_and_the_next_episode_runs(scratch: Path) -> None:
     env = make(SMALL)
     _, expected = play(env)

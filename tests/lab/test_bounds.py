@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.examples import examples
 from typer.testing import CliRunner
 
 from zenostat.cli.commands import app
@@ -110,7 +111,7 @@ def test_windows__cover_the_episode_and_are_a_day_apart(phase: int, days: int) -
     assert windows.peaks(rewards).max(axis=1) == pytest.approx(rewards.max(axis=1))
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(seed=st.integers(0, 10_000))
 def test_changed__stays_in_windows_and_bounds(seed: int) -> None:
     random = np.random.default_rng(seed)
@@ -132,7 +133,7 @@ def test_changed_plans__begin_with_the_sequence_itself() -> None:
     assert (plans[1:] != START[30:42]).any(axis=(1, 2)).sum() > 10
 
 
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 @given(seed=st.integers(0, 10_000), charge=st.floats(0.0, 5.0))
 def test_combine__is_the_best_of_all_combinations(seed: int, charge: float) -> None:
     random = np.random.default_rng(seed)

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from rdflib import RDF, RDFS, SH, Literal, Namespace, URIRef
 from support.brick_ontology import graph_of, ontology_file, superclasses, violations
 from support.builders import manifest as build_manifest
+from support.examples import examples
 
 from zenostat.gateways.bacnet.points import point_specs
 from zenostat.gateways.modbus.register_map import RegisterMap
@@ -288,7 +289,7 @@ def test_semantic_model__names_from_strangers_are_data() -> None:
 TEXTS = st.text(st.characters(codec=None), max_size=20)
 
 
-@settings(max_examples=30)
+@settings(max_examples=examples(30))
 @given(subject=TEXTS, label=TEXTS, number=st.integers() | st.floats(0, 1e9).map(lambda x: round(x, 3)))
 def test_triples__turtle_has_the_texts(subject: str, label: str, number: float) -> None:
     from zenostat.models.semantic.graph import _encoded

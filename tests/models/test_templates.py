@@ -132,7 +132,7 @@ SYSTEMS: dict[str, Objects] = {
 MILD = {"VRF": "03-15", "VAV with heating and cooling": "03-15"}
 """Days for systems whose capacity does not suffice in January."""
 
-QUICK = ("ideal loads", "hot-water baseboard")
+QUICK = ("hot-water baseboard",)
 
 
 @cache

@@ -167,6 +167,7 @@ def test_fmu__with_threads_has_no_copies_but_new_processes(tank: Path) -> None:
         assert trajectory(env, 2) == first
 
 
+@pytest.mark.slow
 def test_fmu__that_crashes_when_it_is_loaded_is_named(tank: Path, module_scratch: Path) -> None:
     with pytest.raises(EngineDied, match="was killed by SIGSEGV"):
         tank_env(build_tank(module_scratch, "crash.fmu", crashes=True)).reset()

@@ -132,6 +132,7 @@ async def patient_read(reader: Client) -> float:
     raise AssertionError(value)
 
 
+@pytest.mark.slow
 async def test_bacnet_gateway__flood_of_writes_is_answered_each_or_aborted_and_the_device_serves_others(
     episode_bus: Bus,
 ) -> None:

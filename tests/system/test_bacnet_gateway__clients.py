@@ -169,6 +169,7 @@ def test_bacnet_gateway__example_steps_the_node_and_commands_it_in_the_afternoon
     assert len(setpoints) == 76
 
 
+@pytest.mark.slow
 def test_bacnet_gateway__objects_are_written_as_a_table(episode_bus: Bus, tmp_path: Path) -> None:
     file = tmp_path / "objects.csv"
     words = ["gateway", "bacnet", "office", "--connect", episode_bus.endpoint, "--instance", str(INSTANCE)]

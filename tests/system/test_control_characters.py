@@ -116,6 +116,7 @@ def test_control_characters__no_command_prints_a_control_character_of_a_file(
         assert is_plain(out.read_text(encoding="utf-8").replace("\t", " "))
 
 
+@pytest.mark.slow
 def test_control_characters__loaded_recording_has_none(hostile: Path) -> None:
     loaded = load(hostile)
     assert all(is_plain(f"{entry.source} {entry.subject} {entry.result}") for entry in loaded.log)

@@ -341,6 +341,7 @@ def test_district__errors_of_plants_have_their_line_and_leave_nothing(
         NodeProgram(scratch / "node", module="zenostat.cosim", district=str(district(scratch, text)), check=True)
 
 
+@pytest.mark.slow
 def test_district__unsolved_step_is_an_event(scratch: Path) -> None:
     """Staged equipment: full power below 5 kW of its own power, none above."""
     staged = """

@@ -19,9 +19,7 @@ FORMS = ("continuous", "discrete", "continuous-stochastic", "discrete-stochastic
 BUNDLED = [f"{b}-{WEATHERS[i % len(WEATHERS)]}-{FORMS[i % len(FORMS)]}-v1" for i, b in enumerate(BUILDINGS)]
 
 
-SOME = {
-    "5zone-hot-discrete-v1", "datacenter_cw-chicago-discrete-stochastic-v1", "shop-cool-continuous-v1",
-}  # fmt: skip
+SOME = {"datacenter_cw-chicago-discrete-stochastic-v1", "shop-cool-continuous-v1"}
 """Each kind of action: setpoints of the air and of chilled water, in both kinds of spaces."""
 
 

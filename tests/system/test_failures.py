@@ -428,6 +428,7 @@ def test_failures__port_that_a_node_has_taken(folder: Path) -> None:
         assert node.process.poll() is None
 
 
+@pytest.mark.slow
 def test_failures__socket_that_is_taken(folder: Path, episode_bus: zenostat.Bus) -> None:
     with pytest.raises(AddressInUse, match="already exists; name another path"):
         NodeProgram(folder / "two", **SMALL, name="other", listen=[episode_bus.endpoint])

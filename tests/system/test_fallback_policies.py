@@ -103,10 +103,9 @@ def status_of(bus: zenostat.Bus, name: str) -> ControllerStatus:
     ("policy", "bus_of"),
     [
         ("wait", "unix"),
-        ("hold", "tcp"),
         *(
             pytest.param(*case, marks=pytest.mark.slow)
-            for case in (("hold", "unix"), ("relinquish", "unix"), ("wait", "tcp"))
+            for case in (("hold", "tcp"), ("hold", "unix"), ("relinquish", "unix"), ("wait", "tcp"))
         ),
     ],
 )

@@ -201,6 +201,7 @@ def test_lost_messages__subscriber_to_everything_that_reads_nothing_delays_comma
                 assert values_of_day(link) == quiet
 
 
+@pytest.mark.slow
 def test_lost_messages__refusals_of_strangers_leave_room_for_those_of_a_controller(episode_bus: Bus) -> None:
     """More than are published in a step; the controller's own is, or it would wait for a sample that never comes."""
     with episode_bus.controller("office") as link, open_session(connect=[episode_bus.endpoint]) as session:

@@ -24,6 +24,7 @@ from PIL import Image
 from rdflib import RDF, RDFS, Graph, Literal, URIRef
 from support import builders
 from support.certificates import house_keys
+from support.examples import examples
 from support.mcp_clients import TOKEN, ask, http_client, http_server, refused, tool_server
 from support.mcp_page import transcript, transcript_of_page
 from support.nodes import ZONES, NodeProgram, free_port, node_on_bus, until
@@ -287,7 +288,7 @@ def fuzzed_desk(fake_node: NodeProgram) -> Iterator[Desk]:
 
 
 @pytest.mark.slow
-@settings(max_examples=300, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(300), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_mcp__no_arguments_break_a_tool(fuzzed_desk: Desk, data: st.DataObject) -> None:
     """Whatever a model asks, the answer is data or an error that says what was wrong."""

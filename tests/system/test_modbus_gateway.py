@@ -404,6 +404,7 @@ def test_modbus_gateway__bad_settings_have_one_error(
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_modbus_gateway__port_in_use_is_named(shared_node: NodeProgram, port: int) -> None:
     address = ["--address", f"127.0.0.1:{port}", "--connect", shared_node.endpoint, "--source", "another"]
     done = run_program("gateway", "modbus", "office", *address)

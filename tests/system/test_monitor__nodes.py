@@ -139,6 +139,7 @@ def _sample(query: zenoh.Query) -> None:
     query.reply(query.key_expr, codec.encode(sample), encoding=codec.encoding(Sample))
 
 
+@pytest.mark.slow
 def test_monitor__file_has_all_samples_though_they_are_gathered(scratch: Path, episode_bus):
     path = scratch / "run.rrd"
     with (

@@ -215,6 +215,7 @@ def test_pacing__no_sample_comes_before_it_is_due(bus: Bus) -> None:
     assert (status.mode, status.speed) == (Mode.PACED, FAST)
 
 
+@pytest.mark.slow
 def test_pacing__reset_begins_a_schedule(bus: Bus) -> None:
     bus.pace("office", FAST)
     with bus.controller("office", required=False) as link:
@@ -305,6 +306,7 @@ def test_pacing__paused_node_stands_until_it_goes_on(year_bus: Bus, mode: str) -
     assert not bus.status("office").paused
 
 
+@pytest.mark.slow
 def test_pause__forgets_requested_steps(year_bus: Bus) -> None:
     bus = year_bus
     bus.pause("office")

@@ -399,6 +399,7 @@ def test_python_plant__copy_is_as_mortal_as_its_origin(copied: BuildingEnv) -> N
     snapshot.close()
 
 
+@pytest.mark.slow
 def test_python_plant__class_that_can_no_longer_be_copied_goes_on(own: BuildingEnv, forkable: BuildingEnv) -> None:
     own.reset(seed=1)
     own.step(action(valve=0.0, heater=100.0, deed="keep"))
@@ -530,6 +531,7 @@ SHUTDOWNS: dict[str, Callable[[NodeProgram], object]] = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(("time", "number"), [("described", signal.SIGINT), ("started", signal.SIGTERM)])
 def test_python_plant__node_ends_while_its_plant_is_created(

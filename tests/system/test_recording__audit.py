@@ -126,6 +126,7 @@ def without(source: Path, target: Path, drop: Callable[[int, str], bool]) -> Pat
     return target
 
 
+@pytest.mark.slow
 def test_verify__line_that_was_removed_with_the_mcap_library_is_named(recorded: Any, tmp_path: Path) -> None:
     with RecordingReader(recorded.path) as reader:
         topics = [item.topic for item in reader.messages()]

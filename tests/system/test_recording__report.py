@@ -114,6 +114,7 @@ def test_recording__only_complete_episodes_are_compared_with_the_parallel_baseli
     assert not baseline.trajectory.source_index.any()
 
 
+@pytest.mark.slow
 def test_recording__episode_in_part_is_reported_where_no_episode_is_complete(interrupted: Path, tmp_path: Path) -> None:
     samples = 0
 

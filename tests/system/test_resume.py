@@ -211,7 +211,9 @@ def test_resume__killed_node_goes_on_to_the_bit(
     assert kinds(path).count(EventKind.RESUMED) == 2
 
 
-@pytest.mark.parametrize("share", [pytest.param(0.0, marks=pytest.mark.slow), 0.38, 0.999])
+@pytest.mark.parametrize(
+    "share", [pytest.param(0.0, marks=pytest.mark.slow), pytest.param(0.38, marks=pytest.mark.slow), 0.999]
+)
 def test_resume__goes_on_after_any_message(
     share: float, scratch: Path, settings: dict[str, Any], reference: tuple[Path, tuple[Any, ...]]
 ) -> None:

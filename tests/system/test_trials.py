@@ -62,6 +62,7 @@ def forks_of(env: BuildingEnv) -> int:
 # To the bit
 
 
+@pytest.mark.slow
 def test_trial__equals_the_step_throughout_an_episode(office: BuildingEnv) -> None:
     """At sample 0, in the middle, and at the end, which the sample of a trial has as well."""
     office.reset(seed=0)

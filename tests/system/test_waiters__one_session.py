@@ -121,6 +121,7 @@ def test_waiters__of_two_that_wait_for_a_paused_node_both_get_its_next_sample(
         assert [future.result(60) for future in futures] == [1, 1]
 
 
+@pytest.mark.slow
 def test_waiters__strangers_message_to_the_key_of_a_wake_up_ends_nothing(episode_bus: Bus, wakes: list[str]) -> None:
     bus = episode_bus
     bus.pause("office")

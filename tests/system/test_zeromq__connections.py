@@ -70,6 +70,7 @@ def ended(connection: socket.socket) -> bool:
     return True
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize(("kind", "size"), [(b"DEALER", MIB), (b"DEALER", 1000), (b"SUB", 1000)])
 def test_zeromq__message_without_an_end_ends_its_connection(gateway: GatewayProgram, kind: bytes, size: int) -> None:

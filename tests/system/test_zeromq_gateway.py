@@ -14,6 +14,7 @@ import psutil
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
+from support.examples import examples
 from support.nodes import SMALL, NodeProgram, Program, free_port, until
 from support.run_cli import plain, run_program
 
@@ -403,7 +404,7 @@ def test_zeromq_gateway__bad_payloads_are_denied_with_the_reason(open_gateway, w
 WORDS = st.sampled_from([b"", b"zenostat/v3/office/rpc/status", b"zenostat/v3/office/command/c", b"\x80", b"\xff"])
 
 
-@settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=examples(200), suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(frames=st.lists(st.one_of(WORDS, st.binary(max_size=40)), min_size=1, max_size=12))
 @example([b""])
 @example([b"", b""])
@@ -450,6 +451,7 @@ def test_invalid_options__refused_before_anything_starts(shared_node, gateway):
     assert "nobody listens on" in _fails("--connect", f"tcp/127.0.0.1:{free_port()}")
 
 
+@pytest.mark.slow
 def test_zeromq_gateway__ctrl_c_ends_it_in_good_order(shared_node):
     with GatewayProgram(shared_node.endpoint) as gateway, Peer(gateway) as peer:
         assert peer.ask("rpc/status")[0] == "Status"

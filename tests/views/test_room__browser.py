@@ -293,6 +293,7 @@ def test_room__what_if_saves_energy_and_is_applied(ada: Visitor, room: Any, bus:
         bus.write("office", name, None)
 
 
+@pytest.mark.slow
 def test_room__texts_with_markup_are_texts(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
     bus.shelve("office", "warm", 3600.0, source="mallory", comment=HOSTILE)
     page = ada.open(f"{room.url}/?node=office&search={quote(HOSTILE)}&table=points&tab=alarms&zone={quote(HOSTILE)}")
@@ -305,6 +306,7 @@ def test_room__texts_with_markup_are_texts(ada: Visitor, room: Any, bus: zenosta
     bus.unshelve("office", "warm")
 
 
+@pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("width", [390, 768])
 def test_room__page_does_not_scroll_sideways(browser: Any, room: Any, width: int) -> None:
@@ -407,6 +409,7 @@ def test_room__node_that_dies_and_comes_back(browser: Any, scratch: Path) -> Non
             visitor.close()
 
 
+@pytest.mark.slow
 def test_room__command_prints_a_link_and_ends_on_sigterm(office: NodeProgram, scratch: Path) -> None:
     with nothing_left(scratch):
         command = [sys.executable, "-P", "-m", "zenostat.cli.main", "room", "--connect", office.endpoint]

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.examples import examples
 
 from zenostat.topics import codec
 from zenostat.topics.errors import BadMessage
@@ -58,7 +59,7 @@ def check_triangles(corners: np.ndarray) -> None:
 
 
 @pytest.mark.slow
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(placed_polygons())
 def test_surfaces__triangles_cover_a_concave_polygon_once(corners: np.ndarray) -> None:
     check_triangles(corners)
