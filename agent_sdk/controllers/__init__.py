@@ -13,6 +13,7 @@ from zenostat.agent_sdk.controllers.portable import PortableDemandLimit, Portabl
 from zenostat.agent_sdk.controllers.random_control import RandomController
 from zenostat.agent_sdk.controllers.rule_based import RuleBasedController
 from zenostat.agent_sdk.controllers.setback import ScheduledSetback
+from zenostat.agent_sdk.controllers.setpoint_offsets import SetpointOffsets
 
 CONTROLLERS |= {
     "baseline": BaselineController,
@@ -20,6 +21,7 @@ CONTROLLERS |= {
     "random": RandomController,
     "fixed": FixedSetpoints,
     "setback": ScheduledSetback,
+    "offsets": SetpointOffsets,
     "incremental": IncrementalRules,
     "pid": PIDController,
     "oracle": OracleController,
@@ -44,6 +46,7 @@ __all__ = [
     "RandomController",
     "RuleBasedController",
     "ScheduledSetback",
+    "SetpointOffsets",
     "Values",
     "action_of",
     "load_controller",

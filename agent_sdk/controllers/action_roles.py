@@ -71,14 +71,13 @@ _TEMPERATURE_UNITS = ("degC", "1", "")
 def bind_actions(manifest: Manifest) -> tuple[ActionBinding, ...]:
     """Return a binding for each action of a node's task, in order."""
     actuators = {a.name: a for a in manifest.actuators}
-    roles = [role_of(action, actuators[action.actuators[0]]) for action in manifest.task.actions]
     return tuple(
         ActionBinding(
-            _absolute(action, actuators),
-            role,
+            absolute := _absolute(action, actuators),
+            role_of(absolute, actuators[action.actuators[0]]),
             *_zone_points(action, [actuators[name] for name in action.actuators], manifest),
         )
-        for action, role in zip(manifest.task.actions, roles, strict=True)
+        for action in manifest.task.actions
     )
 
 

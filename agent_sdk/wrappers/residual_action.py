@@ -16,6 +16,7 @@ from zenostat.agent_sdk.controllers.parameters import make_controller
 from zenostat.agent_sdk.controllers.pid import PIDController
 from zenostat.agent_sdk.controllers.rule_based import RuleBasedController
 from zenostat.agent_sdk.controllers.setback import ScheduledSetback
+from zenostat.agent_sdk.controllers.setpoint_offsets import SetpointOffsets
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic, append
 from zenostat.agent_sdk.wrappers.gymnasium_wrappers import Trait, wrappers_with
@@ -27,6 +28,7 @@ from zenostat.topics.typing_compat import override
 RULES: dict[str, Any] = {
     "fixed": FixedSetpoints,
     "setback": ScheduledSetback,
+    "offsets": SetpointOffsets,
     "rbc": RuleBasedController,
     "incremental": IncrementalRules,
     "pid": PIDController,
@@ -124,7 +126,7 @@ class ResidualAction(BuildingWrapper):
     After a reset to a snapshot the rule continues with the state that it has, such as observed arrival times.
 
     Args:
-        controller: name of the rule: `rbc`, `fixed`, `setback`, `incremental` or `pid`.
+        controller: name of the rule: `rbc`, `fixed`, `setback`, `offsets`, `incremental` or `pid`.
         offset: largest offset to both sides, above 0, for all actions or by action; actions that a mapping does not
             name follow the rule.
         parameters: parameters of the rule, such as those that `zenostat tune` has found.

@@ -52,6 +52,7 @@ class Evaluation(ConfigPart):
     Attributes:
         every_steps, every_episodes: the interval in training steps, or in finished training episodes, over all slots;
             without both, a tenth of the training's steps.
+        at_start: also evaluate before the first training step.
         episodes: number of episodes of an evaluation.
         seed: seed of the first one; episode k has `seed + k`, the same in each evaluation.
         scenario, arguments: override those of the training, for instance with another weather.
@@ -60,6 +61,7 @@ class Evaluation(ConfigPart):
 
     every_steps: Count | None = None
     every_episodes: Count | None = None
+    at_start: bool = False
     episodes: Count = 1
     seed: Seed = 10_000
     scenario: str | None = None

@@ -47,6 +47,8 @@ class EvaluationCallback(BaseCallback):
         every_episodes: Finished episodes of the training between evaluations, instead of `every`.
         episodes: Number of episodes of an evaluation.
         seed: Seed of the first episode; episode k has `seed + k`, the same in each evaluation.
+        at_start: Also evaluate before the first training step, so that the best model may be the one that the training
+            begins with: where actions are offsets to a rule, nearly the rule itself.
         best_model_path: File (.zip) for the model with the highest mean reward. Its `VecNormalize` is saved beside it
             as `.vecnormalize.pkl`, and what its wrappers have learnt as `.wrappers.yaml`, if there are any.
         on_evaluation: Called after each evaluation with the training step and the metrics of its episodes.
@@ -66,6 +68,7 @@ class EvaluationCallback(BaseCallback):
         best_model_path: str | Path | None = None,
         *,
         every_episodes: int | None = None,
+        at_start: bool = False,
         on_evaluation: Callable[[int, tuple[EpisodeMetrics, ...]], None] | None = None,
     ) -> None:
         super().__init__()
@@ -79,7 +82,7 @@ class EvaluationCallback(BaseCallback):
             raise InvalidConfig(f"best_model_path={str(path)!r}: a .zip file in an existing folder expected")
         self._make_env, self._interval, self._episodes, self._seed = make_env, interval, episodes, seed
         self._counts_episodes, self._on_evaluation = every is None, on_evaluation
-        self._path = path
+        self._path, self._at_start = path, at_start
         self._env: gym.Env[Any, Any] | None = None
         self._due = 0
         self.training_episodes = 0
@@ -103,6 +106,9 @@ class EvaluationCallback(BaseCallback):
     def _on_training_start(self) -> None:
         mark_normalized(self.model)
         self._set_due()
+        if self._at_start and self.num_timesteps == 0:
+            with preserve_random_state():
+                self._evaluate()
 
     def _on_step(self) -> bool:
         self.training_episodes += int(np.count_nonzero(self.locals["dones"]))

@@ -222,6 +222,7 @@ class _Run:
                 partial(make_env, self._config, for_evaluation=True),
                 every=self._config.evaluation_steps,
                 every_episodes=settings.every_episodes,
+                at_start=settings.at_start,
                 episodes=settings.episodes,
                 seed=settings.seed,
                 best_model_path=self._folder / training_folder.BEST,

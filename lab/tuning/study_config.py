@@ -48,6 +48,8 @@ class Range(ConfigPart):
             self.low is None or self.high is None or not self.low <= self.start <= self.high
         ):
             raise ValueError("start has to lie between low and high")
+        if self.is_integer and isinstance(self.start, float):
+            raise ValueError(f"start = {self.start:g} is no whole number, but low and high are: write {self.low}.0")
         return self
 
     @property

@@ -175,6 +175,7 @@ def test_controllers__short_names() -> None:
         "random",
         "fixed",
         "setback",
+        "offsets",
         "incremental",
         "oracle",
         "pid",

@@ -153,10 +153,10 @@ def test_training__training_is_the_same_with_and_without_evaluations(name: str) 
             _ = random.random(), np.random.random(), torch.rand(1)  # as somebody's wrapper may do it
             return make_env(**form)
 
-        callback = EvaluationCallback(drawing, every=30, episodes=2, seed=11) if evaluated else None
+        callback = EvaluationCallback(drawing, every=30, episodes=2, seed=11, at_start=True) if evaluated else None
         model.learn(120, callback=callback)
         if callback is not None:
-            assert list(callback.results) == [30, 60, 90, 120]
+            assert list(callback.results) == [0, 30, 60, 90, 120]
         return weights(model), seen, (random.random(), np.random.random(), torch.rand(1).item())
 
     plain, evaluated = trained(evaluated=False), trained(evaluated=True)

@@ -153,6 +153,7 @@ def test_tune_controller__class_with_a_required_parameter_needs_it_fixed() -> No
         ({"parameters": {"marign": [1.0]}}, "RuleBasedController has no parameter 'marign'; did you mean 'margin'"),
         ({"parameters": {"margin": {"low": 1.0}}}, "margin: either low and high, or choices expected"),
         ({"parameters": {"margin": {"low": 0.0, "high": 1.0, "start": 2.0}}}, "start has to lie between low and high"),
+        ({"parameters": {"margin": {"low": 0, "high": 1, "start": 0.5}}}, "start = 0.5 is no whole number, but low"),
         ({"fixed": {"margin": 1.0}}, "margin is both searched and fixed; remove one of both"),
         ({"trials": 0}, "trials=0"),
         ({"metric": "rewrad"}, "metric: the evaluations have no 'rewrad'; did you mean 'reward'"),
