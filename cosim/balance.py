@@ -20,10 +20,19 @@ class Total:
         self._rest += (larger - total) + smaller
         self._sum = total
 
+    def copy(self) -> Total:
+        """Return an equal sum that changes on its own."""
+        other = Total()
+        other._sum, other._rest = self._sum, self._rest
+        return other
+
     @property
     def value(self) -> float:
         """The sum."""
         return self._sum + self._rest
+
+
+_TOTALS = ("sent", "received", "clipped", "resampled", "residual", "stored", "greatest")
 
 
 class Ledger:
@@ -33,6 +42,13 @@ class Ledger:
         self._name, self._unit = name, unit
         self.sent, self.received, self.clipped = Total(), Total(), Total()
         self.resampled, self.residual, self.stored, self.greatest = Total(), Total(), Total(), Total()
+
+    def copy(self) -> Ledger:
+        """Return an equal balance that changes on its own."""
+        other = Ledger(self._name, self._unit)
+        for name in _TOTALS:
+            setattr(other, name, getattr(self, name).copy())
+        return other
 
     def balance(self) -> ConnectionBalance:
         """Return the balance so far."""

@@ -16,10 +16,27 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from zenostat.bridge.node.plant import PlantDescription, RunningPlant, Site, WeatherTable, without_weather
 from zenostat.cosim.coupled import CoupledPlant, GuardedPlant, Rows
 from zenostat.cosim.file import OnLost
+from zenostat.cosim.trials import MAX_TIMESTEPS, PlantTrials
 from zenostat.topics.errors import EngineDied, ForkFailed, ZenostatError
 
 if TYPE_CHECKING:
     from zenostat.cosim.run import DistrictRun, RunState
+
+
+class PlantSource(Protocol):
+    """The source of the plants of a copy's slots: snapshots, or trials from the present sample."""
+
+    def __len__(self) -> int:
+        """Return the number of plants."""
+
+    def branches(self, stop: threading.Event, state: RunState) -> dict[str, GuardedPlant]:
+        """Return plants at the step of a state."""
+
+    def use(self) -> PlantSource:
+        """Return this source for another copy, which releases it as well."""
+
+    def release(self) -> None:
+        """Free what it holds, with the last copy that uses it."""
 
 
 @runtime_checkable
@@ -77,6 +94,10 @@ class PlantSnapshots:
         if at >= 0 and at != steps:
             raise ForkFailed(f"plant {name!r} is at its step {at}, and not at {steps}: somebody else steps it")
 
+    def __len__(self) -> int:
+        """Return the number of plants."""
+        return len(self.names)
+
     def use(self) -> PlantSnapshots:
         """Return these snapshots for another copy, which releases them as well."""
         with self._lock:
@@ -126,7 +147,7 @@ class DistrictCopy:
 
     Args:
         description: of the district.
-        snapshots: of its plants; the copy releases them.
+        source: of its plants; the copy releases it.
         create: creates the run of a slot from a state, in branches of the plants that are at its step.
         states: of each slot.
         site: of the episode.
@@ -138,14 +159,14 @@ class DistrictCopy:
     def __init__(
         self,
         description: PlantDescription,
-        snapshots: PlantSnapshots,
+        source: PlantSource,
         create: Callable[[Mapping[str, GuardedPlant], RunState], DistrictRun],
         states: Sequence[RunState],
         *,
         site: Site,
         notes: list[str],
     ) -> None:
-        self.description, self.snapshots, self.states = description, snapshots, states
+        self.description, self.source, self.states = description, source, states
         self._create, self._site, self._notes = create, site, notes
         self._runs: list[DistrictRun | None] = [None] * len(states)
         self._stop = threading.Event()
@@ -155,7 +176,7 @@ class DistrictCopy:
         run = self._runs[slot]
         if run is None:
             state = self.states[slot]
-            run = self._runs[slot] = self._create(self.snapshots.branches(self._stop, state), state)
+            run = self._runs[slot] = self._create(self.source.branches(self._stop, state), state)
         return run
 
     def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
@@ -190,8 +211,20 @@ class DistrictCopy:
             run = self._runs[slot]
             states.append(self.states[slot] if run is None else run.capture())
         return DistrictCopy(
-            self.description, self.snapshots.use(), self._create, states, site=self._site, notes=self._notes
+            self.description, self.source.use(), self._create, states, site=self._site, notes=self._notes
         )
+
+    def fork_for_trial(
+        self, slots: Sequence[int], folder: Path, timesteps: int, *, baseline: bool = False
+    ) -> RunningPlant:
+        """Return a copy for a trial; see `TryingPlant`. A slot that was not stepped yet gets its branches by it."""
+        if timesteps > MAX_TIMESTEPS or len(self._runs) > 1:
+            return self.fork(slots, folder, baseline=baseline)
+        run = self._run(0)
+        return DistrictCopy(
+            self.description, PlantTrials(run.plants), self._create, [run.capture()] * len(slots),
+            site=self._site, notes=self._notes,
+        )  # fmt: skip
 
     def site(self, slot: int) -> Site:  # noqa: ARG002
         """Return the site of the district."""
@@ -215,7 +248,7 @@ class DistrictCopy:
     @property
     def simulators(self) -> int:
         """Number of copied plants."""
-        return len(self.snapshots.names) * len(self._runs)
+        return len(self.source) * len(self._runs)
 
     def interrupt(self) -> None:
         """Make a running step raise soon; thread-safe."""
@@ -235,4 +268,4 @@ class DistrictCopy:
         for run in self._runs:
             for plant in run.plants.values() if run is not None else ():
                 plant.plant.close()
-        self.snapshots.release()
+        self.source.release()

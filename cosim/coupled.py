@@ -73,12 +73,22 @@ class CoupledPlant(Protocol):
     def finish(self) -> Rows:
         """Wait for the timesteps that `begin` began."""
 
-    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
-        """Simulate timesteps on a copy for each of several alternatives, and return their values.
+    def begin_trial(self, commands: Sequence[Floats]) -> None:
+        """Begin to simulate timesteps on a copy for each of several alternatives; a trial that is not finished is lost.
+
+        Args:
+            commands: of each alternative, all equally long.
+        """
+
+    def finish_trial(self) -> list[Rows]:
+        """Wait for the trial that `begin_trial` began, and return the samples of each alternative.
 
         Raises:
             ForkFailed: the plant cannot be copied; its episode can go on.
         """
+
+    def cancel_trial(self) -> None:
+        """Make `finish_trial` raise soon, although the copies may still be simulated; thread-safe."""
 
     def is_reachable(self) -> bool:
         """Return whether its node is there, perhaps as a new one; quick."""
@@ -129,6 +139,8 @@ class GuardedPlant:
         self._seed = 0
         self._last: Rows
         self._error: Exception | None = None
+        self._tried: Sequence[Floats] = ()
+        self._trial_error: Exception | None = None
         self._warnings: list[str] = []
 
     def reset(self, seed: int) -> Rows:
@@ -179,18 +191,34 @@ class GuardedPlant:
                 return self._last
         return self._react(error)
 
-    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
-        """Try timesteps for each of several alternatives; a plant that is lost returns its last values."""
-        self.is_tried = self.is_available
+    def begin_trial(self, commands: Sequence[Floats]) -> None:
+        """Begin to try timesteps for each of several alternatives, unless the plant is lost."""
+        self._tried, self._trial_error, self.is_tried = commands, None, self.is_available
         if not self.is_available:
-            return [self._held(len(rows)).values for rows in commands]
+            return
         try:
-            return self.plant.try_step(commands)
-        except ForkFailed as error:
-            raise ForkFailed(f"plant {self.name!r} cannot try a step, which a solved loop needs: {error}") from None
+            self.plant.begin_trial(commands)
         except LOST as error:
-            self._react(error)
-            return self.try_step(commands)
+            self._trial_error = error
+
+    def finish_trial(self) -> list[Rows]:
+        """Wait for this trial; a plant that is lost returns its last values."""
+        if not self.is_available:
+            return self._held_trial()
+        error, self._trial_error = self._trial_error, None
+        if error is None:
+            try:
+                return self.plant.finish_trial()
+            except ForkFailed as failed:
+                raise ForkFailed(f"plant {self.name!r} cannot try a step: {failed}") from None
+            except LOST as lost:
+                error = lost
+        self._react(error)
+        self.begin_trial(self._tried)
+        return self.finish_trial()
+
+    def _held_trial(self) -> list[Rows]:
+        return [self._held(len(rows)) for rows in self._tried]
 
     def drain_warnings(self) -> list[str]:
         """Return texts about the plant since the last call."""
@@ -298,9 +326,15 @@ class RepeatedPlant(GuardedPlant):
         self.is_available = True
         return rows
 
-    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
-        """Try timesteps, or return the last values for each alternative."""
+    def begin_trial(self, commands: Sequence[Floats]) -> None:
+        """Begin to try timesteps, unless the last values are to hold."""
         if self.is_available and self._is_tried_expected:
-            return super().try_step(commands)
-        self.is_tried = False
-        return [self._held(len(rows)).values for rows in commands]
+            super().begin_trial(commands)
+        else:
+            self._tried, self.is_tried = commands, False
+
+    def finish_trial(self) -> list[Rows]:
+        """Return the samples of the trial, or the last values for each alternative."""
+        if self.is_available and self._is_tried_expected:
+            return super().finish_trial()
+        return self._held_trial()

@@ -73,6 +73,7 @@ class MarketPlant:
         self.manifest, self.spec = manifest, spec
         self._row = np.zeros(len(SENSORS))
         self.limit_w = spec.limit_w
+        self._tried: list[int] = []
 
     def reset(self, seed: int) -> Rows:  # noqa: ARG002
         """Begin at the lowest price."""
@@ -99,9 +100,17 @@ class MarketPlant:
     def _rows(self) -> Rows:
         return Rows(self._row[None, :].copy(), np.array([[self.limit_w]]))
 
-    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
-        """Return the present values for each alternative: a market has no state of its own."""
-        return [np.tile(self._row, (len(rows), 1)) for rows in commands]
+    def begin_trial(self, commands: Sequence[Floats]) -> None:
+        """Note the alternatives: a market has no state of its own."""
+        self._tried = [len(rows) for rows in commands]
+
+    def finish_trial(self) -> list[Rows]:
+        """Return the present values for each alternative."""
+        rows = self._rows()
+        return [Rows(np.tile(rows.values, (n, 1)), np.tile(rows.effective, (n, 1))) for n in self._tried]
+
+    def cancel_trial(self) -> None:
+        """Do nothing: a market does not compute."""
 
     def check_copy(self) -> None:
         """Do nothing: a market is copied with the orchestration."""

@@ -13,7 +13,7 @@ from zenostat.bridge.client.bus import Bus, connect
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.client.local_node import LocalNode
 from zenostat.bridge.client.sample import SampleView
-from zenostat.bridge.client.trials import trial_message
+from zenostat.bridge.client.trials import PendingTrial, trial_message
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import certificate_file
 from zenostat.cosim.coupled import Floats, Rows
@@ -40,6 +40,7 @@ class NodePlant:
         self._link: ControllerLink | None = None
         self._pending: Floats | None = None
         self._sample: SampleView | None = None
+        self._trial: PendingTrial | None = None
         self._close_bus = ExitStack()
         self.manifest: Manifest
 
@@ -62,7 +63,7 @@ class NodePlant:
         return self._bus
 
     def _disconnect(self) -> None:
-        self._bus = self._link = self._sample = None
+        self._bus = self._link = self._sample = self._trial = None
         with suppress(ZenostatError):
             self._close_bus.close()
 
@@ -112,8 +113,9 @@ class NodePlant:
         values, operations = _command(row)
         self.link.send(values, operations)
 
-    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
-        """Simulate each alternative on a copy; see `CoupledPlant.try_step`."""
+    def begin_trial(self, commands: Sequence[Floats]) -> None:
+        """Ask for a copy for each alternative; see `CoupledPlant.begin_trial`."""
+        self._trial = None
         sample = self._sample
         assert sample is not None
         parts = [_command(row) for rows in commands for row in rows]
@@ -125,12 +127,27 @@ class NodePlant:
             operations if any(codes for _, codes in parts) else None,
             at=sample.message,
         )
-        return [np.array([view.values for view in samples]) for samples in self.link.trial(request)]
+        self._trial = self.link.begin_trial(request)
+
+    def finish_trial(self) -> list[Rows]:
+        """Wait for the samples of the trial; see `CoupledPlant.finish_trial`."""
+        trial = self._trial
+        assert trial is not None
+        tried = [_rows(samples) for samples in self.link.finish_trial(trial)]
+        self._trial = None
+        return tried
+
+    def cancel_trial(self) -> None:
+        """Make `finish_trial` raise soon, although the node may still simulate; thread-safe."""
+        trial = self._trial
+        if trial is not None:
+            trial.reply.cancel()
 
     def check_copy(self) -> None:
         """Try a step in which nothing is commanded; `ForkFailed` if the plant cannot be copied."""
         self._sample = self._sample or self.link.current()
-        self.try_step([np.full((1, len(self.manifest.actuators)), np.nan)])
+        self.begin_trial([np.full((1, len(self.manifest.actuators)), np.nan)])
+        self.finish_trial()
 
     # Snapshots and branches; see `zenostat.cosim.copies.CopiedPlant`
 

@@ -9,10 +9,9 @@ committed: the plants themselves step with its commands, and have its values to 
 
 from __future__ import annotations
 
-import copy
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from math import fsum
 from typing import Any, TypeVar
@@ -35,7 +34,7 @@ Floats = NDArray[np.float64]
 _Result = TypeVar("_Result")
 
 _STATE = ("rows", "loops", "_flows", "_ledgers", "_orders", "_step", "_clearings")
-"""Attributes of the orchestrator that change from step to step."""
+"""Attributes of the orchestrator that change from step to step: mappings, lists of what has `copy`, and a number."""
 
 
 @dataclass(slots=True)
@@ -58,6 +57,10 @@ class LoopState:
     total: int = 0
     steps: int = 0
 
+    def copy(self) -> LoopState:
+        """Return a state that changes on its own."""
+        return replace(self)
+
 
 @dataclass(slots=True)
 class _Flow:
@@ -79,6 +82,10 @@ class _Flow:
     unknown: Floats = field(default_factory=lambda: np.zeros(1))
     residual: Floats = field(default_factory=lambda: np.zeros(1))
     terms: dict[str, float] = field(default_factory=dict)
+
+    def copy(self) -> _Flow:
+        """Return a flow that changes on its own."""
+        return replace(self, ledger=self.ledger.copy(), store=self.store.copy())
 
 
 class Orchestrator:
@@ -135,12 +142,12 @@ class Orchestrator:
 
     def capture(self) -> dict[str, Any]:
         """Return a copy of the state at the present sample."""
-        return copy.deepcopy({name: getattr(self, name) for name in _STATE})
+        return _copied({name: getattr(self, name) for name in _STATE})
 
     def adopt(self, state: Mapping[str, Any]) -> None:
-        """Continue from a state that `capture` returned; it is kept, so pass a copy to use it again."""
-        for name in _STATE:
-            setattr(self, name, state[name])
+        """Continue from a state that `capture` returned, which remains as it is."""
+        for name, value in _copied(state).items():
+            setattr(self, name, value)
 
     # A step
 
@@ -245,10 +252,12 @@ class Orchestrator:
             row[0, PRICE] = price
             rows[market.name] = Rows(row, np.empty((1, 0)))
         tried: list[dict[str, Floats]] = [{} for _ in prices]
-        for name in dict.fromkeys(market.plants):
-            commands = [self._commands(name, own, rows) for rows in settled]
-            for values, sample in zip(tried, self._plants[name].try_step(commands), strict=True):
-                values[name] = sample
+        bidders = [*dict.fromkeys(market.plants)]
+        for name in bidders:
+            self._plants[name].begin_trial([self._commands(name, own, rows) for rows in settled])
+        for name in bidders:
+            for values, sample in zip(tried, self._plants[name].finish_trial(), strict=True):
+                values[name] = sample.values
         return np.array([market.demands(values).sum() for values in tried])
 
     # Loops
@@ -266,19 +275,27 @@ class Orchestrator:
         def evaluate(unknowns: Floats) -> Floats:
             assume(unknowns)
             tried = dict(done)
-            for name in block.plants:
-                values = self._plants[name].try_step([self._commands(name, own, tried)])[0]
-                tried[name] = Rows(values, np.empty((len(values), 0)))
+            for level in block.levels:
+                self._try(level, own, tried)
             returned = [self._carried(p, tried[self._transfers[p].source].values) for p in block.solved]
             return np.concatenate(returned)
 
         start = np.concatenate([self._flows[position].unknown for position in block.solved])
         solution = self._unless_lost(block.plants, lambda: self._search(block, evaluate, start))
         assume(solution.best.x)
-        for name in block.plants:
-            self._begin(name, own, done)
-            done[name] = self._plants[name].finish()
+        for level in block.levels:
+            for name in level:
+                self._begin(name, own, done)
+            for name in level:
+                done[name] = self._plants[name].finish()
         self._report(block, self.loops[number], solution)
+
+    def _try(self, level: Sequence[str], own: Mapping[str, Floats], done: dict[str, Rows]) -> None:
+        """Try the step of plants that can run side by side."""
+        for name in level:
+            self._plants[name].begin_trial([self._commands(name, own, done)])
+        for name in level:
+            (done[name],) = self._plants[name].finish_trial()
 
     def _unless_lost(self, names: Sequence[str], trials: Callable[[], _Result]) -> _Result:
         """Return the result of trials of plants; once more if one was lost, so that all are with its last values."""
@@ -395,6 +412,18 @@ class Orchestrator:
         """Return texts about plants and loops since the last call."""
         warnings, self._warnings = self._warnings, []
         return [*(text for plant in self._plants.values() for text in plant.drain_warnings()), *warnings]
+
+
+def _copied(state: Mapping[str, Any]) -> dict[str, Any]:
+    """Return a state that further steps do not change; arrays are shared, since each step makes new ones."""
+    return {
+        name: dict(value)
+        if isinstance(value, dict)
+        else [each.copy() for each in value]
+        if isinstance(value, list)
+        else value
+        for name, value in state.items()
+    }
 
 
 def _mean(values: Floats) -> float:

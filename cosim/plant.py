@@ -18,11 +18,12 @@ from zenostat.bridge.node.plant import (
     without_weather,
 )
 from zenostat.cosim.binding import Binding
-from zenostat.cosim.copies import DistrictCopy, PlantSnapshots
+from zenostat.cosim.copies import DistrictCopy, PlantSnapshots, PlantSource
 from zenostat.cosim.coupled import GuardedPlant, RepeatedPlant
 from zenostat.cosim.file import SolverSpec
 from zenostat.cosim.orchestrator import LoopState
 from zenostat.cosim.run import DistrictRun, RunState, free_actuators, tried_plants
+from zenostat.cosim.trials import MAX_TIMESTEPS, PlantTrials
 from zenostat.topics import VERSION
 from zenostat.topics.connection_balance import ConnectionBalance
 from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, ZenostatError
@@ -301,15 +302,26 @@ class DistrictPlant:
         if self._broken:
             raise ForkFailed(self._broken)
         steps = {name: self.run.steps * member.steps for name, member in self._binding.members.items()}
-        snapshots = PlantSnapshots(self._plants, steps, self.run.steps)
+        return self._copy(PlantSnapshots(self._plants, steps, self.run.steps), len(slots))
 
+    def fork_for_trial(
+        self, slots: Sequence[int], folder: Path, timesteps: int, *, baseline: bool = False
+    ) -> RunningPlant:
+        """Return a copy for a trial; see `TryingPlant` and `zenostat.cosim.trials`."""
+        if timesteps > MAX_TIMESTEPS:
+            return self.fork(slots, folder, baseline=baseline)
+        if self._broken:
+            raise ForkFailed(self._broken)
+        return self._copy(PlantTrials(self._plants), len(slots))
+
+    def _copy(self, source: PlantSource, slots: int) -> DistrictCopy:
         def create(plants: Mapping[str, GuardedPlant], state: RunState) -> DistrictRun:
             run = DistrictRun(self._binding, plants, self._solver)
             run.adopt(state)
             return run
 
-        states = [self.run.capture()] * len(slots)
-        return DistrictCopy(self.description, snapshots, create, states, site=self.site(0), notes=self.notes(0))
+        states = [self.run.capture()] * slots
+        return DistrictCopy(self.description, source, create, states, site=self.site(0), notes=self.notes(0))
 
     def restore(self, saved: RunningPlant, episode: Sequence[int]) -> list[EpisodeStart]:  # noqa: ARG002
         """Return all plants to a copy; see `Plant.restore`.
@@ -317,9 +329,10 @@ class DistrictPlant:
         If a plant cannot return, the others may have: the episode then ends with its next step.
         """
         assert isinstance(saved, DistrictCopy)
+        assert isinstance(saved.source, PlantSnapshots)
         self._stop.clear()
         try:
-            saved.snapshots.restore()
+            saved.source.restore()
         except ZenostatError as error:
             self._broken = f"the district cannot return to its snapshot, and must be reset: {error}"
             raise EngineDied(self._broken) from None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from math import fsum
@@ -18,9 +17,18 @@ from zenostat.cosim.orchestrator import Orchestrator
 from zenostat.topics.messages import Actuator, Aggregation, Meter
 
 
+def free_columns(binding: Binding) -> dict[str, list[int]]:
+    """Return the columns of the actuators of each plant that no connection feeds."""
+    fed = {(target.plant, target.column) for target in binding.inputs}
+    return {
+        m.name: [column for column in range(len(m.manifest.actuators)) if (m.name, column) not in fed]
+        for m in binding.members.values()
+    }
+
+
 def free_actuators(binding: Binding) -> dict[str, list[tuple[int, Actuator]]]:
     """Return the actuators of each plant that no connection feeds: column in the plant, and the district's actuator."""
-    fed = {(target.plant, target.column) for target in binding.inputs}
+    columns = free_columns(binding)
     return {
         m.name: [
             (
@@ -35,8 +43,8 @@ def free_actuators(binding: Binding) -> dict[str, list[tuple[int, Actuator]]]:
                     baseline_sensor=actuator.baseline_sensor and f"{m.name}.{actuator.baseline_sensor}",
                 ),
             )
-            for column, actuator in enumerate(m.manifest.actuators)
-            if (m.name, column) not in fed
+            for column in columns[m.name]
+            for actuator in (m.manifest.actuators[column],)
         ]
         for m in binding.members.values()
     }
@@ -85,7 +93,7 @@ class DistrictRun:
         self.plants = plants
         self._binding = binding
         self.orchestrator = Orchestrator(binding, plants, solver)
-        self._columns = {name: [column for column, _ in each] for name, each in free_actuators(binding).items()}
+        self._columns = free_columns(binding)
         self._tried = tried_plants(binding)
         self.steps, self.values, self.effective = 0, b"", b""
 
@@ -114,7 +122,7 @@ class DistrictRun:
 
     def adopt(self, state: RunState) -> None:
         """Continue from a state; the plants' nodes are there already."""
-        self.orchestrator.adopt(copy.deepcopy(state.orchestration))
+        self.orchestrator.adopt(state.orchestration)
         for name, plant in self.plants.items():
             plant.adopt(state.plants[name])
         self.steps, self.values, self.effective = state.steps, state.values, state.effective

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from zenostat.cosim.file import Connection, DistrictFile, kind_of, read_district
-from zenostat.cosim.graph import components, find_cycle, graph_of, is_loop, levels
+from zenostat.cosim.graph import Graph, components, find_cycle, graph_of, is_loop, levels
 from zenostat.topics.errors import did_you_mean
 from zenostat.topics.model_file import FileErrors
 
@@ -22,15 +22,21 @@ class Block:
     """Plants that step together: one, or those of a loop that is solved.
 
     Attributes:
-        plants: in the order of a trial, in which each has its inputs, those of solved connections apart.
+        levels: groups of plants that can run side by side, in the order in which each has its inputs, those of solved
+            connections apart.
         solved: indices of the solved connections between them, one of each entry of the file; empty for a plant
             without a loop.
         name: of the loop; empty for a plant without one.
     """
 
-    plants: tuple[str, ...]
+    levels: tuple[tuple[str, ...], ...]
     solved: tuple[int, ...] = ()
     name: str = ""
+
+    @property
+    def plants(self) -> tuple[str, ...]:
+        """The plants in this order."""
+        return tuple(plant for level in self.levels for plant in level)
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,11 +215,10 @@ def _order(file: DistrictFile, errors: FileErrors) -> Topology:
         return Topology(())
     graph = graph_of(file.spec.plants, edges(direct))
     order = components(graph)
-    rank = {plant: number for number, (plant,) in enumerate(components(torn))}
     blocks: dict[tuple[str, ...], Block] = {}
     for component in order:
         blocks[tuple(component)] = (
-            _block(component, connections, direct, rank) if is_loop(component, graph) else Block(tuple(component))
+            _block(component, connections, direct, torn) if is_loop(component, graph) else Block((tuple(component),))
         )
     in_loops = {connections[index].entry for block in blocks.values() for index in block.solved}
     for connection in connections:
@@ -229,7 +234,7 @@ def _order(file: DistrictFile, errors: FileErrors) -> Topology:
 
 
 def _block(
-    component: Sequence[str], connections: Sequence[Connection], direct: Sequence[int], rank: dict[str, int]
+    component: Sequence[str], connections: Sequence[Connection], direct: Sequence[int], torn: Graph[str]
 ) -> Block:
     members = set(component)
     solved = [
@@ -244,7 +249,9 @@ def _block(
     name = "-".join(component)
     if len(name) > MAX_NAME:
         name = f"{component[0]}-and-{len(component) - 1}-more"
-    return Block(tuple(sorted(component, key=rank.__getitem__)), tuple(solved), name)
+    inner = {plant: [successor for successor in torn[plant] if successor in members] for plant in component}
+    groups = levels(components(inner), inner)
+    return Block(tuple(tuple(plant for (plant,) in group) for group in groups), tuple(solved), name)
 
 
 def _report_loop(file: DistrictFile, cycle: Sequence[str], indices: Sequence[int], errors: FileErrors) -> None:

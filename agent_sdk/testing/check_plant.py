@@ -283,6 +283,15 @@ def _saves(context: _CheckContext) -> Iterator[str]:
     yield from _difference(context.episode, copied, "a new instance with the saved state continued differently")
     continued = [*episode, *(dict(plant.step(dict(values))) for values in rest)]
     yield from _difference(context.episode, continued, "after save() it continued differently")
+    try:
+        plant.restore(pickle.loads(state))  # noqa: S301  # as above
+    except Exception as error:
+        yield raised(error, "restore in an instance that has gone on")
+        return
+    returned = [*episode, *(dict(plant.step(dict(values))) for values in rest)]
+    yield from _difference(
+        context.episode, returned, "after restore() in an instance that had gone on, it continued differently"
+    )
 
 
 def _has_no_threads(context: _CheckContext) -> Iterator[str]:

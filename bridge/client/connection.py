@@ -17,7 +17,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.bridge.transport.access_control import Permission, may
-from zenostat.bridge.transport.request import M, ask
+from zenostat.bridge.transport.request import M, PendingReply, send_request
 from zenostat.bridge.transport.session import FORKED, OpenSession
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import (
@@ -154,6 +154,12 @@ class Connection:
             BusError: This connection is closed.
             ZenostatError: The error that the node replied with.
         """
+        return self._receive(node, self._send(topic, node, request, reply_type, name=name))
+
+    def _send(
+        self, topic: keys.Topic, node: str, request: Message | None, reply_type: type[M], *, name: str = ""
+    ) -> PendingReply[M]:
+        """Send a request to a node; see `ask`."""
         if self.roles and not any(Permission.ASK in may(role, topic) for role in self.roles):
             raise InvalidConfig(
                 f"{' and '.join(self.roles)} {self.identity!r} may not query {topic.key}; connect with the certificate "
@@ -163,10 +169,19 @@ class Connection:
         if topic.has_sender and request is not None:
             request, sender = self._signed(request)
         try:
-            reply = ask(
+            return send_request(
                 self.session, topic, node, request, reply_type, name=name, sender=sender, via=self.via,
                 timeout_s=self.timeout_s,
             )  # fmt: skip
+        except zenoh.ZError:
+            if not self._closed:
+                raise
+            raise BusError(_CLOSED) from None
+
+    def _receive(self, node: str, pending: PendingReply[M]) -> M:
+        """Wait for the reply to a request; see `ask`."""
+        try:
+            reply = pending.wait()
         except zenoh.ZError:
             if not self._closed:
                 raise
@@ -441,8 +456,16 @@ class Connection:
         Raises:
             NodeLost: It left the bus before it replied.
         """
+        return self.finish_trial(node, self.begin_trial(node, request))
+
+    def begin_trial(self, node: str, request: TrySteps) -> PendingReply[StepsTried]:
+        """Send the request for a trial; `finish_trial` waits for its reply. Other nodes can try at the same time."""
+        return self._send(keys.TRY, node, request, StepsTried)
+
+    def finish_trial(self, node: str, pending: PendingReply[StepsTried]) -> StepsTried:
+        """Wait for the reply to a trial that `begin_trial` began; raises as `trial` does."""
         try:
-            return self.ask(keys.TRY, node, request, StepsTried)
+            return self._receive(node, pending)
         except NodeNotFound:
             raise NodeLost(f"node {node!r} is gone") from None
 

@@ -20,7 +20,7 @@ from zenostat.bridge.client.presence import NodeWatch, check_interface, undeclar
 from zenostat.bridge.client.receive_watchdog import ReceiveWatchdog, query_sample
 from zenostat.bridge.client.sample import SampleView, is_after
 from zenostat.bridge.client.thread_guard import one_thread
-from zenostat.bridge.client.trials import CommandValues, trial_request, tried_samples
+from zenostat.bridge.client.trials import CommandValues, PendingTrial, trial_request, tried_samples
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.polling import Polling
@@ -386,10 +386,19 @@ class ControllerLink:
 
     def trial(self, request: TrySteps) -> list[list[SampleView]]:
         """Send the request for a trial; return the samples of each alternative."""
+        return self.finish_trial(self.begin_trial(request))
+
+    def begin_trial(self, request: TrySteps) -> PendingTrial:
+        """Send the request for a trial; `finish_trial` waits for its reply."""
         if self._ended is not None:
             raise self._ended
-        reply = self.bus.trial(self.manifest.node, request.model_copy(update={"controller": self.name}))
-        return tried_samples(reply, request.alternatives, self.manifest)
+        reply = self.bus.begin_trial(self.manifest.node, request.model_copy(update={"controller": self.name}))
+        return PendingTrial(reply, request.alternatives)
+
+    def finish_trial(self, pending: PendingTrial) -> list[list[SampleView]]:
+        """Wait for a trial that `begin_trial` began; return the samples of each alternative."""
+        reply = self.bus.finish_trial(self.manifest.node, pending.reply)
+        return tried_samples(reply, pending.alternatives, self.manifest)
 
     def __iter__(self) -> Iterator[SampleView]:
         """Yield samples from the current one to the episode's last; without an answer all values are kept."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +11,20 @@ from pydantic import ValidationError
 
 from zenostat.bridge.client.command_publisher import CommandArrays
 from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.transport.request import PendingReply
 from zenostat.topics import codec
 from zenostat.topics.errors import InvalidAction, InvalidConfig
 from zenostat.topics.messages import CommandOp, Manifest, Sample, StepsTried, TrySteps
 from zenostat.topics.points import value_index
+
+
+@dataclass(frozen=True, slots=True)
+class PendingTrial:
+    """A trial that a node was asked for: its reply, and the number of alternatives."""
+
+    reply: PendingReply[StepsTried]
+    alternatives: int
+
 
 CommandValues = Mapping[str, float | None] | NDArray[np.float64] | None
 """The values of one command; see `ControllerLink.send`."""

@@ -157,6 +157,14 @@ class EngineClient:
         """
         self._send_text(OrderKind.RESET, seed=seed)
 
+    def send_restore(self, path: Path) -> None:
+        """Order the state that another process of the same plant has saved; `receive` waits for its sample.
+
+        Raises:
+            EngineDied: the process has ended.
+        """
+        self._send_text(OrderKind.RESTORE, path=str(path))
+
     def confirm(self) -> None:
         """Have the engine, which waits at a sample, send it again.
 

@@ -18,8 +18,11 @@ A `RESET` order contains the length of a JSON text in place of the step, `{"seed
 engine begins another episode and replies with sample 0.
 
 A `SAVE` order likewise contains `{"path": text}`. The engine writes its state to that file and replies with 0 (a native
-64-bit integer), or writes the reason to it and replies with -1; it keeps waiting at its sample. EnergyPlus has neither
-order.
+64-bit integer), or writes the reason to it and replies with -1; it keeps waiting at its sample. EnergyPlus has none
+of these orders.
+
+A `RESTORE` order likewise contains the path of such a file. The engine continues from the state and replies with its
+sample.
 
 A `REPEAT` order makes the engine send its present sample again. Its reply proves that it is alive: the frame of one
 that has died may still wait in the socket, and the system reports a killed process as running for some milliseconds.
@@ -59,3 +62,4 @@ class OrderKind(IntEnum):
     RESET = 4
     SAVE = 5
     REPEAT = 6
+    RESTORE = 7

@@ -361,6 +361,23 @@ class ForecastPlant(RunningPlant, Protocol):
 
 
 @runtime_checkable
+class TryingPlant(RunningPlant, Protocol):
+    """A plant that has copies for trials at less cost than those of `fork`."""
+
+    def fork_for_trial(
+        self, slots: Sequence[int], folder: Path, timesteps: int, *, baseline: bool = False
+    ) -> RunningPlant:
+        """Return a copy, as `fork` does, that ends before this plant steps.
+
+        Args:
+            slots: as of `fork`.
+            folder: as of `fork`.
+            timesteps: greatest number that it has to simulate.
+            baseline: as of `fork`.
+        """
+
+
+@runtime_checkable
 class WarningPlant(Protocol):
     """A plant that warns of what happened in a timestep, such as a calculation that did not converge."""
 

@@ -16,7 +16,7 @@ from typing import Protocol, cast
 from zenostat.bridge.exchange.trial import TrialExchange
 from zenostat.bridge.node.fault_injection import FaultInjection
 from zenostat.bridge.node.planning import simulate
-from zenostat.bridge.node.plant import AbandonablePlant, ClosingPlant, PlantDescription, RunningPlant
+from zenostat.bridge.node.plant import AbandonablePlant, ClosingPlant, PlantDescription, RunningPlant, TryingPlant
 from zenostat.bridge.node.sample_encoding import SampleEncoder, SampleHead
 from zenostat.bridge.node.served_node import ServedNode
 from zenostat.bridge.node.subscriptions import Request
@@ -139,7 +139,11 @@ class TrialSteps:
         folder = self._folder / str(next(self._numbers))
         copy: RunningPlant | None = None
         try:
-            copy = plant.fork([*range(slots)] * len(alternatives), folder, baseline=plant.has_baseline)
+            copies = [*range(slots)] * len(alternatives)
+            if isinstance(plant, TryingPlant):
+                copy = plant.fork_for_trial(copies, folder, timesteps, baseline=plant.has_baseline)
+            else:
+                copy = plant.fork(copies, folder, baseline=plant.has_baseline)
             self._copy = copy
             self._run(copy, alternatives, timesteps)
         except SimulatorError as error:

@@ -30,7 +30,8 @@ class Plant(Protocol):
     - `forkable`: True if the process may be forked while it waits (no threads, no connections); snapshots and branches
       then take milliseconds.
     - `save()`, which returns a state that can be pickled, and `restore(state)`: for snapshots and branches of plants
-      that cannot be forked.
+      that cannot be forked, and for trials without a fork. `restore` is called on a new instance, without `reset`, and
+      in trials on one that has gone on since: it has to replace all that a step depends on.
     - `close()`: releases what the instance holds (processes, files, connections); called once, when its process is
       ended, and must return within a second. Not called if the process is killed, or in a forked copy.
 

@@ -186,6 +186,8 @@ class PlantHost:
         elif kind == OrderKind.SAVE:
             self._save(Path(json.loads(self._text())["path"]))
             return
+        elif kind == OrderKind.RESTORE:
+            self._restore(Path(json.loads(self._text())["path"]))
         elif kind != OrderKind.REPEAT:
             close(self._plant)
             leave(0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -24,6 +24,7 @@ from zenostat.bridge.node.plant import (
     without_weather,
 )
 from zenostat.bridge.python_plant.class_plan import PYTHON, ClassPlan
+from zenostat.bridge.python_plant.kept_copies import KeptCopies
 from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording
 from zenostat.topics.messages import (
     EngineStart,
@@ -48,6 +49,7 @@ class PythonEngines(EngineGroup):
         super().__init__(len(self.description.actuators))
         self._plan, self._copy_cpus = plan, cpus
         self._numbers = itertools.count(1)
+        self._kept = KeptCopies(self._copy)
 
     def site(self, slot: int) -> Site:  # noqa: ARG002
         """Return an empty site: the class has no weather that the node knows of."""
@@ -78,6 +80,27 @@ class PythonEngines(EngineGroup):
         copy.adopt(copies, self, slots)
         return copy
 
+    def fork_for_trial(
+        self,
+        slots: Sequence[int],
+        folder: Path,
+        timesteps: int,  # noqa: ARG002
+        *,
+        baseline: bool = False,
+    ) -> PythonEngines:
+        """Return a copy for a trial; see `TryingPlant`. A class that saves its state has processes kept for them."""
+        if not self._plan.has_state:
+            return self.fork(slots, folder, baseline=baseline)
+        copies = self._kept.lend(self.members(slots, baseline=baseline), folder)
+        copy = TriedEngines(self._plan, self._copy_cpus, self._kept)
+        copy.adopt(copies, self, slots)
+        return copy
+
+    def end(self, *, failed: bool = False) -> None:
+        """End all processes, also those that are kept for trials; idempotent."""
+        self._kept.close()
+        super().end(failed=failed)
+
     def _copy_all(self, clients: Sequence[EngineClient], folder: Path) -> list[EngineClient]:
         if not self._plan.forkable and not self._plan.has_state:
             raise ForkFailed(
@@ -101,6 +124,40 @@ class PythonEngines(EngineGroup):
             copy = EngineClient(replace(spec, run={**spec.run, "state": str(state)}), registry=client.registry)
         _receive(copy)
         return copy
+
+
+class TriedEngines(PythonEngines):
+    """Processes of a trial, which go back to those that are kept for the next one.
+
+    Args:
+        plan, cpus: as of `PythonEngines`.
+        source: of the processes.
+    """
+
+    def __init__(self, plan: ClassPlan, cpus: tuple[int, ...], source: KeptCopies) -> None:
+        super().__init__(plan, cpus)
+        self._source = source
+        self._are_waiting = True
+
+    def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
+        """Simulate a timestep; see `EngineGroup.step`."""
+        self._are_waiting = False
+        last = super().step(commands, active_slots)
+        self._are_waiting = True
+        return last
+
+    def run(self, commands: Sequence[bytes], active_slots: Sequence[int]) -> Iterator[list[bool]]:
+        """Simulate several timesteps; see `EngineGroup.run`."""
+        self._are_waiting = False
+        yield from super().run(commands, active_slots)
+        self._are_waiting = True
+
+    def order_close(self) -> None:
+        """Give the processes back, or let them end if the trial has failed; see `ClosingPlant`."""
+        if self._are_waiting and not any(client.interrupted for client in self.all):
+            self._source.give_back(self.all)
+            self.clients, self.baselines = [], []
+        super().order_close()
 
 
 def _receive(client: EngineClient) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
+from typing import Generic, TypeVar
 
 import zenoh
 
@@ -15,7 +15,52 @@ from zenostat.topics.way_in import attachment
 M = TypeVar("M", bound=Message)
 
 
-def ask(
+class PendingReply(Generic[M]):
+    """A request that was sent to a node, and its reply, which may still be on its way.
+
+    Args:
+        replies: of the request.
+        topic: of the request.
+        node: the node's name.
+        reply_type: class of the reply.
+        token: gives up the request.
+    """
+
+    def __init__(
+        self,
+        replies: zenoh.Handler[zenoh.Reply],
+        topic: keys.Topic,
+        node: str,
+        reply_type: type[M],
+        token: zenoh.CancellationToken,
+    ) -> None:
+        self._replies, self._topic, self._node, self._type, self._token = replies, topic, node, reply_type, token
+
+    def cancel(self) -> None:
+        """Let `wait` return None soon, although the node may still work; thread-safe."""
+        self._token.cancel()  # type: ignore[no-untyped-call]  # of zenoh, whose stub lacks the type
+
+    def wait(self) -> M | None:
+        """Return the reply; None, at once, if no node of that name is on the bus or if it does not know the topic.
+
+        Raises:
+            ZenostatError: the error that the node replied with.
+            PeerError: the node did not answer.
+            BadMessage: the reply is not valid.
+            zenoh.ZError: the session is closed.
+        """
+        for reply in self._replies:
+            if reply.ok is None:
+                reason = reply.err.payload.to_string() if reply.err else "no reason given"
+                raise PeerError(f"node {self._node!r} did not answer {self._topic.key}: {replace_controls(reason)}")
+            encoding, payload = str(reply.ok.encoding), reply.ok.payload.to_bytes()
+            if encoding == codec.encoding(ErrorReply):
+                raise from_wire(codec.decode(ErrorReply, payload, encoding).__dict__)
+            return codec.decode(self._type, payload, encoding)
+        return None
+
+
+def send_request(
     session: zenoh.Session,
     topic: keys.Topic,
     node: str,
@@ -26,8 +71,8 @@ def ask(
     sender: str = "",
     via: str = "",
     timeout_s: float,
-) -> M | None:
-    """Return a node's reply; None, at once, if no node of that name is on the bus or if it does not know the topic.
+) -> PendingReply[M]:
+    """Send a request to a node, without waiting for its reply.
 
     Args:
         session: where the node is reachable.
@@ -41,9 +86,7 @@ def ask(
         timeout_s: time after which a node that is present but does not answer raises an error.
 
     Raises:
-        ZenostatError: the error that the node replied with.
-        PeerError: the node did not answer.
-        BadMessage: the request is too large and was not sent, or the reply is not valid.
+        BadMessage: the request is too large and was not sent.
         zenoh.ZError: the session is closed.
     """
     payload = codec.encode(request) if request else None
@@ -51,19 +94,13 @@ def ask(
         raise BadMessage(
             f"the request {topic.key} has {len(payload)} bytes; at most {codec.MAX_BYTES} are sent, in several requests"
         )
+    token = zenoh.CancellationToken()
     replies = session.get(
         topic.at(node, name=name, sender=sender),
         payload=payload,
         encoding=zenoh.Encoding(codec.encoding(type(request))) if request else None,
         attachment=attachment(via),
         timeout=timeout_s,
+        cancellation_token=token,
     )
-    for reply in replies:
-        if reply.ok is None:
-            reason = reply.err.payload.to_string() if reply.err else "no reason given"
-            raise PeerError(f"node {node!r} did not answer {topic.key}: {replace_controls(reason)}")
-        encoding, payload = str(reply.ok.encoding), reply.ok.payload.to_bytes()
-        if encoding == codec.encoding(ErrorReply):
-            raise from_wire(codec.decode(ErrorReply, payload, encoding).__dict__)
-        return codec.decode(reply_type, payload, encoding)
-    return None
+    return PendingReply(replies, topic, node, reply_type, token)

@@ -128,13 +128,13 @@ def test_file__order_of_a_step_follows_the_connections(folder: Path) -> None:
   - {from: a.x, to: c.u, delay: 1}
 """
     topology = check_file(district_file(folder, PLANTS + text))
-    assert topology.groups == ((Block(("c",)),), (Block(("b",)),), (Block(("a",)),))
+    assert topology.groups == ((Block((("c",),)),), (Block((("b",),)),), (Block((("a",),)),))
     assert topology.loops == ()
 
 
 def test_file__plants_without_connection_step_side_by_side(folder: Path) -> None:
     topology = check_file(district_file(folder, PLANTS.replace("connections:\n", "")))
-    assert topology.groups == ((Block(("a",)), Block(("b",)), Block(("c",))),)
+    assert topology.groups == ((Block((("a",),)), Block((("b",),)), Block((("c",),))),)
 
 
 def test_file__solved_loop_is_one_block_in_the_order_of_a_trial(folder: Path) -> None:
@@ -143,7 +143,7 @@ def test_file__solved_loop_is_one_block_in_the_order_of_a_trial(folder: Path) ->
   - {from: a.x, to: c.u}
 """
     topology = check_file(district_file(folder, PLANTS + text))
-    assert topology.groups == ((Block(("b", "a"), (1,), "a-b"),), (Block(("c",)),))
+    assert topology.groups == ((Block((("b",), ("a",)), (1,), "a-b"),), (Block((("c",),)),))
 
 
 def test_schema__accepts_what_the_file_accepts() -> None:

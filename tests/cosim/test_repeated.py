@@ -1,7 +1,6 @@
 """A plant that was lost is lost again where a recording has it: the trajectory is the same to the bit."""
 
 import threading
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 from support.coupled_plants import FakeCoupled, district_file, free, manifest_of, orchestrated
 
-from zenostat.cosim.coupled import Floats, RepeatedPlant
+from zenostat.cosim.coupled import RepeatedPlant, Rows
 from zenostat.cosim.file import OnLost
 from zenostat.cosim.orchestrator import Orchestrator
 from zenostat.topics.errors import EngineDied, NodeLost
@@ -33,11 +32,11 @@ class TriedPlant(FakeCoupled):
 
     lost_after: int | None = None
 
-    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
+    def finish_trial(self) -> list[Rows]:
         if self.tries == self.lost_after and not self.is_back:
             self.fails_at = 0
             raise NodeLost("node 'node' is gone")
-        return super().try_step(commands)
+        return super().finish_trial()
 
 
 def plants_of() -> dict[str, TriedPlant]:

@@ -86,6 +86,7 @@ class FakeCoupled:
         self.is_back = False
         self.seeds: list[int] = []
         self._pending: Floats | None = None
+        self._tried: Sequence[Floats] = ()
 
     def reset(self, seed: int) -> Rows:
         self._check()
@@ -114,16 +115,25 @@ class FakeCoupled:
         self.log.append(f"{self.name} ends")
         return Rows(np.array(values), commands)
 
-    def try_step(self, commands: Sequence[Floats]) -> list[Floats]:
+    def begin_trial(self, commands: Sequence[Floats]) -> None:
+        self.log.append(f"{self.name} tries")
+        self._check()
+        self._tried = commands
+
+    def cancel_trial(self) -> None:
+        pass
+
+    def finish_trial(self) -> list[Rows]:
         self._check()
         results = []
-        for alternative in commands:
+        for alternative in self._tried:
             self.tries += 1
             state, values = copy.deepcopy(self._state), []
             for row in alternative.tolist():
                 state, outputs = self._step(state, row)
                 values.append(outputs)
-            results.append(np.array(values))
+            results.append(Rows(np.array(values), alternative))
+        self.log.append(f"{self.name} has tried")
         return results
 
     def is_reachable(self) -> bool:

@@ -399,6 +399,25 @@ def test_python_plant__copy_is_as_mortal_as_its_origin(copied: BuildingEnv) -> N
     snapshot.close()
 
 
+def test_python_plant__trials_of_a_saved_state_use_the_same_processes(own: BuildingEnv) -> None:
+    """They are the steps that follow, to the bit; a process that fails in one is replaced."""
+    own.reset(seed=3)
+    node, beginning, kept = own.local_node.pid, trajectory(own, 2), set()
+    for step in range(2, 5):
+        alternatives = [action(heater=0.0), action(heater=100.0 * (step + 1), valve=step / 16.0)]
+        other, tried = own.try_step(alternatives)
+        assert other.values.tobytes() != tried.values.tobytes()
+        beginning += trajectory(own, 1)
+        assert tried.values.tobytes() == beginning[-1]
+        kept.add(frozenset(hosts_of(node)))
+        if step == 2:
+            with pytest.raises(PlantFailed, match=r"(?s)trial from step \[3\]: .*the tank leaks"):
+                own.try_step([action(deed="raise")])
+            kept.clear()
+    assert beginning == calculated(3, 5)
+    assert [len(hosts) for hosts in kept] == [3]  # the node's own, and one for each alternative
+
+
 @pytest.mark.slow
 def test_python_plant__class_that_can_no_longer_be_copied_goes_on(own: BuildingEnv, forkable: BuildingEnv) -> None:
     own.reset(seed=1)

@@ -17,7 +17,7 @@ import rerun as rr
 import zenoh
 from zenoh.handlers import RingChannel
 
-from zenostat.bridge.transport.request import ask
+from zenostat.bridge.transport.request import send_request
 from zenostat.metrics.comfort import default_comfort
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage, ZenostatError
@@ -328,7 +328,7 @@ class RerunStream:
     def _ask(self, name: str, topic: keys.Topic, request: Message, reply_type: type[M]) -> M | None:
         """Return a node's reply to a query; None if it has none."""
         try:
-            return ask(self._session, topic, name, request, reply_type, timeout_s=_QUERY_S)
+            return send_request(self._session, topic, name, request, reply_type, timeout_s=_QUERY_S).wait()
         except BadMessage as error:
             self._on_unreadable(name, error)
         except ZenostatError:  # the node refuses, or does not answer in time
