@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Protocol, runtime_checkable
 from zenostat.bridge.node.plant import PlantDescription, RunningPlant, Site, WeatherTable, without_weather
 from zenostat.cosim.coupled import CoupledPlant, GuardedPlant, Rows
 from zenostat.cosim.file import OnLost
-from zenostat.cosim.trials import MAX_TIMESTEPS, PlantTrials
+from zenostat.cosim.trials import PlantTrials, is_short
 from zenostat.topics.errors import EngineDied, ForkFailed, ZenostatError
 
 if TYPE_CHECKING:
@@ -218,9 +218,11 @@ class DistrictCopy:
         self, slots: Sequence[int], folder: Path, timesteps: int, *, baseline: bool = False
     ) -> RunningPlant:
         """Return a copy for a trial; see `TryingPlant`. A slot that was not stepped yet gets its branches by it."""
-        if timesteps > MAX_TIMESTEPS or len(self._runs) > 1:
+        if len(self._runs) > 1:
             return self.fork(slots, folder, baseline=baseline)
         run = self._run(0)
+        if not is_short(timesteps, self.description.run_period.step_s, run.plants):
+            return self.fork(slots, folder, baseline=baseline)
         return DistrictCopy(
             self.description, PlantTrials(run.plants), self._create, [run.capture()] * len(slots),
             site=self._site, notes=self._notes,

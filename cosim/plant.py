@@ -23,7 +23,7 @@ from zenostat.cosim.coupled import GuardedPlant, RepeatedPlant
 from zenostat.cosim.file import SolverSpec
 from zenostat.cosim.orchestrator import LoopState
 from zenostat.cosim.run import DistrictRun, RunState, free_actuators, tried_plants
-from zenostat.cosim.trials import MAX_TIMESTEPS, PlantTrials
+from zenostat.cosim.trials import PlantTrials, is_short
 from zenostat.topics import VERSION
 from zenostat.topics.connection_balance import ConnectionBalance
 from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, ZenostatError
@@ -308,7 +308,7 @@ class DistrictPlant:
         self, slots: Sequence[int], folder: Path, timesteps: int, *, baseline: bool = False
     ) -> RunningPlant:
         """Return a copy for a trial; see `TryingPlant` and `zenostat.cosim.trials`."""
-        if timesteps > MAX_TIMESTEPS:
+        if not is_short(timesteps, self.description.run_period.step_s, self._plants):
             return self.fork(slots, folder, baseline=baseline)
         if self._broken:
             raise ForkFailed(self._broken)

@@ -25,6 +25,15 @@ if TYPE_CHECKING:
 MAX_TIMESTEPS = 6
 """Longest trial that is simulated so: each of its timesteps repeats the earlier ones. Longer ones take a branch."""
 
+MAX_PLANT_TIMESTEPS = 48
+"""Greatest number of a plant's own timesteps in a trial of several timesteps, so that a reply has room for them."""
+
+
+def is_short(timesteps: int, step_s: float, plants: Mapping[str, GuardedPlant]) -> bool:
+    """Return whether a trial of so many timesteps of `step_s` is to be simulated by trials of these plants."""
+    shortest_s = min(plant.plant.manifest.step_s for plant in plants.values())
+    return timesteps == 1 or timesteps <= min(MAX_TIMESTEPS, MAX_PLANT_TIMESTEPS * shortest_s / step_s)
+
 
 class TriedPlant:
     """A plant in a trial, which stays at its sample; implements `zenostat.cosim.coupled.CoupledPlant`.

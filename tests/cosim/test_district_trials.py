@@ -15,7 +15,7 @@ from zenostat.cosim.copies import DistrictCopy, PlantSnapshots
 from zenostat.cosim.file import OnLost
 from zenostat.cosim.market_plant import MarketPlant, market_manifest
 from zenostat.cosim.plant import DistrictPlant, describe
-from zenostat.cosim.trials import MAX_TIMESTEPS, PlantTrials
+from zenostat.cosim.trials import MAX_TIMESTEPS, PlantTrials, is_short
 from zenostat.topics.errors import EngineDied, ForkFailed
 
 ACYCLIC = """timestep: 30min
@@ -144,6 +144,14 @@ def test_district_trials__long_ones_take_snapshots(tmp_path: Path, monkeypatch: 
     monkeypatch.setattr(PlantSnapshots, "_add", lambda *_: None)
     sources = [plant.fork_for_trial([0], tmp_path, count).source for count in (MAX_TIMESTEPS, MAX_TIMESTEPS + 1)]
     assert [type(source) for source in sources] == [PlantTrials, PlantSnapshots]
+
+
+def test_district_trials__reply_has_room_for_the_timesteps_of_plants(tmp_path: Path) -> None:
+    """At most 48 of the plant with the shortest timestep, unless the trial is a single step."""
+    plant, _ = district(tmp_path, ACYCLIC)
+    plants = plant.run.plants
+    expected = {(1, 1e6): True, (2, 24 * 900.0): True, (2, 25 * 900.0): False, (6, 7200.0): True, (6, 8100.0): False}
+    assert {key: is_short(*key, plants) for key in expected} == expected
 
 
 def test_district_trials__copy_can_be_interrupted(tmp_path: Path) -> None:
