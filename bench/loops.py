@@ -28,7 +28,7 @@ from rich.table import Table
 import zenostat  # noqa: F401  # registers the environments
 from bench import programs
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.cosim.solver import Floats, Outcome, Problem, solve_in_bracket
+from zenostat.cosim.solver import Floats, Outcome, Problem, Secants, solve_in_bracket
 
 DAY = {"begin": "07-03", "end": "07-03", "steps_per_hour": 4}
 BUILDINGS = {
@@ -149,9 +149,11 @@ class Loop:
     def solved(self) -> Day:
         """Simulate a day in which each timestep is tried until setpoint and power agree."""
         day, setpoint = Day(), MIDDLE_DEGC
+        secants: Secants = ()
         for _ in self._steps():
             begin_s = time.perf_counter()
-            solution = solve_in_bracket(self._problem, np.array([setpoint]))
+            solution = solve_in_bracket(self._problem, np.array([setpoint]), secants)
+            secants = solution.secants
             setpoint = float(solution.best.x[0])
             day.trial_s.append((time.perf_counter() - begin_s) / solution.trials)
             day.trials += solution.trials

@@ -25,7 +25,7 @@ from zenostat.cosim.coupled import GuardedPlant, Rows
 from zenostat.cosim.file import SolverSpec
 from zenostat.cosim.market import Bids, Clearing, Demand, LinearBids, clear
 from zenostat.cosim.market_plant import PRICE, SENSORS, Market, MarketPlant
-from zenostat.cosim.solver import Outcome, Problem, Solution, solve
+from zenostat.cosim.solver import Outcome, Problem, Secants, Solution, solve
 from zenostat.cosim.topology import Block
 from zenostat.topics.connection_balance import ConnectionBalance
 
@@ -48,6 +48,7 @@ class LoopState:
         unsolved: number of steps of the episode that were not solved.
         total: number of trials of the episode.
         steps: number of its steps.
+        secants: of the latest solution, with which the next one begins.
     """
 
     trials: int = 0
@@ -56,6 +57,7 @@ class LoopState:
     unsolved: int = 0
     total: int = 0
     steps: int = 0
+    secants: Secants = ()
 
     def copy(self) -> LoopState:
         """Return a state that changes on its own."""
@@ -281,7 +283,9 @@ class Orchestrator:
             return np.concatenate(returned)
 
         start = np.concatenate([self._flows[position].unknown for position in block.solved])
-        solution = self._unless_lost(block.plants, lambda: self._search(block, evaluate, start))
+        solution = self._unless_lost(
+            block.plants, lambda: self._search(block, evaluate, start, self.loops[number].secants)
+        )
         assume(solution.best.x)
         for level in block.levels:
             for name in level:
@@ -305,7 +309,7 @@ class Orchestrator:
             if before == [self._plants[name].is_available for name in names]:
                 return result
 
-    def _search(self, block: Block, evaluate: Callable[[Floats], Floats], start: Floats) -> Solution:
+    def _search(self, block: Block, evaluate: Callable[[Floats], Floats], start: Floats, secants: Secants) -> Solution:
         transfers = [self._transfers[position] for position in block.solved]
 
         def of_each(values: Sequence[float]) -> Floats:
@@ -318,11 +322,11 @@ class Orchestrator:
             high=of_each([transfer.high for transfer in transfers]),
             limit=self._solver.trials,
         )
-        return solve(problem, start, depth=self._solver.depth, damping=self._solver.damping)
+        return solve(problem, start, depth=self._solver.depth, damping=self._solver.damping, secants=secants)
 
     def _report(self, block: Block, state: LoopState, solution: Solution) -> None:
         state.trials, state.error = solution.trials, solution.best.error
-        state.is_solved = solution.is_solved
+        state.is_solved, state.secants = solution.is_solved, solution.secants
         state.total += solution.trials
         state.steps += 1
         if solution.is_solved:

@@ -5,13 +5,16 @@ acceleration (J. ACM 12, 547-560, 1965; type II of Fang and Saad, Numer. Linear 
 damping where it diverges. An evaluation is expensive and a plant may respond with a jump, so each solver keeps its best
 trial and ends after a number of trials.
 
+The response of plants changes little from a step to the next one. So a solution has the secants of its trials (changes
+of the unknowns and of the residual), and the next step begins with them: its second trial is already a secant step.
+
 Sums are exact (`math.fsum`), so equal evaluations have equal results to the bit, on any machine.
 """
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
@@ -28,12 +31,17 @@ Function = Callable[[Floats], Floats]
 _JUMP = 0.1
 """Width of a bracket, relative to the tolerance, in which a change of sign without a solution counts as a jump."""
 _GROWTH = 10.0
-"""Greatest step of a secant, relative to the previous one, while there is no bracket."""
+"""Greatest step of a secant, relative to the previous one, while there is no bracket. A slope of an earlier problem is
+used between its negative and the reciprocal of that."""
 _DIVERGED = 2.0
 """Ratio to the best error at which Anderson acceleration starts again from the best trial, with half the damping."""
 _LEAST_DAMPING = 1.0 / 64.0
 _DEPENDENT = 1e-10
 """Columns whose norm falls below this part of itself, when made orthogonal to the others, are left out."""
+
+
+Secants = tuple[tuple[Floats, Floats], ...]
+"""Pairs of a change of the unknowns and the change of the residual with it, the latest last."""
 
 
 class Outcome(StrEnum):
@@ -71,11 +79,13 @@ class Solution:
         best: the trial with the smallest error.
         trials: number of evaluations.
         outcome: why the solver ended.
+        secants: of its trials, for the next problem; none unless it is solved.
     """
 
     best: Trial
     trials: int
     outcome: Outcome
+    secants: Secants = ()
 
     @property
     def is_solved(self) -> bool:
@@ -110,7 +120,7 @@ class Problem:
         return np.minimum(np.maximum(x, self.low), self.high)
 
 
-def solve(problem: Problem, start: Floats, *, depth: int = 3, damping: float = 1.0) -> Solution:
+def solve(problem: Problem, start: Floats, *, depth: int = 3, damping: float = 1.0, secants: Secants = ()) -> Solution:
     """Solve x = G(x): one unknown in a bracket, several by Anderson acceleration.
 
     Args:
@@ -118,10 +128,11 @@ def solve(problem: Problem, start: Floats, *, depth: int = 3, damping: float = 1
         start: the first trial, shape (unknowns,).
         depth: number of previous trials that Anderson acceleration combines.
         damping: its relaxation factor, above 0 and at most 1.
+        secants: of the solution of a similar problem.
     """
     if len(start) == 1:
-        return solve_in_bracket(problem, start)
-    return solve_by_acceleration(problem, start, depth=depth, damping=damping)
+        return solve_in_bracket(problem, start, secants)
+    return solve_by_acceleration(problem, start, depth=depth, damping=damping, secants=secants)
 
 
 # One unknown
@@ -181,15 +192,17 @@ class _Bracket:
         return x
 
 
-def solve_in_bracket(problem: Problem, start: Floats) -> Solution:
+def solve_in_bracket(problem: Problem, start: Floats, secants: Secants = ()) -> Solution:
     """Solve for one unknown: by secants, which a bracket keeps inside, and by its middle where they are slow.
 
-    The second trial is G of the first, so a function that does not depend on the unknown takes two. A linear one takes
-    three, unless its solution is further than ten steps away. Finite bounds are a bracket from the beginning.
+    Without secants, the second trial is G of the first, so a function that does not depend on the unknown takes two. A
+    linear one takes three, unless its solution is further than ten steps away, and two with its secant. Finite bounds
+    are a bracket from the beginning.
 
     Args:
         problem: the fixed point to find.
         start: the first trial, shape (1,).
+        secants: of the solution of a similar problem.
     """
     tolerance = float(problem.tolerance[0])
     bracket = _Bracket(float(problem.low[0]), float(problem.high[0]))
@@ -201,26 +214,35 @@ def solve_in_bracket(problem: Problem, start: Floats) -> Solution:
         residual = float(trial.residual[0])
         if best is None or trial.error < best.error:
             best = trial
+        points.append(_End(x, copysign(1.0, residual), residual))
         if trial.error <= 1.0:
-            return Solution(trial, count, Outcome.SOLVED)
-        point = _End(x, copysign(1.0, residual), residual)
-        bracket.narrow(point, points[-1] if points else None)
-        points.append(point)
+            return Solution(trial, count, Outcome.SOLVED, _latest_secant(points) or secants)
+        point = points[-1]
+        bracket.narrow(point, points[-2] if len(points) > 1 else None)
         if bracket.is_evaluated and bracket.width <= _JUMP * tolerance:
             return Solution(best, count, Outcome.JUMP)
-        x = float(problem.clip(np.array([bracket.admit(_secant(bracket, points))]))[0])
+        x = float(problem.clip(np.array([bracket.admit(_secant(bracket, points, secants))]))[0])
         if any(x == known.x for known in points):  # such as a bound outside of which the secant points
             return Solution(best, count, Outcome.JUMP if bracket.is_evaluated else Outcome.LIMIT)
     assert best is not None
     return Solution(best, problem.limit, Outcome.LIMIT)
 
 
-def _secant(bracket: _Bracket, points: list[_End]) -> float:
+def _latest_secant(points: list[_End]) -> Secants:
+    if len(points) < 2:
+        return ()
+    first, second = points[-2:]
+    assert first.residual is not None
+    assert second.residual is not None
+    return ((np.array([second.x - first.x]), np.array([second.residual - first.residual])),)
+
+
+def _secant(bracket: _Bracket, points: list[_End], secants: Secants) -> float:
     """Return the zero of the line through the ends of the bracket, or through the last two points."""
     point = points[-1]
     assert point.residual is not None
     if len(points) == 1:
-        return point.x + point.residual
+        return point.x - point.residual / _known_slope(secants)
     first, second = points[-2], point
     if bracket.is_evaluated:
         assert bracket.ends is not None
@@ -237,50 +259,73 @@ def _secant(bracket: _Bracket, points: list[_End]) -> float:
     return x
 
 
+def _known_slope(secants: Secants) -> float:
+    """Return the slope of the residual in a similar problem; -1, that of a G which is constant, if it is of no use."""
+    if not secants:
+        return -1.0
+    step, change = (float(part[0]) for part in secants[-1])
+    slope = change / step if step else 0.0
+    return slope if -_GROWTH <= slope <= -1.0 / _GROWTH else -1.0
+
+
 # Several unknowns
 
 
-def solve_by_acceleration(problem: Problem, start: Floats, *, depth: int = 3, damping: float = 1.0) -> Solution:
+def solve_by_acceleration(
+    problem: Problem, start: Floats, *, depth: int = 3, damping: float = 1.0, secants: Secants = ()
+) -> Solution:
     """Solve for several unknowns by Anderson acceleration, with less damping where it diverges.
 
-    A linear function of n unknowns takes n + 2 trials at most, if `depth` is n or more and no bound is active.
+    A linear function of n unknowns takes n + 2 trials at most, if `depth` is n or more and no bound is active, and two
+    with n of its secants. Secants of a similar problem are older than those of the trials, and are left out as soon as
+    the error grows.
 
     Args:
         problem: the fixed point to find.
         start: the first trial, shape (unknowns,).
         depth: number of previous trials that are combined, 0 or more; 0 is relaxation.
         damping: relaxation factor, above 0 and at most 1; it is halved where the error has doubled.
+        secants: of the solution of a similar problem.
     """
     history: deque[Trial] = deque(maxlen=depth + 1)
     x, best = problem.clip(start), None
     for count in range(1, problem.limit + 1):
         trial = problem.evaluate(x)
         if trial.error <= 1.0:
-            return Solution(trial, count, Outcome.SOLVED)
+            return Solution(trial, count, Outcome.SOLVED, _joined(secants, [*history, trial], depth))
         if best is None or trial.error < best.error:
             best = trial
+        elif secants:
+            secants, trial = (), best
+            history.clear()
         is_combined = len(history) > min(depth, len(start))  # before that, a linear function may diverge as well
         if is_combined and trial.error > _DIVERGED * best.error and damping > _LEAST_DAMPING:
             damping *= 0.5
             history.clear()
             trial = best
         history.append(trial)
-        x = problem.clip(_combine(history, problem.tolerance, damping))
+        x = problem.clip(_combine(trial, _joined(secants, history, depth), problem.tolerance, damping))
+        if secants and np.array_equal(x, trial.x):
+            secants = ()
+            x = problem.clip(_combine(trial, _joined((), history, depth), problem.tolerance, damping))
         if np.array_equal(x, trial.x):  # the bounds stop it
             return Solution(best, count, Outcome.LIMIT)
     assert best is not None
     return Solution(best, problem.limit, Outcome.LIMIT)
 
 
-def _combine(history: deque[Trial], tolerance: Floats, damping: float) -> Floats:
+def _joined(secants: Secants, history: Iterable[Trial], depth: int) -> Secants:
+    """Return the latest secants: those between trials, and before them those of a similar problem."""
+    own = ((after.x - before.x, after.residual - before.residual) for before, after in pairwise(history))
+    joined = (*secants, *own)
+    return joined[max(len(joined) - depth, 0) :]
+
+
+def _combine(latest: Trial, secants: Secants, tolerance: Floats, damping: float) -> Floats:
     """Return the next unknowns: those whose combined residual is least, moved by it."""
-    latest = history[-1]
-    pairs = [*pairwise(history)]
-    steps = [after.x - before.x for before, after in pairs]
-    changes = [after.residual - before.residual for before, after in pairs]
-    weights = _least_squares([change / tolerance for change in changes], latest.residual / tolerance)
+    weights = _least_squares([change / tolerance for _, change in secants], latest.residual / tolerance)
     x: Floats = latest.x + damping * latest.residual
-    for weight, step, change in zip(weights, steps, changes, strict=True):
+    for weight, (step, change) in zip(weights, secants, strict=True):
         x = x - weight * (step + damping * change)
     return x
 

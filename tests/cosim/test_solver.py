@@ -152,3 +152,38 @@ def test_solver__equal_functions_have_equal_trials_to_the_bit() -> None:
 def test_solver__one_unknown_is_solved_in_a_bracket() -> None:
     cosine = problem(np.cos, low=0.0, high=1.0)
     assert solve(cosine, np.array([0.1])).best.x[0] == solve_in_bracket(cosine, np.array([0.1])).best.x[0]
+
+
+# Secants of an earlier solution
+
+
+@pytest.mark.parametrize("unknowns", [1, 2, 3, 5])
+def test_secants__linear_function_with_another_offset_takes_two_trials(unknowns: int) -> None:
+    """n secants of a linear function are the function itself, so the second trial is exact."""
+    generator = np.random.default_rng(unknowns)
+    matrix, offset = 0.5 * generator.normal(size=(unknowns, unknowns)), generator.normal(size=(2, unknowns))
+    limits = {"unknowns": unknowns, "tolerance": 1e-8}
+    first = solve(problem(lambda x: matrix @ x + offset[0], **limits, limit=40), np.zeros(unknowns), depth=unknowns)
+    second = solve(
+        problem(lambda x: matrix @ x + offset[1], **limits), first.best.x, depth=unknowns, secants=first.secants
+    )
+    assert first.is_solved
+    assert (second.trials, second.outcome) == (2, Outcome.SOLVED)
+    assert second.best.x == pytest.approx(np.linalg.solve(np.eye(unknowns) - matrix, offset[1]), rel=1e-6)
+
+
+@pytest.mark.parametrize("unknowns", [1, 3])
+@given(pairs=st.lists(st.lists(st.floats(-1e6, 1e6), min_size=6, max_size=6), max_size=3))
+def test_secants__wrong_ones_do_not_prevent_a_solution(unknowns: int, pairs: list[list[float]]) -> None:
+    """Those of an unlike function, without a change, or that depend on each other."""
+    secants = tuple((np.array(pair[:unknowns]), np.array(pair[3 : 3 + unknowns])) for pair in pairs)
+    function = problem(lambda x: 0.5 * np.sin(x) + 1.0, unknowns=unknowns, low=-5.0, high=5.0, limit=40)
+    solution = solve(function, np.zeros(unknowns), secants=secants)
+    assert solution.is_solved
+    assert solution.best.residual == pytest.approx(np.zeros(unknowns), abs=1e-9)
+
+
+def test_secants__unsolved_problem_has_none_and_a_start_that_is_solved_keeps_its_own() -> None:
+    secants = ((np.array([1.0]), np.array([-0.5])),)
+    assert solve(problem(lambda x: -5.0 * x + 1.0, limit=2), np.array([0.3]), secants=secants).secants == ()
+    assert solve(problem(lambda x: x), np.array([0.3]), secants=secants).secants == secants
