@@ -56,6 +56,12 @@ class Office:
         power, self.temperature = model.office(self.temperature, self.number, commands["setpoint"])
         return {"power": power, "setpoint": commands["setpoint"]}
 
+    def save(self) -> tuple[int, float]:
+        return self.number, self.temperature
+
+    def restore(self, state: tuple[int, float]) -> None:
+        self.number, self.temperature = state
+
 
 class Law:
     """The setpoint's law as a plant."""
@@ -72,6 +78,12 @@ class Law:
 
     def step(self, commands: dict[str, float]) -> dict[str, float]:
         return {"setpoint": model.law(commands["power"], self.gain)}
+
+    def save(self) -> None:
+        """Return nothing: there is no state."""
+
+    def restore(self, state: None) -> None:
+        """Do nothing."""
 
 
 def run(options: dict[str, Any]) -> None:
