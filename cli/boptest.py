@@ -13,6 +13,7 @@ from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import Emissions, Price, read_rates
 from zenostat.gateways.addresses import is_loopback
 from zenostat.topics.extras import requires_extra
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from zenostat.gateways.boptest.server import HttpServer
@@ -73,4 +74,4 @@ def _serve(server: HttpServer, testcase: str | None, clients: Clients) -> None:
         server.run()
     counts = server.service.counts
     rejected = sum(count for status, count in counts.items() if status >= 400)
-    out.print(f"{sum(counts.values())} requests, {rejected} of them rejected")
+    out.print(f"{counted(sum(counts.values()), 'request')}, {rejected} of them rejected")

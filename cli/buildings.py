@@ -12,6 +12,7 @@ from rich.progress import track
 
 from zenostat.cli.console import err
 from zenostat.cli.tables import show, show_json
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -51,7 +52,7 @@ def buildings(
         return
     rows = [_cells(entry.name, summary) for entry, summary in zip(entries, summaries, strict=True)]
     numbers = [name for name in COLUMNS if name not in ("building", "HVAC", "fuels")]
-    title = f"{len(rows)} building" + ("s" if len(rows) > 1 else "")
+    title = counted(len(rows), "building")
     show(title, COLUMNS, rows, right=numbers, wrap=("building", "fuels", "HVAC"))
 
 

@@ -19,6 +19,7 @@ from zenostat.cli.run import read_parameters
 from zenostat.cli.tables import show, show_json
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from zenostat.lab.evaluate import Evaluation, Progress
@@ -93,7 +94,7 @@ def evaluate(
     if as_json:
         show_json(evaluation.table())
         return
-    _show(evaluation, f"{scenario}, {episodes} episode{'s' if episodes > 1 else ''} each, seed {seed}")
+    _show(evaluation, f"{scenario}, {counted(episodes, 'episode')} each, seed {seed}")
     if file is not None:
         out.print(f"episodes: {file}", soft_wrap=True)
     outputs.show()

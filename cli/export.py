@@ -11,6 +11,7 @@ import typer
 from zenostat.cli.console import err, out, warnings_printed
 from zenostat.cli.verify import File
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.plurals import counted
 
 
 class Format(StrEnum):
@@ -53,7 +54,7 @@ def export(
     if path.resolve() == file.resolve():
         raise InvalidConfig(f"--out {path}: that is the recording itself; choose another name")
     if to is Format.RRD:
-        text = f"{_write_rrd(file, path):,} samples; open it with: zenostat view {path}"
+        text = f"{counted(_write_rrd(file, path), 'sample', ',')}; open it with: zenostat view {path}"
     else:
         text = f"{_write_table(file, to, path):,} {'samples' if to is Format.MCAP else 'rows'}"
     out.print(f"{path}: {text}", markup=False, soft_wrap=True)

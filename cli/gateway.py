@@ -21,6 +21,7 @@ from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected, ZenostatError
 from zenostat.topics.extras import install_command
 from zenostat.topics.keys import Role, check_name
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     import zenoh
@@ -103,7 +104,9 @@ def zeromq(
             waiting.report(error)
         time.sleep(_RETRY_S)
     counts = running.counts
-    out.print(f"{counts.samples} samples, {counts.requests} requests, {counts.denied} of them rejected")
+    out.print(
+        f"{counted(counts.samples, 'sample')}, {counted(counts.requests, 'request')}, {counts.denied} of them rejected"
+    )
 
 
 class _Waiting:
@@ -228,7 +231,7 @@ async def _serve(
             serving = asyncio.create_task(running.run())
             if await _ends_before(serving, stopped):
                 await serving  # it has failed
-        missed = f"; {client.counts.missed} messages of the node missed" if client.counts.missed else ""
+        missed = f"; {counted(client.counts.missed, 'message')} of the node missed" if client.counts.missed else ""
         out.print(running.summary() + missed, soft_wrap=True, markup=False)
     return 0
 

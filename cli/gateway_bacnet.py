@@ -16,6 +16,7 @@ from zenostat.gateways.addresses import parse_address
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import Role
+from zenostat.topics.plurals import counted
 
 _MAX_INSTANCE = 4_194_302
 _MAX_SOURCE = 100  # a source has at most 128 characters, with the client's address
@@ -106,4 +107,6 @@ def _write_objects(node: str, number: int, file: Path, options: BusOptions) -> N
                 table.writerow((*names, spec.low, spec.high, spec.description))
     except OSError as error:
         raise InvalidConfig(f"--objects {file}: {error.strerror}") from None
-    out.print(f"objects of {node}: {file} ({len(fixed) + len(points)} objects)", soft_wrap=True, markup=False)
+    out.print(
+        f"objects of {node}: {file} ({counted(len(fixed) + len(points), 'object')})", soft_wrap=True, markup=False
+    )

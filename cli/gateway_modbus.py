@@ -13,6 +13,7 @@ from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
+from zenostat.topics.plurals import counted
 
 DEFAULT_PORT = 1502
 
@@ -88,4 +89,4 @@ def _write_map(node: str, file: Path, options: BusOptions) -> None:
         file.write_text(registers.csv() if file.suffix == ".csv" else registers.markdown(), encoding="utf-8")
     except OSError as error:
         raise InvalidConfig(f"--map {file}: {error.strerror}") from None
-    out.print(f"map of {node}: {file} ({len(registers.entries)} entries)", soft_wrap=True, markup=False)
+    out.print(f"map of {node}: {file} ({counted(len(registers.entries), 'entry')})", soft_wrap=True, markup=False)

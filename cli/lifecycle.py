@@ -11,6 +11,7 @@ from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.write import Node, person
 from zenostat.topics.errors import NodeLost
 from zenostat.topics.keys import Role
+from zenostat.topics.plurals import counted
 
 
 @on_bus
@@ -29,7 +30,7 @@ def reset(
         steps = bus.manifest(node).steps
         ack = bus.reset(node, Reset(controller=person(), seed=seed))
     weathers = dict.fromkeys(start.weather for start in ack.episode_starts if start.weather)
-    text = ", ".join((f"{node}: episode {ack.episode[0]}", f"{steps} timesteps", *weathers))
+    text = ", ".join((f"{node}: episode {ack.episode[0]}", counted(steps, "timestep"), *weathers))
     out.print(text, markup=False, soft_wrap=True)
 
 

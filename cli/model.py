@@ -15,6 +15,7 @@ from zenostat.cli.tables import show, show_json
 from zenostat.topics.errors import InvalidConfig, MissingExtra, ModelError, ZenostatError
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import check_name
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from zenostat.models.building.description import ModelDescription
@@ -119,7 +120,7 @@ def _write_brick(read: Building, building: str, node: str, file: Path) -> None:
     model = SemanticGraph.parse(semantic_turtle(read, node, points))
     with atomic_file(file) as temporary:
         temporary.write_text(model.turtle(), encoding="utf-8")
-    err.print(f"semantic model: {file} ({len(model.graph):,} statements)", soft_wrap=True, markup=False)
+    err.print(f"semantic model: {file} ({counted(len(model.graph), 'statement', ',')})", soft_wrap=True, markup=False)
 
 
 def _show_unreadable(entry: Entry, error: ZenostatError, *, as_json: bool) -> None:
@@ -144,7 +145,7 @@ def _count_errors(file: str, diagnostics: Sequence[Diagnostic]) -> int:
     """Return the number of errors, and report it if there are any."""
     count = sum(each.severity == "error" for each in diagnostics)
     if count:
-        print_error(f"{file} has {count} error{'s' if count > 1 else ''}")
+        print_error(f"{file} has {counted(count, 'error')}")
     return count
 
 

@@ -16,6 +16,7 @@ from zenostat.cli.options import BusOptions, CertificateName, Keys
 from zenostat.cli.view import At, Size, Tab, screenshot_request
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, ViewerError, did_you_mean
 from zenostat.topics.keys import Role
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     import zenoh
@@ -84,7 +85,7 @@ def _stream(node: str, options: BusOptions, recording: Path | None, *, web: bool
                 markup=False,
             )
             stream.run(until=lambda: stop.is_set() or (once and stream.left))
-        out.print(f"{stream.samples} samples logged, {stream.missed} missed")
+        out.print(f"{counted(stream.samples, 'sample')} logged, {stream.missed} missed")
         return stream.samples
 
 

@@ -25,6 +25,7 @@ from zenostat.cli.statistics import statistics_table
 from zenostat.topics.calendar import format_duration
 from zenostat.topics.errors import AddressInUse, InvalidConfig, NodeNotFound
 from zenostat.topics.messages import REJECTIONS, Event, EventKind, Mode, OnFull, Policy, RecordingStatus, State
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -323,7 +324,8 @@ def greeting(node: Node, listen: str) -> str:
     return (
         f"{manifest.node} on {listen}: {manifest.building}{location}, "
         f"{run_period.begin:%Y-%m-%d} to {run_period.end - timedelta(seconds=run_period.step_s):%Y-%m-%d}, "
-        f"{manifest.steps} timesteps of {format_duration(manifest.step_s)}; "
-        f"{len(manifest.sensors)} sensors, {len(manifest.meters)} meters, {len(manifest.actuators)} actuators. "
+        f"{counted(manifest.steps, 'timestep')} of {format_duration(manifest.step_s)}; "
+        f"{counted(len(manifest.sensors), 'sensor')}, {counted(len(manifest.meters), 'meter')}, "
+        f"{counted(len(manifest.actuators), 'actuator')}. "
         "Press Ctrl-C to stop."
     )

@@ -15,6 +15,7 @@ from zenostat.cli.write import Node, person
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import Mode, State, Status
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from zenostat import Bus
@@ -132,6 +133,6 @@ def _after_steps(bus: Bus, before: Status, steps: int) -> str:
             since = time.monotonic()
         elif now.mode is Mode.LOCKSTEP and time.monotonic() - since > _STALLED_S:
             awaited = ", ".join(c.controller for c in now.controllers if c.required) or "a controller"
-            return f"{goal - now.step[0]} of {steps} timesteps left: waiting for {awaited}"
+            return f"{goal - now.step[0]} of {counted(steps, 'timestep')} left: waiting for {awaited}"
         last = now
     return ""

@@ -12,6 +12,7 @@ import typer
 from zenostat.cli.console import err, print_error
 from zenostat.cli.tables import show, show_json
 from zenostat.topics.errors import did_you_mean
+from zenostat.topics.plurals import counted
 from zenostat.topics.units import unit_label
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def points(
         return
     columns = ("kind", *(("bus name",) if of_run else ()), "name", "key (location)", "unit", "low", "high")
     show(
-        f"{model.name}: {len(rows):,} points",
+        f"{model.name}: {counted(len(rows), 'point', ',')}",
         columns,
         [_cells(row, of_run=of_run) for row in rows],
         right=("low", "high"),

@@ -14,6 +14,7 @@ from zenostat.cli.node_options import Begin, End
 from zenostat.cli.run import read_parameters
 from zenostat.cli.tables import show, show_json
 from zenostat.topics.errors import ErrorCollector, InvalidConfig
+from zenostat.topics.plurals import counted
 from zenostat.topics.units import with_unit
 
 if TYPE_CHECKING:
@@ -131,7 +132,7 @@ def _as_json(report: ProbeReport) -> dict[str, Any]:
 def _show(report: ProbeReport, scenario: str) -> None:
     numbers = ("first response", "difference", "share of range", "after")
     columns = ("actuator", "held at", numbers[0], "point", *numbers[1:3], "branch", numbers[3])
-    title = f"{scenario}: each actuator held for {report.hours:g} h from {len(report.times)} samples"
+    title = f"{scenario}: each actuator held for {report.hours:g} h from {counted(len(report.times), 'sample')}"
     rows = [row for effect in report.effects for row in _rows(effect)]
     show(title, columns, rows, right=numbers, wrap=("actuator", "point"))
     for effect in report.effects:

@@ -15,6 +15,7 @@ from zenostat.cli.write import Node, person
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import OnFull, RecordingState, RecordingStatus
+from zenostat.topics.plurals import counted
 
 
 @on_bus
@@ -58,6 +59,7 @@ def describe_recording(status: RecordingStatus) -> str:
         return f"nothing was recorded to {status.path}, because no reset of all slots came"
     if status.reason and not status.bytes:
         return f"there is no recording at {status.path}: {status.reason}"
-    text = f"recorded {status.messages:,} messages, {status.bytes / 1e6:.1f} MB, to {status.path}"
-    text += f"; waited for the disk {status.waits} times, {status.waited_s:.1f} s in total" if status.waits else ""
+    text = f"recorded {counted(status.messages, 'message', ',')}, {status.bytes / 1e6:.1f} MB, to {status.path}"
+    if status.waits:
+        text += f"; waited for the disk {counted(status.waits, 'time')}, {status.waited_s:.1f} s in total"
     return text + (f"; stopped early: {status.reason}" if status.reason else "")

@@ -16,6 +16,7 @@ from zenostat.cli.node_options import Expose, Listen, NoListen
 from zenostat.cli.options import BusOptions, CertificateName, Keys
 from zenostat.cli.verify import File
 from zenostat.topics.errors import AddressInUse, InvalidConfig
+from zenostat.topics.plurals import counted
 
 
 def replay(
@@ -102,7 +103,7 @@ def replay(
         bars = stack.enter_context(progress())
         task = bars.add_task(f"replaying {file.name} as {replayed.manifest.node}", total=reader.manifest.steps, rate="")
         count = replayed.run(stop, lambda time, step: bars.update(task, completed=step, rate=time))
-    out.print(f"{replayed.manifest.node}: replayed {count:,} samples", markup=False, soft_wrap=True)
+    out.print(f"{replayed.manifest.node}: replayed {counted(count, 'sample', ',')}", markup=False, soft_wrap=True)
 
 
 def _drive(file: Path, node: str, options: BusOptions, name: str, priority: int | None, speed: float | None) -> None:
@@ -117,8 +118,8 @@ def _drive(file: Path, node: str, options: BusOptions, name: str, priority: int 
         )  # fmt: skip
     for text in result.skipped:
         err.print(f"not replayed: {text}", markup=False, soft_wrap=True)
-    episodes = f"{result.episodes} episode{'' if result.episodes == 1 else 's'}"
-    out.print(f"{node}: {result.steps:,} steps of {episodes} commanded", markup=False, soft_wrap=True)
+    episodes = counted(result.episodes, "episode")
+    out.print(f"{node}: {counted(result.steps, 'step', ',')} of {episodes} commanded", markup=False, soft_wrap=True)
 
 
 def _moment(text: str | None, option: str, year: int) -> datetime | None:

@@ -16,6 +16,7 @@ from zenostat.cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, comma
 from zenostat.cli.results import show_results
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import safe_name
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from rich.progress import Progress
@@ -93,7 +94,7 @@ def run(
                     trace.end_episode(link, results[heading][0], episode_seed)
         if trace is not None:
             outputs.write(trace.comparison(command_line()))
-    out.print(f"{node}: {episodes} episode{'s' if episodes > 1 else ''} controlled by {controller}")
+    out.print(f"{node}: {counted(episodes, 'episode')} controlled by {controller}")
     show_results(results, ", ".join(filter(None, (link.manifest.building, link.manifest.weather))))
     outputs.show()
 

@@ -24,6 +24,7 @@ from zenostat.models.scenario.schema import load_yaml, resolve_paths
 from zenostat.topics import yaml12
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, SimulatorError, UnknownName, UsageError, to_wire
 from zenostat.topics.keys import is_name
+from zenostat.topics.plurals import counted
 
 MAX_LISTED = 200
 """Largest number of points in an answer."""
@@ -128,8 +129,8 @@ class ScenarioAnswers:
         points = planned.points
         summary = (
             f"{planned.building.name}, {', '.join(source.name for source in planned.sources)}, "
-            f"{planned.period.steps} timesteps; {len(points.sensors)} sensors, {len(points.meters)} meters, "
-            f"{len(planned.task.actions)} actions"
+            f"{counted(planned.period.steps, 'timestep')}; {counted(len(points.sensors), 'sensor')}, "
+            f"{counted(len(points.meters), 'meter')}, {counted(len(planned.task.actions), 'action')}"
         )
         return answer | {"summary": summary, "warnings": [*planned.warnings]}
 

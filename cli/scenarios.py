@@ -12,6 +12,7 @@ import typer
 from zenostat.cli.console import err, out
 from zenostat.cli.tables import show as show_table
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -48,7 +49,7 @@ def listing(
     if match:
         packs = dict.fromkeys(pack_ids(), "pack sinergym") | {name: _pack_of_paper(name) for name in PAPER_IDS}
         rows = [(name, packs.get(name, "bundled")) for name in ids]
-        show_table(f"{len(ids):,} scenarios", ("id", "from"), rows, wrap=("id",))
+        show_table(counted(len(ids), "scenario", ","), ("id", "from"), rows, wrap=("id",))
         return
     columns = ("building", "weathers", "actions", "ids", "from")
     show_table(f"{len(ids):,} scenarios", columns, _families(), right=("ids",), wrap=columns[:3])
@@ -133,8 +134,9 @@ def check(file: Annotated[Path, typer.Argument(help="Scenario file.")]) -> None:
         planned = plan_scenario({"scenario": str(file)})
     points = planned.points
     out.print(
-        f"{file}: {planned.building.name}, {', '.join(s.name for s in planned.sources)}, {planned.period.steps} "
-        f"timesteps; {len(points.sensors)} sensors, {len(points.meters)} meters, {len(planned.task.actions)} actions"
+        f"{file}: {planned.building.name}, {', '.join(s.name for s in planned.sources)}, "
+        f"{counted(planned.period.steps, 'timestep')}; {counted(len(points.sensors), 'sensor')}, "
+        f"{counted(len(points.meters), 'meter')}, {counted(len(planned.task.actions), 'action')}"
     )
     for warning in planned.warnings:
         out.print(f"warning: {warning}", style="yellow", markup=False)

@@ -15,6 +15,7 @@ from zenostat.cli.tables import show
 from zenostat.topics.errors import NodeNotFound
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import Mode, Status
+from zenostat.topics.plurals import counted
 
 
 @on_bus
@@ -72,7 +73,7 @@ def _pace(node: Status) -> str:
 
 def _policy(node: Status) -> str:
     missed = node.statistics.missed
-    return f"{node.policy}; applied in {missed} timesteps" if missed else str(node.policy)
+    return f"{node.policy}; applied in {counted(missed, 'timestep')}" if missed else str(node.policy)
 
 
 def _mb(size: int) -> str:

@@ -15,6 +15,7 @@ from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signal
 from zenostat.cli.console import err, out, progress
 from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from zenostat.lab.training import TrainingConfig, TrainingStatus
@@ -76,7 +77,7 @@ def train(
         out.print(f"stopped; checkpoint at step {result.step:,}; continue with: {again}", soft_wrap=True, markup=False)
         raise typer.Exit(128 + received[0])
     best = "" if result.best_reward is None else f", best evaluation {result.best_reward:,.2f}"
-    out.print(f"{result.folder}: {result.step:,} steps{best}", soft_wrap=True, markup=False)
+    out.print(f"{result.folder}: {counted(result.step, 'step', ',')}{best}", soft_wrap=True, markup=False)
 
 
 def _read(file: Path | None, options: dict[str, Any], texts: Sequence[str], resume: bool) -> TrainingConfig:

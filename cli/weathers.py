@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from zenostat.cli.tables import show, show_json
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from zenostat.models.weather.summary import WeatherSummary
@@ -47,7 +48,7 @@ def weathers(
     rows = [_cells(entry.name, summary) for entry, summary in zip(entries, summaries, strict=True)]
     numbers = [name for name in COLUMNS if name not in ("weather", "place", "climate\nzone", "days", "years")]
     show(
-        f"{len(rows)} weather file" + ("s" if len(rows) > 1 else ""),
+        counted(len(rows), "weather file"),
         COLUMNS,
         rows,
         right=numbers,

@@ -385,7 +385,7 @@ def test_status_command__shows_the_policy_and_the_bypassed_controller(scratch: P
     finally:
         node.send_signal(signal.SIGINT)
         node.communicate(timeout=60)
-    assert row(output, "fallback policy") == [["fallback policy", "hold; applied in 1 timesteps"]]
+    assert row(output, "fallback policy") == [["fallback policy", "hold; applied in 1 timestep"]]
     claims, counts = row(output, name)
     assert claims[1:] == ["office", "10", "3", "yes", "bypassed"]
     assert counts[1:] == ["0", "0", "0", "0", "1", "-", "-", "-"]

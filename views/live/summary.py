@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from zenostat.metrics.roles import PointRoles
+from zenostat.topics.plurals import counted
 from zenostat.views.live.samples import BASELINE, Floats, SampleBlock
 from zenostat.views.live.totals import TotalRows, fuels_besides_electricity
 
@@ -142,7 +143,7 @@ def markdown(numbers: NodeNumbers) -> str:
     if numbers.band_degc is not None:
         cells.append(("Comfort band", "{:.1f} to {:.1f} °C".format(*numbers.band_degc)))
     if numbers.zones_outside is not None:
-        cells.append(("Outside comfort", f"{numbers.zones_outside} of {numbers.zones} zones"))
+        cells.append(("Outside comfort", f"{numbers.zones_outside} of {counted(numbers.zones, 'zone')}"))
     if numbers.people is not None:
         cells.append(("Occupants", quantity(numbers.people, _people(numbers.people), 0)))
     cells += [

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.topics.plurals import counted
 from zenostat.views.report.district_section import ANCHOR, TITLE, district_section, has_district
 from zenostat.views.report.document import REPORT_SCRIPT, document
 from zenostat.views.report.figures.base import Figure
@@ -63,7 +64,7 @@ def _heading(comparison: Comparison) -> str:
     weathers = list(dict.fromkeys(name for name in reference.weather_names if name)) or [manifest.weather]
     place = f"{manifest.location} ({names(weathers)})" if manifest.location else names(weathers)
     comfort = reference.quantities.comfort
-    steps = f"{trajectory.steps:,} timesteps of {_duration(manifest.step_s)}"
+    steps = f"{counted(trajectory.steps, 'timestep', ',')} of {_duration(manifest.step_s)}"
     versions = manifest.versions
     rows = [
         ("Weather", place),

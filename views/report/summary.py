@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from zenostat.topics.plurals import counted
 from zenostat.views.report.figures.comfort import rank_zones
 from zenostat.views.report.runs import Comparison, Run
 from zenostat.views.report.totals import (
@@ -163,7 +164,7 @@ def _irregular(run: Run) -> list[str]:
         texts.append(f"{run.label} controlled {partial[0].steps} of {planned} timesteps.")
     not_accepted = sum(result.late + result.rejected for result in run.results)
     if not_accepted:
-        texts.append(f"The node did not accept {not_accepted} messages of {run.label} (late or rejected).")
+        texts.append(f"The node did not accept {counted(not_accepted, 'message')} of {run.label} (late or rejected).")
     return texts
 
 

@@ -13,6 +13,7 @@ from zenostat.topics import codec
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, did_you_mean
 from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import Mode, Reset
+from zenostat.topics.plurals import counted
 from zenostat.topics.typing_compat import override
 
 Alarm = Annotated[str, Field(min_length=1, max_length=300)]
@@ -71,7 +72,7 @@ class Step(Operation):
     @override
     def run(self, bus: Bus, node: str, operator: str) -> str:
         bus.step(node, self.steps, source=operator)
-        return f"{self.steps} timestep{'' if self.steps == 1 else 's'}"
+        return counted(self.steps, "timestep")
 
 
 class Pace(Operation):

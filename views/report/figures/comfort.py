@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.topics.plurals import counted
 from zenostat.views.report.figures.base import Curve, Figure, draw, legend_above
 from zenostat.views.report.quantities import Floats
 from zenostat.views.report.theme import LIGHT
@@ -40,7 +41,7 @@ def degree_hours(curves: Sequence[Curve]) -> Figure | None:
         data[f"{curve.name}: above (K h)"] = high.tolist()
         data[f"{curve.name}: below (K h)"] = low.tolist()
     rest = len(ranked) - len(shown)
-    hidden = f" {rest} zones with less are in the table only." if rest else ""
+    hidden = f" {counted(rest, 'zone')} with less {'is' if rest == 1 else 'are'} in the table only." if rest else ""
     if not shown:
         return Figure(
             "degree-hours", "Degree-hours outside comfort, by zone",

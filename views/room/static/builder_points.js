@@ -2,6 +2,7 @@
 
 import { get, toast } from "./api.js";
 import { fill, h, setText } from "./dom.js";
+import { counted } from "./format.js";
 
 const KINDS = { sensors: "sensor", meters: "meter", actuators: "actuator" };
 const AGGREGATIONS = ["mean", "instant", "sum"];
@@ -53,7 +54,7 @@ export class BuilderPoints {
       const query = new URLSearchParams({ building, search: this.search.value, kind: this.kind.value });
       const answer = await get(`/api/builder/points?${query}`);
       if (number !== this.number) return;
-      setText(this.count, `${answer.count} of ${answer.total} points${answer.count > answer.points.length ? `, the first ${answer.points.length} of them` : ""}`);
+      setText(this.count, `${answer.count} of ${counted(answer.total, "point")}${answer.count > answer.points.length ? `, the first ${answer.points.length} of them` : ""}`);
       fill(this.rows, answer.points.map((point) => h("tr", {},
         h("th", { scope: "row" }, point.name), h("td", {}, point.key), h("td", {}, point.unit), h("td", {}, point.where),
         h("td", {}, h("button", { type: "button", class: "small", "aria-label": `Add ${point.name} ${point.key}`, onclick: () => this.add(point) }, "Add")))));

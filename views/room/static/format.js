@@ -95,6 +95,9 @@ export function bytes(count) {
   return count < 1e9 ? `${num(count / 1e6)} MB` : `${num(count / 1e9)} GB`;
 }
 
+/** A number with its noun: `1 zone`, `2 zones`. */
+export const counted = (count, noun) => `${num(count, "people")} ${noun}${count === 1 ? "" : "s"}`;
+
 /** `out_of_service` as `out of service`. */
 export function words(text) {
   return String(text).replaceAll("_", " ");

@@ -1,7 +1,7 @@
 // The list of all nodes.
 
 import { fill, h } from "./dom.js";
-import { dateTime, rate, withUnit, words } from "./format.js";
+import { counted, dateTime, rate, withUnit, words } from "./format.js";
 import { address, link } from "./view.js";
 
 /** State of a node in a word, with a class for its color. */
@@ -59,7 +59,7 @@ export class Overview {
       h("div", { class: "row" },
         h("a", { class: "name", href: address({ node: entry.node }, false), onclick: (event) => link(event, { node: entry.node }) }, entry.node),
         h("span", { class: "grow" }),
-        open > 0 && h("span", { class: "chip alarm" }, `${open} alarm${open === 1 ? "" : "s"}`),
+        open > 0 && h("span", { class: "chip alarm" }, counted(open, "alarm")),
         h("span", { class: `chip ${kind}` }, state)),
       h("p", { class: "muted" }, entry.branch_of ? `branch of ${entry.branch_of}` : [entry.building, entry.location || entry.weather].filter(Boolean).join(" · ")),
       entry.online ? [
@@ -69,7 +69,7 @@ export class Overview {
           fact("Pace", pace(entry)),
           fact("Power", entry.power_kw !== null && entry.power_kw !== undefined && withUnit(entry.power_kw, "kW")),
           fact("Outdoors", entry.outdoor !== null && entry.outdoor !== undefined && withUnit(entry.outdoor, "°C")),
-          fact("In the band", entry.zones ? `${entry.comfortable} of ${entry.zones} zones` : null),
+          fact("In the band", entry.zones ? `${entry.comfortable} of ${counted(entry.zones, "zone")}` : null),
           fact("Controllers", entry.controllers.map((each) => each.state === "connected" ? each.controller : `${each.controller} (${words(each.state)})`).join(", ")),
           fact("Set by", entry.sources && (entry.sources.join(", ") || "baseline control")),
           fact("Faults", entry.faults.join(", ")),

@@ -1,7 +1,7 @@
 // Floor plans: each zone in the color of its deviation from the band; a zone is a button.
 
 import { fill, h, s, setAttribute, setText } from "./dom.js";
-import { num, withUnit } from "./format.js";
+import { counted, num, withUnit } from "./format.js";
 
 const SCALE = [["#16469e", "4 K below"], ["#3e80d6", "2 K"], ["#e2e5e0", "in the band"], ["#f08a24", "2 K"], ["#a82a08", "4 K above"]];
 
@@ -56,7 +56,7 @@ export class Plans {
       this.zones.set(zone.zone, entries);
     }
     drawing.append(labels);
-    const heading = this.description.storeys.length > 1 ? `Storey ${number} · ${num(storey.height_m)} m` : `${num(storey.zones.length, "people")} zones`;
+    const heading = this.description.storeys.length > 1 ? `Storey ${number} · ${num(storey.height_m)} m` : counted(storey.zones.length, "zone");
     return h("figure", {}, h("figcaption", {}, heading), drawing);
   }
 

@@ -1,7 +1,7 @@
 // Air and plant loops as a schematic: components in the direction of flow, with the values that belong to them.
 
 import { fill, h, s, setAttribute, setText } from "./dom.js";
-import { num, shown, withUnit } from "./format.js";
+import { counted, num, shown, withUnit } from "./format.js";
 import { cells, layout } from "./schematic_layout.js";
 import { change, view } from "./view.js";
 
@@ -59,7 +59,7 @@ export class Schematic {
       const loops = this.systems.loops.map((loop, place) => [loop, place]).filter(([loop]) => loop.kind === kind);
       return loops.length ? h("optgroup", { label: `${title} (${loops.length})` }, loops.map(([loop, place]) => h("option", { value: place }, loop.name))) : null;
     });
-    const others = this.systems.zones.length ? h("option", { value: OTHERS }, `Equipment on no air loop (${this.systems.zones.length} zones)`) : null;
+    const others = this.systems.zones.length ? h("option", { value: OTHERS }, `Equipment on no air loop (${counted(this.systems.zones.length, "zone")})`) : null;
     return [groups, others];
   }
 
