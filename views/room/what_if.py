@@ -1,28 +1,32 @@
 """The question "what if": the next hours of a running building with other commands, beside those as they are.
 
 All futures are simulated on branches of the same sample, by a plan, so the building itself does not notice. Commands of
-controllers stay as they are, since the controllers do not run on a branch.
+controllers stay as they are, since the controllers do not run on a branch; another controller can be tried in their
+place, which answers each sample of its branch.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, model_validator
 
+from zenostat.agent_sdk.controllers import Agent
 from zenostat.bridge.client.bus import Bus
-from zenostat.bridge.client.controller_link import open_link
+from zenostat.bridge.client.command_publisher import CommandArrays
+from zenostat.bridge.client.controller_link import ControllerLink, open_link
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage, InvalidConfig, RequestRejected, ZenostatError
-from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Sample, SimulatePlan
+from zenostat.topics.messages import Ack, CommandOp, CreateBranch, Manifest, Sample, SimulatePlan, Write
 from zenostat.views.room.description import NodeDescription
 from zenostat.views.room.numbers import number, numbers
+from zenostat.views.room.trial_controllers import TrialController, semantic_model
 
 _MAX_STEPS = 1000
 _STEPS_PER_REQUEST = 48  # so that a large building answers in time
@@ -33,13 +37,23 @@ Floats = NDArray[np.float64]
 
 
 class WhatIf(BaseModel):
-    """Values to try for some actuators, at a priority, for the next hours; None relinquishes an actuator there."""
+    """Values to try for some actuators, or a controller, at a priority, for the next hours.
+
+    The value None relinquishes an actuator there.
+    """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    values: Annotated[dict[str, float | None], Field(min_length=1, max_length=200)]
+    values: Annotated[dict[str, float | None], Field(max_length=200)] = Field(default_factory=dict)
+    controller: TrialController | None = None
     priority: Annotated[int, Field(ge=1, le=16)] = 8
     hours: Annotated[float, Field(gt=0, le=7 * 24)] = 24.0
+
+    @model_validator(mode="after")
+    def _one_change(self) -> Self:
+        if bool(self.values) == (self.controller is not None):
+            raise ValueError("either values of actuators or a controller expected")
+        return self
 
 
 @dataclass(frozen=True)
@@ -48,19 +62,36 @@ class Future:
 
     Attributes:
         values: by actuator; None relinquishes it at the priority.
-        priority: of the values, 1 (highest) to 16.
+        priority: of the values, or of the controller, 1 (highest) to 16.
         is_relinquished: whether all other commands are relinquished: the future is that of the baseline control.
+        controller: creates a controller for the manifest of a branch. It replaces the node's controllers, whose
+            commands are relinquished; what persons and devices have written stays.
     """
 
     values: Mapping[str, float | None] = field(default_factory=dict)
     priority: int = 8
     is_relinquished: bool = False
+    controller: Callable[[Manifest], Agent] | None = None
 
 
 def what_if(bus: Bus, description: NodeDescription, request: WhatIf, operator: str) -> dict[str, Any]:
-    """Return the values of all points and the totals of both futures; errors as of `simulate_futures`."""
-    futures = {"as_is": Future(), "changed": Future(request.values, request.priority)}
-    samples = simulate_futures(bus, description, futures, request.hours, operator)
+    """Return the values of all points and the totals of both futures.
+
+    Raises:
+        UnknownName, InvalidConfig: the controller, its parameters, or a controller that the node does not suit.
+        ZenostatError: as `simulate_futures`.
+    """
+    node, trial = description.manifest.node, request.controller
+    changed = Future(request.values, request.priority)
+    if trial is not None:
+        trial.factory()  # its errors come before anything is simulated
+
+        def create(manifest: Manifest) -> Agent:
+            return trial.agent(manifest, lambda: semantic_model(bus, node))
+
+        create(description.manifest)
+        changed = Future(priority=request.priority, controller=create)
+    samples = simulate_futures(bus, description, {"as_is": Future(), "changed": changed}, request.hours, operator)
     return futures_content(description, samples)
 
 
@@ -100,10 +131,12 @@ def simulate_futures(
             if bus.manifest(branch).branch_of != manifest.node:
                 raise BadMessage(f"{branch} is no branch of {manifest.node}")  # it may be another building
             stack.callback(_end, bus.stop, branch)
+            if future.controller is not None:
+                _relinquish_controllers(bus, manifest.node, branch, operator)
             for point, value in future.values.items():
                 bus.write(branch, point, value, priority=future.priority, source=operator)
             branches[name] = branch
-        samples = {name: _simulate(bus, branch, steps) for name, branch in branches.items()}
+        samples = {name: _simulate(bus, branch, steps, futures[name]) for name, branch in branches.items()}
     steps = min(map(len, samples.values()))
     if not steps:
         raise RequestRejected("the episode is over")
@@ -115,31 +148,72 @@ def _end(end: Any, *arguments: str) -> None:
         end(*arguments)
 
 
-def _simulate(bus: Bus, branch: str, steps: int) -> list[Sample]:
-    """Simulate a branch with its commands as they are; return its samples."""
-    link = open_link(bus, branch, name="what-if", priority=_LOWEST_PRIORITY)
+def _relinquish_controllers(bus: Bus, node: str, branch: str, operator: str) -> None:
+    """Relinquish on a branch what the controllers of its node have commanded."""
+    controllers = {status.controller for status in bus.status(node).controllers}
+    for point, entries in bus.priorities(branch).items():
+        for priority, entry in enumerate(entries, 1):
+            if entry.value is not None and entry.source in controllers:
+                write = Write(value=None, priority=priority, source=operator)
+                bus.ask(keys.WRITE_REQUEST, branch, write, Ack, name=point)
+
+
+def _simulate(bus: Bus, branch: str, steps: int, future: Future) -> list[Sample]:
+    """Simulate a branch with its commands as they are, or with those of a controller; return its samples."""
+    priority = _LOWEST_PRIORITY if future.controller is None else future.priority
+    link = open_link(bus, branch, name="what-if", priority=priority)
     try:
-        manifest, sample = link.manifest, bus.latest(branch)
-        samples: list[Sample] = []
-        while len(samples) < steps:
-            count = min(steps - len(samples), _steps_per_request(manifest))
-            actuators = count * len(manifest.actuators)
-            plan = SimulatePlan(
-                controller=link.name,
-                episode=sample.episode,
-                step=sample.step,
-                timesteps=count,
-                operations=bytes([CommandOp.KEEP]) * actuators,
-                values=bytes(8 * actuators),
-            )
-            payloads = bus.plan(branch, plan).samples
-            samples += [codec.decode(Sample, payload) for payload in payloads]
-            if len(payloads) < count:
-                break
-            sample = samples[-1]
-        return samples
+        first = bus.latest(branch)
+        steps = min(steps, link.manifest.steps - first.step[0])
+        if future.controller is not None:
+            return _controlled(link, first, steps, future.controller(link.manifest))
+        return _as_it_is(link, first, steps)
     finally:
         link.close()
+
+
+def _as_it_is(link: ControllerLink, sample: Sample, steps: int) -> list[Sample]:
+    """Simulate timesteps without any new command."""
+    actuators = len(link.manifest.actuators)
+    samples: list[Sample] = []
+    while len(samples) < steps:
+        count = min(steps - len(samples), _steps_per_request(link.manifest))
+        keep = bytes([CommandOp.KEEP]) * actuators * count, bytes(8 * actuators * count)
+        simulated = _plan(link, sample, count, *keep)
+        samples += simulated
+        if len(simulated) < count:
+            break
+        sample = samples[-1]
+    return samples
+
+
+def _controlled(link: ControllerLink, sample: Sample, steps: int, agent: Agent) -> list[Sample]:
+    """Simulate timesteps with the commands of a controller, which answers each sample."""
+    arrays = CommandArrays(link.manifest)
+    samples: list[Sample] = []
+    while len(samples) < steps:
+        values, operations = arrays.of(agent.values(link.set_current(sample)), None)
+        simulated = _plan(link, sample, 1, operations, values)
+        if not simulated:
+            break
+        samples += simulated
+        sample = samples[-1]
+    return samples
+
+
+def _plan(
+    link: ControllerLink, sample: Sample, timesteps: int, operations: bytes | None, values: bytes
+) -> list[Sample]:
+    """Simulate timesteps from a branch's sample; return their samples, fewer if the episode ends."""
+    plan = SimulatePlan(
+        controller=link.name,
+        episode=sample.episode,
+        step=sample.step,
+        timesteps=timesteps,
+        operations=operations,
+        values=values,
+    )
+    return [codec.decode(Sample, payload) for payload in link.bus.plan(link.manifest.node, plan).samples]
 
 
 def _steps_per_request(manifest: Manifest) -> int:

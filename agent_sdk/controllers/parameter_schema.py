@@ -1,0 +1,78 @@
+"""Parameters of a controller's class as a model of their names, types and defaults, and so as a JSON schema."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Mapping
+from functools import cache
+from typing import Any, get_type_hints
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+
+from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.errors import InvalidConfig
+
+_ENTRY = re.compile(r"^(\w+): (.+)$")
+
+
+class _Parameters(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _OpenParameters(_Parameters):
+    """Parameters of a controller that takes further ones by the names of actions or actuators."""
+
+    model_config = ConfigDict(extra="allow")
+    __pydantic_extra__: dict[str, float] = Field(init=False)
+
+
+@cache
+def parameters_model(factory: Callable[..., Any]) -> type[BaseModel]:
+    """Return a model whose fields are the parameters of a controller, with their types, defaults and meanings.
+
+    The meanings are those of the docstring. The first parameter, the node's manifest, is left out.
+    """
+    parameters = [*inspect.signature(factory).parameters.values()][1:]
+    hints = get_type_hints(factory.__init__ if isinstance(factory, type) else factory)  # type: ignore[misc]
+    meanings = _meanings(factory)
+    fields: dict[str, Any] = {
+        each.name: (
+            hints.get(each.name, Any),
+            Field(... if each.default is each.empty else each.default, description=meanings.get(each.name)),
+        )
+        for each in parameters
+        if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD)
+    }
+    is_open = any(each.kind is each.VAR_KEYWORD for each in parameters)
+    name = getattr(factory, "__name__", "Parameters")
+    return create_model(name, __base__=_OpenParameters if is_open else _Parameters, **fields)
+
+
+def check_values(factory: Callable[..., Any], values: Mapping[str, Any]) -> dict[str, Any]:
+    """Check names and types of parameters, and return those that are set.
+
+    Raises:
+        InvalidConfig: an unknown name, a value of another type or not finite, or a required parameter is missing.
+    """
+    model = parameters_model(factory)
+    try:
+        return model.model_validate(dict(values)).model_dump(exclude_unset=True)
+    except ValidationError as error:
+        raise InvalidConfig(describe_validation_errors(error, model.model_fields)) from None
+
+
+def _meanings(factory: Callable[..., Any]) -> dict[str, str]:
+    """Return the entries of a docstring's section `Args`."""
+    _, _, section = (inspect.getdoc(factory) or "").partition("\nArgs:\n")
+    meanings: dict[str, str] = {}
+    name = ""
+    for line in section.splitlines():
+        if line and not line.startswith(" "):
+            break
+        indent = len(line) - len(line.lstrip())
+        if indent == 4 and (entry := _ENTRY.match(line.strip())):
+            name, meanings[entry[1]] = entry[1], entry[2]
+        elif name and line.strip():
+            meanings[name] += f" {line.strip()}"
+    return meanings
