@@ -1,4 +1,4 @@
-"""A node as a program for another program.
+"""A node, or the replay of one, as a program for another program.
 
 Standard input: one line of JSON with the settings; the node ends when standard input is closed. Standard output: one
 line of JSON, `{"ready": name, "manifest": {...}}` or `{"error": class, "message": text}`.
@@ -12,11 +12,37 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Mapping
-from typing import Any
+from contextlib import AbstractContextManager
+from typing import Any, Protocol
 
-from zenostat.bridge.node.node import Node
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS
 from zenostat.topics.errors import ZenostatError, to_wire
+from zenostat.topics.messages import Manifest
+
+
+class _Settings(Protocol):
+    @property
+    def name(self) -> str: ...
+    @property
+    def check(self) -> bool: ...
+
+
+class ServedNode(AbstractContextManager[Any], Protocol):
+    """A node that is on the bus while it is entered."""
+
+    @property
+    def settings(self) -> _Settings:
+        """Its name, and whether it is only checked."""
+
+    @property
+    def manifest(self) -> Manifest:
+        """Its manifest; only while it is entered."""
+
+    def check(self) -> None:
+        """Check everything without starting it."""
+
+    def serve(self) -> object:
+        """Serve until its end."""
 
 
 def _end_with_owner() -> None:
@@ -32,7 +58,7 @@ def _print_line(**fields: Any) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the owner has ended, which the lifeline detects as well
 
 
-def run(create: Callable[[Mapping[str, Any]], Node]) -> int:
+def run(create: Callable[[Mapping[str, Any]], ServedNode]) -> int:
     """Run a node until it ends.
 
     Args:
@@ -68,7 +94,7 @@ def run(create: Callable[[Mapping[str, Any]], Node]) -> int:
     return 0
 
 
-def main(create: Callable[[Mapping[str, Any]], Node]) -> None:
+def main(create: Callable[[Mapping[str, Any]], ServedNode]) -> None:
     """Run a node and exit; see `run`."""
     code = run(create)
     for ignored in TERMINATION_SIGNALS:  # everything is closed; a signal would only change the exit code

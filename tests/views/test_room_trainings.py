@@ -5,8 +5,11 @@ import json
 from pathlib import Path
 
 import pytest
+from support.builders import manifest
 from support.control_room import control_room
-from support.nodes import NodeProgram, until
+from support.nodes import NodeProgram, nothing_left, until
+
+import zenostat
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
@@ -18,6 +21,7 @@ from zenostat.views.room.app import RoomSettings
 from zenostat.views.room.csv_table import CsvTable
 from zenostat.views.room.training_pages import REPORT_POLICY
 from zenostat.views.room.trainings import MAX_POINTS, Trainings, _thinned
+from zenostat.views.room.trial_controllers import controllers_content
 
 TRAINING = "algorithm: ppo\nscenario: office\nsteps: 400\nseed: 3\n"
 TANK = '''
@@ -144,6 +148,24 @@ def test_trainings__study_shows_values_and_varied_parameters_and_no_address_of_i
     assert "secret" not in json.dumps(content)
 
 
+def test_trainings__tuned_controllers_of_studies_are_offered_if_they_are_bundled(tmp_path: Path) -> None:
+    texts = {
+        "rules": "controller: rbc\nparameters: {margin: 0.5, preconditioning: 2}\n",
+        "own": "controller: rules.py:Own\nparameters: {}\n",
+        "plans": "controller: oracle\nparameters: {rule: rules.py:Own}\n",
+        "wrong": "controller: rbc\nparameters: {margn: 0.5}\n",
+        "training": "algorithm: ppo\nscenario: office\n",
+        "damaged": "controller: [\n",
+    }
+    for name, text in texts.items():
+        (tmp_path / name / "trials").mkdir(parents=True)
+        (tmp_path / name / "best.yaml").write_text(text)
+    (tmp_path / "link" / "trials").mkdir(parents=True)
+    (tmp_path / "link" / "best.yaml").symlink_to(tmp_path / "rules" / "best.yaml")
+    tuned = controllers_content(manifest(), Trainings(tmp_path).tuned())["tuned"]
+    assert tuned == [{"study": "rules", "name": "rbc", "parameters": {"margin": 0.5, "preconditioning": 2}}]
+
+
 def test_trainings__folders_elsewhere_are_not_read(tmp_path: Path) -> None:
     training(tmp_path / "other" / "ppo")
     (tmp_path / "runs").mkdir()
@@ -153,6 +175,82 @@ def test_trainings__folders_elsewhere_are_not_read(tmp_path: Path) -> None:
     for name in ("../other/ppo", "link/ppo", str(tmp_path / "other" / "ppo"), ""):
         with pytest.raises(UnknownName):
             trainings.run(name)
+
+
+def test_trainings__recordings_of_the_folder_are_listed_and_no_others(tmp_path: Path) -> None:
+    training(tmp_path / "runs" / "ppo")
+    (tmp_path / "other.mcap").write_bytes(b"1")
+    (tmp_path / "runs" / "day.mcap").write_bytes(b"12345")
+    (tmp_path / "runs" / "ppo" / "best").mkdir()
+    (tmp_path / "runs" / "ppo" / "best" / "run.mcap").write_bytes(b"1")
+    (tmp_path / "runs" / "link.mcap").symlink_to(tmp_path / "other.mcap")
+    (tmp_path / "runs" / ".hidden").mkdir()
+    (tmp_path / "runs" / ".hidden" / "run.mcap").write_bytes(b"1")
+    (tmp_path / "runs" / "folder.mcap").mkdir()
+    trainings = Trainings(tmp_path / "runs")
+    assert trainings.content()["recordings"] == [
+        {"name": "day.mcap", "bytes": 5, "run": None},
+        {"name": "ppo/best/run.mcap", "bytes": 1, "run": "ppo"},
+    ]
+    assert trainings.recording("ppo/best/run.mcap") == tmp_path / "runs" / "ppo" / "best" / "run.mcap"
+    (tmp_path / "runs" / "day.mcap").unlink()
+    (tmp_path / "runs" / "day.mcap").symlink_to(tmp_path / "other.mcap")  # since it was listed
+    for name in ("day.mcap", "link.mcap", "../other.mcap", str(tmp_path / "other.mcap"), "ppo/training.yaml", ""):
+        with pytest.raises(UnknownName, match="no recording"):
+            trainings.recording(name)
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_room__recording_is_replayed_as_a_node_and_ends_with_the_room(scratch: Path) -> None:
+    pytest.importorskip("mcap")
+    runs = scratch / "runs"
+    training(runs / "ppo")
+    (scratch / "tank.py").write_text(TANK)
+    (runs / "damaged.mcap").write_bytes(b"no recording")
+    settings = {"trainings": runs, "node_settings": {"affinity": "off"}}
+    with (
+        nothing_left(scratch),
+        NodeProgram(scratch / "node", plant=f"{scratch}/tank.py:Tank", name="tank") as node,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
+    ):
+        bus.pause("tank")
+        bus.pace("tank", mode="free")
+        bus.record("tank", runs / "ppo" / "run.mcap", now=True)
+        bus.step("tank", 600)
+        until(lambda: bus.status("tank").step == [600], "it is simulated")
+        bus.stop_recording("tank")
+        settings["node_settings"]["connect"] = [node.endpoint]
+        with (
+            control_room(node.endpoint, settings=RoomSettings(**settings)) as server,
+            httpx.Client(base_url=server.url, headers={"origin": server.url}, timeout=60) as client,
+        ):
+            client.post("/api/session", json={"token": server.link.partition("#token=")[2]})
+            until(lambda: client.get("/api/nodes/tank").status_code == 200, "the tank is followed")
+            for asked, status, text in (
+                ({"name": "../tank.py", "node": "again"}, 400, "no recording"),
+                ({"name": "ppo/run.mcap", "node": "tank"}, 409, "on the bus already"),
+                ({"name": "ppo/run.mcap", "node": "a b"}, 400, "a_b"),
+                ({"name": "ppo/run.mcap", "node": "again", "file": "/etc/passwd"}, 400, "file"),
+            ):
+                answer = client.post("/api/trainings/replay", json=asked)
+                assert (answer.status_code, text in answer.json()["message"]) == (status, True), answer.text
+            for name, node_name in (("damaged.mcap", "damaged"), ("ppo/run.mcap", "again")):
+                asked = {"name": name, "node": node_name, "speed": 60.0}
+                assert client.post("/api/trainings/replay", json=asked).status_code == 200
+            until(lambda: client.get("/api/nodes/again").status_code == 200, "the replay is followed")
+            states = {each["name"]: each for each in server.room.nodes.content()}
+            until(lambda: server.room.nodes.content()[0]["state"] == "failed", "the other cannot be read")
+            assert "not an MCAP file" in server.room.nodes.content()[0]["text"]
+            assert states["again"]["scenario"] == "ppo/run.mcap"
+            samples = bus.listen("again")
+            with samples as following:
+                assert next(following)["level"] == 0.0
+            until(lambda: server.room.watch.is_online("again"), "its status is read")
+            answer = client.post("/api/nodes/again/pause", json={})
+            assert (answer.status_code, "is the replay of a recording" in answer.json()["message"]) == (409, True)
+            assert "again" in bus.nodes()
+        until(lambda: "again" not in bus.nodes(), "it has ended with the room")
 
 
 @pytest.mark.slow

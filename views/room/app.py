@@ -45,6 +45,7 @@ from zenostat.views.room.started_nodes import TOPIC as STARTED
 from zenostat.views.room.started_nodes import StartedNodes
 from zenostat.views.room.training_pages import TrainingPages
 from zenostat.views.room.trainings import Trainings
+from zenostat.views.room.trial_controllers import controllers_content
 from zenostat.views.room.updates import MAX_STREAMS, Updates
 from zenostat.views.room.what_if import WhatIf, what_if
 
@@ -110,6 +111,7 @@ class Room:
         self.nodes = StartedNodes(settings.node_settings, self.updates)
         trainings = None if settings.trainings is None else Trainings(settings.trainings)
         self._builder = Builder(settings.scenarios, self.nodes, self.audit, self._is_online)
+        self._trainings = trainings
         self._training_pages = TrainingPages(trainings, self.nodes, self.audit, self._is_online)
         self._settings = settings
         self._bus, self._access, self._address = bus, access, address
@@ -131,6 +133,7 @@ class Room:
             Route("/api/nodes/{node}/history", self._history),
             Route("/api/nodes/{node}/events", self._events),
             Route("/api/nodes/{node}/priorities", self._priorities),
+            Route("/api/nodes/{node}/controllers", self._controllers),
             Route("/api/nodes/{node}/what_if", self._what_if, methods=["POST"]),
             Route("/api/nodes/{node}/{operation}", self._operate, methods=["POST"]),
             Route("/metrics", self._metrics),
@@ -260,6 +263,14 @@ class Room:
         manifest = _described(watch).manifest
         return _json(await self._call(watch, lambda: priority_arrays(self._bus, manifest, point)))
 
+    async def _controllers(self, request: Request) -> Response:
+        manifest = _described(self._node(request)).manifest
+
+        def content() -> dict[str, Any]:
+            return controllers_content(manifest, {} if self._trainings is None else self._trainings.tuned())
+
+        return _json(await asyncio.to_thread(content))
+
     # Changes
 
     async def _operate(self, request: Request) -> Response:
@@ -279,7 +290,13 @@ class Room:
 
         def simulate() -> Response:
             with self.watch.without_branches(watch.node):
-                return _json(what_if(self._bus, description, question, operator))
+                answer = what_if(self._bus, description, question, operator)
+            if question.controller is not None:
+                has_keys = bool(self._settings.node_settings.get("keys"))
+                answer["command"] = question.controller.command(
+                    watch.node, question.priority, self._bus.endpoint, has_keys=has_keys
+                )
+            return _json(answer)
 
         return await self._call(watch, simulate)
 

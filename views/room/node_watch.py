@@ -12,7 +12,7 @@ from typing import Any
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
-from zenostat.topics.messages import Event, Geometry, Manifest, Systems
+from zenostat.topics.messages import AlarmList, Event, Geometry, Manifest, Systems
 from zenostat.topics.points import value_index
 from zenostat.views.room.description import NodeDescription, describe
 from zenostat.views.room.numbers import to_json
@@ -132,7 +132,7 @@ class NodeWatch:
                 sample = SampleView(latest, manifest, value_index(manifest))
             except RequestRejected:  # there is none yet
                 sample = None
-            self.state = node_state(self.description, status, sample, self._bus.alarms(self.node))
+            self.state = node_state(self.description, status, sample, self._alarms())
             self.problem = ""
             self._progress.append((time.monotonic(), status.episode[0], status.step[0]))
         except (NodeLost, NodeNotFound):
@@ -141,6 +141,12 @@ class NodeWatch:
             self._lose(str(error))
         except Exception as error:  # a message of a stranger must not end the thread
             self._lose(f"{type(error).__name__}: {error}")
+
+    def _alarms(self) -> AlarmList | None:
+        try:
+            return self._bus.alarms(self.node)
+        except RequestRejected:  # the replay of a recording
+            return None
 
     def _lose(self, problem: str) -> None:
         self.state, self.problem = None, problem

@@ -1,4 +1,4 @@
-"""Nodes that operators start from a scenario on the page: each a program that ends with the control room."""
+"""Nodes that operators start on the page from scenarios and recordings: programs that end with the control room."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import sys
 import threading
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from zenostat.views.room.updates import Updates
 
 TOPIC = "started"
 MODULE = "zenostat.eplus_node"
+REPLAY_MODULE = "zenostat.bridge.recording.replay_program"
 _COMMAND = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 
 MAX_RUNNING = 8
@@ -36,9 +37,9 @@ class StartedNode:
 
     Attributes:
         name: its name on the bus.
-        scenario: name of its scenario.
+        scenario: name of its scenario, its training or its recording.
         operator: who has started it.
-        process: its program.
+        process: its program; set when it is started.
         controller: folder of a training or file of a controller, which controls it; empty for none.
         state: `starting`, `running`, `ended` or `failed`.
         text: why it failed.
@@ -47,7 +48,7 @@ class StartedNode:
     name: str
     scenario: str
     operator: str
-    process: subprocess.Popen[bytes]
+    process: subprocess.Popen[bytes] = field(init=False)
     controller: str = ""
     state: str = "starting"
     text: str = ""
@@ -92,21 +93,40 @@ class StartedNodes:
             InvalidConfig: an invalid name.
             RequestRejected: a node of that name runs, or too many nodes run.
         """
-        check_name(name, "the node's name")
+        fields = {**settings, "scenario": str(file), "monitoring": True}
+        self._launch(MODULE, fields, StartedNode(name, title or file.stem, operator, controller=controller))
+
+    def replay(self, file: Path, name: str, operator: str, speed: float, *, title: str) -> None:
+        """Replay a recording as a node, which ends with the recording; its state follows in the updates.
+
+        Args:
+            file: the recording.
+            name: of the node on the bus.
+            operator: who starts it.
+            speed: simulated seconds per second.
+            title: shown in place of a scenario's name.
+
+        Raises:
+            InvalidConfig: an invalid name.
+            RequestRejected: a node of that name runs, or too many nodes run.
+        """
+        self._launch(REPLAY_MODULE, {"file": str(file), "speed": speed}, StartedNode(name, title, operator))
+
+    def _launch(self, module: str, fields: Mapping[str, Any], node: StartedNode) -> None:
+        check_name(node.name, "the node's name")
         with self._lock:
-            running = [node for node in self._nodes if node.state in _RUNNING]
+            running = [each for each in self._nodes if each.state in _RUNNING]
             if self._is_closed or len(running) >= MAX_RUNNING:
                 raise RequestRejected(f"{MAX_RUNNING} nodes that were started from the page run; end one of them first")
-            if name in (node.name for node in running):
-                raise RequestRejected(f"a node {name!r} was started from the page already")
-            fields = {**self._settings, **settings, "scenario": str(file), "name": name, "monitoring": True}
+            if node.name in (each.name for each in running):
+                raise RequestRejected(f"a node {node.name!r} was started from the page already")
             # A process group of its own: Ctrl-C in the terminal is for the server, whose end ends the node's input.
-            process = subprocess.Popen(
-                [sys.executable, "-P", "-m", MODULE], stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0
+            node.process = subprocess.Popen(
+                [sys.executable, "-P", "-m", module], stdin=subprocess.PIPE, stdout=subprocess.PIPE, process_group=0
             )
-            node = StartedNode(name, title or file.stem, operator, process, controller)
-            self._nodes = [*[each for each in self._nodes if each.name != name], node][-_KEPT:]
-            thread = threading.Thread(target=self._follow, args=(node, fields), name=f"started-{name}", daemon=True)
+            self._nodes = [*[each for each in self._nodes if each.name != node.name], node][-_KEPT:]
+            arguments = (node, {**self._settings, **fields, "name": node.name})
+            thread = threading.Thread(target=self._follow, args=arguments, name=f"started-{node.name}", daemon=True)
             self._threads = [*[each for each in self._threads if each.is_alive()], thread]
             thread.start()
         self._publish()

@@ -55,6 +55,13 @@ class WatchTraining(TrainingName):
     speed: Annotated[float, Field(gt=0, le=1e9)] = 3600.0
 
 
+class ReplayRecording(TrainingName):
+    """Replay a recording of the folder as a node."""
+
+    node: Annotated[str, Field(max_length=128)]
+    speed: Annotated[float, Field(gt=0, le=1e9)] = 3600.0
+
+
 class TrainingPages:
     """The routes of trainings.
 
@@ -76,6 +83,7 @@ class TrainingPages:
             Route("/api/trainings/report", self._make_report, methods=["POST"]),
             Route("/api/trainings/report", self._report),
             Route("/api/trainings/watch", self._watch, methods=["POST"]),
+            Route("/api/trainings/replay", self._replay, methods=["POST"]),
         ]
 
     @property
@@ -126,13 +134,28 @@ class TrainingPages:
             scenario = run.folder / SCENARIO
             if not scenario.is_file():
                 raise UnknownName(f"the training {run.name} has no {SCENARIO}, from which a node could be started")
-            if self._is_online(asked.node):
-                raise NameInUse(f"a node {asked.node!r} is on the bus already; choose another name")
+            self._check_free(asked.node)
             pace = {"mode": Mode.PACED.value, "speed": asked.speed}
             self._nodes.start(scenario, asked.node, operator, pace, controller=str(run.folder), title=run.name)
             return f"node {asked.node} is starting, controlled by {run.name}"
 
         return await self._audited(request, "watch training", asked.node, start)
+
+    async def _replay(self, request: Request) -> Response:
+        asked = read_body(ReplayRecording, await request.body())
+        operator = operator_of(request)
+
+        def start() -> str:
+            file = self._trainings.recording(asked.name)
+            self._check_free(asked.node)
+            self._nodes.replay(file, asked.node, operator, asked.speed, title=asked.name)
+            return f"the replay of {asked.name} is starting as node {asked.node}"
+
+        return await self._audited(request, "replay recording", asked.node, start)
+
+    def _check_free(self, node: str) -> None:
+        if self._is_online(node):
+            raise NameInUse(f"a node {node!r} is on the bus already; choose another name")
 
     async def _audited(self, request: Request, operation: str, target: str, function: Callable[[], str]) -> Response:
         change = asyncio.to_thread(function)

@@ -1,4 +1,4 @@
-"""Trainings and studies in a folder: their settings, curves and states, read while they run."""
+"""Trainings, studies and recordings in a folder: settings, curves and states, read while they run."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from pathlib import Path
 from statistics import fmean
 from typing import Any
 
+from zenostat.agent_sdk.controllers.controller_file import ControllerFile, read_controller_file
 from zenostat.agent_sdk.controllers.training_folder import (
     CHECKPOINTS,
     CURVE,
@@ -23,12 +24,13 @@ from zenostat.agent_sdk.controllers.training_folder import (
     TRAINING,
     read_training_fields,
 )
-from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError, did_you_mean
 from zenostat.views.room.csv_table import CsvTable
 from zenostat.views.room.numbers import number, numbers
 
 REPORT = "report.html"
 MAX_RUNS = 500
+MAX_RECORDINGS = 500
 MAX_POINTS = 1000
 """Largest number of points of a curve that are sent."""
 
@@ -37,9 +39,10 @@ _MAX_DEPTH = 6
 _MEAN_OF = 100
 """Number of episodes in a moving mean, as stable-baselines3 logs it."""
 
+_RECORDING = ".mcap"
 _NOT_ENTERED = (CHECKPOINTS, "tensorboard", "wandb")
 _PROGRESS_STEP = "time/total_timesteps"
-_TRIALS, _REQUEST, _RESULT = "trials", "trial.json", "result.json"
+_TRIALS, _REQUEST, _RESULT, _BEST = "trials", "trial.json", "result.json", "best.yaml"
 
 
 class TrainingRun:
@@ -216,7 +219,7 @@ def _thinned(rows: list[_Row]) -> list[_Row]:
 
 
 class Trainings:
-    """All trainings and studies below a folder; thread-safe, and read once for all pages.
+    """All trainings, studies and recordings below a folder; thread-safe, and read once for all pages.
 
     Args:
         folder: of trainings.
@@ -225,11 +228,13 @@ class Trainings:
     def __init__(self, folder: Path) -> None:
         self._folder, self._lock = folder.resolve(), threading.Lock()
         self._runs: dict[str, TrainingRun] = {}
+        self._recordings: dict[str, Path] = {}
+        self._best: dict[str, Path] = {}
         self._content: dict[str, Any] = {}
         self._read_s = float("-inf")
 
     def content(self) -> dict[str, Any]:
-        """Return all trainings and studies; what is older than a second is read again."""
+        """Return all trainings, studies and recordings; what is older than a second is read again."""
         with self._lock:
             if time.monotonic() - self._read_s > _SCANNED_S:
                 self._content = self._scan()
@@ -248,6 +253,30 @@ class Trainings:
                 raise UnknownName(f"no training {name!r} in the folder; {did_you_mean(name, self._runs)}")
             return self._runs[name]
 
+    def recording(self, name: str) -> Path:
+        """Return the file of a recording by its name, its path below the folder.
+
+        Raises:
+            UnknownName: there is none of that name, or it is a link.
+        """
+        self.content()
+        with self._lock:
+            path = self._recordings.get(name)
+        if path is None or not _is_file(path):
+            raise UnknownName(f"no recording {name!r} in the folder; {did_you_mean(name, self._recordings)}")
+        return path
+
+    def tuned(self) -> dict[str, ControllerFile]:
+        """Return the best controller of each study of controllers, by the name of the study."""
+        self.content()
+        with self._lock:
+            files = dict(self._best)
+        tuned = {}
+        for name, path in files.items():
+            with suppress(UsageError):  # that of a study of trainings, or damaged
+                tuned[name] = read_controller_file(path)
+        return tuned
+
     def curve(self, name: str, metric: str) -> dict[str, Any]:
         """Return the curve of a training; see `TrainingRun.curve`."""
         run = self.run(name)
@@ -256,6 +285,8 @@ class Trainings:
 
     def _scan(self) -> dict[str, Any]:
         runs: dict[str, TrainingRun] = {}
+        recordings: dict[str, Path] = {}
+        best: dict[str, Path] = {}
         studies = []
         for folder, names in _folders(self._folder):
             name = folder.relative_to(self._folder).as_posix()
@@ -263,10 +294,19 @@ class Trainings:
                 runs[name] = self._runs.get(name) or TrainingRun(folder, name)
             if _TRIALS in names:
                 studies.append(_study(folder, name))
-        self._runs = runs
+                if _is_file(folder / _BEST):
+                    best[name] = folder / _BEST
+            files = [folder / each for each in sorted(names) if each.endswith(_RECORDING)]
+            for path in filter(_is_file, files[: MAX_RECORDINGS - len(recordings)]):
+                recordings[path.relative_to(self._folder).as_posix()] = path
+        self._runs, self._recordings, self._best = runs, recordings, best
         locked = _locked_files()
         summaries = [run.summary(locked) for run in runs.values()]
-        return {"runs": summaries, "studies": [study for study in studies if study["trials"]]}
+        return {
+            "runs": summaries,
+            "studies": [study for study in studies if study["trials"]],
+            "recordings": [_recording(name, path, runs) for name, path in recordings.items()],
+        }
 
 
 def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
@@ -277,6 +317,21 @@ def _folders(root: Path) -> Iterator[tuple[Path, list[str]]]:
         folders[:] = sorted(
             name for name in folders if depth < _MAX_DEPTH and not name.startswith(".") and name not in _NOT_ENTERED
         )
+
+
+def _is_file(path: Path) -> bool:
+    """Return whether a path is a regular file, and no link to one."""
+    return path.is_file() and not path.is_symlink()
+
+
+def _recording(name: str, path: Path, runs: Mapping[str, TrainingRun]) -> dict[str, Any]:
+    """Return a recording's entry in the list: its size, and the training in whose folder it lies."""
+    parents = [parent.as_posix() for parent in Path(name).parents]
+    try:
+        size = path.stat().st_size
+    except OSError:  # it was removed
+        size = 0
+    return {"name": name, "bytes": size, "run": next((parent for parent in parents if parent in runs), None)}
 
 
 def _locked_files() -> frozenset[int]:
