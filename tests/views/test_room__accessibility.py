@@ -39,6 +39,7 @@ def training(folder: Path) -> None:
         (folder / name / "scenario.yaml").write_text("")
     (folder / "study/trials/0000/trial.json").write_text('{"metric": "reward", "training": {"algorithm": "ppo"}}')
     (folder / "ppo" / "report.html").write_text("")
+    (folder / "ppo" / "run.mcap").write_bytes(b"")
     (folder / "old").mkdir()
     (folder / "old" / "training.yaml").write_text("a: 1\n")
 
@@ -88,6 +89,7 @@ def visitor(browser: Any, room: Any, request: pytest.FixtureRequest) -> Iterator
         ("?node=office&tab=events", ".tab-panel .log li"),
         ("?node=office&tab=controllers", ".tab-panel .facts"),
         ("?node=office&tab=what-if", ".tab-panel form"),
+        ("?node=office&tab=what-if&try=controller", "#what-if-controller"),
         (f"?node=office&point={SETPOINT}", ".drawer tr.effective"),
         ("?page=builder&scenario=mine", ".check-errors li, p.fine"),
         ("?page=trainings", ".legend li"),
@@ -114,6 +116,16 @@ def test_room__filled_builder_has_contrast_names_and_structure(visitor: Visitor,
     assert violations(page) == []
 
 
+def test_room__answer_of_what_if_has_contrast_names_and_structure(visitor: Visitor, room: Any) -> None:
+    page = visitor.open(f"{room.url}/?node=office&tab=what-if&try=controller")
+    page.get_by_text("Parameters").click()
+    page.get_by_text("Controllers that do not suit this node").click()
+    page.locator("#hours").select_option("6")
+    page.get_by_role("button", name="Simulate").click()
+    page.locator("section[aria-labelledby=apply-controller]").wait_for()
+    assert violations(page) == []
+
+
 def test_room__dialogs_and_messages_have_contrast_names_and_structure(visitor: Visitor, room: Any) -> None:
     page = visitor.open(f"{room.url}/?node=office")
     page.get_by_role("button", name="Acknowledge warm").click()
@@ -124,6 +136,10 @@ def test_room__dialogs_and_messages_have_contrast_names_and_structure(visitor: V
     page.locator("#path").fill("relative.mcap")
     page.locator("dialog").get_by_role("button", name="Record").click()
     page.locator(".toast.error").wait_for()
+    assert violations(page) == []
+    page = visitor.open(f"{room.url}/?page=trainings")
+    page.get_by_role("button", name="Replay ppo/run.mcap").click()
+    page.locator("dialog[open]").wait_for()
     assert violations(page) == []
 
 

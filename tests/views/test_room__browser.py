@@ -294,6 +294,38 @@ def test_room__what_if_saves_energy_and_is_applied(ada: Visitor, room: Any, bus:
 
 
 @pytest.mark.slow
+def test_room__what_if_tries_a_controller_and_shows_its_command(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(f"{room.url}/?node=office&tab=what-if")
+    page.get_by_role("button", name="Another controller").focus()
+    page.keyboard.press("Enter")
+    assert "try=controller" in page.url
+    page.get_by_label("Controller", exact=True).select_option("rbc")
+    page.get_by_text("Controllers that do not suit this node").click()
+    page.get_by_text("coordinator: ").wait_for()
+    page.get_by_text("Parameters").click()
+    page.get_by_label("Cooling margin").fill("0.5")
+    page.locator("#hours").select_option("24")
+    page.get_by_role("button", name="Simulate").click()
+    row = page.locator("table.totals tr", has_text="HVAC electricity")
+    row.wait_for()
+    assert page.locator("table.totals thead").inner_text().split()[-2:] == ["rbc", "difference"]
+    as_is, tried = (float(row.locator("td").nth(place).inner_text()) for place in (0, 1))
+    assert 0 < tried != as_is > 0
+    page.get_by_label("Command that starts the controller").wait_for()
+    command = page.get_by_label("Command that starts the controller").inner_text()
+    wanted = "zenostat run --node office --controller rbc --set cooling_margin=0.5 --priority 10 --connect"
+    assert command.startswith(wanted)
+    assert bus.status("office").branches == bus.status("office").snapshots == []
+    assert bus.status("office").controllers == []
+    page = ada.open(page.url)  # the address reproduces it
+    assert page.get_by_role("button", name="Another controller").get_attribute("aria-pressed") == "true"
+    page.get_by_label("Controller", exact=True).select_option("pid")
+    page.get_by_role("button", name="Simulate").click()
+    page.locator(".toast.error", has_text="pid needs setpoint").wait_for()
+    page.get_by_label("Setpoint", exact=True).wait_for()
+
+
+@pytest.mark.slow
 def test_room__texts_with_markup_are_texts(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
     bus.shelve("office", "warm", 3600.0, source="mallory", comment=HOSTILE)
     page = ada.open(f"{room.url}/?node=office&search={quote(HOSTILE)}&table=points&tab=alarms&zone={quote(HOSTILE)}")

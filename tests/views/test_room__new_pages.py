@@ -35,10 +35,12 @@ class Tank:
     actuators = {"pump": ("W", 0.0, 100.0, 5.0)}
 
     def reset(self, seed):
-        return {"level": 0.0}
+        self.level = 0.0
+        return {"level": self.level}
 
     def step(self, commands):
-        return {"level": 0.0}
+        self.level += 0.01
+        return {"level": self.level}
 '''
 
 
@@ -48,6 +50,17 @@ def training(folder: Path) -> None:
     (folder / "versions.json").write_text('{"format": 1}')
     (folder / "evaluations.csv").write_text("step,seed,reward\n100,1,-4\n100,2,-5\n200,1,-2\n200,2,-3\n")
     (folder / "references.csv").write_text(f"controller,seed,reward\n{HOSTILE},1,-4\n")
+
+
+def record(node: NodeProgram, file: Path) -> None:
+    """Record a day of the tank, whose level rises."""
+    with zenostat.connect(node.endpoint, affinity="off") as bus:
+        bus.pause("tank")
+        bus.pace("tank", mode="free")
+        bus.record("tank", file, now=True)
+        bus.step("tank", 1400)
+        until(lambda: bus.status("tank").step == [1400], "it is simulated")
+        bus.stop_recording("tank")
 
 
 @pytest.fixture(scope="module")
@@ -63,6 +76,7 @@ def room(module_folder: Path) -> Iterator[Any]:
     training(module_folder / "runs" / "ppo")
     training(module_folder / "runs" / HOSTILE.replace("/", "_"))
     with NodeProgram(module_folder / "node", plant=f"{module_folder}/tank.py:Tank", name="tank") as node:
+        record(node, module_folder / "runs" / "ppo" / "day.mcap")
         settings = RoomSettings(
             scenarios=module_folder / "scenarios",
             trainings=module_folder / "runs",
@@ -139,6 +153,29 @@ def test_room__curves_follow_a_training_and_texts_are_texts(ada: Visitor, room: 
     boxes.nth(1).check()
     until(lambda: page.locator(".legend li").count() >= 3, "both are drawn")
     assert "runs=" in page.url
+
+
+def test_room__recording_is_replayed_from_its_page(ada: Visitor, room: Any) -> None:
+    page = ada.open(f"{room.url}/?page=trainings")
+    row = page.locator("tr", has=page.get_by_role("button", name="Replay ppo/day.mcap"))
+    assert row.locator("td").first.inner_text() == "ppo"
+    page.get_by_role("button", name="Replay ppo/day.mcap").focus()
+    page.keyboard.press("Enter")
+    assert page.get_by_label("Name of the node").input_value() == "day"
+    page.get_by_label("Times the wall clock").fill("600")
+    page.keyboard.press("Enter")
+    page.get_by_role("link", name="Open day").focus()
+    page.keyboard.press("Enter")
+    page.locator(".u-wrap").wait_for()  # the trend since the page was opened
+    clock = page.locator(".clock").inner_text()
+    until(lambda: page.locator(".clock").inner_text() != clock, "it goes on")
+    page.get_by_role("button", name="Pause").click()
+    page.locator(".toast.error", has_text="is the replay of a recording and takes no requests").wait_for()
+    page = ada.open(f"{room.url}/?page=trainings")
+    page.get_by_role("button", name="End day").click()
+    page.get_by_role("link", name="Open day").wait_for(state="detached")
+    page = ada.open(f"{room.url}/?page=audit")
+    page.locator("tbody tr", has_text="replay recording").first.wait_for()
 
 
 @pytest.mark.parametrize("width", [390, 768])

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 from support.control_room import control_room
-from support.nodes import NodeProgram
+from support.nodes import NodeProgram, until
 
 import zenostat
 
@@ -100,9 +100,52 @@ def test_room__what_if_changes_a_copy_only(client: Any) -> None:
     assert all(entry["value"] is None for entry in array)
 
 
+def levels(client: Any, **question: Any) -> list[float]:
+    """Levels of the next six minutes with another controller, above the present one."""
+    before = client.get("/api/nodes/tank/history", params={"point": "level"}).json()["points"][0]["values"][-1]
+    answer = change(client, "what_if", hours=0.1, **question)
+    assert answer.status_code == 200, answer.text
+    return [level - before for level in answer.json()["changed"]["series"][0]]
+
+
+def test_room__what_if_controller_replaces_controllers_and_not_overrides(client: Any, tank: NodeProgram) -> None:
+    fixed = {"name": "fixed", "parameters": {"pump": 10}}
+    with zenostat.connect(tank.endpoint, affinity="off") as bus, bus.controller("tank", priority=4) as running:
+        running.current().send({"pump": 50.0})
+        until(lambda: bus.priorities("tank")["pump"][3].value == 50.0, "it has commanded")
+        assert levels(client, controller=fixed, priority=10) == pytest.approx([0.1 * k for k in range(1, 7)])
+        assert levels(client, controller={"name": "baseline"}) == pytest.approx([0.05 * k for k in range(1, 7)])
+        assert bus.priorities("tank")["pump"][3].value == 50.0
+    assert change(client, "write", point="pump", value=20, priority=8, duration_s=120).status_code == 200
+    expected = [0.2, 0.4, 0.5, 0.6, 0.7, 0.8]  # until the override expires
+    assert levels(client, controller=fixed, priority=10) == pytest.approx(expected)
+    assert change(client, "write", point="pump", value=None, priority=8).status_code == 200
+
+
+def test_room__what_if_controller_answers_each_sample(client: Any) -> None:
+    listed = {each["name"]: each for each in client.get("/api/nodes/tank/controllers").json()["controllers"]}
+    assert "oracle" not in listed
+    assert listed["pid"]["schema"]["required"] == ["setpoint"]
+    assert "needs an action" in listed["rbc"]["problem"]
+    drawn = {"name": "random", "parameters": {"seed": 1}}
+    rises = levels(client, controller=drawn)
+    steps = [b - a for a, b in zip([0.0, *rises], rises, strict=False)]
+    assert len({round(step, 9) for step in steps}) == len(steps)
+    assert levels(client, controller=drawn) == rises
+    answer = change(client, "what_if", controller=drawn, hours=0.1, priority=9)
+    assert answer.json()["command"].startswith("zenostat run --node tank --controller random --set seed=1 --priority 9")
+
+
 @pytest.mark.parametrize(
     ("operation", "content", "status", "text"),
     [
+        ("what_if", {"controller": {"name": "oracle"}}, 400, "no bundled controller 'oracle'"),
+        ("what_if", {"controller": {"name": "/tmp/tank.py:Tank"}}, 400, "no bundled controller"),
+        ("what_if", {"controller": {"name": "rbc"}}, 400, "needs an action"),
+        ("what_if", {"controller": {"name": "random", "parameters": {"sed": 1}}}, 400, "did you mean 'seed'"),
+        ("what_if", {"controller": {"name": "random", "parameters": {"seed": "x"}}}, 400, "valid integer"),
+        ("what_if", {"controller": {"name": "fixed", "parameters": {"pump": 101}}}, 400, "0 to 100 W"),
+        ("what_if", {"controller": {"name": "fixed"}, "values": {"pump": 1}}, 400, "either values"),
         ("write", {"point": "pmp", "value": 1}, 400, "pump"),
         ("write", {"point": "pump", "value": 101}, 409, "0 to 100 W"),
         ("what_if", {"values": {"pump": 101}}, 409, "0 to 100 W"),

@@ -208,7 +208,6 @@ def test_room__recording_is_replayed_as_a_node_and_ends_with_the_room(scratch: P
     training(runs / "ppo")
     (scratch / "tank.py").write_text(TANK)
     (runs / "damaged.mcap").write_bytes(b"no recording")
-    settings = {"trainings": runs, "node_settings": {"affinity": "off"}}
     with (
         nothing_left(scratch),
         NodeProgram(scratch / "node", plant=f"{scratch}/tank.py:Tank", name="tank") as node,
@@ -220,9 +219,9 @@ def test_room__recording_is_replayed_as_a_node_and_ends_with_the_room(scratch: P
         bus.step("tank", 600)
         until(lambda: bus.status("tank").step == [600], "it is simulated")
         bus.stop_recording("tank")
-        settings["node_settings"]["connect"] = [node.endpoint]
+        settings = RoomSettings(trainings=runs, node_settings={"connect": [node.endpoint], "affinity": "off"})
         with (
-            control_room(node.endpoint, settings=RoomSettings(**settings)) as server,
+            control_room(node.endpoint, settings=settings) as server,
             httpx.Client(base_url=server.url, headers={"origin": server.url}, timeout=60) as client,
         ):
             client.post("/api/session", json={"token": server.link.partition("#token=")[2]})

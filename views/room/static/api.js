@@ -40,6 +40,14 @@ export function toast(text, isError = false) {
   setTimeout(() => message.remove(), isError ? 12000 : 5000);
 }
 
+/** Copy an element's text; where the browser does not permit that, select it. */
+export async function copyText(element) {
+  try {
+    await navigator.clipboard.writeText(element.textContent);
+    toast("copied");
+  } catch { getSelection().selectAllChildren(element); toast("Press Ctrl-C to copy the selection."); }
+}
+
 /** Request a change of a node, and show the answer; returns whether it was accepted. */
 export async function operate(node, operation, content = {}) {
   try {

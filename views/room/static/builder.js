@@ -1,8 +1,9 @@
 // The scenario builder: a form from the schema of scenarios, the check of the command line, the YAML, and nodes from it.
 
-import { Failure, get, post, toast } from "./api.js";
+import { Failure, copyText, get, post, toast } from "./api.js";
 import { BuilderPoints } from "./builder_points.js";
 import { fill, h, panel, setText } from "./dom.js";
+import { counted } from "./format.js";
 import { field, names, resolve } from "./schema_form.js";
 import { address, change, link, view } from "./view.js";
 
@@ -140,7 +141,7 @@ export class BuilderPage {
     this.yaml = h("pre", { tabindex: 0, role: "region", "aria-label": "Scenario as YAML" });
     this.name = h("input", { id: "scenario-name", value: name, maxlength: 64, pattern: "[A-Za-z0-9_][A-Za-z0-9_.\\-]*", spellcheck: "false", autocomplete: "off", oninput: () => { clearTimeout(this.timer); this.timer = setTimeout(() => this.check(), 500); } });
     const buttons = [
-      h("button", { type: "button", onclick: () => this.copy() }, "Copy"),
+      h("button", { type: "button", onclick: () => copyText(this.yaml) }, "Copy"),
       h("button", { type: "button", onclick: () => this.download() }, "Download"),
       this.form.can_start && h("button", { type: "button", onclick: () => this.save() }, "Save"),
       h("button", { type: "button", onclick: () => { this.fields = { ...EXAMPLE }; this.set("building", EXAMPLE.building); this.build(this.name.value); } }, "New")];
@@ -157,20 +158,13 @@ export class BuilderPage {
       if (this.isClosed) return;
       setText(this.yaml, answer.yaml);
       const count = answer.errors.length;
-      setText(this.status, count ? `${count} error${count === 1 ? "" : "s"}` : `No errors: ${answer.summary}`);
+      setText(this.status, count ? counted(count, "error") : `No errors: ${answer.summary}`);
       this.status.className = count ? "problem" : "fine";
       fill(this.errors, answer.errors.map((text) => h("li", { class: "problem" }, text)), answer.warnings.map((text) => h("li", { class: "muted" }, `warning: ${text}`)));
     } catch (error) { setText(this.status, error.message); this.status.className = "problem"; } finally {
       this.isChecking = false;
       if (this.isStale) { this.isStale = false; this.check(); }
     }
-  }
-
-  async copy() {
-    try {
-      await navigator.clipboard.writeText(this.yaml.textContent);
-      toast("copied");
-    } catch { getSelection().selectAllChildren(this.yaml); toast("Press Ctrl-C to copy the selection."); }
   }
 
   download() {

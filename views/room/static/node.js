@@ -2,16 +2,18 @@
 
 import { get, nodePath, operate } from "./api.js";
 import { fill, h, icon, panel, setAttribute, setText } from "./dom.js";
-import { dateTime, rate, withUnit } from "./format.js";
+import { counted, dateTime, rate, withUnit } from "./format.js";
 import { nodeState, pace } from "./overview.js";
-import { AlarmPanel, ControllerPanel, EventPanel, FaultPanel, WhatIfPanel, confirmDialog, recordDialog } from "./panels.js";
+import { AlarmPanel, ControllerPanel, EventPanel, FaultPanel, confirmDialog, recordDialog } from "./panels.js";
 import { Plans } from "./plan.js";
 import { PointPanel } from "./point.js";
 import { PointTable, ZoneTable } from "./points.js";
 import { District } from "./district.js";
 import { Schematic } from "./schematic.js";
+import { forOperators, mayChange, refusal } from "./session.js";
 import { Trends } from "./trends.js";
 import { change, view } from "./view.js";
+import { WhatIfPanel } from "./what_if.js";
 
 const SPEEDS = [1, 2, 5, 10, 30, 60, 300, 900, 1800, 3600, 7200, 14400, 43200, 86400, 604800];
 const TABS = [["alarms", "Alarms"], ["events", "Events"], ["what-if", "What if"], ["controllers", "Controllers"], ["faults", "Faults"]];
@@ -43,6 +45,7 @@ export class NodePage {
   redraw() { this.trends?.draw(); }
 
   onKey(event) {
+    if (!mayChange()) return;
     if (event.target.closest("button, a, [role=button]") && (event.key === " " || event.key === "Enter")) return;
     if (event.key === " ") { event.preventDefault(); this.togglePause(); }
     if (event.key === "." && this.state?.paused) operate(this.node, "step", { steps: 1 });
@@ -99,7 +102,7 @@ export class NodePage {
     this.schematic?.close();
     const select = (zone) => change({ zone, trend: null }, { replace: true });
     this.problem = h("p", { class: "banner problem", role: "alert", hidden: true });
-    this.warnings = description.warnings.length ? h("details", { class: "banner" }, h("summary", {}, `${description.warnings.length} warnings of the node`), h("ul", {}, description.warnings.slice(0, 50).map((text) => h("li", {}, text)))) : null;
+    this.warnings = description.warnings.length ? h("details", { class: "banner" }, h("summary", {}, `${counted(description.warnings.length, "warning")} of the node`), h("ul", {}, description.warnings.slice(0, 50).map((text) => h("li", {}, text)))) : null;
     this.frame = h("div", { class: "node" });
     const grid = h("div", { class: "grid" });
     fill(this.root, this.bar(), this.problem, this.warnings, this.frame);
@@ -180,15 +183,15 @@ export class NodePage {
     this.steps = h("span", { class: "muted" });
     this.chip = h("span", { class: "chip" });
     this.paceText = h("span", { class: "muted" });
-    this.pauseButton = h("button", { class: "transport", onclick: () => this.togglePause() });
-    this.stepButton = h("button", { class: "transport", "aria-label": "One timestep", title: "One timestep (.)", onclick: () => operate(this.node, "step", { steps: 1 }) }, icon("step"));
-    this.mode = h("select", { "aria-label": "Mode", onchange: () => this.setPace() }, ["lockstep", "paced", "free"].map((mode) => h("option", { value: mode }, mode)));
-    this.speed = h("input", { type: "range", min: 0, max: SPEEDS.length - 1, step: 1, "aria-label": "Speed",
-      oninput: () => { this.isSliding = true; this.showSpeed(); }, onchange: () => { this.isSliding = false; this.mode.value = "paced"; this.setPace(); } });
+    this.pauseButton = h("button", forOperators({ class: "transport", onclick: () => this.togglePause() }));
+    this.stepButton = h("button", forOperators({ class: "transport", "aria-label": "One timestep", title: "One timestep (.)", onclick: () => operate(this.node, "step", { steps: 1 }) }), icon("step"));
+    this.mode = h("select", forOperators({ "aria-label": "Mode", onchange: () => this.setPace() }), ["lockstep", "paced", "free"].map((mode) => h("option", { value: mode }, mode)));
+    this.speed = h("input", forOperators({ type: "range", min: 0, max: SPEEDS.length - 1, step: 1, "aria-label": "Speed",
+      oninput: () => { this.isSliding = true; this.showSpeed(); }, onchange: () => { this.isSliding = false; this.mode.value = "paced"; this.setPace(); } }));
     this.speedText = h("output", { class: "speed" });
-    this.recordButton = h("button", { class: "transport", onclick: () => this.toggleRecording() }, icon("record"));
-    const reset = h("button", { class: "transport", "aria-label": "Reset", title: "Begin a new episode",
-      onclick: () => confirmDialog("Reset", `End this episode of ${this.node} and begin a new one? Its history starts anew.`, () => operate(this.node, "reset")) }, icon("reset"));
+    this.recordButton = h("button", forOperators({ class: "transport", onclick: () => this.toggleRecording() }), icon("record"));
+    const reset = h("button", forOperators({ class: "transport", "aria-label": "Reset", title: "Begin a new episode",
+      onclick: () => confirmDialog("Reset", `End this episode of ${this.node} and begin a new one? Its history starts anew.`, () => operate(this.node, "reset")) }), icon("reset"));
     return h("section", { class: "bar panel", "aria-label": "Time" },
       h("div", { class: "bar-time" }, this.time, h("div", { class: "row" }, this.progress, this.steps)),
       h("div", { class: "bar-state" }, this.chip, this.paceText),
@@ -223,10 +226,10 @@ export class NodePage {
     const label = state.paused ? "Resume" : "Pause";
     if (this.pauseButton.getAttribute("aria-label") !== label) {
       setAttribute(this.pauseButton, "aria-label", label);
-      setAttribute(this.pauseButton, "title", `${label} (space)`);
+      setAttribute(this.pauseButton, "title", refusal() ?? `${label} (space)`);
       fill(this.pauseButton, icon(state.paused ? "play" : "pause"));
     }
-    this.stepButton.disabled = !state.paused;
+    this.stepButton.disabled = !state.paused || !mayChange();
     if (document.activeElement !== this.mode) this.mode.value = state.mode;
     if (!this.isSliding) {
       const nearest = SPEEDS.reduce((best, speed, place) => (Math.abs(Math.log(speed / state.speed)) < Math.abs(Math.log(SPEEDS[best] / state.speed)) ? place : best), 0);
@@ -236,7 +239,7 @@ export class NodePage {
     this.speed.classList.toggle("idle", state.mode !== "paced");
     const isRecording = state.recording && ["armed", "recording"].includes(state.recording.state);
     setAttribute(this.recordButton, "aria-label", isRecording ? "Stop recording" : "Record");
-    setAttribute(this.recordButton, "title", isRecording ? `Recording to ${state.recording.path}; stop` : "Record");
+    setAttribute(this.recordButton, "title", refusal() ?? (isRecording ? `Recording to ${state.recording.path}; stop` : "Record"));
     setAttribute(this.recordButton, "aria-pressed", String(Boolean(isRecording)));
     this.plans?.update(state);
     this.schematic?.update(state);
@@ -273,9 +276,9 @@ export class NodePage {
     if (description.facility) set("facility", withUnit(value(description.facility.point, description.facility.to_kw), "kW"));
     if (description.hvac) set("hvac", withUnit(value(description.hvac.point, description.hvac.to_kw), "kW"));
     const zones = state.zones ?? [];
-    set("comfort", `${zones.filter((zone) => zone.deviation === 0).length} of ${zones.length} zones`);
+    set("comfort", `${zones.filter((zone) => zone.deviation === 0).length} of ${counted(zones.length, "zone")}`);
     const occupied = zones.filter((zone) => zone.deviation && zone.occupied).length;
-    set("occupied", occupied ? `${occupied} zone${occupied === 1 ? "" : "s"}` : "none", occupied ? "bad" : "fine");
+    set("occupied", occupied ? counted(occupied, "zone") : "none", occupied ? "bad" : "fine");
     const open = state.alarms.filter((alarm) => alarm.is_open && alarm.notify === "alarm").length;
     set("alarms", open ? String(open) : "none", open ? "bad" : "fine");
     const names = [...new Set((state.source ?? []).map((place) => state.sources[place]).filter(Boolean))];

@@ -1,10 +1,9 @@
-// Panels of a node: alarms, events, controllers, faults, what if.
+// Panels of a node: alarms, events, controllers, faults.
 
-import { nodePath, operate, post, toast } from "./api.js";
+import { operate, toast } from "./api.js";
 import { fill, h, setText } from "./dom.js";
-import { bytes, duration, num, seconds, shortTime, shown, withUnit, words } from "./format.js";
-import { DURATIONS, priorityName } from "./point.js";
-import { chart, swatch } from "./trends.js";
+import { bytes, duration, num, shortTime, withUnit, words } from "./format.js";
+import { forOperators, mayChange, refusalNote } from "./session.js";
 import { change } from "./view.js";
 
 const ORDER = ["active", "returned", "acknowledged", "shelved", "out_of_service", "suppressed"];
@@ -24,7 +23,7 @@ export class AlarmPanel {
     const focus = this.root.contains(document.activeElement) ? document.activeElement.getAttribute("aria-label") : null;
     alarms.sort((a, b) => ORDER.indexOf(a.state) - ORDER.indexOf(b.state) || (b.raised > a.raised ? 1 : -1));
     fill(this.root, alarms.length ? h("ul", { class: "alarms" }, alarms.map((alarm) => this.item(alarm)))
-      : h("p", { class: "empty" }, state.alarms?.length ? `All ${state.alarms.length} alarms are normal.` : "This node has no alarm rules. Start it with --alarms FILE.yaml."));
+      : h("p", { class: "empty" }, state.alarms?.length ? state.alarms.length === 1 ? "The alarm is normal." : `All ${state.alarms.length} alarms are normal.` : "This node has no alarm rules. Start it with --alarms FILE.yaml."));
     if (focus) this.root.querySelector(`[aria-label="${CSS.escape(focus)}"]`)?.focus();
   }
 
@@ -44,9 +43,9 @@ export class AlarmPanel {
       alarm.text && h("p", { class: "muted" }, alarm.text),
       (alarm.comment || alarm.set_aside_comment) && h("p", { class: "muted" }, `“${alarm.set_aside_comment || alarm.comment}”`),
       h("div", { class: "row wrap" },
-        alarm.is_open && h("button", { class: "small primary", "aria-label": `Acknowledge ${alarm.alarm}`, onclick: () => this.ask("Acknowledge", alarm, (comment) => set("acknowledge", { comment })) }, "Acknowledge"),
-        alarm.state === "shelved" ? h("button", { class: "small", "aria-label": `Unshelve ${alarm.alarm}`, onclick: () => set("unshelve") }, "Unshelve")
-          : alarm.state !== "out_of_service" && longest > 0 && h("button", { class: "small", "aria-label": `Shelve ${alarm.alarm}`, onclick: () => this.ask(`Shelve for ${duration(longest)}`, alarm, (comment) => set("shelve", { duration_s: longest, comment })) }, `Shelve ${duration(longest)}`)));
+        alarm.is_open && h("button", forOperators({ class: "small primary", "aria-label": `Acknowledge ${alarm.alarm}`, onclick: () => this.ask("Acknowledge", alarm, (comment) => set("acknowledge", { comment })) }), "Acknowledge"),
+        alarm.state === "shelved" ? h("button", forOperators({ class: "small", "aria-label": `Unshelve ${alarm.alarm}`, onclick: () => set("unshelve") }), "Unshelve")
+          : alarm.state !== "out_of_service" && longest > 0 && h("button", forOperators({ class: "small", "aria-label": `Shelve ${alarm.alarm}`, onclick: () => this.ask(`Shelve for ${duration(longest)}`, alarm, (comment) => set("shelve", { duration_s: longest, comment })) }), `Shelve ${duration(longest)}`)));
   }
 
   ask(title, alarm, act) {
@@ -128,13 +127,13 @@ export class FaultPanel {
       this.send([...this.faults, fault]);
     };
     fill(root, this.active, this.list,
-      h("form", { class: "stack", onsubmit: add },
+      mayChange() ? h("form", { class: "stack", onsubmit: add },
         h("div", { class: "fields" },
           h("div", {}, h("label", { for: "fault-point" }, "Point"), this.point, options),
           h("div", {}, h("label", { for: "fault-kind" }, "Fault"), this.kind), this.valueField),
         h("div", { class: "row end" },
           h("button", { type: "button", onclick: () => this.send([]) }, "End all faults"),
-          h("button", { class: "primary" }, "Inject"))));
+          h("button", { class: "primary" }, "Inject"))) : refusalNote());
     this.label();
   }
 
@@ -154,133 +153,6 @@ export class FaultPanel {
   update(state) {
     setText(this.active, state.faults?.length ? `Active now: ${state.faults.join(", ")}` : "No injected fault is active.");
   }
-}
-
-export class WhatIfPanel {
-  constructor(root, node, description) {
-    this.node = node;
-    this.description = description;
-    this.changes = new Map();
-    this.rows = h("div", { class: "stack" });
-    this.result = h("div");
-    this.actuators = description.points.filter((point) => point.kind === "actuator");
-    this.hours = h("select", { id: "hours" }, [6, 12, 24, 48].map((hours) => h("option", { value: hours }, `${hours} h`)));
-    this.hours.value = "24";
-    this.priority = h("select", { id: "what-if-priority" }, Array.from({ length: 16 }, (_, place) => h("option", { value: place + 1 }, priorityName(place + 1))));
-    this.priority.value = "8";
-    this.point = h("input", { id: "what-if-point", list: "what-if-points", autocomplete: "off", placeholder: "actuator" });
-    const options = h("datalist", { id: "what-if-points" }, this.actuators.slice(0, 2000).map((point) => h("option", { value: point.name }, point.label)));
-    this.button = h("button", { class: "primary" }, "Simulate");
-    const roles = ["cooling_actuator", "heating_actuator"].filter((role) => description.zones.some((zone) => zone[role] !== null));
-    fill(root,
-      this.actuators.length ? h("form", { class: "stack", onsubmit: (event) => { event.preventDefault(); this.run(); } },
-        h("p", { class: "muted" }, "Simulates the next hours twice on copies of the building: with its commands as they are, and with these values. Controllers do not run on a copy; their last commands stay."),
-        h("div", { class: "row wrap adding" }, roles.map((role) => h("button", { type: "button", class: "small", onclick: () => this.addAll(role) }, `All ${words(role).replace(" actuator", "")} setpoints`)),
-          this.point, options, h("button", { type: "button", class: "small", onclick: () => this.add(this.point.value) }, "Add")),
-        this.rows,
-        h("div", { class: "fields" },
-          h("div", {}, h("label", { for: "hours" }, "Next"), this.hours),
-          h("div", {}, h("label", { for: "what-if-priority" }, "At priority"), this.priority)),
-        h("div", { class: "row end" }, this.button)) : h("p", { class: "empty" }, "This node has no actuators."),
-      this.result);
-  }
-
-  addAll(role) {
-    const names = new Set(this.description.zones.map((zone) => zone[role]).filter((place) => place !== null).map((place) => this.description.points[place].name));
-    this.group(`All ${words(role).replace(" actuator", "")} setpoints`, [...names]);
-  }
-
-  add(name) {
-    const point = this.actuators.find((each) => each.name === name);
-    if (!point) { toast(name ? `There is no actuator ${name}.` : "Name an actuator.", true); return; }
-    this.group(point.label, [name]);
-    this.point.value = "";
-  }
-
-  group(label, names) {
-    if (this.changes.has(label)) return;
-    const place = this.description.points.findIndex((point) => point.name === names[0]);
-    const point = this.description.points[place];
-    const now = this.state?.values?.[place];
-    const input = h("input", { type: "number", step: "any", required: true, "aria-label": label, value: now === null || now === undefined ? "" : Number(now.toFixed(2)), min: point.low ?? undefined, max: point.high ?? undefined });
-    const row = h("div", { class: "row what-if-row" }, h("span", { class: "grow" }, label), input, h("span", { class: "muted unit" }, point.unit),
-      h("button", { type: "button", class: "quiet small", "aria-label": `Remove ${label}`, onclick: () => { this.changes.delete(label); row.remove(); } }, "×"));
-    this.changes.set(label, { names, input });
-    this.rows.append(row);
-    input.focus();
-  }
-
-  values() {
-    const values = {};
-    for (const { names, input } of this.changes.values()) for (const name of names) values[name] = Number(input.value);
-    return values;
-  }
-
-  async run() {
-    const values = this.values();
-    if (!Object.keys(values).length) { toast("Add an actuator and its value first.", true); return; }
-    this.button.disabled = true;
-    setText(this.button, "Simulating …");
-    try {
-      const answer = await post(nodePath(this.node, "what_if"), { values, hours: Number(this.hours.value), priority: Number(this.priority.value) });
-      this.show(answer, values);
-    } catch (error) { toast(error.message, true); } finally {
-      this.button.disabled = false;
-      setText(this.button, "Simulate");
-    }
-  }
-
-  show(answer, values) {
-    const { as_is: asIs, changed, time } = answer;
-    const rows = [["facility_kwh", "Electricity", "kWh"], ["facility_peak_kw", "Peak power", "kW"], ["hvac_kwh", "HVAC electricity", "kWh"], ["degree_hours", "Outside the band, occupied", "K h"], ["degree_hours_always", "Outside the band, always", "K h"]]
-      .filter(([name]) => asIs.totals[name] !== undefined && asIs.totals[name] !== null);
-    const canvas = h("div", { class: "chart" });
-    const apply = async () => {
-      let count = 0;
-      for (const [point, value] of Object.entries(values)) {
-        if (!(await operate(this.node, "write", { point, value, priority: Number(this.priority.value), duration_s: Number(this.hours.value) * 3600 }))) break;
-        count += 1;
-      }
-      toast(`${count} of ${Object.keys(values).length} values applied for ${this.hours.value} h`);
-    };
-    const places = this.affected(answer, values);
-    const choice = h("select", { "aria-label": "Point that is drawn" }, places.map((place) => h("option", { value: place }, this.description.points[place].label)));
-    const legend = h("ul", { class: "legend" });
-    const draw = () => {
-      this.plot?.destroy();
-      fill(canvas);
-      const point = this.description.points[choice.value];
-      const scale = (future) => future.series[choice.value].map((value) => shown(point, value));
-      const series = [{ label: "as is", color: "#7d8a97", dash: [6, 4] }, { label: "what if", color: "#eb6e00" }].map((each, place) =>
-        ({ ...each, unit: point.unit, width: 2, values: scale(place ? changed : asIs), stepped: point.kind === "actuator" }));
-      fill(legend, series.map((each) => h("li", {}, swatch(each), each.label)));
-      this.plot = chart(canvas, { time: time.map(seconds), series, height: 220 });
-      canvas.setAttribute("role", "img");
-      canvas.setAttribute("aria-label", `${point.label}, as is and what if`);
-    };
-    choice.addEventListener("change", draw);
-    const difference = (name) => { const [a, b] = [asIs.totals[name], changed.totals[name]]; return `${b >= a ? "+" : "\u2212"}${num(Math.abs(b - a))}${a ? ` (${b >= a ? "+" : "\u2212"}${num(Math.abs(100 * (b - a) / a), "%")} %)` : ""}`; };
-    fill(this.result, h("h3", {}, `Next ${num(asIs.totals.hours)} h`),
-      h("table", { class: "totals" }, h("thead", {}, h("tr", {}, h("th", { scope: "col" }, ""), ["as is", "what if", "difference"].map((text) => h("th", { scope: "col", class: "number" }, text)))),
-        h("tbody", {}, rows.map(([name, label, unit]) => h("tr", {}, h("th", { scope: "row" }, `${label}, ${unit}`),
-          h("td", { class: "number" }, num(asIs.totals[name])), h("td", { class: "number" }, num(changed.totals[name])),
-          h("td", { class: `number ${changed.totals[name] > asIs.totals[name] + 1e-9 ? "worse" : changed.totals[name] < asIs.totals[name] - 1e-9 ? "better" : ""}` }, difference(name)))))),
-      h("div", { class: "row wrap" }, choice, legend, h("span", { class: "grow" }), h("button", { class: "primary", onclick: apply }, `Apply for ${this.hours.value} h`)), canvas);
-    draw();
-    this.result.scrollIntoView({ block: "nearest" });
-  }
-
-  /** Places of the points that change most, zones and power first. */
-  affected(answer, values) {
-    const { zones, facility, hvac, points } = this.description;
-    const effect = (place) => answer.changed.series[place].reduce((sum, value, row) => sum + Math.abs((value ?? 0) - (answer.as_is.series[place][row] ?? 0)), 0);
-    const temperatures = zones.map((zone) => zone.temperature).sort((a, b) => effect(b) - effect(a));
-    const commanded = Object.keys(values).map((name) => points.findIndex((point) => point.name === name));
-    const rest = points.map((_, place) => place).slice(0, 300).filter((place) => points[place].kind !== "actuator");
-    return [...new Set([...temperatures, facility?.point, hvac?.point, ...commanded, ...rest].filter((place) => place !== undefined && place !== null && place >= 0))].slice(0, 60);
-  }
-
-  update(state) { this.state = state; }
 }
 
 export function recordDialog(node, state) {

@@ -1,8 +1,9 @@
 // One point: its value, its trend, its priority array, and overrides.
 
-import { get, nodePath, operate, toast } from "./api.js";
+import { get, nodePath, operate } from "./api.js";
 import { fill, h, icon, setText } from "./dom.js";
 import { duration, num, seconds, shortTime, shown, withUnit, words } from "./format.js";
+import { forOperators, mayChange, refusalNote } from "./session.js";
 import { chart } from "./trends.js";
 import { change, view } from "./view.js";
 
@@ -38,7 +39,7 @@ export class PointPanel {
         h("button", { class: "quiet", "aria-label": "Close", onclick: () => change({ point: null }) }, icon("close"))),
       h("p", { class: "muted code" }, point.name),
       h("div", { class: "row" }, this.value), this.note, this.canvas,
-      point.kind === "actuator" && [this.form(), h("h3", {}, "Priority array"), this.array],
+      point.kind === "actuator" && [mayChange() ? this.form() : refusalNote(), h("h3", {}, "Priority array"), this.array],
       h("h3", {}, "Events"), this.events);
     fill(root, content);
     content.focus();
@@ -82,7 +83,7 @@ export class PointPanel {
     if (point.kind === "actuator") {
       try {
         this.draw(await get(`${nodePath(this.node, "priorities")}?point=${encodeURIComponent(point.name)}`));
-      } catch (error) { toast(error.message, true); }
+      } catch (error) { fill(this.array, h("p", { class: "muted" }, error.message)); }  // such as a replay, which takes no requests
     }
     await this.trend();
   }
@@ -115,7 +116,7 @@ export class PointPanel {
       h("td", { class: "number" }, withUnit(entry.value, point.unit)),
       h("td", {}, entry.source),
       h("td", {}, entry.expires ? shortTime(entry.expires) : "–"),
-      h("td", {}, h("button", { class: "small", "aria-label": `Relinquish priority ${entry.priority}`, onclick: () => this.relinquish(entry.priority) }, "Relinquish"))));
+      h("td", {}, h("button", forOperators({ class: "small", "aria-label": `Relinquish priority ${entry.priority}`, onclick: () => this.relinquish(entry.priority) }), "Relinquish"))));
     const isBaseline = !used.length;
     fill(this.array, h("table", {},
       h("thead", {}, h("tr", {}, [["Priority", ""], ["Value", "number"], ["By", ""], ["Until", ""], ["", ""]].map(([text, kind]) => h("th", { scope: "col", class: kind || null }, text || h("span", { class: "visually-hidden" }, "Change"))))),
@@ -136,7 +137,7 @@ export class PointPanel {
       const source = state.sources?.[state.source?.[actuator]];
       const command = state.commanded?.[actuator];
       setText(this.note, source ? `Set by ${source}${command === null ? "" : ` to ${withUnit(command, point.unit)}`}` : "Under baseline control");
-      if (!this.input.value && value !== null) this.input.value = Number(value.toFixed(2));
+      if (this.input && !this.input.value && value !== null) this.input.value = Number(value.toFixed(2));
     } else setText(this.note, words(point.kind));
     if (isFirst) this.trend();
     else if (isNew && !this.timer) this.timer = setTimeout(() => { this.timer = null; if (view().point === point.name) this.load(); }, 1500);

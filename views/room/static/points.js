@@ -2,6 +2,7 @@
 
 import { fill, h, icon, setAttribute, setText } from "./dom.js";
 import { num, shown, withUnit, words } from "./format.js";
+import { mayChange } from "./session.js";
 import { change, view } from "./view.js";
 
 const FIRST = 100;
@@ -59,7 +60,7 @@ export class ZoneTable {
       const content = cell(name, "number");
       if (actuator !== null) {
         const point = this.description.points[actuator];
-        cells[`${name}_button`] = h("button", { class: "value", title: `Override ${point.label}`, onclick: () => change({ point: point.name }) });
+        cells[`${name}_button`] = h("button", { class: "value", title: `${mayChange() ? "Override" : "Show"} ${point.label}`, onclick: () => change({ point: point.name }) });
         content.append(cells[`${name}_button`]);
       }
       return content;

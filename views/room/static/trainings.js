@@ -1,8 +1,10 @@
-// Trainings: their learning curves beside each other, live while they train, with a report and a node for each.
+// Trainings: their learning curves beside each other, live while they train, with a report and a node for each; and
+// the recordings in their folder, to replay.
 
 import { get, post, toast } from "./api.js";
 import { fill, h, setAttribute, setText } from "./dom.js";
-import { num, words } from "./format.js";
+import { bytes, counted, num, words } from "./format.js";
+import { forOperators } from "./session.js";
 import { COLORS, chart, swatch } from "./trends.js";
 import { address, change, link, view } from "./view.js";
 
@@ -13,7 +15,7 @@ const count = (value) => num(value, "people");
 export class TrainingsPage {
   constructor(root) {
     this.curves = new Map();
-    this.content = { runs: [], studies: [], reports: {} };
+    this.content = { runs: [], studies: [], recordings: [], reports: {} };
     this.online = new Set();
     this.started = [];
     this.handlers = { overview: (content) => { this.online = new Set(content.nodes.map((each) => each.node)); this.showWatched(); }, started: (content) => { this.started = content.nodes; this.showWatched(); } };
@@ -25,15 +27,21 @@ export class TrainingsPage {
     this.when = h("span", { class: "muted when" });
     this.rows = h("tbody");
     this.watched = h("ul", { class: "started" });
+    this.replayed = h("ul", { class: "started" });
+    this.recordings = h("tbody");
+    const columns = [["Recording"], ["Training"], ["Size", "", "number"], ["", "Actions"]];
     this.studies = h("div", { class: "stack" });
     const heads = [["", "Curve"], ["Training"], ["State"], ["Algorithm"], ["Steps", "", "number"], ["Reward, last 100 episodes", "", "number"], ["Best evaluation", "", "number"], ["References", "", "number"], ["", "Actions"]];
     this.body = h("div", { class: "stack", hidden: true },
       h("section", { class: "panel", "aria-labelledby": "curves-heading" }, h("h2", { id: "curves-heading" }, "Learning curves"),
         h("div", { class: "row wrap" }, h("label", { for: "metric" }, "Metric"), this.metric, h("span", { class: "grow" }), this.when), this.canvas, this.legend, this.watched),
       h("section", { class: "panel", "aria-labelledby": "runs-heading" }, h("h2", { id: "runs-heading" }, "Trainings"),
-        h("div", { class: "scroll runs", tabindex: 0, role: "region", "aria-label": "List of trainings" }, h("table", {}, h("thead", {}, h("tr", {}, heads.map(([text, hidden, kind]) => h("th", { scope: "col", class: kind || null }, text || h("span", { class: "visually-hidden" }, hidden))))), this.rows))),
+        h("div", { class: "scroll runs", tabindex: 0, role: "region", "aria-label": "List of trainings" }, h("table", {}, h("thead", {}, h("tr", {}, heads.map(heading))), this.rows))),
       this.studies);
-    fill(root, h("h2", { class: "visually-hidden" }, "Trainings"), this.empty, this.body);
+    this.recordingsPanel = h("section", { class: "panel recordings-panel", hidden: true, "aria-labelledby": "recordings-heading" }, h("h2", { id: "recordings-heading" }, "Recordings"),
+      h("p", { class: "muted" }, "A replay is a node that publishes a recording again; it takes no commands."), this.replayed,
+      h("div", { class: "scroll runs", tabindex: 0, role: "region", "aria-label": "List of recordings" }, h("table", {}, h("thead", {}, h("tr", {}, columns.map(heading))), this.recordings)));
+    fill(root, h("h2", { class: "visually-hidden" }, "Trainings"), this.empty, this.body, this.recordingsPanel);
     this.observer = new ResizeObserver(() => this.draw());
     this.observer.observe(this.canvas);
     this.poll();
@@ -84,10 +92,11 @@ export class TrainingsPage {
   }
 
   show() {
-    const { runs } = this.content;
-    this.empty.hidden = runs.length > 0;
+    const { runs, recordings } = this.content;
+    this.empty.hidden = runs.length + recordings.length > 0;
     if (!runs.length) setText(this.empty, "There is no training in the folder yet: zenostat train FILE.yaml --output FOLDER/NAME");
     this.body.hidden = !runs.length;
+    this.recordingsPanel.hidden = !recordings.length;
     const metrics = this.metrics();
     if (this.metric.dataset.metrics !== metrics.join()) {
       this.metric.dataset.metrics = metrics.join();
@@ -100,6 +109,8 @@ export class TrainingsPage {
     const focused = document.activeElement?.closest?.("[data-key]")?.dataset.key;
     fill(this.rows, runs.map((each) => this.row(each)));
     fill(this.studies, this.content.studies.map((study) => this.study(study)));
+    fill(this.recordings, recordings.map((each) => this.recording(each)));
+    this.showWatched();
     if (focused) document.querySelector(`[data-key="${CSS.escape(focused)}"]`)?.focus();
   }
 
@@ -118,9 +129,14 @@ export class TrainingsPage {
       h("td", { class: `number ${best ?? ""}` }, num(run.best)), h("td", { class: "number" }, references || "–"),
       h("td", {}, h("div", { class: "row" },
         run.has_report && h("a", { href: `/api/trainings/report?${new URLSearchParams({ name: run.name })}`, target: "_blank", rel: "noopener", "aria-label": `Report of ${run.name}` }, "Report"),
-        h("button", { class: "small", "data-key": `report ${run.name}`, disabled: report?.state === "making", "aria-label": `Make a report of ${run.name}`, onclick: () => this.send("report", { name: run.name }) }, report?.state === "making" ? "Making …" : run.has_report ? "Make again" : "Make report"),
-        run.has_scenario && h("button", { class: "small", "data-key": `watch ${run.name}`, "aria-label": `Watch ${run.name} on a node`, onclick: () => this.watch(run) }, "Watch")),
+        h("button", forOperators({ class: "small", "data-key": `report ${run.name}`, disabled: report?.state === "making", "aria-label": `Make a report of ${run.name}`, onclick: () => this.send("report", { name: run.name }) }), report?.state === "making" ? "Making …" : run.has_report ? "Make again" : "Make report"),
+        run.has_scenario && h("button", forOperators({ class: "small", "data-key": `watch ${run.name}`, "aria-label": `Watch ${run.name} on a node`, onclick: () => this.watch(run) }), "Watch")),
       report?.state === "failed" && h("p", { class: "problem" }, report.text)));
+  }
+
+  recording({ name, run, bytes: size }) {
+    return h("tr", {}, h("th", { scope: "row" }, name), h("td", {}, run ?? "–"), h("td", { class: "number" }, bytes(size)),
+      h("td", {}, h("button", forOperators({ class: "small", "data-key": `replay ${name}`, "aria-label": `Replay ${name}`, onclick: () => this.replay(name) }), "Replay")));
   }
 
   async send(operation, content) {
@@ -130,14 +146,23 @@ export class TrainingsPage {
     } catch (error) { toast(error.message, true); }
   }
 
-  watch(run) {
-    const dialog = h("dialog", { "aria-label": `Watch ${run.name}` });
-    const node = h("input", { id: "watch-node", required: true, maxlength: 128, value: run.name.split("/").at(-1).replace(/[^A-Za-z0-9_.-]/g, "_"), spellcheck: "false" });
-    const speed = h("input", { id: "watch-speed", type: "number", min: 0, step: "any", required: true, value: 3600 });
-    const submit = (event) => { event.preventDefault(); dialog.close(); this.send("watch", { name: run.name, node: node.value, speed: Number(speed.value) }); };
-    fill(dialog, h("form", { class: "stack", onsubmit: submit }, h("h2", {}, "Watch a training"),
-      h("p", {}, "Starts a node from the scenario of the training, controlled by its best model so far. It ends with the control room."),
-      h("label", { for: "watch-node" }, "Name of the node"), node, h("label", { for: "watch-speed" }, "Times the wall clock"), speed,
+  watch({ name }) {
+    this.start("watch", name, "Watch a training", "Starts a node from the scenario of the training, controlled by its best model so far. It ends with the control room.");
+  }
+
+  replay(name) {
+    this.start("replay", name, "Replay a recording", "Starts a node that publishes the recording again, from its begin to its end. It ends with the control room, too.");
+  }
+
+  /** Ask for a node's name and speed, and start it. */
+  start(operation, name, title, text) {
+    const dialog = h("dialog", { "aria-label": `${title}: ${name}` });
+    const proposed = name.split("/").at(-1).replace(/\.mcap$/, "").replace(/[^A-Za-z0-9_.-]/g, "_").replace(/^[.-]+/, "").slice(0, 128);
+    const node = h("input", { id: "start-node", required: true, maxlength: 128, value: proposed || "node", spellcheck: "false" });
+    const speed = h("input", { id: "start-speed", type: "number", min: 0, step: "any", required: true, value: 3600 });
+    const submit = (event) => { event.preventDefault(); dialog.close(); this.send(operation, { name, node: node.value, speed: Number(speed.value) }); };
+    fill(dialog, h("form", { class: "stack", onsubmit: submit }, h("h2", {}, title), h("p", { class: "code" }, name), h("p", {}, text),
+      h("label", { for: "start-node" }, "Name of the node"), node, h("label", { for: "start-speed" }, "Times the wall clock"), speed,
       h("div", { class: "row end" }, h("button", { type: "button", onclick: () => dialog.close() }, "Cancel"), h("button", { class: "primary" }, "Start"))));
     dialog.addEventListener("close", () => dialog.remove());
     document.body.append(dialog);
@@ -146,10 +171,23 @@ export class TrainingsPage {
 
   /** Nodes that were started from this page. */
   showWatched() {
-    const names = new Set(this.content.runs.map((each) => each.name));
-    fill(this.watched, this.started.filter((each) => names.has(each.scenario) && each.state !== "ended").map((each) => h("li", { class: "row wrap" },
-      this.online.has(each.name) ? h("a", { href: address({ node: each.name }, false), onclick: (event) => link(event, { node: each.name }) }, `Open ${each.name}`) : h("span", {}, each.name),
-      h("span", { class: `chip ${each.state === "failed" ? "alarm" : "good"}` }, each.state), h("span", { class: each.text ? "problem" : "muted" }, each.text || `controlled by ${each.scenario}`))));
+    const { runs, recordings } = this.content;
+    this.showStarted(this.watched, runs, "controlled by");
+    this.showStarted(this.replayed, recordings, "replays");
+  }
+
+  showStarted(list, sources, text) {
+    const names = new Set(sources.map((each) => each.name));
+    const focused = list.contains(document.activeElement) ? document.activeElement.dataset.key : null;
+    fill(list, this.started.filter((each) => names.has(each.scenario) && each.state !== "ended").map((each) => h("li", { class: "row wrap" },
+      this.online.has(each.name) ? h("a", { "data-key": `open ${each.name}`, href: address({ node: each.name }, false), onclick: (event) => link(event, { node: each.name }) }, `Open ${each.name}`) : h("span", {}, each.name),
+      h("span", { class: `chip ${each.state === "failed" ? "alarm" : "good"}` }, each.state), h("span", { class: each.text ? "problem" : "muted" }, each.text || `${text} ${each.scenario}`),
+      each.state !== "failed" && h("button", forOperators({ class: "small", "data-key": `end ${each.name}`, "aria-label": `End ${each.name}`, onclick: () => this.end(each.name) }), "End"))));
+    if (focused) list.querySelector(`[data-key="${CSS.escape(focused)}"]`)?.focus();
+  }
+
+  async end(node) {
+    try { toast((await post("/api/builder/stop", { node })).text); } catch (error) { toast(error.message, true); }
   }
 
   // Curves
@@ -215,7 +253,7 @@ export class TrainingsPage {
     const known = new Set(this.content.runs.map((each) => each.name));
     return h("section", { class: "panel", "aria-labelledby": `study-${study.name}` },
       h("h2", { id: `study-${study.name}` }, `Study ${study.name || "of this folder"}`),
-      h("p", { class: "muted" }, `${complete.length} of ${study.trials.length} trials are complete${best ? `; the highest ${study.metric} is ${num(best.value)}, of trial ${best.number}` : ""}.`),
+      h("p", { class: "muted" }, `${complete.length} of ${counted(study.trials.length, "trial")} ${[complete.length, study.trials.length].includes(1) ? "is" : "are"} complete${best ? `; the highest ${study.metric} is ${num(best.value)}, of trial ${best.number}` : ""}.`),
       h("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": `Trials of ${study.name}` }, h("table", {},
         h("thead", {}, h("tr", {}, heads.map(([head, kind]) => h("th", { scope: "col", class: kind ?? null }, head)))),
         h("tbody", {}, study.trials.map((trial) => h("tr", { class: trial === best ? "effective" : null },
@@ -224,6 +262,9 @@ export class TrainingsPage {
           study.varied.map((name) => h("td", {}, parameterText(trial.parameters[name])))))))));
   }
 }
+
+/** The head of a column; one without a text has a name for readers of the screen. */
+const heading = ([text, hidden, kind]) => h("th", { scope: "col", class: kind || null }, text || h("span", { class: "visually-hidden" }, hidden));
 
 /** `evaluation:reward` as `evaluation: reward`. */
 function metricText(metric) {

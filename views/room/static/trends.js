@@ -200,6 +200,7 @@ export class Trends {
     if (state.values === undefined) return;
     if (state.episode !== this.episode) { this.episode = state.episode; this.onView(); return; }
     const { data } = this;
+    if (!this.hasHistory) { this.follow(state); return; }
     if (!data || view().from) return;
     const newer = state.sample_step - data.last;
     if (newer <= 0) return;
@@ -209,6 +210,19 @@ export class Trends {
       data.names.forEach((name, column) => data.values[column].push(state.values[this.byName.get(name).place] ?? null));
       this.draw();
     } else this.later();
+  }
+
+  /** Add a sample of a node that keeps no history, such as a replay or a branch; the lines begin when they are chosen. */
+  follow(state) {
+    const names = this.names();
+    this.data ??= { names, stride: 1, last: -1, time: [], values: names.map(() => []) };
+    const { data } = this;
+    if (!names.length || state.sample_step <= data.last) return;
+    data.last = state.sample_step;
+    data.time.push(seconds(state.time));
+    data.names.forEach((name, column) => data.values[column].push(state.values[this.byName.get(name).place] ?? null));
+    for (const list of [data.time, ...data.values]) if (list.length > MAX_SAMPLES) list.shift();
+    this.draw();
   }
 
   /** Load again soon, but not more often than the page can draw. */
@@ -274,7 +288,7 @@ export class Trends {
     if (!data || !data.time.length || !this.canvas.clientWidth) {
       this.plot?.destroy();
       this.plot = null;
-      const text = this.hasHistory ? this.problem || (this.names().length ? "…" : "Choose points in the table to draw them.") : "This node keeps no history.";
+      const text = this.hasHistory ? this.problem || (this.names().length ? "…" : "Choose points in the table to draw them.") : "This node keeps no history; its next samples are drawn.";
       fill(this.canvas, h("p", { class: "empty" }, text));
       fill(this.legend);
       return;
