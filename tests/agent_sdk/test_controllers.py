@@ -209,7 +209,9 @@ PORTABLE = ("portable-limit", "portable-setback")
 
 
 @pytest.mark.variants
-@pytest.mark.parametrize("name", sorted(set(CONTROLLERS) - {"baseline", "coordinator", "oracle", "pid", *PORTABLE}))
+@pytest.mark.parametrize(
+    "name", sorted(set(CONTROLLERS) - {"baseline", "coordinator", "offsets", "oracle", "pid", *PORTABLE})
+)
 @given(
     samples=st.lists(
         st.tuples(

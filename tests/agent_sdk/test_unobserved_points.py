@@ -121,8 +121,8 @@ def test_unobserved_points__function_gets_the_observed_values_and_the_others_by_
 
 
 @pytest.mark.parametrize(
-    "name", sorted(set(CONTROLLERS) - {"coordinator", "oracle", "portable-limit", "portable-setback"})
-)  # which need a district, a real one or a semantic model
+    "name", sorted(set(CONTROLLERS) - {"coordinator", "offsets", "oracle", "portable-limit", "portable-setback"})
+)  # which need a district, relative actions, a real building or a semantic model
 def test_unobserved_points__controller_reads_observed_points_only(name: str) -> None:
     whole = building(control="building").manifest
     reduced = removed(whole)
