@@ -463,10 +463,12 @@ class Connection:
         return self._send(keys.TRY, node, request, StepsTried)
 
     def finish_trial(self, node: str, pending: PendingReply[StepsTried]) -> StepsTried:
-        """Wait for the reply to a trial that `begin_trial` began; raises as `trial` does."""
+        """Wait for the reply to a trial that `begin_trial` began; raises as `trial` does, `BusError` if cancelled."""
         try:
             return self._receive(node, pending)
         except NodeNotFound:
+            if pending.is_cancelled:
+                raise BusError(f"the trial of node {node!r} was given up") from None
             raise NodeLost(f"node {node!r} is gone") from None
 
 

@@ -40,6 +40,11 @@ class PendingReply(Generic[M]):
         """Let `wait` return None soon, although the node may still work; thread-safe."""
         self._token.cancel()  # type: ignore[no-untyped-call]  # of zenoh, whose stub lacks the type
 
+    @property
+    def is_cancelled(self) -> bool:
+        """Whether `cancel` was called."""
+        return self._token.is_cancelled
+
     def wait(self) -> M | None:
         """Return the reply; None, at once, if no node of that name is on the bus or if it does not know the topic.
 

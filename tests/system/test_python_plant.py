@@ -5,6 +5,7 @@ import random
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from math import nan
@@ -19,10 +20,12 @@ from support.nodes import NodeProgram, hosts_of, node_on_bus, nothing_left, runs
 
 import zenostat
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
+from zenostat.bridge.client.trials import trial_message
 from zenostat.bridge.python_plant.class_plan import plan_class
 from zenostat.bridge.python_plant.node import read_settings
 from zenostat.bridge.python_plant.plant import PythonEngines
 from zenostat.topics.errors import (
+    BusError,
     EngineDied,
     EngineUnresponsive,
     ForkFailed,
@@ -416,6 +419,21 @@ def test_python_plant__trials_of_a_saved_state_use_the_same_processes(own: Build
             kept.clear()
     assert beginning == calculated(3, 5)
     assert [len(hosts) for hosts in kept] == [3]  # the node's own, and one for each alternative
+
+
+@pytest.mark.slow
+def test_python_plant__pending_trial_can_be_cancelled(own: BuildingEnv) -> None:
+    """The client gives up a trial that does not end; the node goes on once it has noticed that itself."""
+    own.reset(seed=3)
+    bus, values = own.link.bus, action(deed="hang").astype(np.float64).tobytes()
+    request = trial_message(1, 1, values, None, at=own.sample.message)
+    pending = bus.begin_trial(own.manifest.node, request.model_copy(update={"controller": own.link.name}))
+    timer = threading.Timer(0.2, pending.cancel)
+    timer.start()
+    with pytest.raises(BusError, match=r"the trial of node '.*' was given up"):
+        bus.finish_trial(own.manifest.node, pending)
+    timer.join()
+    assert trajectory(own, 2) == calculated(3, 2)
 
 
 @pytest.mark.slow
