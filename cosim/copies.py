@@ -180,9 +180,15 @@ class DistrictCopy:
         return run
 
     def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
-        """Simulate a step in each active slot, one after the other; see `RunningPlant.step`."""
+        """Simulate a step in each active slot, at the same time; see `RunningPlant.step`."""
         size = len(commands) // len(self._runs)
-        return [self._run(slot).step(commands[slot * size : (slot + 1) * size]) for slot in active_slots]
+        runs = [self._run(slot) for slot in active_slots]
+        steps = [
+            run.parts(commands[slot * size : (slot + 1) * size]) for slot, run in zip(active_slots, runs, strict=True)
+        ]
+        for _ in zip(*steps, strict=True):  # the plants of all slots begin before those of one are waited for
+            pass
+        return [run.is_over for run in runs]
 
     def values(self) -> bytes:
         """Return the values of all slots; see `RunningPlant.values`."""

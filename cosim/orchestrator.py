@@ -10,7 +10,7 @@ committed: the plants themselves step with its commands, and have its values to 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import fsum
@@ -163,6 +163,15 @@ class Orchestrator:
         Raises:
             SimulatorError: a plant is lost, or cannot be copied for a solved loop.
         """
+        for _ in self.parts(commands):
+            pass
+
+    def parts(self, commands: Mapping[str, Floats]) -> Iterator[None]:
+        """Simulate a step as `step` does, in parts.
+
+        Yields:
+            Nothing, when plants have begun for which the next part waits; other runs may begin theirs then.
+        """
         self._step += 1
         done: dict[str, Rows] = {}
         loops = iter(range(len(self.loops)))
@@ -172,6 +181,7 @@ class Orchestrator:
                 self._begin(name, commands, done)
                 if name in self._binding.markets:
                     self._clear(self._binding.markets[name], commands, done)
+            yield
             for block in group:
                 if block.solved:
                     self._solve(block, next(loops), commands, done)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from math import fsum
 from typing import Any
@@ -105,15 +105,25 @@ class DistrictRun:
 
     def step(self, commands: bytes) -> bool:
         """Simulate a step of all plants; return whether it was the last one."""
+        for _ in self.parts(commands):
+            pass
+        return self.is_over
+
+    @property
+    def is_over(self) -> bool:
+        """Whether the sample is the last one."""
+        return self.steps == self._binding.run_period.steps
+
+    def parts(self, commands: bytes) -> Iterator[None]:
+        """Simulate a step in parts, between which other runs can simulate theirs; see `Orchestrator.parts`."""
         row, own, first = np.frombuffer(commands), dict[str, Floats](), 0
         for name, columns in self._columns.items():
             own[name] = np.full(len(self._binding.members[name].manifest.actuators), np.nan)
             own[name][columns] = row[first : first + len(columns)]
             first += len(columns)
-        self.orchestrator.step(own)
+        yield from self.orchestrator.parts(own)
         self.steps += 1
         self._keep()
-        return self.steps == self._binding.run_period.steps
 
     def capture(self) -> RunState:
         """Return the state at the present sample."""

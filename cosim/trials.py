@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from zenostat.cosim.coupled import CoupledPlant, Floats, GuardedPlant, Rows
+from zenostat.cosim.coupled import LOST, CoupledPlant, Floats, GuardedPlant, Rows
 from zenostat.cosim.file import OnLost
 from zenostat.cosim.market_plant import MarketPlant
 from zenostat.topics.errors import EngineDied, ForkFailed, SimulatorError
@@ -35,17 +35,54 @@ def is_short(timesteps: int, step_s: float, plants: Mapping[str, GuardedPlant]) 
     return timesteps == 1 or timesteps <= min(MAX_TIMESTEPS, MAX_PLANT_TIMESTEPS * shortest_s / step_s)
 
 
+class _Requests:
+    """The steps that the slots of a trial have begun: one request to each plant has those of all slots."""
+
+    def __init__(self) -> None:
+        self._begun: dict[str, tuple[CoupledPlant, list[tuple[TriedPlant, Floats]]]] = {}
+        self._sent: dict[str, tuple[CoupledPlant, list[TriedPlant]]] = {}
+        self._results: dict[TriedPlant, Rows] = {}
+        self._errors: dict[str, Exception] = {}
+
+    def add(self, name: str, plant: CoupledPlant, tried: TriedPlant, commands: Floats) -> None:
+        """Add the commands of a slot, from the present sample on."""
+        self._begun.setdefault(name, (plant, []))[1].append((tried, commands))
+
+    def result(self, name: str, tried: TriedPlant) -> Rows:
+        """Return the samples of a slot; the requests to all plants are sent before the first one is waited for."""
+        if tried not in self._results:
+            if name not in self._sent:
+                self._send()
+            if name in self._errors:
+                raise self._errors[name]
+            plant, slots = self._sent.pop(name)
+            self._results |= dict(zip(slots, plant.finish_trial(), strict=True))
+        return self._results.pop(tried)
+
+    def _send(self) -> None:
+        begun, self._begun = self._begun, {}
+        for name, (plant, orders) in begun.items():
+            try:
+                plant.begin_trial([commands for _, commands in orders])
+            except LOST as error:
+                self._errors[name] = error
+                continue
+            self._sent[name] = plant, [tried for tried, _ in orders]
+
+
 class TriedPlant:
-    """A plant in a trial, which stays at its sample; implements `zenostat.cosim.coupled.CoupledPlant`.
+    """A plant in a slot of a trial, which stays at its sample; implements `zenostat.cosim.coupled.CoupledPlant`.
 
     Args:
+        name: of the plant.
         plant: that tries.
+        requests: of all slots.
     """
 
-    def __init__(self, plant: CoupledPlant) -> None:
-        self._plant = plant
+    def __init__(self, name: str, plant: CoupledPlant, requests: _Requests) -> None:
+        self._name, self._plant, self._requests = name, plant, requests
         self._taken: list[Floats] = []  # commands of the steps of this trial
-        self._steps = 0  # timesteps of the step or of the trial of one that is pending
+        self._steps = 0  # timesteps of the step that is tried
 
     @property
     def manifest(self) -> Manifest:
@@ -59,13 +96,11 @@ class TriedPlant:
     def begin(self, commands: Floats) -> None:
         """Begin the next step of the trial."""
         self._taken.append(commands)
-        self._steps = len(commands)
-        self._plant.begin_trial([np.concatenate(self._taken)])
+        self._requests.add(self._name, self._plant, self, np.concatenate(self._taken))
 
     def finish(self) -> Rows:
         """Return its samples."""
-        (rows,) = self.finish_trial()
-        return rows
+        return _last(self._requests.result(self._name, self), len(self._taken[-1]))
 
     def begin_trial(self, commands: Sequence[Floats]) -> None:
         """Begin to try the next step of the trial."""
@@ -74,8 +109,7 @@ class TriedPlant:
 
     def finish_trial(self) -> list[Rows]:
         """Return the samples of each alternative."""
-        last = slice(-self._steps, None)
-        return [Rows(rows.values[last], rows.effective[last]) for rows in self._plant.finish_trial()]
+        return [_last(rows, self._steps) for rows in self._plant.finish_trial()]
 
     def cancel_trial(self) -> None:
         """Make `finish` raise soon; thread-safe."""
@@ -93,6 +127,10 @@ class TriedPlant:
 
     def close(self) -> None:
         """Do nothing: the plant goes on."""
+
+
+def _last(rows: Rows, timesteps: int) -> Rows:
+    return Rows(rows.values[-timesteps:], rows.effective[-timesteps:])
 
 
 class _GuardedTrial(GuardedPlant):
@@ -119,6 +157,7 @@ class PlantTrials:
             if not plant.is_available:
                 raise ForkFailed(f"plant {name!r} is lost, and a trial has all plants or none")
         self._plants = {name: plant.plant for name, plant in plants.items()}
+        self._requests = _Requests()
 
     def __len__(self) -> int:
         """Return the number of plants."""
@@ -129,7 +168,7 @@ class PlantTrials:
         return {
             name: _GuardedTrial(
                 name,
-                plant.branch("") if isinstance(plant, MarketPlant) else TriedPlant(plant),
+                plant.branch("") if isinstance(plant, MarketPlant) else TriedPlant(name, plant, self._requests),
                 OnLost.STOP,
                 timeout_s=0.0,
                 stop=stop,
@@ -138,8 +177,8 @@ class PlantTrials:
         }
 
     def use(self) -> PlantTrials:
-        """Return these plants."""
-        return self
+        """Raise `ForkFailed`: these plants are at the present sample, and not at that of a copy."""
+        raise ForkFailed("a trial has no copies")
 
     def release(self) -> None:
         """Do nothing: nothing is held."""

@@ -124,6 +124,18 @@ def test_district_trials__plants_of_a_level_try_side_by_side(tmp_path: Path) -> 
     assert log == ["a tries", "b tries", "c tries", "a has tried", "b has tried", "c has tried"]
 
 
+def test_district_trials__plant_has_one_request_for_all_alternatives(tmp_path: Path) -> None:
+    """Those of a loop and of a market, which differ from alternative to alternative, come in turn."""
+    log: list[str] = []
+    plant, plants = district(tmp_path, ACYCLIC, log=log)
+    copy = plant.fork_for_trial([0] * 5, tmp_path, 2)
+    copy.step(commands_of(plant, 5, 3).tobytes(), range(5))
+    assert log == ["a tries", "c tries", "a has tried", "c has tried", "b tries", "b has tried"]
+    assert [plants[name].tries for name in "abc"] == [5, 5, 5]
+    with pytest.raises(ForkFailed, match="a trial has no copies"):
+        copy.fork([0], tmp_path)
+
+
 def test_district_trials__lost_plant_is_named_and_the_district_goes_on(tmp_path: Path) -> None:
     plant, plants = district(tmp_path, ACYCLIC, OnLost.GO_ON)
     commands = commands_of(plant, 3, 1)
