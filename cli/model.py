@@ -25,12 +25,18 @@ if TYPE_CHECKING:
     from zenostat.models.catalog import Entry
 
 _VERSION = "EnergyPlus version of the file"
+_RECORDING = ".mcap"
 _ALIKE = 4
 """More components of one type on one level are shown as their number."""
 
 
 def model(
-    building: Annotated[str, typer.Argument(help="Short name, IDF or epJSON file, or part of a name.")],
+    building: Annotated[
+        str,
+        typer.Argument(
+            help="Short name, IDF or epJSON file, or part of a name; with --brick, also a recording (`.mcap`)."
+        ),
+    ],
     html: Annotated[
         Path | None, typer.Option(help="Write a page with a 3D view to this .html file; it loads nothing.")
     ] = None,
@@ -38,10 +44,15 @@ def model(
         Path | None,
         typer.Option(
             help="Write the semantic model, a Brick graph with references to the points on the bus, to this .ttl file. "
-            "Starts EnergyPlus for a moment, to list the points."
+            "Starts EnergyPlus for a moment, to list the points; those of a recording are in it."
         ),
     ] = None,
-    node: Annotated[str, typer.Option(help="Name of the node that the references of --brick are for.")] = "building",
+    node: Annotated[
+        str | None,
+        typer.Option(
+            help="Name of the node that the references of --brick are for. Default: building, or the recorded node."
+        ),
+    ] = None,
     probe: Annotated[
         str | None,
         typer.Option(
@@ -56,6 +67,8 @@ def model(
 
     Example: `zenostat model office-medium --html office.html`
 
+    Example: `zenostat model run.mcap --brick office.ttl`
+
     Exit codes: 0 without errors in the model, 1 with errors, 2 if the command cannot be run.
     """
     from zenostat.models import catalog
@@ -65,6 +78,9 @@ def model(
     if html is not None and html.suffix.casefold() not in (".html", ".htm"):
         raise InvalidConfig(f"--html {html}: expected an .html file")
     _check_brick(brick, node)
+    if building.casefold().endswith(_RECORDING):
+        _write_recorded_brick(Path(building), node, brick, is_alone=html is None and probe is None and not as_json)
+        return
     entry = catalog.find_building(building)
     try:
         read = read_building(entry)
@@ -83,12 +99,12 @@ def model(
     if _count_errors(description.file, description.diagnostics):
         raise typer.Exit(1)
     if brick is not None:
-        _write_brick(read, building, node, brick)
+        _write_brick(read, building, node or "building", brick)
     if probe is not None:
         _probe({"building": building, "weather": probe, "begin": begin, "end": end}, as_json=as_json)
 
 
-def _check_brick(file: Path | None, node: str) -> None:
+def _check_brick(file: Path | None, node: str | None) -> None:
     """Check the options of the semantic model before anything is read.
 
     Raises:
@@ -99,25 +115,49 @@ def _check_brick(file: Path | None, node: str) -> None:
         return
     if file.suffix.casefold() != ".ttl":
         raise InvalidConfig(f"--brick {file}: expected a .ttl file")
-    check_name(node, "the node's name")
+    if node is not None:
+        check_name(node, "the node's name")
     with requires_extra("semantic", "the semantic model", "rdflib"):
         import rdflib  # noqa: F401
 
 
 def _write_brick(read: Building, building: str, node: str, file: Path) -> None:
     """Write the semantic model of a building with the points that a node has by default."""
-    from zenostat.agent_sdk.semantic import SemanticGraph
     from zenostat.eplus_node.config import read_config, scenario_of
     from zenostat.eplus_node.plan import run_points
     from zenostat.models import catalog
     from zenostat.models.semantic.graph import semantic_turtle
-    from zenostat.topics.atomic_file import atomic_file
 
     weather = catalog.weathers()[0]
     with err.status(f"reading the points of {building} with EnergyPlus"):
         scenario = scenario_of(read_config({"building": building, "weather": weather.name}))
         points = run_points(read, scenario, weather.path, monitoring=True)
-    model = SemanticGraph.parse(semantic_turtle(read, node, points))
+    _write_turtle(semantic_turtle(read, node, points), file)
+
+
+def _write_recorded_brick(recording: Path, node: str | None, file: Path | None, *, is_alone: bool) -> None:
+    """Write the semantic model of a recorded building with the recorded points.
+
+    Raises:
+        InvalidConfig: no file, or another option that needs more than a recording (not `is_alone`).
+        InvalidRecording: it is no recording, or its model is missing or has changed.
+    """
+    if file is None or not is_alone:
+        raise InvalidConfig(f"{recording}: of a recording, only the semantic model is written: --brick FILE.ttl")
+    with requires_extra("recording", "a recording", "mcap and zstandard"):
+        from zenostat.bridge.recording.reader import RecordingReader
+        from zenostat.eplus_node.verify_recording import RecordedPlant
+
+    with RecordingReader(recording) as reader:
+        text = RecordedPlant(reader, exact=True).semantic_turtle(node or reader.manifest.node)
+    _write_turtle(text, file)
+
+
+def _write_turtle(text: str, file: Path) -> None:
+    from zenostat.agent_sdk.semantic import SemanticGraph
+    from zenostat.topics.atomic_file import atomic_file
+
+    model = SemanticGraph.parse(text)
     with atomic_file(file) as temporary:
         temporary.write_text(model.turtle(), encoding="utf-8")
     err.print(f"semantic model: {file} ({counted(len(model.graph), 'statement', ',')})", soft_wrap=True, markup=False)

@@ -51,7 +51,7 @@ def replay(
 ) -> None:
     """Publish a recording under its node's keys, so that monitors and gateways see the building again.
 
-    The node on the bus takes no commands and no requests. Ctrl-C ends the replay. With `--only-commands`, nothing is
+    The node on the bus takes no commands. Ctrl-C ends the replay. With `--only-commands`, nothing is
     published: a controller commands another node as the recorded one was commanded.
 
     Example: `zenostat replay run.mcap --speed 600 --from 07-03T06:00`
@@ -80,6 +80,7 @@ def replay(
     with requires_extra("recording", "a recording", "mcap and zstandard"):
         from zenostat.bridge.recording.reader import RecordingReader
         from zenostat.bridge.recording.replay import Replay, ReplayRange
+        from zenostat.eplus_node.verify_recording import RecordedPlant
     from zenostat.bridge.transport.session import open_session
     from zenostat.topics.keys import Role
 
@@ -99,7 +100,10 @@ def replay(
                 raise
             opened = open_session(connect=connect or endpoints, **settings)  # type: ignore[arg-type]
         session = stack.enter_context(opened)
-        replayed = stack.enter_context(Replay(reader, session, name=name, speed=speed, selected=selected))
+        semantic = RecordedPlant(reader, exact=True).semantic_turtle
+        replayed = stack.enter_context(
+            Replay(reader, session, name=name, speed=speed, selected=selected, semantic=semantic)
+        )
         bars = stack.enter_context(progress())
         task = bars.add_task(f"replaying {file.name} as {replayed.manifest.node}", total=reader.manifest.steps, rate="")
         count = replayed.run(stop, lambda time, step: bars.update(task, completed=step, rate=time))

@@ -16,14 +16,17 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from zenostat.bridge.engine.registry import UNRESPONSIVE_S, EngineRegistry
 from zenostat.bridge.node.plant import PlantContext, PlantFactory, RepeatablePlant, SlotPlacement
-from zenostat.bridge.recording.file import changed_files
+from zenostat.bridge.recording.file import changed_files, file_digest
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.recording.verification import Progress, Verification, Verifier
 from zenostat.bridge.runtime.scratch import Scratch, sweep
-from zenostat.eplus_node.config import read_config
+from zenostat.eplus_node.config import NodeConfig, read_config, scenario_of
 from zenostat.eplus_node.plan import REPEATED_SETTINGS, input_files, plan
 from zenostat.eplus_node.plant import EnergyPlusPlant
+from zenostat.models import catalog
+from zenostat.models.building.model import read_building, with_edits
 from zenostat.models.scenario.schema import Scenario
+from zenostat.models.semantic.graph import semantic_turtle
 from zenostat.topics import yaml12
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, InvalidRecording, UsageError
@@ -136,14 +139,61 @@ class RecordedPlant:
                 raise InvalidRecording(f"what {self._path} recorded cannot be simulated here: {error}") from None
         raise InvalidRecording("its plant is neither a building nor a Python class that Zenostat started")
 
+    def semantic_turtle(self, node: str) -> str:
+        """Return the semantic model of the recorded building as Turtle, with references to the points of a node.
+
+        It is that of the recorded node, if this has its name. The points are those of the recorded manifest; zones,
+        loops and equipment are those of the model, which is read again, if it is the recorded one. It simulates
+        nothing.
+
+        Args:
+            node: name of the node.
+
+        Raises:
+            InvalidRecording: it recorded no building, or its model is missing or has changed.
+        """
+        kind = self._provenance.kind
+        if kind != "energyplus":
+            what = {"python": "a Python class", "district": "a district"}.get(kind, "a plant of an own program")
+            raise InvalidRecording(f"{self._path} recorded {what}, which has no semantic model")
+        try:
+            scenario = scenario_of(self._building_config())
+            entry = catalog.find_building(scenario.building)
+            self._check_model(entry.path)
+            building = with_edits(read_building(entry), scenario.edits)
+        except UsageError as error:
+            if isinstance(error, InvalidRecording):
+                raise
+            recorded = self._provenance.files.get("model")
+            file = f", {recorded.path}" if recorded else ""
+            raise InvalidRecording(
+                f"{self._path} has no semantic model without the model that it recorded{file}: {error}"
+            ) from None
+        return semantic_turtle(building, node, self._reader.manifest)
+
+    def _check_model(self, file: Path) -> None:
+        """Check that a model is the recorded one."""
+        recorded = self._provenance.files.get("model")
+        if recorded is None:
+            raise InvalidRecording(f"{self._path} has no digest of its model, so it has no semantic model")
+        if file_digest(file) != recorded.sha256:
+            raise InvalidRecording(
+                f"{self._path} has no semantic model without the model that it recorded: {file} has changed since; "
+                f"expected the content with SHA-256 {recorded.sha256}"
+            )
+
     def _building(self) -> tuple[PlantFactory, list[str]]:
+        config = self._building_config()
+        changes = self._changes(input_files(config))
+        return partial(EnergyPlusPlant, plan(config)), changes
+
+    def _building_config(self) -> NodeConfig:
+        """Return the recorded scenario and the settings that a recording may repeat."""
         settings = self._provenance.settings
         self._check_names(settings, REPEATED_SETTINGS)
         scenario = yaml12.parse(self._reader.scenario, "its scenario")
         self._check_names(scenario, tuple(Scenario.model_fields))
-        config = read_config(scenario | settings)
-        changes = self._changes(input_files(config))
-        return partial(EnergyPlusPlant, plan(config)), changes
+        return read_config(scenario | settings)
 
     def _check_names(self, settings: Mapping[str, Any], known: Sequence[str]) -> None:
         if foreign := [name for name in settings if name not in known]:

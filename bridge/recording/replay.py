@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import datetime
@@ -29,6 +30,7 @@ from zenostat.topics.messages import (
     Mode,
     Policy,
     ScenarioText,
+    SemanticModel,
     State,
     Status,
     Systems,
@@ -58,6 +60,8 @@ class Replay:
         name: of the node on the bus; None is that of the recorded node.
         speed: simulated seconds per second; None: as in the recording.
         selected: the part to replay.
+        semantic: returns the semantic model of the recorded building as Turtle for the name of a node, or raises a
+            `ZenostatError` that says why there is none; called once, in a thread of its own, when it is asked for.
 
     Raises (on entering):
         NameInUse: a node of that name is on the bus.
@@ -71,6 +75,7 @@ class Replay:
         name: str | None = None,
         speed: float | None = None,
         selected: ReplayRange | None = None,
+        semantic: Callable[[str], str] | None = None,
     ) -> None:
         self._reader, self._session, self._speed = reader, session, speed
         self._selected = selected or ReplayRange()
@@ -78,6 +83,7 @@ class Replay:
         self._instance = str(session.zid())
         self.manifest = self._renamed(reader.manifest)
         self._payload, self._sample = b"", dict[str, Any]()
+        self._semantic, self._semantic_model = semantic, b""
         self._close = ExitStack()
 
     def _renamed(self, manifest: Manifest) -> Manifest:
@@ -94,7 +100,9 @@ class Replay:
             self._publications = self._close.enter_context(Publications(self._session, self.manifest, timer))
             self._answer(keys.MANIFEST.at(self._name), self._answer_manifest)
             self._answer(keys.SAMPLE.at(self._name), self._answer_sample)
-            self._answer(f"{keys.root(self._name)}/rpc/**", self._answer_request)
+            worker = ThreadPoolExecutor(1, "semantic")
+            self._close.callback(worker.shutdown, cancel_futures=True)
+            self._answer(f"{keys.root(self._name)}/rpc/**", self._answer_request, worker)
             token = keys.NODE_TOKEN.at(self._name, name=self._instance)
             self._close.enter_context(self._session.liveliness().declare_token(token))
             undo.pop_all()
@@ -105,16 +113,29 @@ class Replay:
 
     # Requests
 
-    def _answer(self, key: str, answer: Callable[[str], tuple[type[Message], bytes]]) -> None:
-        def on_query(query: zenoh.Query) -> None:
+    def _answer(
+        self,
+        key: str,
+        answer: Callable[[str], tuple[type[Message], bytes]],
+        worker: ThreadPoolExecutor | None = None,
+    ) -> None:
+        """Answer queries; `worker` computes the semantic model, which takes a while."""
+
+        def reply(query: zenoh.Query, asked: str) -> None:
             with query:
-                # The query may be for all nodes, or all requests.
-                asked = key if "*" not in key else self._own_key(str(query.key_expr))
                 try:
                     kind, payload = answer(asked)
                 except RequestRejected as error:
                     kind, payload = ErrorReply, codec.encode(ErrorReply(**errors.to_wire(error)))
                 query.reply(asked, payload, encoding=zenoh.Encoding(codec.encoding(kind)))
+
+        def on_query(query: zenoh.Query) -> None:
+            # The query may be for all nodes, or all requests.
+            asked = key if "*" not in key else self._own_key(str(query.key_expr))
+            if worker is not None and asked == keys.SEMANTIC.at(self._name):
+                worker.submit(reply, query, asked)
+            else:
+                reply(query, asked)
 
         queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
         self._close.callback(queryable.undeclare)
@@ -139,7 +160,18 @@ class Replay:
             return Geometry, codec.encode(self._reader.geometry)
         if key == keys.SYSTEMS.at(self._name) and self._reader.systems is not None:
             return Systems, codec.encode(self._reader.systems)
+        if key == keys.SEMANTIC.at(self._name) and self._semantic is not None:
+            return SemanticModel, self._encoded_semantic(self._semantic)
         raise RequestRejected(f"{self._name} is the replay of a recording and takes no requests")
+
+    def _encoded_semantic(self, semantic: Callable[[str], str]) -> bytes:
+        if not self._semantic_model:
+            try:
+                text = semantic(self._name)
+            except errors.ZenostatError as error:
+                raise RequestRejected(str(error)) from None
+            self._semantic_model = codec.encode(SemanticModel(text=text))
+        return self._semantic_model
 
     def _status(self) -> Status:
         manifest, sample = self.manifest, self._sample

@@ -150,6 +150,13 @@ def test_model__brick_file_of_an_own_building_has_its_zones_and_points(tmp_path:
     assert '"zenostat/v3/office/actuator/*/perimeter_zn_1_cooling_setpoint"' in text
 
 
+def test_model__of_a_recording_writes_its_semantic_model_only() -> None:
+    for options in ([], ["--json"], ["--brick", "a.ttl", "--html", "a.html"]):
+        result = run_in_process("model", "run.mcap", *options, columns=300)
+        assert result.returncode == 2
+        assert "run.mcap: of a recording, only the semantic model is written: --brick FILE.ttl" in plain(result.stderr)
+
+
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [

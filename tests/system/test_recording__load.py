@@ -21,12 +21,14 @@ from support.run_cli import run_in_process as run
 
 import zenostat
 from zenostat import recording
+from zenostat.agent_sdk.semantic import SemanticGraph
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.recording.replay import Replay, ReplayRange
 from zenostat.bridge.transport.session import open_session
+from zenostat.eplus_node.verify_recording import RecordedPlant
 from zenostat.models.catalog import find_weather
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import InvalidConfig, NameInUse, RequestRejected, UnknownName
+from zenostat.topics.errors import InvalidConfig, InvalidRecording, NameInUse, RequestRejected, UnknownName
 from zenostat.topics.messages import Claim, Command, Sample, Write
 from zenostat.topics.recording import RecordedWeather
 
@@ -48,6 +50,7 @@ def seen(module_scratch: Path) -> Any:
         bus.controller("office", name="rbc") as link,
     ):
         name, geometry, systems = link.name, bus.geometry("office"), bus.systems("office")
+        turtle = bus.semantic("office")
         for seed, steps in ((1, 30), (2, 5)):
             sample = link.reset(seed=seed)
             for step in range(steps):
@@ -74,7 +77,9 @@ def seen(module_scratch: Path) -> Any:
                 sample = link.receive()
             samples.append(sample.message)
             sources.append(sample.value_source[SETPOINT])
-    return SimpleNamespace(path=path, samples=samples, sources=sources, name=name, geometry=geometry, systems=systems)
+    return SimpleNamespace(
+        path=path, samples=samples, sources=sources, name=name, geometry=geometry, systems=systems, turtle=turtle
+    )
 
 
 @pytest.mark.slow
@@ -223,7 +228,7 @@ def test_recording__replay_is_the_node_again(seen: Any, session: tuple[zenoh.Ses
     opened, endpoint = session
     with (
         RecordingReader(seen.path) as reader,
-        Replay(reader, opened, speed=1e6) as replay,
+        Replay(reader, opened, speed=1e6, semantic=RecordedPlant(reader, exact=True).semantic_turtle) as replay,
         zenostat.connect(endpoint, affinity="off") as bus,
         bus.listen("office") as samples,
     ):
@@ -244,6 +249,7 @@ def test_recording__replay_is_the_node_again(seen: Any, session: tuple[zenoh.Ses
         assert bus.scenario("office") == reader.scenario
         assert bus.geometry("office") == seen.geometry
         assert bus.systems("office") == seen.systems
+        assert bus.semantic("office") == seen.turtle
         with pytest.raises(RequestRejected, match="is the replay of a recording and takes no requests"):
             bus.claim("office", Claim(controller="rbc"))
         with pytest.raises(NameInUse, match="'office' is on this bus already"):
@@ -289,6 +295,38 @@ def test_recording__replay_command(seen: Any, folder: Path) -> None:
     done = run("replay", str(seen.path), "--from", "soon", "--listen", endpoint)
     assert done.returncode != 0
     assert "--from soon: expected a date and time" in done.stderr
+
+
+def test_recording__brick_file_is_the_semantic_model_of_the_node(seen: Any, scratch: Path) -> None:
+    file = scratch / "office.ttl"
+    done = run("model", str(seen.path), "--brick", str(file))
+    assert done.returncode == 0, done.stderr
+    assert file.read_text() == SemanticGraph.parse(seen.turtle).turtle()
+    done = run("model", str(seen.path), "--brick", str(file), "--node", "twin")
+    assert done.returncode == 0, done.stderr
+    assert '"zenostat/v3/twin/actuator/*/core_zn_cooling_setpoint"' in file.read_text()
+
+
+@pytest.mark.parametrize(
+    ("provenance", "reason"),
+    [
+        ({"kind": "python"}, r"recorded a Python class, which has no semantic model$"),
+        ({"files": {}}, r"has no digest of its model"),
+        ({"files": {"model": {"path": "/a.idf", "sha256": "0"}}}, r"has changed since; expected the content .* 0$"),
+        (
+            {"settings": {"building": "/gone/a.idf"}, "files": {"model": {"path": "/gone/a.idf", "sha256": "0"}}},
+            r"no semantic model without the model that it recorded, /gone/a\.idf: ",
+        ),
+    ],
+)
+def test_recording__semantic_model_names_what_is_missing(
+    seen: Any, scratch: Path, provenance: dict[str, Any], reason: str
+) -> None:
+    with RecordingReader(seen.path) as reader:
+        changed = {**reader.provenance, **provenance}
+    path = rewrite(seen.path, scratch / "changed.mcap", provenance=changed)
+    with RecordingReader(path) as reader, pytest.raises(InvalidRecording, match=reason):
+        RecordedPlant(reader, exact=True).semantic_turtle("office")
 
 
 def test_recording__loading_warns_of_nothing_where_nothing_is_wrong(seen: Any) -> None:
