@@ -9,7 +9,6 @@ from __future__ import annotations
 import argparse
 import csv
 import json
-import math
 import re
 import shutil
 from collections.abc import Mapping, Sequence
@@ -154,10 +153,14 @@ def run(folder: Path, buildings: Sequence[str], trials: int | None, workers: int
         plain = result.plain() | {
             "building": building, "errors": _errors(result), "truth_error": truth_error,
         }  # fmt: skip
-        for name, parameter in config.parameters.items():
-            plain["parameters"][name] |= {"truth": parameter.truth, "range": list(parameter.ends), "log": parameter.log,
-                                          "place": parameter.to_unit(result.values[name]),
-                                          "true_place": parameter.to_unit(float(parameter.truth or 0.0))}  # fmt: skip
+        for determined in result.parameters:
+            parameter = config.parameters[determined.name]
+            plain["parameters"][determined.name] |= {
+                "truth": parameter.truth,
+                "place": parameter.to_unit(determined.value),
+                "places": [parameter.to_unit(determined.low), parameter.to_unit(determined.high)],
+                "true_place": parameter.to_unit(float(parameter.truth or 0.0)),
+            }
         with atomic_file(case / "summary.json") as temporary:
             temporary.write_text(json.dumps(plain, indent=1) + "\n", encoding="utf-8")
 
@@ -246,13 +249,9 @@ def _statement(summaries: Sequence[Mapping[str, Any]]) -> str:
 
 def _outside(parameter: Mapping[str, Any]) -> float:
     """Return how far the truth is outside the interval of a parameter, as share of its range."""
-    low, high = map(float, parameter["range"])
-
-    def place(value: float) -> float:
-        return math.log(value / low) / math.log(high / low) if parameter["log"] else (value - low) / (high - low)
-
+    low, high = map(float, parameter["places"])
     true = float(parameter["true_place"])
-    return max(place(parameter["low"]) - true, true - place(parameter["high"]), 0.0)
+    return max(low - true, true - high, 0.0)
 
 
 def _markdown(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
