@@ -12,7 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.lab.calibration.config import Calibration
-from zenostat.lab.calibration.determination import Determined, Linearization, determine, linearize, points, stepped
+from zenostat.lab.calibration.derivatives import Derivatives, derivatives, points
+from zenostat.lab.calibration.determination import Determined, Linearization, determine, linearize, stepped
 from zenostat.lab.calibration.measured import MeasuredData
 from zenostat.lab.calibration.objective import (
     ColumnErrors,
@@ -39,8 +40,12 @@ from zenostat.lab.workers import RunAll, worker_pool
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
 
-_GAIN = 0.01
-"""Share by which a step has to lower the error, so that another one follows."""
+_GAIN = 0.001
+"""Share by which a step has to lower the error, so that another one follows.
+
+Near the optimum the error is that of the noise, and changes little: of n residuals, one standard deviation of a
+parameter raises it by about 1 / (2 n).
+"""
 
 SCRATCH = "runs"
 """Folder of running simulations, below that of the calibration."""
@@ -172,24 +177,37 @@ def calibrate(
 def _refine(
     setting: Setting, best: tuple[dict[str, float], float], run_all: RunAll
 ) -> tuple[tuple[dict[str, float], float], Linearization]:
-    """Return the best values and their error after steps from the best trial, and the objective around them."""
+    """Return the best values and their error after steps from the best trial, and the objective around them.
+
+    The derivatives serve for further steps until one does not lower the error; then they are computed anew, as in the
+    end.
+    """
     config, data, scales = setting.config, setting.data, setting.scales
 
     def simulate(values: Sequence[Mapping[str, float]]) -> list[Hours]:
         return simulate_all(setting.simulator, values, config.periods, run_all)
 
+    def derive() -> list[Derivatives]:
+        return derivatives(config, data, best[0], center, simulate(points(config, best[0])))
+
+    def around() -> Linearization:
+        return linearize(compare(data, center), derived, scales, config.adjustable)
+
     (center,) = simulate([best[0]])
-    for last in (*[False] * config.refine, True):
-        linear = linearize(config, data, scales, best[0], center, simulate(points(config, best[0])))
-        if last:
-            break
-        near = stepped(config, best[0], linear.step)
+    derived, has_moved = derive(), False
+    for _ in range(config.refine):
+        near = stepped(config, best[0], around().step)
         (hours,) = simulate([near])
         error = objective(compare(data, hours), scales, config.adjustable)
-        if error > best[1] * (1.0 - _GAIN):
+        if error <= best[1] * (1.0 - _GAIN):
+            best, center, has_moved = (near, error), hours, True
+        elif has_moved:
+            derived, has_moved = derive(), False
+        else:
             break
-        best, center = (near, error), hours
-    return best, linear
+    if has_moved:
+        derived = derive()
+    return best, around()
 
 
 def _part(hours: Hours, periods: Sequence[Days]) -> Mapping[Days, Floats]:

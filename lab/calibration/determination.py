@@ -4,12 +4,15 @@ Around a point, simulated values are taken as linear in the parameters, on the s
 With residuals r, derivatives J and their means over the n rows of a column, the gradient of the squared objective is
 -2 sum(w g r) with g = J / (n R^2) + mean(J) / (n B^2), where R and B are the RMSE and the mean bias that count as 1. So
 
-    step       = inv(A) sum(w g r)              A = sum(w g J')
-    covariance = inv(A inv(C) A + 12)           C = sum(w^2 g g' r^2 (1 + q) / (1 - q))
+    precision  = A inv(C) A + 12                A = sum(w g J')
+    covariance = inv(precision)                 C = sum(w^2 g g' r^2 (1 + q) / (1 - q))
+    step       = covariance A inv(C) sum(w g r)
 
-which is the covariance of an M-estimator (Huber 1967, White 1980: errors of any variance) with the number of
-independent residuals n (1 - q) / (1 + q) of a series with the lag-1 autocorrelation q (Bayley and Hammersley 1946), and
-with a uniform distribution over the range, of variance 1/12, before any measurement.
+which is the covariance of an M-estimator (Huber 1967, White 1980: errors of any variance, as those that grow with the
+value) with the number of independent residuals n (1 - q) / (1 + q) of a series with the lag-1 autocorrelation q (Bayley
+and Hammersley 1946), and with a uniform distribution over the range, of variance 1/12, before any measurement. The
+products in A are those of two independent estimates of the derivatives, see `zenostat.lab.calibration.derivatives`; a
+direction of the parameters in which they are not positive is not determined at all.
 
 The interval of a parameter joins the 95 % confidence interval with the span of all trials whose error is at most the
 best one's times 1 + margin. The confidence interval is that of the best values, of the optimum to which the step leads,
@@ -28,13 +31,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.lab.calibration.config import Calibration, Parameter
-from zenostat.lab.calibration.measured import MeasuredData
-from zenostat.lab.calibration.objective import Compared, Hours, Scales, compare
+from zenostat.lab.calibration.derivatives import Derivatives
+from zenostat.lab.calibration.objective import Compared, Scales
 
 Floats = NDArray[np.float64]
-
-STEP = 0.05
-"""Step of the derivatives, as share of a range."""
 
 _NORMAL_95 = 1.959963984540054
 _AT_END = 0.01
@@ -98,18 +98,6 @@ class Determined:
         }  # fmt: skip
 
 
-def points(config: Calibration, best: Mapping[str, float]) -> list[dict[str, float]]:
-    """Return the values to simulate for the derivatives: for each parameter, a step towards the middle of its range."""
-    return [
-        {**best, name: parameter.from_unit(parameter.to_unit(best[name]) + _step(parameter, best[name]))}
-        for name, parameter in config.parameters.items()
-    ]
-
-
-def _step(parameter: Parameter, value: float) -> float:
-    return STEP if parameter.to_unit(value) < 0.5 else -STEP
-
-
 @dataclass(frozen=True)
 class Linearization:
     """The objective around a point of the search.
@@ -124,40 +112,39 @@ class Linearization:
 
 
 def linearize(
-    config: Calibration, data: MeasuredData, scales: Scales, center: Mapping[str, float], at_center: Hours,
-    at_points: Sequence[Hours],
-) -> Linearization:  # fmt: skip
+    compared: Sequence[Compared], derived: Sequence[Derivatives], scales: Scales, adjustable: int
+) -> Linearization:
     """Return step and covariance at a point; see the module.
 
     Args:
-        config: the calibration.
-        data: measured data.
+        compared: measured and simulated values of each column at the point.
+        derived: derivatives of each column there, or at a point nearby.
         scales: RMSE and mean bias of each column that count as 1.
-        center: values at the point.
-        at_center: simulated hours there.
-        at_points: simulated hours with `points`.
+        adjustable: number that is subtracted from that of the rows, as in the objective.
     """
-    count = len(config.parameters)
-    sides = [compare(data, hours) for hours in at_points]
+    count = derived[0].inner.shape[1]
     curvature, noise, gradient = np.zeros((count, count)), np.zeros((count, count)), np.zeros(count)
-    for number, each in enumerate(compare(data, at_center)):
-        slopes = [
-            (sides[place][number].simulated - each.simulated) / _step(parameter, center[name])
-            for place, (name, parameter) in enumerate(config.parameters.items())
-        ]
-        derivatives = np.stack(slopes, axis=1)
-        residuals, free = each.measured - each.simulated, max(len(each.measured) - config.adjustable, 1)
+    for each, slopes in zip(compared, derived, strict=True):
+        residuals, free = each.measured - each.simulated, max(len(each.measured) - adjustable, 1)
         spread, bias = scales[each.column.header]
-        pull = derivatives / (free * spread**2) + derivatives.sum(axis=0) / (free * bias) ** 2
         weight = each.column.settings.weight
-        curvature += weight * pull.T @ derivatives
+        inner, pull = (
+            part / (free * spread**2) + part.sum(axis=0) / (free * bias) ** 2 for part in (slopes.inner, slopes.mean)
+        )
+        curvature += weight * inner.T @ slopes.outer
         gradient += weight * pull.T @ residuals
         squares = residuals**2 + (_EXACT * spread) ** 2
         noise += weight**2 * (pull * squares[:, None]).T @ pull * _dependence(each)
-    precision = curvature.T @ np.linalg.pinv(noise, rcond=_SINGULAR, hermitian=True) @ curvature
-    covariance = np.asarray(np.linalg.inv(precision + 12.0 * np.eye(count)), np.float64)
-    step = np.asarray(np.linalg.pinv(curvature, rcond=_SINGULAR) @ gradient, np.float64)
-    return Linearization(step, covariance)
+    curvature = _positive(curvature)
+    gain = curvature @ np.linalg.pinv(noise, rcond=_SINGULAR, hermitian=True)
+    covariance = np.asarray(np.linalg.inv(gain @ curvature + 12.0 * np.eye(count)), np.float64)
+    return Linearization(np.asarray(covariance @ gain @ gradient, np.float64), covariance)
+
+
+def _positive(curvature: Floats) -> Floats:
+    """Return the nearest symmetric matrix without negative eigenvalues."""
+    values, directions = np.linalg.eigh((curvature + curvature.T) / 2.0)
+    return np.asarray((directions * np.maximum(values, 0.0)) @ directions.T, np.float64)
 
 
 def _dependence(each: Compared) -> float:
