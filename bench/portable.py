@@ -1,7 +1,7 @@
 """Portable controllers on many buildings: savings against the building's own control, and what each building lacks.
 
 python -m bench.portable run RESULTS.json       # simulate; buildings that the file has already are kept
-python -m bench.portable table RESULTS.json     # show it, and write it into docs/semantic.md
+python -m bench.portable table RESULTS.json     # show the tables, and write them into docs/semantic.md
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ BUILDINGS = (
 )  # fmt: skip
 """Twenty of the bundled buildings, small ones first."""
 
-WEATHER, BEGIN, END = "USA_CO_Denver", "07-05", "07-06"
-"""Two weekdays; on the first one the controllers learn the building's own setpoints and arrival times."""
+WEATHER = "USA_CO_Denver"
+SEASONS: Mapping[str, tuple[str, str]] = {"July": ("07-05", "07-06"), "January": ("01-11", "01-12")}
+"""Two weekdays each; on the first one the controllers learn the building's own setpoints and arrival times."""
 
 CONTROLLERS: Mapping[str, type[Controller] | None] = {
     "own control": None,
@@ -40,16 +41,17 @@ CONTROLLERS: Mapping[str, type[Controller] | None] = {
     "portable-limit": PortableDemandLimit,
 }
 PAGE = Path(__file__).parents[1] / "docs" / "semantic.md"
-BEGIN_MARK, END_MARK = "<!-- table of bench.portable -->", "<!-- end of the table -->"
+BEGIN_MARK, END_MARK = "<!-- tables of bench.portable -->", "<!-- end of the tables -->"
+GAS = "HVAC:NaturalGas"
 J_PER_KWH = 3.6e6
 
 
-def simulate(building: str) -> dict[str, Any]:
+def simulate(building: str, begin: str, end: str) -> dict[str, Any]:
     """Run all controllers in a node of a building; return energy, peak and unmet hours of each, and what it lacks."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-    settings = ("--building", building, "--weather", WEATHER, "--begin", BEGIN, "--end", END, "--steps-per-hour", "6")
+    settings = ("--building", building, "--weather", WEATHER, "--begin", begin, "--end", end, "--steps-per-hour", "6")
     program = [sys.executable, "-m", "zenostat", "node", *settings, "--name", "portable", "--listen", endpoint]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as node:
         try:
@@ -66,20 +68,22 @@ def _episode(bus: zenostat.Bus, kind: type[Controller] | None, model: semantic.S
     manifest = bus.manifest("portable")
     controller = None if kind is None else kind(manifest)
     agent = None if controller is None else Agent(controller, semantic=lambda: model)
-    hvac = [meter.name for meter in manifest.meters if meter.meter.startswith("HVAC:")]
+    hvac = {meter.name: meter.meter for meter in manifest.meters if meter.meter.startswith("HVAC:")}
     unmet = [name for name in ("unmet_heating_time", "unmet_cooling_time") if name in manifest.names]
-    energy_j = peak_w = unmet_h = 0.0
+    energy_j = dict.fromkeys(hvac, 0.0)
+    peak_w = unmet_h = 0.0
     with bus.controller("portable") as link:
         link.reset(seed=0)
         for sample in link:
             if sample.step:
-                energy_j += sum(sample[name] for name in hvac)
+                energy_j = {name: value + sample[name] for name, value in energy_j.items()}
                 peak_w = max(peak_w, sample["electricity_facility"] / manifest.step_s)
                 unmet_h += sum(sample[name] for name in unmet)
             if not sample.truncated:
                 sample.send({} if agent is None else agent.values(sample))
     return {
-        "hvac_kwh": energy_j / J_PER_KWH,
+        "hvac_kwh": sum(energy_j.values()) / J_PER_KWH,
+        "hvac_gas_kwh": sum(value for name, value in energy_j.items() if hvac[name] == GAS) / J_PER_KWH,
         "peak_kw": peak_w / 1000.0,
         "unmet_h": unmet_h,
         "lacks": getattr(controller, "lacks", []),
@@ -87,18 +91,21 @@ def _episode(bus: zenostat.Bus, kind: type[Controller] | None, model: semantic.S
 
 
 def rows(results: Mapping[str, Any]) -> list[tuple[str, ...]]:
-    """Return a row of the table for each building."""
-    table = []
+    """Return the columns of a season's table, and a row for each building."""
+    has_gas = all("hvac_gas_kwh" in episode for episodes in results.values() for episode in episodes.values())
+    columns = ["HVAC energy", *(["HVAC gas"] if has_gas else []), "peak", "unmet hours"]
+    table = [("building", *(f"{name}: {column}" for name in ("setback", "limit") for column in columns), "lacks")]
     for building, episodes in results.items():
         own = episodes["own control"]
         cells = [building]
         for name in ("portable-setback", "portable-limit"):
             episode = episodes[name]
-            cells += [
-                f"{_saving(own['hvac_kwh'], episode['hvac_kwh'])} %",
-                f"{_saving(own['peak_kw'], episode['peak_kw'])} %",
-                f"{episode['unmet_h'] - own['unmet_h']:+.1f} h",
-            ]
+            cells.append(f"{_saving(own['hvac_kwh'], episode['hvac_kwh'])} %")
+            if has_gas:
+                gas = own["hvac_gas_kwh"], episode["hvac_gas_kwh"]
+                cells.append(f"{_saving(*gas)} %" if gas[0] else "none")
+            cells.append(f"{_saving(own['peak_kw'], episode['peak_kw'])} %")
+            cells.append(f"{episode['unmet_h'] - own['unmet_h']:+.1f} h")
         lacks = dict.fromkeys(text for episode in episodes.values() for text in episode["lacks"])
         table.append((*cells, "; ".join(lacks)))
     return table
@@ -109,36 +116,36 @@ def _saving(own: float, value: float) -> str:
     return f"{saved + 0.0:.1f}"  # no negative zero
 
 
-COLUMNS = (
-    "building", "setback: HVAC energy", "peak", "unmet hours", "limit: HVAC energy", "peak", "unmet hours", "lacks",
-)  # fmt: skip
-
-
-def write_page(table: Sequence[tuple[str, ...]]) -> None:
-    """Replace the table in the page."""
-    lines = [COLUMNS, ("---",) * len(COLUMNS), *table]
-    text = "".join(f"| {' | '.join(line)} |\n" for line in lines)
+def write_page(tables: Mapping[str, Sequence[tuple[str, ...]]]) -> None:
+    """Replace the tables in the page."""
+    text = ""
+    for season, (columns, *table) in tables.items():
+        lines = [columns, ("---",) * len(columns), *table]
+        text += f"{season}:\n\n" + "".join(f"| {' | '.join(line)} |\n" for line in lines) + "\n"
     marked = re.compile(f"{BEGIN_MARK}.*{END_MARK}", re.DOTALL)
-    page = marked.sub(lambda _: f"{BEGIN_MARK}\n\n{text}\n{END_MARK}", PAGE.read_text(encoding="utf-8"))
+    page = marked.sub(lambda _: f"{BEGIN_MARK}\n\n{text}{END_MARK}", PAGE.read_text(encoding="utf-8"))
     PAGE.write_text(page, encoding="utf-8")
 
 
 def main(action: str, file: Path) -> None:
-    """Simulate the buildings that the file lacks, or show the table."""
+    """Simulate the buildings that the file lacks, or show the tables."""
     results: dict[str, Any] = json.loads(file.read_text()) if file.exists() else {}
     if action == "run":
-        for building in BUILDINGS:
-            if building not in results:
-                results[building] = simulate(building)
-                with atomic_file(file) as temporary:
-                    temporary.write_text(json.dumps(results, indent=1) + "\n")
-    table = rows(results)
-    shown = Table(*COLUMNS)
-    for row in table:
-        shown.add_row(*row)
-    Console().print(shown)
+        for season, (begin, end) in SEASONS.items():
+            buildings = results.setdefault(season, {})
+            for building in BUILDINGS:
+                if building not in buildings:
+                    buildings[building] = simulate(building, begin, end)
+                    with atomic_file(file) as temporary:
+                        temporary.write_text(json.dumps(results, indent=1) + "\n")
+    tables = {season: rows(buildings) for season, buildings in results.items() if buildings}
+    for season, (columns, *table) in tables.items():
+        shown = Table(*columns, title=season)
+        for row in table:
+            shown.add_row(*row)
+        Console().print(shown)
     if action == "table":
-        write_page(table)
+        write_page(tables)
 
 
 if __name__ == "__main__":
