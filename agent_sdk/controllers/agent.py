@@ -90,7 +90,8 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None], sample: Sa
     by its range, then by order. So matching a chilled water temperature never compromises comfort.
 
     A relative action is the mean offset of its actuators to their values under baseline control, which `sample` has,
-    clipped to the action's bounds; 0 if they are relinquished.
+    clipped to the action's bounds; 0 if they are relinquished. Values at a bound of their actuator, which may have been
+    clipped, do not count; if all are at one, the action is the largest offset. So `values_of` gives the values again.
 
     Raises:
         InvalidConfig: an action is relative and there is no sample.
@@ -119,11 +120,14 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None], sample: Sa
 
 def _offset(action: Action, values: Mapping[str, float | None], sample: SampleView | None) -> float:
     baseline = baseline_values(action, sample)
-    offsets = [
-        0.0 if (value := values.get(name)) is None else value - own
-        for name, own in zip(action.actuators, baseline, strict=True)
-    ]
-    offset = sum(offsets) / len(offsets)
+    actuators = {a.name: a for a in sample.manifest.actuators} if sample is not None else {}
+    offsets, inner = [], []
+    for name, own in zip(action.actuators, baseline, strict=True):
+        value = values.get(name)
+        offsets.append(0.0 if value is None else value - own)
+        if value is None or value not in bounds(actuators[name]):
+            inner.append(offsets[-1])
+    offset = sum(inner) / len(inner) if inner else max(offsets, key=abs)
     if not np.isfinite(offset):
         raise InvalidAction(f"{action.name} = {offset}; expected a finite number")
     low, high = bounds(action)

@@ -10,7 +10,8 @@ from itertools import product
 from typing import Any
 
 from zenostat.lab.benchmark.observation import sensors, wrappers
-from zenostat.lab.benchmark.recipes import LEARNING, RULES, TRAINING_SEEDS, form, recipe, residual, seed_of
+from zenostat.lab.benchmark.recipes import EVALUATION, LEARNING, TRAINING_SEEDS, form, recipe, residual, seed_of
+from zenostat.lab.benchmark.recipes import rule as rule_of
 
 VERSION = 2
 
@@ -93,7 +94,7 @@ BASELINES: dict[str, dict[str, Any]] = {
     "sac": {},
     "oracle": {"horizon": 4.0, "samples": 8, "iterations": 1, "block": 1.0},
 }
-"""Controllers of the benchmark with their parameters. `tuned` is `rbc` with parameters that are tuned, and `ppo` and
+"""Controllers of the benchmark with their parameters. `tuned` is a rule with parameters that are tuned, and `ppo` and
 `sac` are trained, for each building and season on the training weather."""
 
 BASELINE, TUNED = "baseline", "tuned"
@@ -154,6 +155,7 @@ class BenchmarkSet:
         training_steps: steps by the name of the algorithm, for each building and season.
         training_seeds: numbers of the trainings of each algorithm, for each building and season.
         tuning: trials, and episode seeds of each trial, of the tuning of `tuned`, for each building and season.
+        evaluations: number of evaluations of a training, besides the one before its first step.
     """
 
     name: str
@@ -165,6 +167,7 @@ class BenchmarkSet:
     training_steps: Mapping[str, int]
     training_seeds: tuple[int, ...]
     tuning: tuple[int, tuple[int, ...]]
+    evaluations: int
 
     def tasks(self) -> list[Task]:
         """Return all tasks."""
@@ -219,13 +222,13 @@ class BenchmarkSet:
             rule: parameters of `tuned`, on which residual actions build; None: those of the rule's defaults.
         """
         arguments = self.arguments(building, season, TRAINING_WEATHERS[0])
-        fields = recipe(algorithm, building, season)
+        fields, steps = recipe(algorithm, building, season), self.training_steps[algorithm]
         return {
             "algorithm": algorithm,
             "scenario": arguments.pop("scenario"),
-            "steps": self.training_steps[algorithm],
+            "steps": steps,
             "seed": seed_of(training_seed),
-            "evaluation": False,
+            "evaluation": {"every_steps": steps // self.evaluations, **EVALUATION},
             "threads": 1,
             **fields,
             "wrappers": [*self.wrappers(building), *residual(algorithm, building, season, rule)],
@@ -236,8 +239,8 @@ class BenchmarkSet:
         """Return the arguments of `tune_controller` for `tuned` in a building and season."""
         trials, seeds = self.tuning
         return {
-            **RULES,
-            "arguments": self.arguments(building, season, TRAINING_WEATHERS[0]),
+            **rule_of(building),
+            "arguments": self.arguments(building, season, TRAINING_WEATHERS[0]) | form(TUNED, building, season),
             "weathers": list(TRAINING_WEATHERS),
             "seeds": list(seeds),
             "trials": trials,
@@ -272,15 +275,15 @@ _FULL_SEEDS = tuple(range(LOWEST_SCORED_SEED, LOWEST_SCORED_SEED + 5))
 SETS = {
     "smoke": BenchmarkSet(
         "smoke", ("ref-small-office", "ref-warehouse"), ("summer",), HELD_OUT_WEATHERS[:1], _FULL_SEEDS[:1], 3,
-        {"ppo": 672, "sac": 700}, (0,), (4, (0,)),
+        {"ppo": 672, "sac": 700}, (0,), (4, (0,)), 1,
     ),
     "quick": BenchmarkSet(
         "quick", tuple(BUILDINGS), tuple(SEASONS), HELD_OUT_WEATHERS[:2], _FULL_SEEDS[:1], 7,
-        {"ppo": 43_008, "sac": 10_752}, (0,), (30, (0,)),
+        {"ppo": 21_504, "sac": 10_752}, (0,), (30, (0,)), 4,
     ),
     "full": BenchmarkSet(
         "full", tuple(BUILDINGS), tuple(SEASONS), HELD_OUT_WEATHERS, _FULL_SEEDS, 7,
-        {"ppo": 150_528, "sac": 32_256}, tuple(range(TRAINING_SEEDS)), (60, (0, 1)),
+        {"ppo": 150_528, "sac": 32_256}, tuple(range(TRAINING_SEEDS)), (60, (0, 1)), 14,
     ),
 }  # fmt: skip
 """`smoke` is a test of the program, `quick` is for a look, `full` is the published one."""

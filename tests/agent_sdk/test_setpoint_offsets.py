@@ -6,14 +6,17 @@ from datetime import datetime
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from support.builders import actuator, manifest, meter, sensor, view
 from support.controller_nodes import PEOPLE, ROOM, node
 
-from zenostat.agent_sdk.controllers import Agent, BaselineController, SetpointOffsets
+from zenostat.agent_sdk.controllers import Agent, BaselineController, SetpointOffsets, action_of
+from zenostat.agent_sdk.controllers.agent import values_of
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.lab.evaluate import run_episode
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.messages import Manifest
+from zenostat.topics.messages import Action, Manifest
 
 MONDAY = datetime(2017, 1, 16)
 OWN = {"heating_own": 15.0, "cooling_own": 30.0}
@@ -86,6 +89,40 @@ def test_setpoint_offsets__needs_relative_actions() -> None:
         SetpointOffsets(node(actuator("heating_setpoint", 15.0, 22.5)))
     with pytest.raises(InvalidConfig, match="shed_cooling = -1"):
         SetpointOffsets(office(), shed_cooling=-1.0)
+
+
+def hall_and_office(bound: float = 20.0) -> Manifest:
+    """One offset for the heating setpoints of a hall and an office."""
+    names = ("hall", "office")
+    actuators = tuple(actuator(name, 7.2, 22.5).model_copy(update={"baseline_sensor": f"{name}_own"}) for name in names)
+    own = tuple(sensor(f"{name}_own", "Schedule Value", name) for name in names)
+    of = manifest(sensors=(ROOM, *own), actuators=actuators)
+    action = Action(name="heating", unit="K", low=-bound, high=bound, actuators=names, relative=True)
+    return of.model_copy(update={"task": of.task.model_copy(update={"actions": (action,)})})
+
+
+@given(st.floats(-20.0, 20.0, width=32), st.floats(7.2, 22.5), st.floats(7.2, 22.5))
+def test_action_of__is_the_offset_of_the_values_unless_all_are_clipped(
+    offset: float, hall: float, office: float
+) -> None:
+    of = hall_and_office()
+    sample = view(of, hall_own=hall, office_own=office)
+
+    def effective(action: float) -> list[float]:
+        values = values_of(of, [action], sample)  # None: the building's own value
+        return [own if (value := values[name]) is None else value for name, own in (("hall", hall), ("office", office))]
+
+    (again,) = action_of(of, values_of(of, [offset], sample), sample)
+    if any(7.2 < own + offset < 22.5 for own in (hall, office)):
+        assert again == pytest.approx(offset, abs=1e-5)
+    assert effective(again) == pytest.approx(effective(offset), abs=1e-5)
+
+
+def test_action_of__cold_hall_does_not_halve_the_setback_of_its_office() -> None:
+    of = hall_and_office()
+    sample = view(of, hall_own=7.2, office_own=21.0)
+    assert action_of(of, {"hall": 7.2, "office": 16.0}, sample).tolist() == [-5.0]
+    assert action_of(of, {"hall": None, "office": 16.0}, sample).tolist() == [-2.5]  # the hall is left as it is
 
 
 @pytest.mark.slow

@@ -128,10 +128,15 @@ def _learned(scores: Sequence[Scores]) -> Table | None:
     rows, buildings = [], list(by_name["tuned"].buildings)
     for name in names:
         overall, of_building = differences(by_name[name], by_name["tuned"])
-        wins = sum(of_building[building].value > 0.0 for building in buildings)
+        wins = sum(of_building[building].low > 0.0 for building in buildings)
         cells = [interval_text(of_building[building]) for building in buildings]
         rows.append((name, interval_text(overall), *cells, f"{wins} of {len(buildings)}"))
-    columns = ("controller", "all", *(BUILDINGS.get(name, name) for name in buildings), "buildings above 0")
+    columns = (
+        "controller",
+        "all",
+        *(BUILDINGS.get(name, name) for name in buildings),
+        "buildings above 0, with the whole interval",
+    )
     return Table("Score of learned controllers minus that of `tuned` in the same episodes", columns, tuple(rows))
 
 
