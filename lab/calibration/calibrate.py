@@ -196,11 +196,13 @@ def _refine(
     (center,) = simulate([best[0]])
     derived, has_moved = derive(), False
     for _ in range(config.refine):
-        near = stepped(config, best[0], around().step)
-        (hours,) = simulate([near])
-        error = objective(compare(data, hours), scales, config.adjustable)
-        if error <= best[1] * (1.0 - _GAIN):
-            best, center, has_moved = (near, error), hours, True
+        linear = around()
+        near = [stepped(config, best[0], step) for step in (linear.step, linear.newton)]
+        simulated = simulate(near)
+        errors = [objective(compare(data, hours), scales, config.adjustable) for hours in simulated]
+        nearest = errors.index(min(errors))
+        if errors[nearest] <= best[1] * (1.0 - _GAIN):
+            best, center, has_moved = (near[nearest], errors[nearest]), simulated[nearest], True
         elif has_moved:
             derived, has_moved = derive(), False
         else:

@@ -103,18 +103,22 @@ class Linearization:
     """The objective around a point of the search.
 
     Attributes:
-        step: step to the optimum of the linearized model, shape (parameters,), on the scale of the search.
+        step: step to the optimum of the linearized model, given that each parameter is within its range before any
+            measurement, shape (parameters,), on the scale of the search.
+        newton: the same from the measurement alone: longer, and the better one far from the optimum, where residuals
+            are no noise.
         covariance: covariance of the parameters there, shape (parameters, parameters).
     """
 
     step: Floats
+    newton: Floats
     covariance: Floats
 
 
 def linearize(
     compared: Sequence[Compared], derived: Sequence[Derivatives], scales: Scales, adjustable: int
 ) -> Linearization:
-    """Return step and covariance at a point; see the module.
+    """Return steps and covariance at a point; see the module.
 
     Args:
         compared: measured and simulated values of each column at the point.
@@ -138,7 +142,8 @@ def linearize(
     curvature = _positive(curvature)
     gain = curvature @ np.linalg.pinv(noise, rcond=_SINGULAR, hermitian=True)
     covariance = np.asarray(np.linalg.inv(gain @ curvature + 12.0 * np.eye(count)), np.float64)
-    return Linearization(np.asarray(covariance @ gain @ gradient, np.float64), covariance)
+    newton = np.asarray(np.linalg.pinv(curvature, rcond=_SINGULAR, hermitian=True) @ gradient, np.float64)
+    return Linearization(np.asarray(covariance @ gain @ gradient, np.float64), newton, covariance)
 
 
 def _positive(curvature: Floats) -> Floats:
