@@ -19,7 +19,7 @@ from zenostat.agent_sdk.controllers.base import (
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidAction, InvalidConfig, did_you_mean
-from zenostat.topics.messages import Action, DiscreteAction, Manifest
+from zenostat.topics.messages import Action, Actuator, DiscreteAction, Manifest
 from zenostat.topics.points import bounds, contains, describe_violation, value_index
 
 
@@ -119,13 +119,11 @@ def action_of(manifest: Manifest, values: Mapping[str, float | None], sample: Sa
 
 
 def _offset(action: Action, values: Mapping[str, float | None], sample: SampleView | None) -> float:
-    baseline = baseline_values(action, sample)
-    actuators = {a.name: a for a in sample.manifest.actuators} if sample is not None else {}
     offsets, inner = [], []
-    for name, own in zip(action.actuators, baseline, strict=True):
-        value = values.get(name)
+    for actuator, own in _baseline(action, sample):
+        value = values.get(actuator.name)
         offsets.append(0.0 if value is None else value - own)
-        if value is None or value not in bounds(actuators[name]):
+        if value is None or value not in bounds(actuator):
             inner.append(offsets[-1])
     offset = sum(inner) / len(inner) if inner else max(offsets, key=abs)
     if not np.isfinite(offset):
@@ -134,17 +132,18 @@ def _offset(action: Action, values: Mapping[str, float | None], sample: SampleVi
     return min(max(offset, low), high)
 
 
-def baseline_values(action: Action, sample: SampleView | None) -> list[float]:
-    """Return the value of each actuator of a relative action under baseline control in the next timestep.
+def _baseline(action: Action, sample: SampleView | None) -> list[tuple[Actuator, float]]:
+    """Return each actuator of a relative action with its value under baseline control in the next timestep.
 
     Raises:
         InvalidConfig: there is no sample.
     """
     if sample is None:
         raise InvalidConfig(f"action {action.name!r} is relative to the building's own control; a sample is needed")
-    sensors = {a.name: a.baseline_sensor for a in sample.manifest.actuators}
+    actuators = {a.name: a for a in sample.manifest.actuators}
     points, index = sample.fault_free_values, value_index(sample.manifest)
-    return [float(points[index[str(sensors[name])]]) for name in action.actuators]
+    members = [actuators[name] for name in action.actuators]
+    return [(actuator, float(points[index[str(actuator.baseline_sensor)]])) for actuator in members]
 
 
 def _value(action: Action, values: Mapping[str, float | None]) -> float:
@@ -194,9 +193,8 @@ def at_offset(action: Action, offset: float, sample: SampleView | None) -> Value
     """Return the values of a relative action's actuators; None for an offset of 0."""
     if not offset:
         return dict.fromkeys(action.actuators)
-    actuators = {a.name: a for a in sample.manifest.actuators} if sample is not None else {}
     values: Values = {}
-    for name, own in zip(action.actuators, baseline_values(action, sample), strict=True):
-        low, high = bounds(actuators[name])
-        values[name] = min(max(own + offset, low), high)
+    for actuator, own in _baseline(action, sample):
+        low, high = bounds(actuator)
+        values[actuator.name] = min(max(own + offset, low), high)
     return values

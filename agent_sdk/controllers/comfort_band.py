@@ -69,3 +69,9 @@ def default_setback(manifest: Manifest) -> float:
 def rewarded_temperatures(manifest: Manifest) -> tuple[str, ...]:
     """Return the names of the temperature sensors in the task's reward; empty if it names none."""
     return tuple(getattr(comfort_reward(manifest), "temperatures", None) or ())
+
+
+def apart(setpoints: Band) -> Band:
+    """Return a heating and a cooling setpoint, or their offsets, that do not cross: both their mean if they would."""
+    low, high = setpoints
+    return (low, high) if low <= high else ((low + high) / 2, (low + high) / 2)

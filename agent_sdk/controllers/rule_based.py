@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, ActionBinding, Role, bind_actions
 from zenostat.agent_sdk.controllers.base import Controller, Values
-from zenostat.agent_sdk.controllers.comfort_band import Band, comfort_bands, default_setback, inside
+from zenostat.agent_sdk.controllers.comfort_band import Band, apart, comfort_bands, default_setback, inside
 from zenostat.agent_sdk.controllers.demand_limiting import DemandLimiter
 from zenostat.agent_sdk.controllers.occupancy_times import OccupancyTimes
 from zenostat.agent_sdk.controllers.optimum_start import OptimumStart
@@ -180,7 +180,7 @@ class RuleBasedController(Controller):
         heating, cooling = self._margins
         if heating is None and cooling is None:
             return low, high
-        return _apart((low if heating is None else band[0] + heating, high if cooling is None else band[1] - cooling))
+        return apart((low if heating is None else band[0] + heating, high if cooling is None else band[1] - cooling))
 
     def _with_prices(self, setpoints: Band, now: datetime) -> Band:
         """Return the setpoints of occupied zones, shifted before and in hours of high prices."""
@@ -190,7 +190,7 @@ class RuleBasedController(Controller):
         if self._prices.is_peak(now):
             return low - self._shed_k[0], high + self._shed_k[1]
         if self._prices.is_before_peak(now):
-            return _apart((low + self._store_k[0], high - self._store_k[1]))
+            return apart((low + self._store_k[0], high - self._store_k[1]))
         return setpoints
 
     def _is_occupied(self, binding: ActionBinding, comfort: Band, measured: NDArray[np.float64], now: datetime) -> bool:
@@ -230,12 +230,6 @@ def _amounts(**values: float) -> tuple[float, float]:
     """Return an amount of heating and one of cooling setpoints, K, both at least 0."""
     heating, cooling = (number(name, value, minimum=0.0) for name, value in values.items())
     return heating, cooling
-
-
-def _apart(setpoints: Band) -> Band:
-    """Return a heating and a cooling setpoint that do not cross."""
-    low, high = setpoints
-    return (low, high) if low <= high else ((low + high) / 2, (low + high) / 2)
 
 
 def _outdoor_index(manifest: Manifest) -> int:

@@ -10,11 +10,13 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.controllers.action_roles import SETPOINTS, ActionBinding, Role, bind_actions, setpoint_pairs
 from zenostat.agent_sdk.controllers.agent import at_offset
 from zenostat.agent_sdk.controllers.base import Controller, Values
+from zenostat.agent_sdk.controllers.comfort_band import apart
 from zenostat.agent_sdk.controllers.occupancy_times import OccupancyTimes
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, number
 from zenostat.agent_sdk.controllers.price_peaks import PricePeaks
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.messages import Action, Manifest
+from zenostat.topics.points import bounds
 
 Offsets = tuple[float, float]
 """Offset of heating setpoints and of cooling setpoints, K."""
@@ -122,13 +124,9 @@ class SetpointOffsets(Controller):
         return any(arrival - self._lead <= now < arrival + self._step for arrival in expected)
 
     def _apart(self, offsets: Offsets) -> Offsets:
-        heating, cooling = offsets
-        if not self._can_cross or heating <= cooling:
-            return offsets
-        return (heating + cooling) / 2, (heating + cooling) / 2
+        return apart(offsets) if self._can_cross else offsets
 
 
 def _clip(action: Action, offset: float) -> float:
-    low = -np.inf if action.low is None else action.low
-    high = np.inf if action.high is None else action.high
-    return float(min(max(offset, low), high))
+    low, high = bounds(action)
+    return min(max(offset, low), high)

@@ -27,7 +27,7 @@ class KeptCopies:
         self._numbers = itertools.count(1)
 
     def lend(self, originals: Sequence[EngineClient], folder: Path) -> list[EngineClient]:
-        """Return a copy of each process at its sample; one process may be given several times.
+        """Return a copy of each process at its sample; one process may occur several times.
 
         Args:
             originals: the processes.
@@ -57,7 +57,7 @@ class KeptCopies:
         return copies
 
     def _ordered(self, original: EngineClient, state: Path) -> EngineClient:
-        """Return a copy that was told to restore a state."""
+        """Return a copy that has the order to restore a state."""
         for copy in self._waiting():
             try:
                 copy.send_restore(state)

@@ -10,8 +10,16 @@ from itertools import product
 from typing import Any
 
 from zenostat.lab.benchmark.observation import sensors, wrappers
-from zenostat.lab.benchmark.recipes import EVALUATION, LEARNING, TRAINING_SEEDS, form, recipe, residual, seed_of
-from zenostat.lab.benchmark.recipes import rule as rule_of
+from zenostat.lab.benchmark.recipes import (
+    EVALUATION,
+    LEARNING,
+    TRAINING_SEEDS,
+    form,
+    recipe,
+    residual,
+    rule_of,
+    seed_of,
+)
 
 VERSION = 2
 

@@ -27,7 +27,7 @@ from zenostat.lab.benchmark.definition import (
 )
 from zenostat.lab.benchmark.prepared import preparation_of, read_record
 from zenostat.lab.benchmark.processor_time import processor_s
-from zenostat.lab.benchmark.recipes import rule
+from zenostat.lab.benchmark.recipes import rule_of
 from zenostat.lab.benchmark.results_file import Row
 from zenostat.lab.benchmark.two_loop_pid import TwoLoopPID
 from zenostat.lab.evaluate import run_episode, without_actuators
@@ -139,7 +139,7 @@ def _controller(job: Job, manifest: Manifest, episode: Episode) -> Any:
         file = preparation_of(episode, job.set, job.cache).file
         if name == TUNED:
             return make_controller(
-                load_controller(rule(episode.task.building)["controller"]), manifest, read_record(file)["parameters"]
+                load_controller(rule_of(episode.task.building)["controller"]), manifest, read_record(file)["parameters"]
             )
         return make_controller(load_controller(str(file)), manifest, {})
     if name == "pid":

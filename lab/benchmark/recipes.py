@@ -95,7 +95,7 @@ _SHIFTS: dict[str, Any] = {
 }
 
 
-def rule(building: str) -> dict[str, Any]:
+def rule_of(building: str) -> dict[str, Any]:
     """Return controller, search space and sampler of `tuned` in a building, for `zenostat.lab.tuning.tune_controller`.
 
     The defaults of `offsets`, which are the first trial, are the baseline control.
@@ -133,7 +133,7 @@ def residual(algorithm: str, building: str, season: str, tuned: Mapping[str, Any
     if not is_residual(algorithm, building, season):
         return []
     offset = _fields(algorithm, building, season)[_RESIDUAL]
-    controller = rule(building)["controller"]
+    controller = rule_of(building)["controller"]
     return [{"wrapper": "ResidualAction", "controller": controller, "parameters": dict(tuned or {}), "offset": offset}]
 
 

@@ -107,15 +107,13 @@ class EvaluationCallback(BaseCallback):
         mark_normalized(self.model)
         self._set_due()
         if self._at_start and self.num_timesteps == 0:
-            with preserve_random_state():
-                self._evaluate()
+            self._evaluate()
 
     def _on_step(self) -> bool:
         self.training_episodes += int(np.count_nonzero(self.locals["dones"]))
         if self._count() >= self._due:
             self._set_due()
-            with preserve_random_state():
-                self._evaluate()
+            self._evaluate()
         return True
 
     def _count(self) -> int:
@@ -128,6 +126,7 @@ class EvaluationCallback(BaseCallback):
     def _on_training_end(self) -> None:
         self.close()
 
+    @preserve_random_state()
     def _evaluate(self) -> None:
         env = self._evaluation_env()
         wrapper_text = _copy_wrapper_state(self.training_env, env)
