@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from datetime import datetime, timedelta
 
 import numpy as np
@@ -54,6 +55,26 @@ class OccupancyTimes:
     def is_assumed(self, people: People, now: datetime) -> bool:
         """Return whether empty zones count as occupied because nobody has been observed yet."""
         return people not in self._largest and now.hour in OPEN_HOURS
+
+    def is_occupied(
+        self,
+        people: People,
+        measured: NDArray[np.float64],
+        now: datetime,
+        is_started: Callable[[datetime], bool],
+    ) -> bool:
+        """Return whether zones are occupied, or are preconditioned for people who are expected.
+
+        Args:
+            people: the occupant counts of the zones.
+            measured: values of the sample.
+            now: its time.
+            is_started: whether preconditioning for an arrival at a time has started.
+        """
+        if self.is_present(people, measured, now) or self.is_assumed(people, now):
+            return True
+        expected = self.expected(people, now)
+        return any(now < arrival + self._step and is_started(arrival) for arrival in expected)
 
     def expected(self, people: People, now: datetime) -> tuple[datetime, ...]:
         """Return the next times at which people are expected: today, unless they came already, and tomorrow."""

@@ -123,7 +123,6 @@ class RuleBasedController(Controller):
                 f"the rule-based controller needs an action that sets a heating or cooling setpoint, a water "
                 f"temperature, an availability or a storage; node {manifest.node!r} has none"
             )
-        self._step = manifest.timestep
         self._plant = PlantRules(self._margin_k)
         self._occupancy = OccupancyTimes(manifest.timestep, threshold)
         self._start = self._optimum_start(start_rate, start_outdoor, start_longest, start_learning)
@@ -198,12 +197,9 @@ class RuleBasedController(Controller):
         people = binding.people
         if self._start is not None:
             self._start.observe(binding.action.name, self._distance_k(binding, comfort, measured), now)
-        if self._occupancy.is_present(people, measured, now) or self._occupancy.is_assumed(people, now):
-            return True
-        for expected in self._occupancy.expected(people, now):
-            if now < expected + self._step and self._is_started(binding, comfort, measured, expected, now):
-                return True
-        return False
+        return self._occupancy.is_occupied(
+            people, measured, now, lambda arrival: self._is_started(binding, comfort, measured, arrival, now)
+        )
 
     def _is_started(
         self, binding: ActionBinding, comfort: Band, measured: NDArray[np.float64], expected: datetime, now: datetime

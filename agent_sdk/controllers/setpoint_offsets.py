@@ -82,7 +82,7 @@ class SetpointOffsets(Controller):
         self._empty = number("heating_empty", heating_empty), number("cooling_empty", cooling_empty)
         self._lead = timedelta(hours=number("lead", lead, minimum=0.0, maximum=23.0))
         threshold = number("occupancy_threshold", occupancy_threshold, minimum=0.0, maximum=1.0)
-        self._occupancy, self._step = OccupancyTimes(manifest.timestep, threshold), manifest.timestep
+        self._occupancy = OccupancyTimes(manifest.timestep, threshold)
         self._store = number("preheating", preheating, minimum=0.0), -number("precooling", precooling, minimum=0.0)
         self._shed = (
             -number("shed_heating", shed_heating, minimum=0.0),
@@ -117,11 +117,7 @@ class SetpointOffsets(Controller):
         return heating + change[0], cooling + change[1]
 
     def _is_occupied(self, binding: ActionBinding, measured: NDArray[np.float64], now: datetime) -> bool:
-        people = binding.people
-        if self._occupancy.is_present(people, measured, now) or self._occupancy.is_assumed(people, now):
-            return True
-        expected = self._occupancy.expected(people, now)
-        return any(arrival - self._lead <= now < arrival + self._step for arrival in expected)
+        return self._occupancy.is_occupied(binding.people, measured, now, lambda arrival: arrival - self._lead <= now)
 
     def _apart(self, offsets: Offsets) -> Offsets:
         return apart(offsets) if self._can_cross else offsets
