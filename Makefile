@@ -4,7 +4,11 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt
+# Setuptools warns of each editable installation.
+PIP_INSTALL := -m pip install --quiet --disable-pip-version-check
+INSTALL := PYTHONWARNINGS=ignore $(BIN)/python $(PIP_INSTALL) -c constraints.txt
+# The pip of an older Python takes a minute more to choose the versions.
+environment = $(PYTHON) -m venv $(1) && $(1)/bin/python $(PIP_INSTALL) -c constraints.txt pip
 WORKERS ?= 2
 SECONDS ?= 120
 
@@ -12,7 +16,7 @@ SECONDS ?= 120
 
 $(VENV):
 	$(PYTHON) -c 'import sys; sys.exit(None if sys.version_info >= (3, 11) else "Zenostat needs Python 3.11 or newer")'
-	$(PYTHON) -m venv $(VENV)
+	$(call environment,$(VENV))
 
 # What the README shows, and what the tests need besides (torch among it), in one environment, in either order.
 $(READY): pyproject.toml constraints.txt | $(VENV)
@@ -43,8 +47,8 @@ LOWEST_TESTS := tests/agent_sdk/test_lowest_versions.py tests/agent_sdk/test_act
 	tests/agent_sdk/test_wrappers__named_values.py tests/system/test_environment__other_libraries.py
 
 $(LOWEST)/.ready: pyproject.toml constraints-lowest.txt
-	$(PYTHON) -m venv $(LOWEST)
-	$(LOWEST)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints-lowest.txt \
+	$(call environment,$(LOWEST))
+	PYTHONWARNINGS=ignore $(LOWEST)/bin/python $(PIP_INSTALL) -c constraints-lowest.txt \
 		-e . pytest pytest-timeout hypothesis
 	touch $@
 
@@ -56,8 +60,8 @@ RAY_TESTS := tests/agent_sdk/test_ray.py tests/system/test_environment__other_li
 
 # Ray pins an older Gymnasium than the one that is tested otherwise.
 $(RAY)/.ready: pyproject.toml constraints-ray.txt
-	$(PYTHON) -m venv $(RAY)
-	$(RAY)/bin/python -m pip install --quiet --disable-pip-version-check -c constraints-ray.txt \
+	$(call environment,$(RAY))
+	PYTHONWARNINGS=ignore $(RAY)/bin/python $(PIP_INSTALL) -c constraints-ray.txt \
 		-e '.[ray,multi-agent]' torchrl pytest pytest-timeout hypothesis
 	touch $@
 
@@ -78,15 +82,15 @@ matrix-%:
 	done; echo "Python $* is not on this machine: skipped."
 
 .venv-3.%/.ready: pyproject.toml constraints.txt
-	$(PYTHON) -m venv .venv-3.$*
-	.venv-3.$*/bin/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[test]'
+	$(call environment,.venv-3.$*)
+	PYTHONWARNINGS=ignore .venv-3.$*/bin/python $(PIP_INSTALL) -c constraints.txt -e '.[test]'
 	touch $@
 
 check: $(READY)-dev  ## Format, lint, types
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy --num-workers $(WORKERS)
-	$(BIN)/python .ci/check_source.py
+	$(BIN)/python .ci/check_source.py & \
+	$(BIN)/mypy --num-workers $(WORKERS); types=$$?; wait $$! && exit $$types
 
 bench: $(READY)-dev  ## What a step costs, as ratios within one run; results in bench/results/
 	$(BIN)/python -m bench

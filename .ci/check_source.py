@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import ast
+import gc
 import re
 import sys
 from collections.abc import Iterable, Iterator
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -38,9 +40,15 @@ PUBLIC = {"cli"}
 SIMULATORS = {"pyenergyplus": {"models", "eplus_node"}}
 
 
+@cache  # each check walks over all modules
+def nodes(tree: ast.Module) -> tuple[ast.AST, ...]:
+    """A module's nodes, breadth first."""
+    return tuple(ast.walk(tree))
+
+
 def names(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """Lines and names of what a module defines: variables, attributes, parameters, functions, classes."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         match node:
             case ast.Name(id=name, ctx=ast.Store()) | ast.Attribute(attr=name, ctx=ast.Store()) | ast.arg(arg=name):
                 yield node.lineno, name
@@ -54,7 +62,7 @@ def style_errors(tree: ast.Module) -> list[tuple[int, str]]:
     """Lines and texts of names that say nothing, and of docstrings that do not open with a verb or a noun phrase."""
     vague = [(line, name) for line, name in names(tree) if VAGUE.fullmatch(name)]
     errors = [(line, f"{name!r} says nothing; name the thing") for line, name in vague]
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if not isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
             continue
         if opening := OPENING.match(ast.get_docstring(node) or ""):
@@ -65,7 +73,7 @@ def style_errors(tree: ast.Module) -> list[tuple[int, str]]:
 
 def test_name_errors(tree: ast.Module) -> Iterator[tuple[int, str]]:
     """Lines and texts of tests that are not named `test_<unit>__<behavior>`."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and node.name.startswith("test_"):
             unit, _, behavior = node.name.partition("__")
             if unit == "test_" or not behavior:
@@ -78,7 +86,7 @@ def imported(tree: ast.Module) -> list[tuple[int, str]]:
     A name that is imported from a module is named with it: `zenostat.topics.errors.InvalidConfig`.
     """
     modules = []
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         names = []
         if isinstance(node, ast.ImportFrom) and node.module:
             names = [f"{node.module}.{alias.name}" for alias in node.names]
@@ -90,7 +98,7 @@ def imported(tree: ast.Module) -> list[tuple[int, str]]:
 
 def loaded(tree: ast.Module) -> Iterator[str]:
     """Names of the modules of this project that a module imports by a text: plug-ins, and what an extra brings."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         match node:
             case ast.Call(func=ast.Name(id=name) | ast.Attribute(attr=name), args=[ast.Constant(value=str(text)), *_]):
                 if name in {"import_module", "import_extra", "__import__"} and text.startswith("zenostat."):
@@ -100,7 +108,7 @@ def loaded(tree: ast.Module) -> Iterator[str]:
 def definitions(path: Path, tree: ast.Module) -> set[str]:
     """Names that can be imported from a module: its own, those it imports, and the modules of its folder."""
     members = {name for _, name in names(tree)}
-    imports = [node for node in ast.walk(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
+    imports = [node for node in nodes(tree) if isinstance(node, ast.Import | ast.ImportFrom)]
     members |= {alias.asname or alias.name for node in imports for alias in node.names}
     if path.name == "__init__.py":
         members |= {other.stem for other in path.parent.iterdir()}
@@ -109,7 +117,7 @@ def definitions(path: Path, tree: ast.Module) -> set[str]:
 
 def unresolved(tree: ast.Module, defined: dict[str, set[str]]) -> Iterator[tuple[int, str]]:
     """Lines and texts of imports from this project of a module, or of a name, that does not exist."""
-    for node in ast.walk(tree):
+    for node in nodes(tree):
         if isinstance(node, ast.Import):
             missing = [alias.name for alias in node.names if alias.name not in defined]
         elif isinstance(node, ast.ImportFrom) and node.module in defined:
@@ -144,6 +152,7 @@ def may_import(package: str, other: str) -> bool:
 
 def main(root: Path = ROOT) -> int:
     """Print each fault; the exit code says whether there is any."""
+    gc.disable()  # it would search the trees of all modules again and again
     faults, graph = [], {}
     paths = [path for package in LAYERS for path in sorted((root / package).rglob("*.py"))]
     modules = {
