@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import errno
 import os
-import sysconfig
 import traceback
-from pathlib import Path
 
-import zenostat
 from zenostat.bridge.runtime.exhaustion import describe_exhaustion
+from zenostat.bridge.runtime.user_code import describe_user_error, user_frames
 from zenostat.cli.console import err, print_error
 from zenostat.topics.errors import UsageError, ZenostatError
 
 _DISK_ERRORS = (
     errno.EACCES, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.ENAMETOOLONG, errno.ENOSPC, errno.EPERM, errno.EROFS,
 )  # fmt: skip
-_NOT_USER_CODE = (Path(zenostat.__file__).parent, Path(sysconfig.get_path("stdlib")))
 
 
 def print_failure(error: Exception) -> int:
@@ -37,8 +34,7 @@ def print_failure(error: Exception) -> int:
         return 1
     if not frames:
         raise error
-    last = frames[-1]
-    print_error(f"{Path(last.filename).name}, line {last.lineno}: {type(error).__name__}: {error}")
+    print_error(describe_user_error(error))
     return 1
 
 
@@ -48,15 +44,3 @@ def _describe_disk_error(error: BaseException) -> str | None:
         return None
     where = f"{error.filename}: " if error.filename is not None else ""
     return f"{where}{os.strerror(error.errno)}"
-
-
-def user_frames(error: BaseException) -> list[traceback.FrameSummary]:
-    """Return the frames of the user's code: not Zenostat, the standard library or an installed package."""
-    return [frame for frame in traceback.extract_tb(error.__traceback__) if _is_user_code(frame.filename)]
-
-
-def _is_user_code(filename: str) -> bool:
-    path = Path(filename)
-    if filename.startswith("<") or "site-packages" in path.parts or "dist-packages" in path.parts:
-        return False
-    return not any(path.absolute().is_relative_to(folder) for folder in _NOT_USER_CODE) and path.suffix == ".py"

@@ -64,6 +64,14 @@ def room(
             help="Folder of trainings and studies whose curves are shown; reports and nodes load their policies.",
         ),
     ] = None,
+    controller: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="CONTROLLER",
+            help="Own controller that operators may try in What if, as for zenostat run: path/to/file.py:MyController, "
+            "the folder of a training, FILE.npz, or FILE.yaml; may be repeated.",
+        ),
+    ] = None,
     audit_log: Annotated[
         Path | None, typer.Option(metavar="FILE", help="File to which each change is added as a line of JSON.")
     ] = None,
@@ -78,6 +86,7 @@ def room(
         from zenostat.views.room.access import OPERATOR
         from zenostat.views.room.app import RoomSettings
         from zenostat.views.room.server import RoomServer
+        from zenostat.views.room.trial_controllers import offered_controllers
     token = None if api_token_file is None else read_token(api_token_file, "--api-token-file")
     name = safe_name(_user())[:64] if operator is None else operator
     if not re.fullmatch(OPERATOR, name):
@@ -89,6 +98,7 @@ def room(
         scenarios=_folder("--scenarios", scenarios),
         trainings=_folder("--trainings", trainings),
         node_settings={"connect": [options.endpoint], "keys": _key_folder(options.keys)},
+        controllers=offered_controllers(controller or ()),
         audit_log=audit_log,
     )
     with (

@@ -5,13 +5,16 @@ from __future__ import annotations
 import inspect
 import re
 from collections.abc import Callable, Mapping
-from functools import cache
+from functools import cache, partial
 from typing import Any, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, PydanticUserError, TypeAdapter, ValidationError, create_model
 
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
+
+_TYPES_OF_DEFAULTS: Mapping[type, Any] = {bool: bool, int: int | float, float: float, str: str}
+"""Types of parameters without annotations, by those of their defaults."""
 
 _ENTRY = re.compile(r"^(\w+): (.+)$")
 
@@ -31,19 +34,17 @@ class _OpenParameters(_Parameters):
 def parameters_model(factory: Callable[..., Any]) -> type[BaseModel]:
     """Return a model whose fields are the parameters of a controller, with their types, defaults and meanings.
 
-    The meanings are those of the docstring. The first parameter, the node's manifest, is left out.
+    The meanings are those of the docstring. The first parameter, the node's manifest, is left out, and so are optional
+    ones of other types than JSON has.
     """
     parameters = [*inspect.signature(factory).parameters.values()][1:]
-    hints = get_type_hints(factory.__init__ if isinstance(factory, type) else factory)  # type: ignore[misc]
+    hints = _type_hints(factory)
     meanings = _meanings(factory)
-    fields: dict[str, Any] = {
-        each.name: (
-            hints.get(each.name, Any),
-            Field(... if each.default is each.empty else each.default, description=meanings.get(each.name)),
-        )
-        for each in parameters
-        if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD)
-    }
+    fields: dict[str, Any] = {}
+    for each in parameters:
+        if each.kind in (each.KEYWORD_ONLY, each.POSITIONAL_OR_KEYWORD) and (hint := _type(each, hints)) is not None:
+            default = ... if each.default is each.empty else each.default
+            fields[each.name] = (hint, Field(default, description=meanings.get(each.name)))
     is_open = any(each.kind is each.VAR_KEYWORD for each in parameters)
     name = getattr(factory, "__name__", "Parameters")
     return create_model(name, __base__=_OpenParameters if is_open else _Parameters, **fields)
@@ -60,6 +61,27 @@ def check_values(factory: Callable[..., Any], values: Mapping[str, Any]) -> dict
         return model.model_validate(dict(values)).model_dump(exclude_unset=True)
     except ValidationError as error:
         raise InvalidConfig(describe_validation_errors(error, model.model_fields)) from None
+
+
+def _type_hints(factory: Callable[..., Any]) -> dict[str, Any]:
+    """Return the types of parameters; none if the class names one that cannot be resolved."""
+    plain = factory.func if isinstance(factory, partial) else factory
+    try:
+        return get_type_hints(plain.__init__ if isinstance(plain, type) else plain)  # type: ignore[misc]
+    except (NameError, TypeError):  # a name for type checkers alone
+        return {}
+
+
+def _type(parameter: inspect.Parameter, hints: Mapping[str, Any]) -> Any:
+    """Return the type of a parameter's values; None if it is optional and not of a type that JSON has."""
+    hint = hints.get(parameter.name, _TYPES_OF_DEFAULTS.get(type(parameter.default)))
+    try:
+        if hint is not None:
+            TypeAdapter(hint).json_schema()
+            return hint
+    except PydanticUserError:  # it has no schema
+        pass
+    return Any if parameter.default is parameter.empty else None
 
 
 def _meanings(factory: Callable[..., Any]) -> dict[str, str]:

@@ -3,10 +3,13 @@
 import inspect
 from typing import Any
 
+import numpy as np
 import pytest
 
 from zenostat.agent_sdk.controllers import CONTROLLERS
 from zenostat.agent_sdk.controllers.parameter_schema import check_values, parameters_model
+from zenostat.agent_sdk.controllers.parameters import with_parameters
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidConfig
 
 
@@ -47,3 +50,26 @@ def test_parameter_schema__values_of_another_type_are_named(name: str, values: d
 def test_parameter_schema__values_that_are_set_are_returned() -> None:
     assert check_values(CONTROLLERS["rbc"], {"margin": 1, "setback": None}) == {"margin": 1.0, "setback": None}
     assert check_values(CONTROLLERS["fixed"], {"pump": 3}) == {"pump": 3.0}
+
+
+class _Own:
+    """A user's class, as one may write it."""
+
+    def __init__(self, manifest, gain=2, *, name="a", table=np.zeros(2), limit: "Unresolved | None" = None):  # type: ignore[no-untyped-def]  # noqa: F821, B008
+        self.values = gain, name, table, limit
+
+    def act(self, sample: SampleView) -> dict[str, float]:
+        return {}
+
+
+def test_parameter_schema__own_class_without_annotations_has_the_types_of_its_defaults() -> None:
+    assert check_values(_Own, {"gain": 2.5, "name": "b"}) == {"gain": 2.5, "name": "b"}
+    for wrong in ({"gain": "2"}, {"name": 1}, {"table": [1.0]}):
+        with pytest.raises(InvalidConfig, match=next(iter(wrong))):
+            check_values(_Own, wrong)
+
+
+def test_parameter_schema__file_of_parameters_changes_the_defaults() -> None:
+    schema = parameters_model(with_parameters(CONTROLLERS["rbc"], {"margin": 2.0})).model_json_schema()
+    assert schema["properties"]["margin"]["default"] == 2.0
+    assert schema["properties"]["setback"]["description"]

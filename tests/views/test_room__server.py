@@ -36,6 +36,44 @@ class Tank:
 '''
 
 
+OWN = '''
+import time
+
+class Filling:
+    """Fill the tank to a level."""
+    def __init__(self, manifest, level=0.3, name="a", table=(1, 2)):
+        if name != "a":
+            raise RuntimeError("no b")
+        self.level = level
+        self.table = table
+
+    def act(self, sample):
+        return {"pump": 100.0 if sample["level"] < self.level else 0.0}
+
+class Failing:
+    def __init__(self, manifest):
+        self.samples = 0
+
+    def act(self, sample):
+        self.samples += 1
+        return {"pump": 1 / (3 - self.samples)}
+
+class Hanging:
+    def __init__(self, manifest):
+        pass
+
+    def act(self, sample):
+        time.sleep(3600)
+'''
+
+
+@pytest.fixture(scope="module")
+def own(module_folder: Path) -> str:
+    """A file with controllers of the user's."""
+    (module_folder / "own.py").write_text(OWN)
+    return f"{module_folder}/own.py"
+
+
 @pytest.fixture(scope="module")
 def tank(module_folder: Path) -> Iterator[NodeProgram]:
     (module_folder / "tank.py").write_text(TANK)
@@ -44,9 +82,17 @@ def tank(module_folder: Path) -> Iterator[NodeProgram]:
 
 
 @pytest.fixture(scope="module")
-def client(tank: NodeProgram) -> Iterator[Any]:
+def client(tank: NodeProgram, own: str) -> Iterator[Any]:
     """A client that has signed in; the node is paused at the first sample."""
-    with zenostat.connect(tank.endpoint, affinity="off") as bus, control_room(tank.endpoint) as server:
+    from zenostat.views.room.app import RoomSettings
+    from zenostat.views.room.trial_controllers import offered_controllers
+
+    names = [f"{own}:{name}" for name in ("Filling", "Failing", "Hanging")]
+    settings = RoomSettings(controllers=offered_controllers(names))
+    with (
+        zenostat.connect(tank.endpoint, affinity="off") as bus,
+        control_room(tank.endpoint, settings=settings) as server,
+    ):
         bus.pause("tank")
         bus.pace("tank", mode="free")
         with httpx.Client(base_url=server.url, headers={"origin": server.url}, timeout=60) as started:
@@ -136,11 +182,41 @@ def test_room__what_if_controller_answers_each_sample(client: Any) -> None:
     assert answer.json()["command"].startswith("zenostat run --node tank --controller random --set seed=1 --priority 9")
 
 
+def test_room__what_if_controller_may_be_the_users_own(client: Any, own: str) -> None:
+    listed = {each["name"]: each for each in client.get("/api/nodes/tank/controllers").json()["controllers"]}
+    entry = listed[f"{own}:Filling"]
+    assert (entry["summary"], entry["problem"]) == ("Fill the tank to a level.", "")
+    assert {name: field["default"] for name, field in entry["schema"]["properties"].items()} == {
+        "level": 0.3,
+        "name": "a",
+    }
+    before = client.get("/api/nodes/tank/history", params={"point": "level"}).json()["points"][0]["values"][-1]
+    filling = {"name": f"{own}:Filling", "parameters": {"level": before + 2.5}}
+    assert levels(client, controller=filling) == pytest.approx([1.0, 2.0, 3.0, 3.0, 3.0, 3.0])
+    command = change(client, "what_if", controller=filling, hours=0.1).json()["command"]
+    assert command.startswith(f"zenostat run --node tank --controller {own}:Filling --set level=")
+
+
+def test_room__what_if_controller_that_fails_is_one_error(
+    client: Any, own: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("zenostat.views.room.what_if.ANSWER_LIMIT_S", 0.5)
+    refused = {
+        "Failing": ({}, "own.py, line 21: ZeroDivisionError: division by zero"),
+        "Hanging": ({}, "Hanging did not answer the sample of 2026-01-12"),
+        "Filling": ({"name": "b"}, "own.py, line 8: RuntimeError: no b"),
+    }
+    for name, (parameters, text) in refused.items():
+        answer = change(client, "what_if", controller={"name": f"{own}:{name}", "parameters": parameters}, hours=0.1)
+        assert (answer.status_code, text in answer.json()["message"]) == (400, True), answer.text
+    assert client.get("/api/nodes/tank").status_code == 200
+
+
 @pytest.mark.parametrize(
     ("operation", "content", "status", "text"),
     [
-        ("what_if", {"controller": {"name": "oracle"}}, 400, "no bundled controller 'oracle'"),
-        ("what_if", {"controller": {"name": "/tmp/tank.py:Tank"}}, 400, "no bundled controller"),
+        ("what_if", {"controller": {"name": "oracle"}}, 400, "there is no 'oracle'"),
+        ("what_if", {"controller": {"name": "/tmp/tank.py:Tank"}}, 400, "there is no '/tmp"),
         ("what_if", {"controller": {"name": "rbc"}}, 400, "needs an action"),
         ("what_if", {"controller": {"name": "random", "parameters": {"sed": 1}}}, 400, "did you mean 'seed'"),
         ("what_if", {"controller": {"name": "random", "parameters": {"seed": "x"}}}, 400, "valid integer"),

@@ -21,7 +21,7 @@ from zenostat.views.room.app import RoomSettings
 from zenostat.views.room.csv_table import CsvTable
 from zenostat.views.room.training_pages import REPORT_POLICY
 from zenostat.views.room.trainings import MAX_POINTS, Trainings, _thinned
-from zenostat.views.room.trial_controllers import controllers_content
+from zenostat.views.room.trial_controllers import BUNDLED, controllers_content
 
 TRAINING = "algorithm: ppo\nscenario: office\nsteps: 400\nseed: 3\n"
 TANK = '''
@@ -162,7 +162,7 @@ def test_trainings__tuned_controllers_of_studies_are_offered_if_they_are_bundled
         (tmp_path / name / "best.yaml").write_text(text)
     (tmp_path / "link" / "trials").mkdir(parents=True)
     (tmp_path / "link" / "best.yaml").symlink_to(tmp_path / "rules" / "best.yaml")
-    tuned = controllers_content(manifest(), Trainings(tmp_path).tuned())["tuned"]
+    tuned = controllers_content(manifest(), BUNDLED, Trainings(tmp_path).tuned())["tuned"]
     assert tuned == [{"study": "rules", "name": "rbc", "parameters": {"margin": 0.5, "preconditioning": 2}}]
 
 

@@ -45,7 +45,7 @@ from zenostat.views.room.started_nodes import TOPIC as STARTED
 from zenostat.views.room.started_nodes import StartedNodes
 from zenostat.views.room.training_pages import TrainingPages
 from zenostat.views.room.trainings import Trainings
-from zenostat.views.room.trial_controllers import controllers_content
+from zenostat.views.room.trial_controllers import BUNDLED, Factory, controllers_content
 from zenostat.views.room.updates import MAX_STREAMS, Updates
 from zenostat.views.room.what_if import WhatIf, what_if
 
@@ -71,12 +71,14 @@ class RoomSettings:
         scenarios: folder of scenarios, which pages save and start nodes from; None permits neither.
         trainings: folder of trainings and studies; None shows none.
         node_settings: of nodes that are started: the bus that they join, and their keys.
+        controllers: that pages may try, by name; see `offered_controllers`.
         audit_log: file to which each change is added; None keeps the latest changes in memory only.
     """
 
     scenarios: Path | None = None
     trainings: Path | None = None
     node_settings: Mapping[str, Any] = field(default_factory=dict)
+    controllers: Mapping[str, Factory] = field(default_factory=lambda: BUNDLED)
     audit_log: Path | None = None
 
 
@@ -267,7 +269,8 @@ class Room:
         manifest = _described(self._node(request)).manifest
 
         def content() -> dict[str, Any]:
-            return controllers_content(manifest, {} if self._trainings is None else self._trainings.tuned())
+            tuned = {} if self._trainings is None else self._trainings.tuned()
+            return controllers_content(manifest, self._settings.controllers, tuned)
 
         return _json(await asyncio.to_thread(content))
 
@@ -290,7 +293,7 @@ class Room:
 
         def simulate() -> Response:
             with self.watch.without_branches(watch.node):
-                answer = what_if(self._bus, description, question, operator)
+                answer = what_if(self._bus, description, question, operator, self._settings.controllers)
             if question.controller is not None:
                 has_keys = bool(self._settings.node_settings.get("keys"))
                 answer["command"] = question.controller.command(

@@ -1,4 +1,4 @@
-"""Bundled controllers for the question "what if".
+"""Controllers for the question "what if": the bundled ones, and those that the command line names.
 
 A page names one of them with its parameters, which are numbers, texts and Booleans: it chooses neither code nor files.
 """
@@ -7,64 +7,81 @@ from __future__ import annotations
 
 import inspect
 import shlex
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, StringConstraints, ValidationError
 
-from zenostat.agent_sdk.controllers import CONTROLLERS, Agent, Controller, make_controller
+from zenostat.agent_sdk.controllers import CONTROLLERS, ControllerProtocol, load_controller, make_controller
 from zenostat.agent_sdk.controllers.base import Finder
 from zenostat.agent_sdk.controllers.controller_file import ControllerFile
 from zenostat.agent_sdk.controllers.parameter_schema import check_values, parameters_model
 from zenostat.bridge.client.connection import Connection
+from zenostat.bridge.runtime.user_code import describe_user_error
 from zenostat.bridge.transport.session import DEFAULT_ENDPOINT
-from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError, did_you_mean
+from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError, ZenostatError, did_you_mean
 from zenostat.topics.messages import Manifest
 
 _NOT_OFFERED = ("oracle",)
 """It plans in branches of an environment, and one of its parameters can name a class."""
 
-OFFERED: Mapping[str, type[Controller]] = {
-    name: factory for name, factory in CONTROLLERS.items() if name not in _NOT_OFFERED
-}
-"""Controllers that a page may name."""
+Factory = Callable[..., ControllerProtocol]
+
+BUNDLED: Mapping[str, Factory] = {name: factory for name, factory in CONTROLLERS.items() if name not in _NOT_OFFERED}
+"""Bundled controllers that a page may name."""
 
 Name = Annotated[str, StringConstraints(max_length=128)]
 Text = Annotated[str, StringConstraints(max_length=200)]
 
 
+def offered_controllers(own: Iterable[str]) -> Mapping[str, Factory]:
+    """Return the controllers that a page may name, with those of the command line, as `load_controller` expects them.
+
+    Raises:
+        UnknownName, InvalidConfig: one cannot be loaded.
+    """
+    return {**BUNDLED, **{text: load_controller(text) for text in own}}
+
+
 class TrialController(BaseModel):
-    """A bundled controller, and those of its parameters that differ from their defaults."""
+    """A controller by its name, and those of its parameters that differ from their defaults."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-    name: Name
+    name: Annotated[str, StringConstraints(max_length=4096)]
     parameters: Annotated[dict[Name, bool | int | float | Text], Field(max_length=200)] = Field(default_factory=dict)
 
-    def factory(self) -> type[Controller]:
-        """Return its class.
+    def creator(self, offered: Mapping[str, Factory]) -> Callable[[Manifest], ControllerProtocol]:
+        """Return what creates the controller of a node from its manifest; it raises `InvalidConfig` if that fails.
+
+        Args:
+            offered: controllers by name.
 
         Raises:
-            UnknownName: there is no bundled controller of that name.
+            UnknownName: there is no controller of that name.
             InvalidConfig: an unknown parameter, or one of another type.
         """
-        if self.name not in OFFERED:
-            raise UnknownName(
-                f"controller: there is no bundled controller {self.name!r}; {did_you_mean(self.name, OFFERED)}"
-            )
-        factory = OFFERED[self.name]
-        check_values(factory, self.parameters)
-        return factory
-
-    def agent(self, manifest: Manifest, semantic: Callable[[], Finder]) -> Agent:
-        """Return the controller of a node; `semantic` reads the model that some ask for their points.
-
-        Raises:
-            UnknownName, InvalidConfig: see `factory`; or the node lacks what the controller needs.
-        """
-        factory = self.factory()
+        if self.name not in offered:
+            raise UnknownName(f"controller: there is no {self.name!r}; {did_you_mean(self.name, offered)}")
+        factory = offered[self.name]
         values = check_values(factory, self.parameters)
-        return Agent(make_controller(factory, manifest, values), semantic=semantic)
+
+        def create(manifest: Manifest) -> ControllerProtocol:
+            with self.described_errors():
+                return make_controller(factory, manifest, values)
+
+        return create
+
+    @contextmanager
+    def described_errors(self) -> Iterator[None]:
+        """Raise what the controller itself raises as `InvalidConfig`, with the line of its file."""
+        try:
+            yield
+        except ZenostatError:
+            raise
+        except Exception as error:
+            raise InvalidConfig(f"controller {self.name}: {describe_user_error(error)}") from error
 
     def command(self, node: str, priority: int, endpoint: str, *, has_keys: bool) -> str:
         """Return the command that starts it on a node, for a terminal on the control room's machine."""
@@ -84,11 +101,14 @@ def semantic_model(bus: Connection, node: str) -> Finder:
     return semantic.read(bus, node)
 
 
-def controllers_content(manifest: Manifest, tuned: Mapping[str, ControllerFile]) -> dict[str, Any]:
+def controllers_content(
+    manifest: Manifest, offered: Mapping[str, Factory], tuned: Mapping[str, ControllerFile]
+) -> dict[str, Any]:
     """Return the controllers that a page may try on a node.
 
     Args:
         manifest: the node's.
+        offered: controllers by name.
         tuned: controllers with parameters, by the name of the study that has found them.
 
     Returns:
@@ -96,30 +116,32 @@ def controllers_content(manifest: Manifest, tuned: Mapping[str, ControllerFile])
         be tried, with their parameters.
     """
     return {
-        "controllers": [_entry(name, factory, manifest) for name, factory in OFFERED.items()],
+        "controllers": [_entry(name, factory, manifest) for name, factory in offered.items()],
         "tuned": [
             {"study": study, "name": file.controller, "parameters": file.parameters}
             for study, file in tuned.items()
-            if _may_try(file)
+            if _may_try(file, offered)
         ],
     }
 
 
-def _may_try(file: ControllerFile) -> bool:
+def _may_try(file: ControllerFile, offered: Mapping[str, Factory]) -> bool:
     try:
-        TrialController(name=file.controller, parameters=file.parameters).factory()
-    except (ValidationError, UsageError):
+        trial = TrialController(name=file.controller, parameters=file.parameters)
+        check_values(offered[trial.name], trial.parameters)
+    except (ValidationError, UsageError, KeyError):
         return False
     return True
 
 
-def _entry(name: str, factory: type[Controller], manifest: Manifest) -> dict[str, Any]:
-    summary = (inspect.getdoc(factory) or "").partition("\n\n")[0].replace("\n", " ")
+def _entry(name: str, factory: Factory, manifest: Manifest) -> dict[str, Any]:
+    described = factory if isinstance(factory, type) else None  # a policy's factory says nothing of the policy
+    summary = (inspect.getdoc(described) or "").partition("\n\n")[0].replace("\n", " ") if described else ""
     schema = parameters_model(factory).model_json_schema()
     problem = ""
     if not schema.get("required"):
         try:
-            make_controller(factory, manifest, {})
+            TrialController(name=name).creator({name: factory})(manifest)
         except InvalidConfig as error:
             problem = str(error)
     return {"name": name, "summary": summary, "schema": schema, "problem": problem}

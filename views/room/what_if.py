@@ -7,8 +7,10 @@ place, which answers each sample of its branch.
 
 from __future__ import annotations
 
+import concurrent.futures
+import threading
 from collections.abc import Callable, Mapping
-from contextlib import ExitStack, suppress
+from contextlib import AbstractContextManager, ExitStack, nullcontext, suppress
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
 from typing import Annotated, Any, Self
@@ -17,20 +19,24 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, model_validator
 
-from zenostat.agent_sdk.controllers import Agent
+from zenostat.agent_sdk.controllers import Agent, Values
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.command_publisher import CommandArrays
 from zenostat.bridge.client.controller_link import ControllerLink, open_link
+from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage, InvalidConfig, RequestRejected, ZenostatError
 from zenostat.topics.messages import Ack, CommandOp, CreateBranch, Manifest, Sample, SimulatePlan, Write
 from zenostat.views.room.description import NodeDescription
 from zenostat.views.room.numbers import number, numbers
-from zenostat.views.room.trial_controllers import TrialController, semantic_model
+from zenostat.views.room.trial_controllers import BUNDLED, Factory, TrialController, semantic_model
 
 _MAX_STEPS = 1000
 _STEPS_PER_REQUEST = 48  # so that a large building answers in time
 _LOWEST_PRIORITY = 16
+ANSWER_LIMIT_S = 30.0
+"""Time that a controller has for each sample; some compile on their first."""
+
 _REPLY_BYTES = codec.MAX_BYTES // 2
 
 Floats = NDArray[np.float64]
@@ -74,24 +80,36 @@ class Future:
     controller: Callable[[Manifest], Agent] | None = None
 
 
-def what_if(bus: Bus, description: NodeDescription, request: WhatIf, operator: str) -> dict[str, Any]:
+def what_if(
+    bus: Bus, description: NodeDescription, request: WhatIf, operator: str, offered: Mapping[str, Factory] = BUNDLED
+) -> dict[str, Any]:
     """Return the values of all points and the totals of both futures.
 
+    Args:
+        bus: connection to the bus.
+        description: of the node.
+        request: values or controller to try.
+        operator: name of who asks.
+        offered: controllers that the request may name.
+
     Raises:
-        UnknownName, InvalidConfig: the controller, its parameters, or a controller that the node does not suit.
+        UnknownName, InvalidConfig: the controller, its parameters, a controller that the node does not suit, or one
+            that fails.
         ZenostatError: as `simulate_futures`.
     """
     node, trial = description.manifest.node, request.controller
     changed = Future(request.values, request.priority)
+    errors: AbstractContextManager[None] = nullcontext()
     if trial is not None:
-        trial.factory()  # its errors come before anything is simulated
+        create_controller, errors = trial.creator(offered), trial.described_errors()
 
         def create(manifest: Manifest) -> Agent:
-            return trial.agent(manifest, lambda: semantic_model(bus, node))
+            return Agent(create_controller(manifest), semantic=lambda: semantic_model(bus, node))
 
-        create(description.manifest)
+        create(description.manifest)  # its errors come before anything is simulated
         changed = Future(priority=request.priority, controller=create)
-    samples = simulate_futures(bus, description, {"as_is": Future(), "changed": changed}, request.hours, operator)
+    with errors:
+        samples = simulate_futures(bus, description, {"as_is": Future(), "changed": changed}, request.hours, operator)
     return futures_content(description, samples)
 
 
@@ -192,13 +210,31 @@ def _controlled(link: ControllerLink, sample: Sample, steps: int, agent: Agent) 
     arrays = CommandArrays(link.manifest)
     samples: list[Sample] = []
     while len(samples) < steps:
-        values, operations = arrays.of(agent.values(link.set_current(sample)), None)
+        values, operations = arrays.of(_answer(agent, link.set_current(sample)), None)
         simulated = _plan(link, sample, 1, operations, values)
         if not simulated:
             break
         samples += simulated
         sample = samples[-1]
     return samples
+
+
+def _answer(agent: Agent, sample: SampleView) -> Values:
+    """Return the commands of a controller for a sample; `InvalidConfig` if it does not answer in time."""
+    answer: concurrent.futures.Future[Values] = concurrent.futures.Future()
+
+    def act() -> None:
+        try:
+            answer.set_result(agent.values(sample))
+        except Exception as error:
+            answer.set_exception(error)
+
+    threading.Thread(target=act, name="what-if", daemon=True).start()
+    concurrent.futures.wait([answer], ANSWER_LIMIT_S)
+    if not answer.done():
+        name = type(agent.controller).__name__
+        raise InvalidConfig(f"{name} did not answer the sample of {sample.time} within {ANSWER_LIMIT_S:g} s")
+    return answer.result()
 
 
 def _plan(

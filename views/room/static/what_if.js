@@ -12,7 +12,7 @@ import { change, view } from "./view.js";
 const KINDS = [["values", "Setpoints"], ["controller", "Another controller"]];
 const NOTES = {
   values: "Simulates the next hours twice on copies of the building: with its commands as they are, and with these values. The controllers that run do not run on a copy; their last commands stay.",
-  controller: "Simulates the next hours twice on copies of the building: with its commands as they are, and with a bundled controller, which answers each timestep in place of the controllers that run. Overrides stay, with their ends.",
+  controller: "Simulates the next hours twice on copies of the building: with its commands as they are, and with a controller, which answers each timestep in place of the controllers that run. Overrides stay, with their ends.",
 };
 const PRIORITY = { values: "8", controller: "10" };
 const TOTALS = [["facility_kwh", "Electricity", "kWh"], ["facility_peak_kw", "Peak power", "kW"], ["hvac_kwh", "HVAC electricity", "kWh"], ["degree_hours", "Outside the band, occupied", "K h"], ["degree_hours_always", "Outside the band, always", "K h"]];
@@ -198,7 +198,7 @@ class Setpoints {
   }
 }
 
-/** A bundled controller and its parameters, from its schema. */
+/** A controller and its parameters, from its schema. */
 class ControllerForm {
   constructor(root, node) {
     this.root = root;

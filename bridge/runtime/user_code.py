@@ -1,0 +1,30 @@
+"""The part of an error that lies in the user's own code."""
+
+from __future__ import annotations
+
+import sysconfig
+import traceback
+from pathlib import Path
+
+import zenostat
+
+_NOT_USER_CODE = (Path(zenostat.__file__).parent, Path(sysconfig.get_path("stdlib")))
+
+
+def user_frames(error: BaseException) -> list[traceback.FrameSummary]:
+    """Return the frames of the user's code: not Zenostat, the standard library or an installed package."""
+    return [frame for frame in traceback.extract_tb(error.__traceback__) if _is_user_code(frame.filename)]
+
+
+def describe_user_error(error: BaseException) -> str:
+    """Describe an error with the file and the line of the user's code that raised it, if any did."""
+    frames = user_frames(error)
+    place = f"{Path(frames[-1].filename).name}, line {frames[-1].lineno}: " if frames else ""
+    return f"{place}{type(error).__name__}: {error}"
+
+
+def _is_user_code(filename: str) -> bool:
+    path = Path(filename)
+    if filename.startswith("<") or "site-packages" in path.parts or "dist-packages" in path.parts:
+        return False
+    return not any(path.absolute().is_relative_to(folder) for folder in _NOT_USER_CODE) and path.suffix == ".py"
