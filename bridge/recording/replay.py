@@ -89,7 +89,8 @@ class Replay:
     def _renamed(self, manifest: Manifest) -> Manifest:
         paced = {"mode": Mode.PACED, "speed": self._speed or manifest.speed}
         no_history = {"history_samples": 0, "history_bytes": 0}
-        return manifest.model_copy(update={"node": self._name, "instance": self._instance, **paced, **no_history})
+        own = {"node": self._name, "instance": self._instance, "replay": True}
+        return manifest.model_copy(update={**own, **paced, **no_history})
 
     def __enter__(self) -> Replay:
         check_name_is_free(self._session, self._name)

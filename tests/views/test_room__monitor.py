@@ -224,7 +224,8 @@ def test_room__operator_is_offered_all_controls(browser: Any, room: Any, keys: P
         assert page.locator("[aria-description]").count() == 0
     page = ada.open(*VIEWS[1])
     page.get_by_label("Acknowledge empty", exact=True).click()
-    page.locator("dialog").get_by_role("button", name="Acknowledge").click()
+    with page.expect_response(lambda response: response.request.method == "POST"):
+        page.locator("dialog").get_by_role("button", name="Acknowledge").click()
     until(lambda: room.bus.alarms("tank").alarms[0].state == "acknowledged", "it is acknowledged")
     assert [status for _, status in ada.changes] == [200]
     ada.close()

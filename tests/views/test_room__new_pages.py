@@ -169,7 +169,13 @@ def test_room__recording_is_replayed_from_its_page(ada: Visitor, room: Any) -> N
     page.locator(".u-wrap").wait_for()  # the trend since the page was opened
     clock = page.locator(".clock").inner_text()
     until(lambda: page.locator(".clock").inner_text() != clock, "it goes on")
-    page = ada.open(f"{room.url}/?page=trainings")
+    refusal = "This is the replay of a recording, which takes no requests."
+    for name in ("Pause", "Record"):
+        button = page.get_by_role("button", name=name, exact=True)
+        assert (button.is_disabled(), button.get_attribute("title")) == (True, refusal)
+    page.get_by_role("tab", name="What if").click()
+    page.get_by_role("tabpanel", name="What if").get_by_text(refusal).wait_for()
+    page = ada.open(f"{room.url}/?page=trainings")  # there the user may change things again
     page.get_by_role("button", name="End day").click()
     page.get_by_role("link", name="Open day").wait_for(state="detached")
     page = ada.open(f"{room.url}/?page=audit")

@@ -136,17 +136,19 @@ class Manifest(Message):
     area of the zones that EnergyPlus counts, with multipliers; None where it is unknown. `begin`, `end`: simulated time
     of the first and the last sample. `step_s`: length of a timestep in seconds. `steps`: number of timesteps of an
     episode. `slots`: number of copies that step together, each with its own episode. `branch_of`: the node that this
-    one branched from. `baseline`: whether samples include the building under baseline control. `speed`: simulated
-    seconds per second of wall time, in paced mode. `grace_s`: how long a controller may be disconnected before the
-    fallback policy applies. `deadline_s`: how long each step waits for commands. `faults_injected`: whether samples
-    contain injected faults. `history_samples`: how many of the latest samples of the present episode the node keeps for
-    `rpc/history`, in `history_bytes` bytes of memory; a slot that does not step with the others has fewer of its own.
+    one branched from. `replay`: whether it is the replay of a recording, which takes no requests. `baseline`: whether
+    samples include the building under baseline control. `speed`: simulated seconds per second of wall time, in paced
+    mode. `grace_s`: how long a controller may be disconnected before the fallback policy applies. `deadline_s`: how
+    long each step waits for commands. `faults_injected`: whether samples contain injected faults. `history_samples`:
+    how many of the latest samples of the present episode the node keeps for `rpc/history`, in `history_bytes` bytes of
+    memory; a slot that does not step with the others has fewer of its own.
     `statistics`: only in replies to queries.
     """
 
     node: SafeName
     instance: str
     branch_of: str = ""
+    replay: bool = False
     building: str
     zones: tuple[str, ...] = ()
     floor_area_m2: Annotated[float, Field(gt=0)] | None = None

@@ -45,6 +45,7 @@ def describe(manifest: Manifest, geometry: Geometry | None, systems: Systems | N
         "node": manifest.node,
         "instance": manifest.instance,
         "branch_of": manifest.branch_of,
+        "replay": manifest.replay,
         "building": manifest.building,
         "weather": manifest.weather,
         "location": manifest.location,

@@ -6,7 +6,7 @@ import { BuilderPage } from "./builder.js";
 import { fill, h, icon } from "./dom.js";
 import { NodePage } from "./node.js";
 import { Overview } from "./overview.js";
-import { mayChange, refusalNote, signedIn } from "./session.js";
+import { isOperator, refusalNote, signedIn } from "./session.js";
 import { TrainingsPage } from "./trainings.js";
 import { address, change, link, onView, view } from "./view.js";
 
@@ -43,7 +43,7 @@ async function choosePages() {
   const user = await get("/api/session");
   if (!user.trainings) delete PAGES.trainings;
   signedIn(user);
-  if (!mayChange()) { delete PAGES.builder; delete PAGES.audit; }
+  if (!isOperator()) { delete PAGES.builder; delete PAGES.audit; }
 }
 
 function showSignIn(message) {
@@ -75,13 +75,13 @@ async function invite() {
     } catch (error) { toast(error.message, true); }
   };
   fill(dialog, h("form", { class: "stack", onsubmit: submit },
-    h("h2", {}, mayChange() ? "Another browser" : "Session"),
-    mayChange() ? [h("p", {}, "A link signs one browser in, once. Changes are recorded under the name."),
+    h("h2", {}, isOperator() ? "Another browser" : "Session"),
+    isOperator() ? [h("p", {}, "A link signs one browser in, once. Changes are recorded under the name."),
       h("label", { for: "invited" }, "Name"), name, output] : refusalNote(),
     h("div", { class: "row end" },
       h("button", { type: "button", onclick: async () => { await remove("/api/session"); location.assign("/"); } }, "Sign out"),
       h("button", { type: "button", onclick: () => dialog.close() }, "Close"),
-      mayChange() && h("button", { class: "primary" }, "Create link"))));
+      isOperator() && h("button", { class: "primary" }, "Create link"))));
   dialog.addEventListener("close", () => dialog.remove());
   document.body.append(dialog);
   dialog.showModal();
@@ -97,7 +97,7 @@ function showHeader() {
     h("span", { class: "grow" }), connection,
     h("button", { class: "quiet", "aria-label": "Light or dark", title: "Light or dark",
       onclick: () => { theme(theme() === "dark" ? "light" : "dark"); page?.redraw?.(); } }, icon("moon")),
-    h("button", { class: "quiet", onclick: invite, title: "Session" }, icon("user"), h("span", { class: "wide" }, operator), !mayChange() && h("span", { class: "chip muted" }, "reads only")));
+    h("button", { class: "quiet", onclick: invite, title: "Session" }, icon("user"), h("span", { class: "wide" }, operator), !isOperator() && h("span", { class: "chip muted" }, "reads only")));
 }
 
 function showPages(name, node) {

@@ -10,7 +10,7 @@ import { PointPanel } from "./point.js";
 import { PointTable, ZoneTable } from "./points.js";
 import { District } from "./district.js";
 import { Schematic } from "./schematic.js";
-import { forOperators, mayChange, refusal } from "./session.js";
+import { forOperators, mayChange, refusal, showsReplay } from "./session.js";
 import { Trends } from "./trends.js";
 import { change, view } from "./view.js";
 import { WhatIfPanel } from "./what_if.js";
@@ -37,6 +37,7 @@ export class NodePage {
 
   close() {
     this.isClosed = true;
+    showsReplay(false);
     this.trends?.close();
     this.schematic?.close();
     this.drawer?.close();
@@ -58,6 +59,7 @@ export class NodePage {
       const description = await get(nodePath(this.node));
       if (this.isClosed) return;
       this.description = description;
+      showsReplay(description.replay);
       this.build();
       const log = await get(nodePath(this.node, "events"));
       this.onEvents(log.events);
