@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 import sysconfig
 import traceback
 from pathlib import Path
 
-import zenostat
-
-_NOT_USER_CODE = (Path(zenostat.__file__).parent, Path(sysconfig.get_path("stdlib")))
+_PACKAGE = sys.modules[__name__.partition(".")[0]]
+_NOT_USER_CODE = (Path(str(_PACKAGE.__file__)).parent, Path(sysconfig.get_path("stdlib")))
 
 
 def user_frames(error: BaseException) -> list[traceback.FrameSummary]:

@@ -16,7 +16,7 @@ pytest.importorskip("uvicorn")
 
 import httpx
 
-from zenostat.topics.errors import UnknownName
+from zenostat.topics.errors import RequestRejected, UnknownName
 from zenostat.views.room.app import RoomSettings
 from zenostat.views.room.csv_table import CsvTable
 from zenostat.views.room.training_pages import REPORT_POLICY
@@ -248,6 +248,8 @@ def test_room__recording_is_replayed_as_a_node_and_ends_with_the_room(scratch: P
             until(lambda: server.room.watch.is_online("again"), "its status is read")
             answer = client.post("/api/nodes/again/pause", json={})
             assert (answer.status_code, "is the replay of a recording" in answer.json()["message"]) == (409, True)
+            with pytest.raises(RequestRejected, match="recorded a Python class, which has no semantic model"):
+                bus.semantic("again")
             assert "again" in bus.nodes()
         until(lambda: "again" not in bus.nodes(), "it has ended with the room")
 

@@ -20,7 +20,7 @@ from zenostat.views.room.updates import Updates
 
 TOPIC = "started"
 MODULE = "zenostat.eplus_node"
-REPLAY_MODULE = "zenostat.bridge.recording.replay_program"
+REPLAY_MODULE = "zenostat.eplus_node.replay_program"
 _COMMAND = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 
 MAX_RUNNING = 8

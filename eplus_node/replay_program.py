@@ -1,4 +1,4 @@
-"""A replay as a program for another program: `python -m zenostat.bridge.recording.replay_program`.
+"""A replay as a program for another program: `python -m zenostat.eplus_node.replay_program`.
 
 Standard input and output are those of a node's program, see `zenostat.bridge.node.program`. The settings are those of
 `ReplaySettings`; the program ends with the recording, or when standard input is closed.
@@ -86,9 +86,12 @@ class ReplayProgram:
         with ExitStack() as undo:
             reader = undo.enter_context(self._reader())
             from zenostat.bridge.recording.replay import Replay
+            from zenostat.eplus_node.verify_recording import RecordedPlant
 
             session = undo.enter_context(open_session(connect=settings.connect, keys=settings.keys, role=Role.NODE))
-            self._replay = undo.enter_context(Replay(reader, session, name=settings.name, speed=settings.speed))
+            semantic = RecordedPlant(reader, exact=True).semantic_turtle
+            replay = Replay(reader, session, name=settings.name, speed=settings.speed, semantic=semantic)
+            self._replay = undo.enter_context(replay)
             self._close = undo.pop_all()
         return self
 
