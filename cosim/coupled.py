@@ -22,7 +22,7 @@ LOST = (BusError, PeerError, SimulatorError)
 
 _RETRY_S = 0.5
 _MAX_FAILURES = 3
-"""Number of times that a simulator may fail while its plant is brought back to the present step."""
+"""Number of times that a simulator may fail in a trial, or while its plant is brought back to the present step."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,20 +202,29 @@ class GuardedPlant:
             self._trial_error = error
 
     def finish_trial(self) -> list[Rows]:
-        """Wait for this trial; a plant that is lost returns its last values."""
-        if not self.is_available:
+        """Wait for this trial; a plant that is lost returns its last values.
+
+        Raises:
+            ForkFailed: the plant cannot be copied.
+            EngineDied: the plant is lost and the district stops, or its copies fail whenever it is back.
+        """
+        for _ in range(_MAX_FAILURES):
+            if not self.is_available:
+                return self._held_trial()
+            error, self._trial_error = self._trial_error, None
+            if error is None:
+                try:
+                    return self.plant.finish_trial()
+                except ForkFailed as failed:
+                    raise ForkFailed(f"plant {self.name!r} cannot try a step: {failed}") from None
+                except LOST as lost:
+                    error = lost
+            self._react(error)
+            self.begin_trial(self._tried)
+        if self._on_lost is OnLost.GO_ON:
+            self.is_available = self.is_tried = False
             return self._held_trial()
-        error, self._trial_error = self._trial_error, None
-        if error is None:
-            try:
-                return self.plant.finish_trial()
-            except ForkFailed as failed:
-                raise ForkFailed(f"plant {self.name!r} cannot try a step: {failed}") from None
-            except LOST as lost:
-                error = lost
-        self._react(error)
-        self.begin_trial(self._tried)
-        return self.finish_trial()
+        raise EngineDied(f"plant {self.name!r} failed {_MAX_FAILURES} times in the same trial: {error}")
 
     def _held_trial(self) -> list[Rows]:
         return [self._held(len(rows)) for rows in self._tried]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from support.coupled_plants import FakeCoupled, district_file, free, manifest_of, orchestrated
 
-from zenostat.cosim.coupled import GuardedPlant
+from zenostat.cosim.coupled import GuardedPlant, Rows
 from zenostat.cosim.file import OnLost
 from zenostat.cosim.orchestrator import Orchestrator
-from zenostat.topics.errors import EngineDied
+from zenostat.topics.errors import EngineDied, PlantFailed
 
 STEPS = 8
 
@@ -103,6 +103,35 @@ def test_continue__last_values_hold_until_it_is_back(folder: Path) -> None:
     assert guarded["b"].is_available
     assert len(plants["b"].commands) == 7  # brought to the present step with the commands that it had
     assert orchestrator.drain_warnings() == ["plant 'b' is back at step 7"]
+
+
+LOOP = """plants: {a: {plant: "p.py:P"}, b: {plant: "p.py:P"}}
+connections:
+  - {from: a.x, to: b.u}
+  - {from: b.x, to: a.u, solve: true, tolerance: 1.0e-9}
+"""
+
+
+class FailingTrials(FakeCoupled):
+    """Its copies fail, as a class does that raises an error for some commands; the plant itself does not."""
+
+    def finish_trial(self) -> list[Rows]:
+        raise PlantFailed("ValueError: too hot")
+
+
+@pytest.mark.parametrize("on_lost", OnLost)
+def test_trial__that_fails_again_and_again_does_not_wait_for_ever(folder: Path, on_lost: OnLost) -> None:
+    manifest = manifest_of({"x": "W"}, {"u": ("W", None, None)})
+    plants = {"a": FailingTrials(manifest, mixed, first=[1.0]), "b": FakeCoupled(manifest, mixed, first=[-3.0])}
+    plants["a"].is_back = True
+    orchestrator, _, _ = orchestrated(district_file(folder, LOOP), plants, on_lost)
+    if on_lost is OnLost.GO_ON:
+        trajectory(orchestrator, plants, 2)
+        assert any("too hot" in text for text in orchestrator.drain_warnings())
+    else:
+        with pytest.raises(EngineDied, match=r"plant 'a'.*too hot"):
+            trajectory(orchestrator, plants, 2)
+    assert len(plants["a"].seeds) < 10
 
 
 def test_reset__plant_is_available_again(folder: Path) -> None:
