@@ -66,13 +66,18 @@ def write_curves(results: Results, folder: Path) -> Path | None:
     )[1]
 
 
+def curve_of(record: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the learning curve of a training: its evaluations, or without any the rewards of its training episodes."""
+    return record.get("evaluations") or record.get("curve") or {"steps": [], "rewards": []}
+
+
 def _fill_curves(figure: Any, panels: Sequence[tuple[str, ...]], records: Mapping[tuple[str, ...], Any]) -> None:
     columns = min(len(panels), _PANELS)
     axes = figure.subplots(math.ceil(len(panels) / columns), columns, squeeze=False).ravel()
     algorithms = sorted({key[0] for key, record in records.items() if record.get("curve")})
     for axis, panel in zip(axes, panels, strict=False):
         for number, algorithm in enumerate(algorithms, 1):
-            curves = [of["curve"] for key, of in records.items() if key[:3] == (algorithm, *panel) and of.get("curve")]
+            curves = [curve_of(of) for key, of in records.items() if key[:3] == (algorithm, *panel) and of.get("curve")]
             for index, curve in enumerate(curves):
                 label = algorithm if index == 0 else None
                 axis.plot(curve["steps"], curve["rewards"], color=LIGHT[f"series-{number}"], linewidth=0.8, label=label)
@@ -84,7 +89,7 @@ def _fill_curves(figure: Any, panels: Sequence[tuple[str, ...]], records: Mappin
         axis.set_visible(False)
     axes[0].legend(fontsize=6)
     figure.supxlabel("training steps", fontsize=8.0, color=LIGHT["muted"])
-    figure.supylabel("reward of a training episode (EUR)", fontsize=8.0, color=LIGHT["muted"])
+    figure.supylabel("reward of an episode (EUR)", fontsize=8.0, color=LIGHT["muted"])
 
 
 def _fill_scores(figure: Any, names: Sequence[str], scores: Sequence[Scores], linear: Sequence[Scores]) -> None:

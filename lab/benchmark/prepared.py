@@ -164,7 +164,7 @@ def read_record(file: Path) -> dict[str, Any]:
 
 
 def _train(preparation: Preparation) -> None:
-    from zenostat.agent_sdk.controllers.training_folder import is_training
+    from zenostat.agent_sdk.controllers.training_folder import CURVE, EVALUATIONS, is_training
     from zenostat.lab.training import export_policy, read_training, train
 
     folder = preparation.folder
@@ -172,7 +172,8 @@ def _train(preparation: Preparation) -> None:
     train(config, resume=is_training(folder))
     record = {
         "configuration": preparation.configuration,
-        "curve": _curve(folder / "curve.csv", config.steps),
+        "curve": _curve(folder / CURVE, config.steps),
+        "evaluations": _evaluations(folder / EVALUATIONS),
         "parameters": preparation.rule,
     }
     export_policy(folder, record).save(preparation.file)
@@ -190,6 +191,15 @@ def _curve(file: Path, steps: int) -> dict[str, Any]:
         "steps": [round(part * steps / _CURVE_POINTS) for part in known],
         "rewards": [round(fmean(parts[part]), 3) for part in known],
     }
+
+
+def _evaluations(file: Path) -> dict[str, Any]:
+    """Return the mean reward of each evaluation of a training."""
+    evaluations: dict[int, list[float]] = {}
+    with file.open(newline="", encoding="utf-8") as opened:
+        for row in csv.DictReader(opened):
+            evaluations.setdefault(int(row["step"]), []).append(float(row["reward"]))
+    return {"steps": [*evaluations], "rewards": [round(fmean(rewards), 3) for rewards in evaluations.values()]}
 
 
 def _tune(preparation: Preparation) -> None:

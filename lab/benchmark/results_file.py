@@ -57,7 +57,7 @@ class Row:
 
 
 class Curve(BaseModel):
-    """A learning curve in some points: mean reward of the training episodes that end in the steps before each."""
+    """A learning curve in some points: mean rewards of the episodes at each, or that end in the steps before it."""
 
     model_config = _STRICT
     steps: list[int]
@@ -70,7 +70,8 @@ class Record(BaseModel):
     Attributes:
         configuration: hash of all fields of the training file, or of the arguments of the tuning.
         weights: of a training, hash of the policy.
-        curve: of a training, its learning curve.
+        curve: of a training, the rewards of its training episodes.
+        evaluations: of a training, those of its evaluations, without exploration and in the same weather.
         parameters: of a tuning, the best parameters; of a training, those of the tuned rule on which it builds, if any.
         value, default_value: of a tuning, mean reward of an episode with these and with the default parameters.
         processor_s: processor time, s.
@@ -80,6 +81,7 @@ class Record(BaseModel):
     configuration: Hash
     weights: Hash | None = None
     curve: Curve | None = None
+    evaluations: Curve | None = None
     parameters: dict[str, float | int | bool | str] | None = None
     value: float | None = None
     default_value: float | None = None

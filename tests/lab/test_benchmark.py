@@ -448,6 +448,7 @@ def test_benchmark__trained_controllers_workers_and_policies_give_the_same_rows(
     assert trained["parameters"] == tuned["parameters"]
     assert trained["processor_s"] > 0.0 < tuned["processor_s"]
     assert trained["curve"].keys() == {"steps", "rewards"}
+    assert trained["evaluations"]["steps"][0] == 0
 
     def train_again(_: object) -> None:
         raise AssertionError("the folder of policies has it")

@@ -19,7 +19,7 @@ from zenostat.agent_sdk.controllers.training_folder import FORMAT
 from zenostat.cli.commands import app
 from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results, prepared, rerun, run, submission
 from zenostat.lab.benchmark.episodes import jobs
-from zenostat.lab.benchmark.figures import write_curves
+from zenostat.lab.benchmark.figures import curve_of, write_curves
 from zenostat.lab.benchmark.merge import merge_results
 from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared
 from zenostat.lab.benchmark.processor_time import processor_s
@@ -216,6 +216,15 @@ def test_benchmark_files__curve_has_the_means_of_equal_parts_of_a_training(tmp_p
     file = tmp_path / "curve.csv"
     file.write_text("step,slot,reward,steps\n20,0,-4.0,20\n40,1,-2.0,20\n41,0,-1.0,20\n1003,1,-0.5,20\n")
     assert prepared._curve(file, 1000) == {"steps": [40, 80, 1000], "rewards": [-3.0, -1.0, -0.5]}
+
+
+def test_benchmark_files__evaluations_have_the_mean_of_their_episodes(tmp_path: Path) -> None:
+    file = tmp_path / "evaluations.csv"
+    file.write_text("step,seed,reward,other\n0,1,-4.0,9\n0,2,-2.0,9\n500,1,-1.0,9\n500,2,-1.5,\n")
+    assert prepared._evaluations(file) == {"steps": [0, 500], "rewards": [-3.0, -1.25]}
+    record = {"curve": {"steps": [40], "rewards": [-9.0]}, "evaluations": prepared._evaluations(file)}
+    assert curve_of(record)["steps"] == [0, 500]
+    assert curve_of({**record, "evaluations": None}) == record["curve"]
 
 
 def test_benchmark_files__training_on_a_rule_waits_for_its_tuning(

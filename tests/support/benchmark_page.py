@@ -9,7 +9,7 @@ from statistics import fmean
 
 from zenostat.lab.benchmark import VERSION, Results, gap_table, load_bounds, load_results, score_rows
 from zenostat.lab.benchmark.definition import BUILDINGS
-from zenostat.lab.benchmark.figures import write_curves, write_figures
+from zenostat.lab.benchmark.figures import curve_of, write_curves, write_figures
 from zenostat.lab.benchmark.merge import with_controllers
 from zenostat.lab.benchmark.scores import Interval, Scores, differences
 from zenostat.lab.benchmark.tables import Table, interval_text, tables
@@ -197,7 +197,7 @@ def write_curve_table(results: Results, path: Path) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["training", "step", "reward"])
         for name, record in sorted(results.trainings.items()):
-            curve = record.get("curve") or {"steps": [], "rewards": []}
+            curve = curve_of(record)
             writer.writerows((name, *point) for point in zip(curve["steps"], curve["rewards"], strict=True))
 
 
