@@ -157,7 +157,7 @@ def restore_environment(checkpoint: Checkpoint, env: TrainingEnv, seed: int) -> 
         InvalidConfig: repeating the actions leads elsewhere, because model, weather files or engine have changed.
     """
     episodes: RunningEpisodes = checkpoint.state["episodes"]
-    repeat(env.monitor, env.recorder, env.env, seed, episodes)
+    repeat(env.monitor, env.recorder, env.stepped, seed, episodes)
     if simulated_state(env.env) != checkpoint.state["simulated"]:
         raise InvalidConfig(
             f"the simulation differs from that of the checkpoint at step {checkpoint.step}: the building, its weather "
@@ -167,7 +167,8 @@ def restore_environment(checkpoint: Checkpoint, env: TrainingEnv, seed: int) -> 
         with TemporaryDirectory(prefix="zenostat-") as folder:
             path = Path(folder) / WRAPPERS
             path.write_text(checkpoint.wrappers, encoding="utf-8")
-            restore_wrappers(env.env, path)
+            for each in env.both:
+                restore_wrappers(each, path)
     if env.normalization is not None:
         saved = pickle.loads(checkpoint.normalization)  # noqa: S301  # pickled, as is the model beside it
         for name, value in saved.__dict__.items():
@@ -207,7 +208,8 @@ def restore_random_states(checkpoint: Checkpoint, model: BaseAlgorithm, env: Tra
         torch.cuda.set_rng_state_all(state["cuda"])
     model.action_space.np_random.bit_generator.state = state["actions"]
     if state["env"] is not None:
-        env.env.unwrapped.np_random.bit_generator.state = state["env"]
+        for each in env.both:
+            each.unwrapped.np_random.bit_generator.state = state["env"]
     for distribution, matrices in zip(_distributions(model), checkpoint.state["exploration"], strict=True):
         distribution.exploration_mat, distribution.exploration_matrices = matrices
 

@@ -88,6 +88,8 @@ class TrainingConfig(ConfigPart):
         slots: number of buildings that are simulated side by side.
         policy: name of the algorithm's policy; by default for vectors.
         parameters: keyword arguments of the algorithm.
+        paired_reward: whether rewards are differences to those of zero actions in the same weather; see
+            `zenostat.lab.training.paired_reward`.
         normalization: false: nothing is scaled.
         evaluation: false: none.
         checkpoint_steps: training steps between checkpoints; by default a tenth of all.
@@ -107,6 +109,7 @@ class TrainingConfig(ConfigPart):
     slots: Annotated[int, Field(strict=True, ge=1, le=256)] = 1
     policy: str | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
+    paired_reward: bool = False
     normalization: Annotated[Annotated[Normalization, FIELDS] | No, FIELDS_OR_FALSE] = Normalization()
     evaluation: Annotated[Annotated[Evaluation, FIELDS] | No, FIELDS_OR_FALSE] = Evaluation()
     checkpoint_steps: Count | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import ExitStack
 from functools import partial
 from typing import Any
@@ -20,6 +21,7 @@ from zenostat.lab.scenario_env import pop_env_id
 from zenostat.lab.training.config import TrainingConfig
 from zenostat.lab.training.episode_recorder import EpisodeRecorder
 from zenostat.lab.training.horizon import discount
+from zenostat.lab.training.paired_reward import paired
 from zenostat.topics import yaml12
 from zenostat.topics.errors import ErrorCollector, InvalidConfig
 from zenostat.topics.messages import Manifest
@@ -79,6 +81,7 @@ class TrainingEnv:
 
     Attributes:
         env: single or vector environment of Gymnasium, within the training's wrappers.
+        stepped: the same, or with its reference (`paired_reward`).
         recorder: records what a checkpoint needs to return to the running episodes.
         monitor: records rewards and lengths of episodes.
         normalization: scales observations and rewards; None if neither is scaled.
@@ -86,11 +89,16 @@ class TrainingEnv:
     """
 
     def __init__(self, config: TrainingConfig) -> None:
+        make: Callable[[TrainingConfig], Any] = make_env if config.slots == 1 else make_slots
         with ExitStack() as undo:
-            env: Any = make_env(config) if config.slots == 1 else make_slots(config)
-            undo.callback(env.close)
-            base: VecEnv = DummyVecEnv([lambda: env]) if config.slots == 1 else as_sb3(env)
-            self.env = env
+            self.env = self.stepped = make(config)
+            undo.callback(self.env.close)
+            self._reference: Any = None
+            if config.paired_reward:
+                self._reference = make(config)
+                undo.callback(self._reference.close)
+                self.stepped = paired(self.env, self._reference)
+            base: VecEnv = DummyVecEnv([lambda: self.stepped]) if config.slots == 1 else as_sb3(self.stepped)
             self.recorder = EpisodeRecorder(base)
             self.monitor = VecMonitor(self.recorder)
             self.normalization = _normalization(config, self.monitor)
@@ -123,6 +131,13 @@ class TrainingEnv:
     def close(self) -> None:
         """Close the environment; idempotent."""
         self.env.close()
+        if self._reference is not None:
+            self._reference.close()
+
+    @property
+    def both(self) -> list[Any]:
+        """The environment, and its reference if it has one."""
+        return [env for env in (self.env, self._reference) if env is not None]
 
 
 def _normalization(config: TrainingConfig, env: VecEnv) -> VecNormalize | None:
