@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
 from math import fsum
@@ -182,9 +183,7 @@ class Orchestrator:
                 if name in self._binding.markets:
                     self._clear(self._binding.markets[name], commands, done)
             yield
-            for block in group:
-                if block.solved:
-                    self._solve(block, next(loops), commands, done)
+            self._solve_all([(block, next(loops)) for block in group if block.solved], commands, done)
             for name in single:
                 done[name] = self._plants[name].finish()
         for name, market in self._binding.markets.items():
@@ -274,8 +273,23 @@ class Orchestrator:
 
     # Loops
 
-    def _solve(self, block: Block, number: int, own: Mapping[str, Floats], done: dict[str, Rows]) -> None:
-        """Find the values of the solved connections of a loop, and step its plants with them."""
+    def _solve_all(self, loops: Sequence[tuple[Block, int]], own: Mapping[str, Floats], done: dict[str, Rows]) -> None:
+        """Solve loops that do not depend on each other, at the same time, and step their plants."""
+        if len(loops) < 2:
+            solved = [self._solve(block, number, own, done) for block, number in loops]
+        else:
+            with ThreadPoolExecutor(len(loops)) as pool:  # each thread has the plants of one loop
+                running = [pool.submit(self._solve, block, number, own, done) for block, number in loops]
+            solved = [future.result() for future in running]
+        for (block, number), (solution, rows) in zip(loops, solved, strict=True):
+            done |= rows
+            self._report(block, self.loops[number], solution)
+
+    def _solve(
+        self, block: Block, number: int, own: Mapping[str, Floats], before: Mapping[str, Rows]
+    ) -> tuple[Solution, dict[str, Rows]]:
+        """Find the values of the solved connections of a loop, and step its plants with them; return their samples."""
+        done = dict(before)
         sizes = [self._transfers[position].target_steps for position in block.solved]
         cuts = np.cumsum(sizes)[:-1]
 
@@ -302,7 +316,7 @@ class Orchestrator:
                 self._begin(name, own, done)
             for name in level:
                 done[name] = self._plants[name].finish()
-        self._report(block, self.loops[number], solution)
+        return solution, {name: done[name] for name in block.plants}
 
     def _try(self, level: Sequence[str], own: Mapping[str, Floats], done: dict[str, Rows]) -> None:
         """Try the step of plants that can run side by side."""

@@ -1,5 +1,6 @@
 """The orchestration of a step against hand calculations: order, delay, solved loops, balances."""
 
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -127,6 +128,34 @@ def test_loop__next_step_begins_with_the_solution(folder: Path) -> None:
         orchestrator.step(free(plants))
         assert orchestrator.loops[0].trials == expected
     assert (orchestrator.loops[0].total, orchestrator.loops[0].steps) == (5, 3)
+
+
+def test_loop__loops_that_do_not_depend_on_each_other_are_solved_at_the_same_time(folder: Path) -> None:
+    """Each waits in its first trial for the other one; a and b, c and d as in the test of one loop."""
+    meeting = threading.Barrier(2, timeout=60.0)
+
+    def met(factor: float, offset: float) -> Step:
+        waits = iter([True])
+
+        def step(state: list[float], row: list[float]) -> tuple[list[float], list[float]]:
+            if next(waits, False):
+                meeting.wait()
+            return gain(factor, offset)(state, row)
+
+        return step
+
+    plants = {
+        "a": plant(met(0.5, 1.0)),
+        "b": plant(gain(0.5, 2.0)),
+        "c": plant(met(0.2, 1.0)),
+        "d": plant(gain(0.5, 2.0)),
+    }
+    text = LOOP + LOOP.replace("a.", "c.").replace("b.", "d.") + "  - {from: a.x, to: e.u}\n"
+    orchestrator, _, _ = orchestrated(file_of(folder, text, "abcde"), {**plants, "e": plant(gain(2.0))})
+    orchestrator.step({**free(plants), "e": np.full(1, np.nan)})
+    values = [orchestrator.rows[name].values[0, 0] for name in "ace"]
+    assert values == pytest.approx([2.0 / 0.75, 1.4 / 0.9, 4.0 / 0.75], rel=1e-8)
+    assert [loop.is_solved for loop in orchestrator.loops] == [True, True]
 
 
 def test_loop__two_loops_through_one_plant_have_two_unknowns(folder: Path) -> None:
