@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from zenostat.models.building.model import Building
     from zenostat.models.building.systems import System
     from zenostat.models.catalog import Entry
+    from zenostat.models.semantic.points import Points
 
 _VERSION = "EnergyPlus version of the file"
 _RECORDING = ".mcap"
@@ -34,7 +35,8 @@ def model(
     building: Annotated[
         str,
         typer.Argument(
-            help="Short name, IDF or epJSON file, or part of a name; with --brick, also a recording (`.mcap`)."
+            help="Short name, IDF or epJSON file, or part of a name; with --brick or --haystack, also a recording "
+            "(`.mcap`)."
         ),
     ],
     html: Annotated[
@@ -47,10 +49,17 @@ def model(
             "Starts EnergyPlus for a moment, to list the points; those of a recording are in it."
         ),
     ] = None,
+    haystack: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write the same entities in the tags of Project Haystack 4 to this .zinc, .trio or .json file."
+        ),
+    ] = None,
     node: Annotated[
         str | None,
         typer.Option(
-            help="Name of the node that the references of --brick are for. Default: building, or the recorded node."
+            help="Name of the node that the references of --brick and --haystack are for. Default: building, or the "
+            "recorded node."
         ),
     ] = None,
     probe: Annotated[
@@ -77,9 +86,9 @@ def model(
 
     if html is not None and html.suffix.casefold() not in (".html", ".htm"):
         raise InvalidConfig(f"--html {html}: expected an .html file")
-    _check_brick(brick, node)
+    semantic = _SemanticFiles(brick, haystack, node)
     if building.casefold().endswith(_RECORDING):
-        _write_recorded_brick(Path(building), node, brick, is_alone=html is None and probe is None and not as_json)
+        semantic.write_recorded(Path(building), is_alone=html is None and probe is None and not as_json)
         return
     entry = catalog.find_building(building)
     try:
@@ -98,69 +107,97 @@ def model(
         _show(description)
     if _count_errors(description.file, description.diagnostics):
         raise typer.Exit(1)
-    if brick is not None:
-        _write_brick(read, building, node or "building", brick)
+    semantic.write(read, building)
     if probe is not None:
         _probe({"building": building, "weather": probe, "begin": begin, "end": end}, as_json=as_json)
 
 
-def _check_brick(file: Path | None, node: str | None) -> None:
-    """Check the options of the semantic model before anything is read.
+class _SemanticFiles:
+    """The files of a semantic model.
+
+    Args:
+        brick: the Brick graph; None for none.
+        haystack: the entities in the tags of Project Haystack; None for none.
+        node: name of the node in the references; None for the default.
 
     Raises:
         InvalidConfig: another suffix, or an invalid name of the node.
-        MissingExtra: rdflib is not installed.
+        MissingExtra: a library is not installed.
     """
-    if file is None:
-        return
-    if file.suffix.casefold() != ".ttl":
-        raise InvalidConfig(f"--brick {file}: expected a .ttl file")
-    if node is not None:
-        check_name(node, "the node's name")
-    with requires_extra("semantic", "the semantic model", "rdflib"):
-        import rdflib  # noqa: F401
+
+    def __init__(self, brick: Path | None, haystack: Path | None, node: str | None) -> None:
+        self._brick, self._haystack, self._node = brick, haystack, node
+        if brick is not None:
+            if brick.suffix.casefold() != ".ttl":
+                raise InvalidConfig(f"--brick {brick}: expected a .ttl file")
+            with requires_extra("semantic", "the semantic model", "rdflib"):
+                import rdflib  # noqa: F401
+        if haystack is not None:
+            from zenostat.models.semantic.haystack import CODECS
+
+            if haystack.suffix.casefold() not in CODECS:
+                raise InvalidConfig(f"--haystack {haystack}: expected a .zinc, .trio or .json file")
+        if node is not None and self:
+            check_name(node, "the node's name")
+
+    def __bool__(self) -> bool:
+        return self._brick is not None or self._haystack is not None
+
+    def write(self, read: Building, building: str) -> None:
+        """Write the semantic model of a building with the points that a node has by default."""
+        if not self:
+            return
+        from zenostat.eplus_node.config import read_config, scenario_of
+        from zenostat.eplus_node.plan import run_points
+        from zenostat.models import catalog
+
+        weather = catalog.weathers()[0]
+        with err.status(f"reading the points of {building} with EnergyPlus"):
+            scenario = scenario_of(read_config({"building": building, "weather": weather.name}))
+            points = run_points(read, scenario, weather.path, monitoring=True)
+        self._write(read, self._node or "building", points)
+
+    def write_recorded(self, recording: Path, *, is_alone: bool) -> None:
+        """Write the semantic model of a recorded building with the recorded points.
+
+        Raises:
+            InvalidConfig: no file, or another option that needs more than a recording (not `is_alone`).
+            InvalidRecording: it is no recording, or its model is missing or has changed.
+        """
+        if not self or not is_alone:
+            raise InvalidConfig(
+                f"{recording}: of a recording, only the semantic model is written: --brick FILE.ttl or --haystack "
+                "FILE.zinc"
+            )
+        with requires_extra("recording", "a recording", "mcap and zstandard"):
+            from zenostat.bridge.recording.reader import RecordingReader
+            from zenostat.eplus_node.verify_recording import RecordedPlant
+
+        with RecordingReader(recording) as reader:
+            read = RecordedPlant(reader, exact=True).building()
+            self._write(read, self._node or reader.manifest.node, reader.manifest)
+
+    def _write(self, read: Building, node: str, points: Points) -> None:
+        if self._brick is not None:
+            from zenostat.agent_sdk.semantic import SemanticGraph
+            from zenostat.models.semantic.graph import semantic_turtle
+
+            model = SemanticGraph.parse(semantic_turtle(read, node, points))
+            _write_text(self._brick, model.turtle(), counted(len(model.graph), "statement", ","))
+        if self._haystack is not None:
+            from zenostat.models.semantic.haystack import haystack_entities, haystack_text
+
+            entities = haystack_entities(read, node, points)
+            text = haystack_text(read.name, entities, self._haystack.suffix.casefold())
+            _write_text(self._haystack, text, counted(len(entities), "entity", ","))
 
 
-def _write_brick(read: Building, building: str, node: str, file: Path) -> None:
-    """Write the semantic model of a building with the points that a node has by default."""
-    from zenostat.eplus_node.config import read_config, scenario_of
-    from zenostat.eplus_node.plan import run_points
-    from zenostat.models import catalog
-    from zenostat.models.semantic.graph import semantic_turtle
-
-    weather = catalog.weathers()[0]
-    with err.status(f"reading the points of {building} with EnergyPlus"):
-        scenario = scenario_of(read_config({"building": building, "weather": weather.name}))
-        points = run_points(read, scenario, weather.path, monitoring=True)
-    _write_turtle(semantic_turtle(read, node, points), file)
-
-
-def _write_recorded_brick(recording: Path, node: str | None, file: Path | None, *, is_alone: bool) -> None:
-    """Write the semantic model of a recorded building with the recorded points.
-
-    Raises:
-        InvalidConfig: no file, or another option that needs more than a recording (not `is_alone`).
-        InvalidRecording: it is no recording, or its model is missing or has changed.
-    """
-    if file is None or not is_alone:
-        raise InvalidConfig(f"{recording}: of a recording, only the semantic model is written: --brick FILE.ttl")
-    with requires_extra("recording", "a recording", "mcap and zstandard"):
-        from zenostat.bridge.recording.reader import RecordingReader
-        from zenostat.eplus_node.verify_recording import RecordedPlant
-
-    with RecordingReader(recording) as reader:
-        text = RecordedPlant(reader, exact=True).semantic_turtle(node or reader.manifest.node)
-    _write_turtle(text, file)
-
-
-def _write_turtle(text: str, file: Path) -> None:
-    from zenostat.agent_sdk.semantic import SemanticGraph
+def _write_text(file: Path, text: str, content: str) -> None:
     from zenostat.topics.atomic_file import atomic_file
 
-    model = SemanticGraph.parse(text)
     with atomic_file(file) as temporary:
-        temporary.write_text(model.turtle(), encoding="utf-8")
-    err.print(f"semantic model: {file} ({counted(len(model.graph), 'statement', ',')})", soft_wrap=True, markup=False)
+        temporary.write_text(text, encoding="utf-8")
+    err.print(f"semantic model: {file} ({content})", soft_wrap=True, markup=False)
 
 
 def _show_unreadable(entry: Entry, error: ZenostatError, *, as_json: bool) -> None:

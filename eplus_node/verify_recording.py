@@ -24,7 +24,7 @@ from zenostat.eplus_node.config import NodeConfig, read_config, scenario_of
 from zenostat.eplus_node.plan import REPEATED_SETTINGS, input_files, plan
 from zenostat.eplus_node.plant import EnergyPlusPlant
 from zenostat.models import catalog
-from zenostat.models.building.model import read_building, with_edits
+from zenostat.models.building.model import Building, read_building, with_edits
 from zenostat.models.scenario.schema import Scenario
 from zenostat.models.semantic.graph import semantic_turtle
 from zenostat.topics import yaml12
@@ -143,11 +143,18 @@ class RecordedPlant:
         """Return the semantic model of the recorded building as Turtle, with references to the points of a node.
 
         It is that of the recorded node, if this has its name. The points are those of the recorded manifest; zones,
-        loops and equipment are those of the model, which is read again, if it is the recorded one. It simulates
-        nothing.
+        loops and equipment are those of the model. It simulates nothing.
 
         Args:
             node: name of the node.
+
+        Raises:
+            InvalidRecording: see `building`.
+        """
+        return semantic_turtle(self.building(), node, self._reader.manifest)
+
+    def building(self) -> Building:
+        """Read the model of the recorded building again, with the recorded edits.
 
         Raises:
             InvalidRecording: it recorded no building, or its model is missing or has changed.
@@ -160,7 +167,7 @@ class RecordedPlant:
             scenario = scenario_of(self._building_config())
             entry = catalog.find_building(scenario.building)
             self._check_model(entry.path)
-            building = with_edits(read_building(entry), scenario.edits)
+            return with_edits(read_building(entry), scenario.edits)
         except UsageError as error:
             if isinstance(error, InvalidRecording):
                 raise
@@ -169,7 +176,6 @@ class RecordedPlant:
             raise InvalidRecording(
                 f"{self._path} has no semantic model without the model that it recorded{file}: {error}"
             ) from None
-        return semantic_turtle(building, node, self._reader.manifest)
 
     def _check_model(self, file: Path) -> None:
         """Check that a model is the recorded one."""

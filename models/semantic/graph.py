@@ -5,13 +5,11 @@ All texts of a model are data: names become literals and percent-encoded parts o
 
 from __future__ import annotations
 
-from urllib.parse import quote
-
 from zenostat.models.building.model import Building
 from zenostat.models.semantic.brick_classes import QUDT_UNITS, SUPERCLASSES
 from zenostat.models.semantic.equipment import Key, Relation, Structure, read_structure
-from zenostat.models.semantic.points import Points, SemanticPoint, semantic_points
-from zenostat.models.semantic.triples import Iri, Triples, Value
+from zenostat.models.semantic.points import Points, SemanticPoint, meter_resource, semantic_points
+from zenostat.models.semantic.triples import Iri, Triples, Value, encoded_name
 from zenostat.topics import keys
 from zenostat.topics.device_addresses import (
     REGISTERS_PER_VALUE,
@@ -117,7 +115,7 @@ class _Writer:
         for position, (each, named) in enumerate(zip(semantic, (*readings, *outputs), strict=True)):
             entity = self._add_point(each)
             if isinstance(each.point, Meter):
-                meter, resource = self._add_meter(each, each.point, entity), _resource(each.point)
+                meter, resource = self._add_meter(each, each.point, entity), meter_resource(each.point)
                 if each.is_whole_building:
                     main[resource] = meter
                 else:
@@ -147,7 +145,7 @@ class _Writer:
             self.triples.add(reference_class, Iri(f"{SKOS}definition"), definition)
 
     def _uri(self, key: Key) -> Iri:
-        return Iri(f"{self._base}{_encoded(key.kind.replace(':', '-'))}.{_encoded(key.name)}")
+        return Iri(f"{self._base}{encoded_name(key.kind.replace(':', '-'))}.{encoded_name(key.name)}")
 
     def _brick(self, subject: Iri, name: str, value: Value) -> None:
         self.triples.add(subject, Iri(f"{BRICK}{name}"), value)
@@ -187,7 +185,7 @@ class _Writer:
         meter = self._uri(Key("Meter", point.meter or point.name))
         self._type(meter, each.meter_class)
         self.triples.add(meter, _LABEL, point.meter or point.name)
-        self._own(meter, "resource", _resource(point))
+        self._own(meter, "resource", meter_resource(point))
         self._brick(meter, "hasPoint", reading)
         if each.is_whole_building:
             for building in each.metered:
@@ -231,20 +229,5 @@ class _Writer:
         self._own(reference, "dataType", "float32")
 
 
-def _encoded(text: str) -> str:
-    """Return a text as a part of a URI, and of a local name of Turtle; half of a surrogate pair becomes U+FFFD."""
-    return (
-        quote(text.encode(errors="surrogatepass").decode(errors="replace"), safe="")
-        .replace(".", "%2E")
-        .replace("~", "%7E")
-    )
-
-
 def _kind(point: Sensor | Meter | Actuator) -> str:
     return type(point).__name__.lower()
-
-
-def _resource(meter: Meter) -> str:
-    """Return the resource of `Electricity:Facility` and of `Cooling:Electricity`, case-folded."""
-    words = meter.meter.casefold().split(":")
-    return words[0] if words[-1] == "facility" else words[min(1, len(words) - 1)]

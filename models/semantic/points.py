@@ -243,3 +243,9 @@ def _meter(structure: Structure, meter: Meter) -> SemanticPoint:
     is_whole = len(words) == 2 and words[1] == "facility"
     meter_class = whole if is_whole else end_use
     return SemanticPoint(meter, reading, (), None, meter_class, (structure.building,) if is_whole else ())
+
+
+def meter_resource(meter: Meter) -> str:
+    """Return the resource of `Electricity:Facility` and of `Cooling:Electricity`, case-folded."""
+    words = meter.meter.casefold().split(":")
+    return words[0] if words[-1] == "facility" else words[min(1, len(words) - 1)]

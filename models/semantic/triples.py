@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from urllib.parse import quote
 
 _SAFE_LOCAL = re.compile(r"[A-Za-z0-9_](?:(?:[A-Za-z0-9_.\-]|%[0-9A-F]{2})*(?:[A-Za-z0-9_\-]|%[0-9A-F]{2}))?")
 """Local names that Turtle takes without an escape (a part of its `PN_LOCAL`)."""
@@ -20,6 +21,15 @@ class Iri(str):
 
 Value = Iri | str | int | float
 """An object of a statement: a URI, or the value of a literal."""
+
+
+def encoded_name(text: str) -> str:
+    """Return a text as a part of a URI, and of a local name of Turtle; half of a surrogate pair becomes U+FFFD."""
+    return (
+        quote(text.encode(errors="surrogatepass").decode(errors="replace"), safe="")
+        .replace(".", "%2E")
+        .replace("~", "%7E")
+    )
 
 
 class Triples:

@@ -142,25 +142,31 @@ def test_model__brick_file_of_an_own_building_has_its_zones_and_points(tmp_path:
     path = written(
         tmp_path / "mine.idf", lambda text: text.replace("Core_ZN", 'Core "1" <b>é'.encode().decode("latin-1"))
     )
-    file = tmp_path / "mine.ttl"
-    result = run_in_process("model", str(path), "--brick", str(file), "--node", "office")
+    file, tags = tmp_path / "mine.ttl", tmp_path / "mine.zinc"
+    result = run_in_process("model", str(path), "--brick", str(file), "--haystack", str(tags), "--node", "office")
     assert result.returncode == 0, result.stderr
     text = file.read_text()
     assert 'rdfs:label "Core \\"1\\" <b>' in text
-    assert '"zenostat/v3/office/actuator/*/perimeter_zn_1_cooling_setpoint"' in text
+    key = '"zenostat/v3/office/actuator/*/perimeter_zn_1_cooling_setpoint"'
+    assert key in text
+    assert key in tags.read_text()
+    assert '"Core \\"1\\" <b>' in tags.read_text()
 
 
 def test_model__of_a_recording_writes_its_semantic_model_only() -> None:
     for options in ([], ["--json"], ["--brick", "a.ttl", "--html", "a.html"]):
         result = run_in_process("model", "run.mcap", *options, columns=300)
         assert result.returncode == 2
-        assert "run.mcap: of a recording, only the semantic model is written: --brick FILE.ttl" in plain(result.stderr)
+        assert "run.mcap: of a recording, only the semantic model is written: --brick FILE.ttl or" in plain(
+            result.stderr
+        )
 
 
 @pytest.mark.parametrize(
     ("arguments", "reason"),
     [
         (["--brick", "a.json"], "--brick a.json: expected a .ttl file"),
+        (["--haystack", "a.ttl"], "--haystack a.ttl: expected a .zinc, .trio or .json file"),
         (["--brick", "a.ttl", "--node", "a/b"], "the node's name 'a/b' is not valid in a topic"),
     ],
 )

@@ -35,7 +35,7 @@ from zenostat.models.semantic.brick_classes import (
     VARIABLES,
 )
 from zenostat.models.semantic.graph import semantic_turtle
-from zenostat.models.semantic.triples import Iri, Triples
+from zenostat.models.semantic.triples import Iri, Triples, encoded_name
 from zenostat.topics import keys
 from zenostat.topics.messages import Actuator, Meter, Sensor
 from zenostat.topics.printable import replace_controls
@@ -292,10 +292,8 @@ TEXTS = st.text(st.characters(codec=None), max_size=20)
 @settings(max_examples=examples(30))
 @given(subject=TEXTS, label=TEXTS, number=st.integers() | st.floats(0, 1e9).map(lambda x: round(x, 3)))
 def test_triples__turtle_has_the_texts(subject: str, label: str, number: float) -> None:
-    from zenostat.models.semantic.graph import _encoded
-
     triples = Triples({"x": "urn:x#"})
-    entity = Iri(f"urn:x#{_encoded(subject)}")
+    entity = Iri(f"urn:x#{encoded_name(subject)}")
     triples.add(entity, Iri("urn:x#label"), label)
     triples.add(entity, Iri("urn:x#number"), number)
     graph = graph_of(triples.turtle())
