@@ -40,7 +40,7 @@ def tune(
     running trials; they are repeated when the study continues.
     """
     from zenostat.lab.config_file import read_file
-    from zenostat.lab.tuning.read import read_tuning
+    from zenostat.lab.tuning.tuning_file import read_tuning
 
     options: dict[str, Any] = {"workers": workers, "trials": trials, "storage": storage}
     options["output"] = None if output is None else str(output)

@@ -15,8 +15,8 @@ from zenostat.bridge.engine.lists import close_all, start_all
 from zenostat.bridge.engine.spec import EngineSpec
 from zenostat.bridge.node.plant import PlantContext, PlantDescription, RunningPlant, Site, WeatherTable
 from zenostat.eplus_node.engine.episode_folders import create_fork_folder, link_weather
+from zenostat.eplus_node.engine.fork_template import EngineTemplate
 from zenostat.eplus_node.engine.pool import EnginePool, EpisodeWeather
-from zenostat.eplus_node.engine.template import EngineTemplate
 from zenostat.eplus_node.plan import Plan, describe
 from zenostat.models.scenario.episode_weather import WeatherDraw, WeatherSource, series
 from zenostat.models.weather.epw import find_column

@@ -17,10 +17,10 @@ import zenoh
 from zenoh.handlers import Callback
 
 from zenostat.topics import codec, errors, keys
+from zenostat.topics.client_protocol import attachment
 from zenostat.topics.errors import NodeNotFound, PeerError, did_you_mean
 from zenostat.topics.keys import Topic
 from zenostat.topics.messages import ErrorReply, Message
-from zenostat.topics.way_in import attachment
 
 _QUERY_S = 600.0  # a node's disconnection is noticed at once; the start of a large building takes long
 

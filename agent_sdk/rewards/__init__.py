@@ -16,7 +16,7 @@ from zenostat.agent_sdk.rewards.normalized import NormalizedReward
 from zenostat.agent_sdk.rewards.occupied import OccupiedReward
 from zenostat.agent_sdk.rewards.occupied_cost import OccupiedCostReward
 from zenostat.agent_sdk.rewards.peak import PeakReward
-from zenostat.agent_sdk.rewards.read import REWARDS, AnyReward, read_reward
+from zenostat.agent_sdk.rewards.reward_reader import REWARDS, AnyReward, read_reward
 from zenostat.agent_sdk.rewards.thermal_sensation import ThermalSensationReward
 
 __all__ = [

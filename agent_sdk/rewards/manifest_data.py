@@ -8,7 +8,7 @@ from typing import Any
 from zenostat.agent_sdk.rewards.base import Reward
 from zenostat.agent_sdk.rewards.comfort_band import ComfortBand
 from zenostat.agent_sdk.rewards.multi_zone import MultiZoneReward
-from zenostat.agent_sdk.rewards.read import CUSTOM, REWARDS, read_reward
+from zenostat.agent_sdk.rewards.reward_reader import CUSTOM, REWARDS, read_reward
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest, Task
 

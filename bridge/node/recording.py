@@ -32,8 +32,8 @@ from zenostat.topics.recording import (
 
 if TYPE_CHECKING:
     from zenostat.bridge.node.server import NodeServer
+    from zenostat.bridge.recording.complete_part import Written
     from zenostat.bridge.recording.recorder import Attachments, Recorder
-    from zenostat.bridge.recording.written import Written
 
 
 class RecordingManager:

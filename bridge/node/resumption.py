@@ -20,10 +20,10 @@ from pydantic import ValidationError
 from zenostat.bridge.node.plant import Plant, RepeatablePlant
 from zenostat.bridge.node.repetition import Repetition
 from zenostat.bridge.python_plant.shipped import PANDAPOWER, shipped_option
+from zenostat.bridge.recording.complete_part import Written
 from zenostat.bridge.recording.continuation import read_written
 from zenostat.bridge.recording.file import changed_files, open_written, recorded_digests
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
-from zenostat.bridge.recording.written import Written
 from zenostat.topics import codec, yaml12
 from zenostat.topics.alarm_rules import AlarmRules
 from zenostat.topics.codec import describe_validation_errors

@@ -31,10 +31,10 @@ from zenostat.bridge.node.trials import TrialSteps
 from zenostat.bridge.recording.channels import SAMPLES
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.topics import codec, errors, keys
+from zenostat.topics.client_protocol import ZENOH
 from zenostat.topics.errors import EpisodeAborted, RequestRejected, SimulatorError, ZenostatError
 from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import Event, EventKind, Manifest, Mode, Query, Sample, State, Statistics
-from zenostat.topics.way_in import ZENOH
 
 if TYPE_CHECKING:
     from zenostat.bridge.alarms.monitor import AlarmMonitor, AlarmSnapshot

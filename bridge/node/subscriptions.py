@@ -22,9 +22,9 @@ from zenoh.handlers import Callback, FifoChannel
 
 from zenostat.bridge.transport.wakeup import Wake
 from zenostat.topics import codec, errors, keys
+from zenostat.topics.client_protocol import ZENOH, client_protocol
 from zenostat.topics.errors import AccessDenied, BadMessage, NodeLost, RequestRejected, ZenostatError
 from zenostat.topics.messages import ErrorReply, Message, Query
-from zenostat.topics.way_in import ZENOH, way_in
 
 if TYPE_CHECKING:
     from zenostat.bridge.node.access import Access
@@ -91,7 +91,7 @@ class Request:
         self._topic, self._subscriptions = topic, subscriptions
         self._key = topic.at(subscriptions.node, name=self.name, sender=self.sender)
         self.payload, self.encoding = _content(query)
-        self._via = _way_in(query.attachment)
+        self._via = _client_protocol(query.attachment)
 
     def answer(self, handler: Callable[[], Message], *, is_recorded: bool = True) -> None:
         """Call `handler` and reply with what it returns or raises; only the first call replies and is recorded."""
@@ -113,8 +113,8 @@ class Request:
             query.reply(self._key, payload, encoding=zenoh.Encoding(encoding))
 
 
-def _way_in(attached: zenoh.ZBytes | None) -> str:
-    return ZENOH if attached is None else way_in(attached.to_bytes())
+def _client_protocol(attached: zenoh.ZBytes | None) -> str:
+    return ZENOH if attached is None else client_protocol(attached.to_bytes())
 
 
 def _mismatch(sender: str, named: str) -> str:
@@ -352,7 +352,11 @@ class Subscriptions:
                 self.rate_limited += 1
                 return
             sender, name = topic.names_in(str(message.key_expr))
-            payload, encoding, via = message.payload.to_bytes(), str(message.encoding), _way_in(message.attachment)
+            payload, encoding, via = (
+                message.payload.to_bytes(),
+                str(message.encoding),
+                _client_protocol(message.attachment),
+            )
             waiting.append(lambda: None if self._has_ended else receive(sender, name, payload, encoding, via))
             self._post_next(waiting)
 

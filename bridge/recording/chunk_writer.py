@@ -34,7 +34,7 @@ from mcap.records import (
 from mcap.writer import MCAP0_MAGIC
 
 if TYPE_CHECKING:
-    from zenostat.bridge.recording.written import Written
+    from zenostat.bridge.recording.complete_part import Written
 
 _MESSAGE = struct.Struct("<BQHIQQ")
 """Head of a message record: opcode, length, channel, sequence, log time, publish time; its payload follows."""

@@ -26,9 +26,9 @@ from mcap.records import (
 
 from zenostat.bridge.recording.channels import AUDIT, CHANNELS
 from zenostat.bridge.recording.chunk_writer import COMPRESSION, message_index
+from zenostat.bridge.recording.complete_part import Written
 from zenostat.bridge.recording.file import MAGIC
 from zenostat.bridge.recording.reader import RecordingReader, chunk_data
-from zenostat.bridge.recording.written import Written
 from zenostat.topics import codec, recording
 from zenostat.topics.errors import BadMessage, InvalidRecording
 from zenostat.topics.recording import RecordedAudit

@@ -38,7 +38,7 @@ from zenostat.topics.messages import (
 from zenostat.topics.recording import RecordedMessage, RecordedRequest, RecordedSender
 
 if TYPE_CHECKING:
-    from zenostat.bridge.recording.written import Written
+    from zenostat.bridge.recording.complete_part import Written
 
 BUFFER_BYTES = 64 << 20
 """Largest number of bytes that may wait to be written."""

@@ -7,10 +7,10 @@ from typing import Generic, TypeVar
 import zenoh
 
 from zenostat.topics import codec, keys
+from zenostat.topics.client_protocol import attachment
 from zenostat.topics.errors import BadMessage, PeerError, from_wire
 from zenostat.topics.messages import ErrorReply, Message
 from zenostat.topics.printable import replace_controls
-from zenostat.topics.way_in import attachment
 
 M = TypeVar("M", bound=Message)
 

@@ -12,8 +12,8 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import BeforeValidator, Field, field_validator, model_validator
 
 from zenostat.lab.config_file import FIELDS, FIELDS_OR_FALSE, ConfigPart, Count, No
-from zenostat.lab.tuning.read import validated
 from zenostat.lab.tuning.study_config import Direction, Pruner, Range, Sampler, StudyConfig
+from zenostat.lab.tuning.tuning_file import validated
 from zenostat.topics.errors import InvalidConfig
 
 _BATCH = 8

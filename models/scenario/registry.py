@@ -43,7 +43,7 @@ def find_scenario(text: str) -> Scenario:
 
         return pack_scenarios()[name]
     if name in PAPER_IDS:
-        from zenostat.models.scenario.paper import paper_scenarios
+        from zenostat.models.scenario.sinergym_paper import paper_scenarios
 
         return paper_scenarios()[name]
     match = _ID.fullmatch(name)

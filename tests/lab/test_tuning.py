@@ -14,11 +14,11 @@ from zenostat.topics.errors import InvalidConfig
 optuna = pytest.importorskip("optuna")
 pytest.importorskip("stable_baselines3")
 
-from zenostat.lab.tuning.read import read_tuning  # noqa: E402
 from zenostat.lab.tuning.search_space import distribution  # noqa: E402
 from zenostat.lab.tuning.study import Tuning, open_study  # noqa: E402
 from zenostat.lab.tuning.study_config import Range  # noqa: E402
 from zenostat.lab.tuning.study_figures import write_results  # noqa: E402
+from zenostat.lab.tuning.tuning_file import read_tuning  # noqa: E402
 
 TRAINING: dict[str, Any] = {
     "algorithm": "a2c", "scenario": "Fake-v1", "steps": 60, "threads": 1,

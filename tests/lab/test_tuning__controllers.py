@@ -20,9 +20,9 @@ optuna = pytest.importorskip("optuna")
 
 from zenostat.lab.tuning import RULE_SEARCH_SPACE, tune_controller  # noqa: E402
 from zenostat.lab.tuning.controller_episodes import ControllerEpisodes  # noqa: E402
-from zenostat.lab.tuning.read import load_tuning, read_tuning  # noqa: E402
 from zenostat.lab.tuning.study import Tuning  # noqa: E402
 from zenostat.lab.tuning.study_figures import write_results  # noqa: E402
+from zenostat.lab.tuning.tuning_file import load_tuning, read_tuning  # noqa: E402
 
 FAKE: dict[str, Any] = {"zones": 1, "end": "07-03", "steps_per_hour": 2, "control": "building"}
 ARGUMENTS = {"scenario": "Fake-v1", **FAKE}

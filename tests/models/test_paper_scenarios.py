@@ -9,9 +9,9 @@ import pytest
 from support.data_packs import sinergym
 
 from zenostat.models import catalog, data_packs
-from zenostat.models.scenario.paper import paper_scenarios
 from zenostat.models.scenario.registry import find_scenario
 from zenostat.models.scenario.schema import Scenario
+from zenostat.models.scenario.sinergym_paper import paper_scenarios
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.scenario_ids import PAPER_IDS, all_ids
 

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO
 from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
-from zenostat.agent_sdk.rewards.read import CUSTOM
+from zenostat.agent_sdk.rewards.reward_reader import CUSTOM
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices

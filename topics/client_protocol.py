@@ -19,7 +19,7 @@ def attachment(via: str) -> bytes | None:
     return via.encode() if via and via != ZENOH else None
 
 
-def way_in(attached: bytes | None) -> str:
+def client_protocol(attached: bytes | None) -> str:
     """Return the way in that an attachment names: a name in lower case, of up to 32 characters."""
     if not attached:
         return ZENOH
