@@ -1,4 +1,4 @@
-"""The way in which a message came to the bus: over Zenoh, or another protocol through a gateway.
+"""The protocol by which a message came to the bus: Zenoh, or another one through a gateway.
 
 A gateway names its protocol in the attachment of each message that it sends for a client. It is what the gateway says,
 as is the client's name below the gateway's own.
@@ -20,7 +20,7 @@ def attachment(via: str) -> bytes | None:
 
 
 def client_protocol(attached: bytes | None) -> str:
-    """Return the way in that an attachment names: a name in lower case, of up to 32 characters."""
+    """Return the protocol that an attachment names: a name in lower case, of up to 32 characters."""
     if not attached:
         return ZENOH
     return safe_name(attached[:_MAX_BYTES].decode("utf-8", "replace"))
