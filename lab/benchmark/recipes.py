@@ -20,7 +20,6 @@ _SEED_SPACING = 100
 _TRAININGS: dict[str, dict[str, Any]] = {
     "ppo": {
         "slots": 4,
-        "paired_reward": True,
         "parameters": {
             "n_steps": 336,
             "batch_size": 192,
