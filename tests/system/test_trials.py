@@ -312,10 +312,12 @@ class Tank:
 
 
 @pytest.fixture
-def tank(scratch: Path) -> Iterator[tuple[NodeProgram, Bus]]:
+def tank(scratch: Path, request: pytest.FixtureRequest) -> Iterator[tuple[NodeProgram, Bus]]:
+    """A node of the class, which kills a copy that hangs after a second, or after the parameter, in s."""
     file = scratch / "tank.py"
     file.write_text(CLASS)
-    with node_on_bus(scratch / "node", plant=f"{file}:Tank", unresponsive_s=1.0) as pair:
+    limit_s = getattr(request, "param", 1.0)
+    with node_on_bus(scratch / "node", plant=f"{file}:Tank", unresponsive_s=limit_s) as pair:
         yield pair
 
 
@@ -347,6 +349,7 @@ with zenostat.connect(sys.argv[1], affinity="off") as bus:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("tank", [10.0], indirect=True)  # so that the copies are seen on a loaded machine
 def test_trial__requester_is_killed_in_the_middle(tank: tuple[NodeProgram, Bus]) -> None:
     """The copy that hangs is killed in time, and the node answers the next request."""
     node, bus = tank
