@@ -223,7 +223,7 @@ async def test_mcp__what_if_compares_energy_and_comfort_on_copies(fake_node: Nod
             assert "0.25" in await refused(client, "what_if", node="office", hours=0.001)
             assert "zone_1_cooling_setpoint" in await refused(client, "what_if", node="office", values={"zone_1": 1.0})
         assert bus.latest("office") == before
-        assert not bus.status("office").branches
+        until(lambda: not bus.status("office").branches, "the branches have ended")
         assert not bus.status("office").snapshots
 
 

@@ -234,7 +234,8 @@ def test_recording__replay_is_the_node_again(seen: Any, session: tuple[zenoh.Ses
     ):
         assert bus.nodes() == ["office"]
         manifest = bus.manifest("office")
-        others = {"instance", "mode", "speed", "statistics", "history_samples", "history_bytes"}
+        others = {"instance", "replay", "mode", "speed", "statistics", "history_samples", "history_bytes"}
+        assert manifest.replay
         assert manifest.model_dump(exclude=others) == reader.manifest.model_dump(exclude=others)
         assert manifest.history_samples == 0  # a replay keeps none
         counts = list[int]()
