@@ -117,8 +117,10 @@ class _SampleQueue:
     name = "policy"
 
     def __init__(self, manifest: Manifest) -> None:
-        # A limit would end the environment's episode while the node's continues.
-        self.manifest = manifest.model_copy(update={"task": manifest.task.model_copy(update={"terminate": ()})})
+        # A limit would end the environment's episode while the node's continues. Of a branch, the first sample is the
+        # environment's reset.
+        task = manifest.task.model_copy(update={"terminate": ()})
+        self.manifest = manifest.model_copy(update={"task": task, "branch_of": ""})
         start = EpisodeStart(engine_start=EngineStart.REUSED, weather=manifest.weather)
         self.accepted = Ack(episode=[0], episode_starts=[start])
         self._samples: SimpleQueue[SampleView | None] = SimpleQueue()

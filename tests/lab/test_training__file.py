@@ -3,6 +3,7 @@
 import csv
 import json
 import threading
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -150,9 +151,10 @@ def test_training__folder_of_a_training_behind_wrappers_is_a_controller(tmp_path
     evaluation = {"every_steps": 96, "seed": 5}
     training = fields("ppo", tmp_path, wrappers=wrappers, evaluation=evaluation, arguments=DAY, steps=96)
     result = train(read_training(training))
-    for factory in (load_controller(str(tmp_path)), load_policy(tmp_path / "best.zip")):
+    factories = (load_controller(str(tmp_path)), load_policy(tmp_path / "best.zip"))
+    for factory, branch_of in product(factories, ("", "office")):  # the questions "what if" ask it on a branch
         with FakeEnv(**DAY) as env:
-            agent = Agent(factory(env.manifest))
+            agent = Agent(factory(env.manifest.model_copy(update={"branch_of": branch_of})))
             for _ in range(2):  # a second episode begins anew
                 metrics, _ = run_episode(env, lambda _, agent=agent, env=env: agent.action(env.sample), seed=5)
                 assert metrics.reward == result.best_reward
