@@ -8,9 +8,8 @@ from __future__ import annotations
 from zenostat.models.building.model import Building
 from zenostat.models.semantic.brick_classes import QUDT_UNITS, SUPERCLASSES
 from zenostat.models.semantic.equipment import Key, Relation, Structure, read_structure
-from zenostat.models.semantic.points import Points, SemanticPoint, meter_resource, semantic_points
+from zenostat.models.semantic.points import Points, SemanticPoint, bus_key, meter_resource, point_kind, semantic_points
 from zenostat.models.semantic.triples import Iri, Triples, Value, encoded_name
-from zenostat.topics import keys
 from zenostat.topics.device_addresses import (
     REGISTERS_PER_VALUE,
     BacnetObject,
@@ -169,7 +168,7 @@ class _Writer:
         self.triples.add(unit, _TYPE, Iri(f"{QUDT}Unit"))
 
     def _add_point(self, each: SemanticPoint) -> Iri:
-        entity = self._uri(Key(_kind(each.point), each.point.name))
+        entity = self._uri(Key(point_kind(each.point), each.point.name))
         self._type(entity, each.brick_class)
         self.triples.add(entity, _LABEL, each.point.name)
         unit = QUDT_UNITS.get(each.point.unit)
@@ -206,13 +205,11 @@ class _Writer:
         return reference
 
     def _refer_to_bus(self, entity: Iri, point: Sensor | Meter | Actuator) -> None:
-        kind = _kind(point)
-        topic = {"sensor": keys.SENSOR, "meter": keys.METER, "actuator": keys.ACTUATOR}[kind]
         reference = self._reference(entity, "bus", f"{VOCABULARY}BusReference")
         self._own(reference, "node", self._node)
         self._own(reference, "name", point.name)
-        self._own(reference, "kind", kind)
-        self._own(reference, "key", topic.at(self._node, name=point.name, sender="*"))
+        self._own(reference, "kind", point_kind(point))
+        self._own(reference, "key", bus_key(point, self._node))
 
     def _refer_to_bacnet(self, entity: Iri, named: BacnetObject, device: Iri) -> None:
         reference = self._reference(entity, "bacnet", f"{REF}BACnetReference")
@@ -227,7 +224,3 @@ class _Writer:
         self._own(reference, "address", address)
         self._own(reference, "registers", REGISTERS_PER_VALUE)
         self._own(reference, "dataType", "float32")
-
-
-def _kind(point: Sensor | Meter | Actuator) -> str:
-    return type(point).__name__.lower()

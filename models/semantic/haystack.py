@@ -13,9 +13,8 @@ from typing import Any
 from zenostat.models.building.model import Building
 from zenostat.models.semantic.brick_classes import SUPERCLASSES
 from zenostat.models.semantic.equipment import Key, Relation, Structure, read_structure
-from zenostat.models.semantic.points import Points, SemanticPoint, meter_resource, semantic_points
+from zenostat.models.semantic.points import Points, SemanticPoint, bus_key, meter_resource, point_kind, semantic_points
 from zenostat.models.semantic.triples import encoded_name
-from zenostat.topics import keys
 from zenostat.topics.device_addresses import (
     ObjectKind,
     bacnet_objects,
@@ -23,7 +22,7 @@ from zenostat.topics.device_addresses import (
     input_register,
 )
 from zenostat.topics.extras import requires_extra
-from zenostat.topics.messages import Actuator, Meter, Sensor
+from zenostat.topics.messages import Actuator, Meter
 
 with requires_extra("semantic", "Project Haystack's files", "rusty-haystack"):
     from rusty_haystack import HCol, HDict, HGrid, Marker, Number, Ref, encode_grid
@@ -270,9 +269,8 @@ def _points(
     readings, outputs = bacnet_objects(node, inputs, [actuator.name for actuator in points.actuators])
     for position, (each, named) in enumerate(zip(semantic, (*readings, *outputs), strict=True)):
         point = each.point
-        kind = type(point).__name__.lower()
         entity = {
-            "id": _ref(Key(kind, point.name)),
+            "id": _ref(Key(point_kind(point), point.name)),
             "dis": point.name,
             "point": Marker(),
             **dict.fromkeys(tags_of(each.brick_class, POINT_TAGS), Marker()),
@@ -285,8 +283,7 @@ def _points(
         letters = "AI" if named.kind is ObjectKind.INPUT else "AO"
         entity["bacnetCur"] = f"{letters}{named.instance}"
         entity["modbusInputRegister"] = Number(input_register(position))
-        topic = keys.SENSOR if isinstance(point, Sensor) else keys.METER if isinstance(point, Meter) else keys.ACTUATOR
-        entity["zenostatKey"] = topic.at(node, name=point.name, sender="*")
+        entity["zenostatKey"] = bus_key(point, node)
         if isinstance(point, Actuator):
             entity["writable"] = Marker()
             entity["bacnetWrite"] = entity["bacnetCur"]

@@ -19,6 +19,7 @@ from zenostat.models.semantic.brick_classes import (
     VARIABLES,
 )
 from zenostat.models.semantic.equipment import Key, Structure
+from zenostat.topics import keys
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, SCHEDULE_VALUE, THERMOSTAT
 from zenostat.topics.messages import Actuator, Meter, Sensor
 
@@ -243,6 +244,17 @@ def _meter(structure: Structure, meter: Meter) -> SemanticPoint:
     is_whole = len(words) == 2 and words[1] == "facility"
     meter_class = whole if is_whole else end_use
     return SemanticPoint(meter, reading, (), None, meter_class, (structure.building,) if is_whole else ())
+
+
+def bus_key(point: Sensor | Meter | Actuator, node: str) -> str:
+    """Return the key of a point on the bus; in that of an actuator `*` stands for the sender."""
+    topic = {"sensor": keys.SENSOR, "meter": keys.METER, "actuator": keys.ACTUATOR}[point_kind(point)]
+    return topic.at(node, name=point.name, sender="*")
+
+
+def point_kind(point: Sensor | Meter | Actuator) -> str:
+    """Return `sensor`, `meter` or `actuator`."""
+    return type(point).__name__.lower()
 
 
 def meter_resource(meter: Meter) -> str:
