@@ -129,10 +129,9 @@ class TrainingEnv:
         return wrappers_of(self.env)
 
     def close(self) -> None:
-        """Close the environment; idempotent."""
-        self.env.close()
-        if self._reference is not None:
-            self._reference.close()
+        """Close the environment, and its reference if it has one; idempotent."""
+        for env in self.both:
+            env.close()
 
     @property
     def both(self) -> list[Any]:
