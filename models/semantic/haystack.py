@@ -24,7 +24,7 @@ from zenostat.topics.device_addresses import (
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.messages import Actuator, Meter
 
-with requires_extra("semantic", "Project Haystack's files", "rusty-haystack"):
+with requires_extra("semantic", "a file of Project Haystack", "rusty-haystack"):
     from rusty_haystack import HCol, HDict, HGrid, Marker, Number, Ref, encode_grid
 
 ENTITY_TAGS: Mapping[str, str] = {
