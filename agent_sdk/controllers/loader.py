@@ -6,7 +6,6 @@ import importlib
 import importlib.util
 import inspect
 import sys
-import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from importlib.machinery import ModuleSpec, PathFinder
@@ -17,6 +16,7 @@ from zenostat.agent_sdk.controllers.base import Controller, ControllerProtocol
 from zenostat.agent_sdk.controllers.controller_file import read_controller_file
 from zenostat.agent_sdk.controllers.parameters import check_parameters, with_parameters
 from zenostat.bridge.runtime.source_loader import source_spec
+from zenostat.bridge.runtime.user_code import describe_user_error
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 
 CONTROLLERS: dict[str, type[Controller]] = {}
@@ -91,7 +91,7 @@ def _load_module(source: str) -> ModuleType:
     except (Exception, SystemExit) as error:
         if isinstance(error, ModuleNotFoundError) and error.name and f"{source}.".startswith(f"{error.name}."):
             raise UnknownName(f"there is no module {source!r}, neither installed nor in {folder}") from None
-        raise InvalidConfig(f"loading {source} failed: {_describe(error)}") from error
+        raise InvalidConfig(f"loading {source} failed: {describe_user_error(error)}") from error
 
 
 def _load_file(path: Path) -> ModuleType:
@@ -133,14 +133,6 @@ def _importable(folder: Path) -> Iterator[None]:
         yield
     finally:
         sys.meta_path.remove(finder)
-
-
-def _describe(error: BaseException) -> str:
-    """Describe an exception with the line of the user's code that raised it."""
-    frames = [f for f in traceback.extract_tb(error.__traceback__) if "importlib" not in f.filename]
-    frames = [f for f in frames if f.filename != __file__]
-    location = f" (line {frames[-1].lineno} of {Path(frames[-1].filename).name})" if frames else ""
-    return f"{type(error).__name__}: {error}{location}"
 
 
 def _controller_class(module: ModuleType, name: str, source: str) -> Callable[..., ControllerProtocol]:

@@ -468,7 +468,7 @@ class Connection:
             return self._receive(node, pending)
         except NodeNotFound:
             if pending.is_cancelled:
-                raise BusError(f"the trial of node {node!r} was given up") from None
+                raise BusError(f"the trial of node {node!r} was cancelled") from None
             raise NodeLost(f"node {node!r} is gone") from None
 
 

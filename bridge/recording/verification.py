@@ -23,6 +23,7 @@ from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
 from zenostat.topics import VERSION, codec
 from zenostat.topics.errors import BadMessage, InvalidRecording
 from zenostat.topics.messages import Flag
+from zenostat.topics.plurals import counted
 from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import RecordedEpisode, RecordedOrder, RecordedSnapshot
 
@@ -110,7 +111,9 @@ class Verification:
         return self.tolerance is None or all(value <= self.tolerance for value in self.greatest.values())
 
     def __str__(self) -> str:
-        compared = f"{self.steps:,} steps, {self.points} points, {self.actuators} actuators"
+        compared = ", ".join(
+            [counted(self.steps, "step", ","), counted(self.points, "point"), counted(self.actuators, "actuator")]
+        )
         if self.difference is not None:
             return f"different after {compared}: {self.difference}"
         end = f"; the recording ends early: {self.end}" if self.end else ""

@@ -234,9 +234,9 @@ def test_load_controller__file_beside_modules_with_the_names_of_our_packages(
         ("mine.py:Bare", InvalidConfig, r"Bare of mine\.py is not a controller: it has to accept the manifest"),
         ("mine.py:Controller", InvalidConfig,
             r"Controller of mine\.py is not a controller: its act\(sample\) is abstract"),
-        ("broken.py:Mine", InvalidConfig, r"loading broken\.py failed: ZeroDivisionError: .*line 3 of broken"),
+        ("broken.py:Mine", InvalidConfig, r"loading broken\.py failed: broken\.py, line 3: ZeroDivisionError"),
         ("wrong.py:Mine", InvalidConfig, r"loading wrong\.py failed: SyntaxError"),
-        ("quits.py:Mine", InvalidConfig, r"loading quits\.py failed: SystemExit: 3"),
+        ("quits.py:Mine", InvalidConfig, r"loading quits\.py failed: quits\.py, line 2: SystemExit: 3"),
         ("no.such.module:Mine", UnknownName, r"there is no module 'no\.such\.module'"),
     ],
 )  # fmt: skip

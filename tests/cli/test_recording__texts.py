@@ -72,7 +72,7 @@ def test_verify_text__does_not_call_a_damaged_file_identical() -> None:
         ({"end": "cut"}, "identical: the first sample of 2 episodes, after which there is no timestep"),
         ({"end": "cut", "is_damaged": True}, "identical up to the damage: the first sample of 2 episodes, after which"),
         ({"end": "cut", "episodes": 0}, "nothing could be verified"),
-        ({"end": "cut", "tolerance": 0.5}, "compared: 0 steps, 4 points, 1 actuators; all are within 0.5"),
+        ({"end": "cut", "tolerance": 0.5}, "compared: 0 steps, 4 points, 1 actuator; all are within 0.5"),
     ],
 )
 def test_recording__end_of_a_file_is_part_of_the_one_sentence_on_it(fields: dict[str, Any], expected: str) -> None:

@@ -430,7 +430,7 @@ def test_python_plant__pending_trial_can_be_cancelled(own: BuildingEnv) -> None:
     pending = bus.begin_trial(own.manifest.node, request.model_copy(update={"controller": own.link.name}))
     timer = threading.Timer(0.2, pending.cancel)
     timer.start()
-    with pytest.raises(BusError, match=r"the trial of node '.*' was given up"):
+    with pytest.raises(BusError, match=r"the trial of node '.*' was cancelled"):
         bus.finish_trial(own.manifest.node, pending)
     timer.join()
     assert trajectory(own, 2) == calculated(3, 2)

@@ -82,7 +82,7 @@ def test_recording__seeds_and_snapshots_verify(walk: Path) -> None:
     result = verify(walk, plant=plant_of(walk))
     assert result.passed, str(result)
     assert (result.steps, result.episodes, result.skipped) == (16, 4, [])
-    assert str(result) == "identical: 16 steps, 2 points, 1 actuators"
+    assert str(result) == "identical: 16 steps, 2 points, 1 actuator"
     assert verify(walk, plant=plant_of(walk), tolerance=0.0).greatest == {
         "place": 0.0,
         "effort": 0.0,
@@ -156,7 +156,7 @@ def test_recording__what_was_changed_is_named(walk: Path, name: str) -> None:
 def test_recording__command_states_identical_or_the_first_difference(walk: Path) -> None:
     plant = ("--plant", plant_of(walk))
     done = run("verify", str(walk), *plant)
-    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "identical: 16 steps, 2 points, 1 actuators")
+    assert (done.returncode, done.stdout.splitlines()[-1]) == (0, "identical: 16 steps, 2 points, 1 actuator")
     change = Change("Sample", lambda s: {"values": shifted(s["values"], PLACE, next_up)})
     changed = rewrite(walk, walk.with_name("changed.mcap"), change)
     done = run("verify", str(changed), *plant, "--json")
