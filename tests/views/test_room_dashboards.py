@@ -2,13 +2,15 @@
 
 import json
 import re
+import shutil
+import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.control_room import control_room
-from support.nodes import NodeProgram, until
+from support.nodes import NodeProgram, free_port, until
 
 import zenostat
 
@@ -101,6 +103,65 @@ def test_dashboards__legends_have_labels_of_their_series(client: httpx.Client) -
             assert name is not None
             labels = next(line for line in text.splitlines() if line.startswith(name[0]))
             assert all(f'{label}="' in labels for label in re.findall(r"\{\{(\w+)\}\}", target["legendFormat"]))
+
+
+PROMETHEUS = shutil.which("prometheus")
+
+
+@pytest.fixture
+def prometheus(client: httpx.Client, tmp_path: Path) -> Iterator[httpx.Client]:
+    """A client of a Prometheus server that scrapes the room each second."""
+    if PROMETHEUS is None:
+        pytest.skip("Prometheus is not installed")
+    port = free_port()
+    token = tmp_path / "token"
+    token.write_text(TOKEN)
+    scrape = {
+        "job_name": "zenostat",
+        "authorization": {"credentials_file": str(token)},
+        "static_configs": [{"targets": [client.base_url.netloc.decode()]}],
+    }
+    configuration = tmp_path / "prometheus.yml"
+    configuration.write_text(json.dumps({"global": {"scrape_interval": "1s"}, "scrape_configs": [scrape]}))
+    arguments = [f"--config.file={configuration}", f"--storage.tsdb.path={tmp_path / 'data'}"]
+    with (tmp_path / "prometheus.log").open("w") as log:
+        process = subprocess.Popen([PROMETHEUS, *arguments, f"--web.listen-address=127.0.0.1:{port}"], stderr=log)
+    try:
+        with httpx.Client(base_url=f"http://127.0.0.1:{port}/api/v1", trust_env=False) as started:
+            yield started
+    finally:
+        process.terminate()
+        process.wait(30)
+
+
+def answer_of(prometheus: httpx.Client, query: str) -> list[dict[str, Any]]:
+    try:
+        answer = prometheus.get("/query", params={"query": query})
+    except httpx.TransportError:  # it is starting
+        return []
+    if answer.status_code == httpx.codes.SERVICE_UNAVAILABLE:
+        return []
+    content = answer.json()
+    assert content["status"] == "success", content
+    result: list[dict[str, Any]] = content["data"]["result"]
+    return result
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_dashboards__a_prometheus_server_answers_each_query(prometheus: httpx.Client) -> None:
+    until(lambda: answer_of(prometheus, "up")[:1] and answer_of(prometheus, "up")[0]["value"][1] == "1", "it scrapes")
+    rates = "rate(zenostat_node_commands_total[1m])"  # needs two scrapes
+    until(lambda: bool(answer_of(prometheus, rates)), "there are two samples")
+    for panel in panels("grafana-prometheus.json"):
+        for target in panel["targets"]:
+            assert answer_of(prometheus, target["expr"].replace("$node", ".*")), target["expr"]
+            nothing = answer_of(prometheus, target["expr"].replace("$node", "another"))
+            assert not nothing or "$node" not in target["expr"], target["expr"]
+    (step,) = answer_of(prometheus, 'zenostat_node_step{node="room"}')
+    assert step["value"][1] == "10"
+    (legends,) = answer_of(prometheus, "count(zenostat_node_alarms)")
+    assert int(legends["value"][1]) > 0
 
 
 def as_regular_expression(values: list[str]) -> str:
