@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from datetime import datetime, timedelta
 
-from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, number
 from zenostat.agent_sdk.rewards.energy_cost import TariffReward
 from zenostat.agent_sdk.rewards.manifest_data import known_rewards
 from zenostat.agent_sdk.time_series import TimeOfUse, TimeSeries
@@ -49,6 +49,52 @@ class PricePeaks:
                 return True
             hour += _HOUR
         return False
+
+
+class PriceShifts:
+    """Shifts of the setpoints of occupied zones: stored energy before hours of high prices, less use in them.
+
+    Source: Xu, Haves, Piette and Braun, "Peak demand reduction from pre-cooling with zone temperature reset in an
+    office building", LBNL-55800, 2004.
+
+    Args:
+        manifest: manifest of the node, which needs a price if a shift is not 0; see `PricePeaks`.
+        precooling: lowering of cooling setpoints before hours of high prices, K, at least 0.
+        preheating: raise of heating setpoints before these hours, K, at least 0.
+        price_lead: time before these hours, h, 0 to 12.
+        shed_cooling: raise of cooling setpoints during these hours, K, at least 0.
+        shed_heating: lowering of heating setpoints during these hours, K, at least 0.
+
+    Raises:
+        InvalidConfig: a parameter is out of its range.
+        ControllerMismatch: no reward of the task has a price.
+    """
+
+    def __init__(
+        self,
+        manifest: Manifest,
+        *,
+        precooling: float,
+        preheating: float,
+        price_lead: float,
+        shed_cooling: float,
+        shed_heating: float,
+    ) -> None:
+        self._before = number("preheating", preheating, minimum=0.0), -number("precooling", precooling, minimum=0.0)
+        self._within = (
+            -number("shed_heating", shed_heating, minimum=0.0),
+            number("shed_cooling", shed_cooling, minimum=0.0),
+        )
+        lead_h = number("price_lead", price_lead, minimum=0.0, maximum=12.0)
+        self._peaks = PricePeaks(manifest, lead_h) if any(self._before) or any(self._within) else None
+
+    def at(self, now: datetime) -> tuple[float, float]:
+        """Return the shift of heating setpoints and of cooling setpoints, K."""
+        if self._peaks is None:
+            return 0.0, 0.0
+        if self._peaks.is_peak(now):
+            return self._within
+        return self._before if self._peaks.is_before_peak(now) else (0.0, 0.0)
 
 
 def price_of(manifest: Manifest) -> TimeSeries:

@@ -15,7 +15,7 @@ from zenostat.agent_sdk.controllers.occupancy_times import OccupancyTimes
 from zenostat.agent_sdk.controllers.optimum_start import OptimumStart
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, number
 from zenostat.agent_sdk.controllers.plant import PlantRules
-from zenostat.agent_sdk.controllers.price_peaks import PricePeaks
+from zenostat.agent_sdk.controllers.price_peaks import PriceShifts
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.energyplus_names import OUTDOOR_TEMPERATURE
 from zenostat.topics.messages import Manifest
@@ -36,9 +36,7 @@ class RuleBasedController(Controller):
     - `start_rate` replaces the fixed preconditioning time by an optimum start; see `OptimumStart`.
     - `limit_cooling`, `limit_heating`: demand limiting; see `DemandLimiter`.
     - `precooling`, `preheating`: occupied zones are cooled or heated beyond their setpoints before hours of high
-      prices, and `shed_cooling`, `shed_heating`: setpoints are relaxed during these hours; see `PricePeaks`. Source:
-      Xu, Haves, Piette and Braun, "Peak demand reduction from pre-cooling with zone temperature reset in an office
-      building", LBNL-55800, 2004.
+      prices, and `shed_cooling`, `shed_heating`: setpoints are relaxed during these hours; see `PriceShifts`.
 
     `PlantRules` controls water temperatures, availabilities and storage. Other actions are not commanded.
 
@@ -127,13 +125,20 @@ class RuleBasedController(Controller):
         self._occupancy = OccupancyTimes(manifest.timestep, threshold)
         self._start = self._optimum_start(start_rate, start_outdoor, start_longest, start_learning)
         self._outdoor = _outdoor_index(manifest) if self._start is not None and self._start.outdoor_h_per_k else None
-        self._limit_k = _amounts(limit_heating=limit_heating, limit_cooling=limit_cooling)
+        self._limit_k = (
+            number("limit_heating", limit_heating, minimum=0.0),
+            number("limit_cooling", limit_cooling, minimum=0.0),
+        )
         limit = number("limit_kw", limit_kw, minimum=0.0), number("limit_start", limit_start, minimum=0.0, maximum=1.0)
         self._limiter = DemandLimiter(manifest, *limit, max(self._limit_k)) if any(self._limit_k) else None
-        self._store_k = _amounts(preheating=preheating, precooling=precooling)
-        self._shed_k = _amounts(shed_heating=shed_heating, shed_cooling=shed_cooling)
-        lead_h = number("price_lead", price_lead, minimum=0.0, maximum=12.0)
-        self._prices = PricePeaks(manifest, lead_h) if any(self._store_k) or any(self._shed_k) else None
+        self._shifts = PriceShifts(
+            manifest,
+            precooling=precooling,
+            preheating=preheating,
+            price_lead=price_lead,
+            shed_cooling=shed_cooling,
+            shed_heating=shed_heating,
+        )
 
     @staticmethod
     def _optimum_start(rate: float | None, outdoor: float, longest: float, learning: float) -> OptimumStart | None:
@@ -159,7 +164,8 @@ class RuleBasedController(Controller):
         band = self._band(now)
         comfort = self._occupied_setpoints(band)
         empty = (min(band[0] - self._setbacks_k[0], comfort[0]), max(band[1] + self._setbacks_k[1], comfort[1]))
-        occupied = self._with_prices(comfort, now)
+        heating, cooling = self._shifts.at(now)
+        occupied = apart((comfort[0] + heating, comfort[1] + cooling))
         share = 0.0 if self._limiter is None else self._limiter.share(measured, now)
         values: Values = {}
         for binding in self._bindings:
@@ -180,17 +186,6 @@ class RuleBasedController(Controller):
         if heating is None and cooling is None:
             return low, high
         return apart((low if heating is None else band[0] + heating, high if cooling is None else band[1] - cooling))
-
-    def _with_prices(self, setpoints: Band, now: datetime) -> Band:
-        """Return the setpoints of occupied zones, shifted before and in hours of high prices."""
-        low, high = setpoints
-        if self._prices is None:
-            return setpoints
-        if self._prices.is_peak(now):
-            return low - self._shed_k[0], high + self._shed_k[1]
-        if self._prices.is_before_peak(now):
-            return apart((low + self._store_k[0], high - self._store_k[1]))
-        return setpoints
 
     def _is_occupied(self, binding: ActionBinding, comfort: Band, measured: NDArray[np.float64], now: datetime) -> bool:
         """Return whether an action's zones are occupied, or are preconditioned for people who are expected."""
@@ -220,12 +215,6 @@ class RuleBasedController(Controller):
         if binding.role is Role.HEATING:
             return binding.clip(comfort[0]) - float(zones.min())
         return float(zones.max()) - binding.clip(comfort[1])
-
-
-def _amounts(**values: float) -> tuple[float, float]:
-    """Return an amount of heating and one of cooling setpoints, K, both at least 0."""
-    heating, cooling = (number(name, value, minimum=0.0) for name, value in values.items())
-    return heating, cooling
 
 
 def _outdoor_index(manifest: Manifest) -> int:

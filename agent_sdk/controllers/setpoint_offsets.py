@@ -13,7 +13,7 @@ from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.comfort_band import apart
 from zenostat.agent_sdk.controllers.occupancy_times import OccupancyTimes
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, number
-from zenostat.agent_sdk.controllers.price_peaks import PricePeaks
+from zenostat.agent_sdk.controllers.price_peaks import PriceShifts
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.messages import Action, Manifest
 from zenostat.topics.points import bounds
@@ -28,7 +28,7 @@ class SetpointOffsets(Controller):
     Zones are occupied while there are people in any of them, and from `lead` hours before the time of the first arrival
     on the day before; until the first arrival is observed, they count as occupied from 6 to 22 o'clock. Before hours of
     high prices occupied zones are cooled or heated further, and during these hours setpoints are relaxed; see
-    `PricePeaks`. Where bounds do not keep a heating setpoint below the cooling setpoint, and its offset is above the
+    `PriceShifts`. Where bounds do not keep a heating setpoint below the cooling setpoint, and its offset is above the
     other's, both have the mean of their offsets, so they stay as far apart as the building keeps them.
 
     It suits buildings whose thermostats have schedules of their own, such as a heated office in an unheated hall: one
@@ -83,13 +83,14 @@ class SetpointOffsets(Controller):
         self._lead = timedelta(hours=number("lead", lead, minimum=0.0, maximum=23.0))
         threshold = number("occupancy_threshold", occupancy_threshold, minimum=0.0, maximum=1.0)
         self._occupancy = OccupancyTimes(manifest.timestep, threshold)
-        self._store = number("preheating", preheating, minimum=0.0), -number("precooling", precooling, minimum=0.0)
-        self._shed = (
-            -number("shed_heating", shed_heating, minimum=0.0),
-            number("shed_cooling", shed_cooling, minimum=0.0),
+        self._shifts = PriceShifts(
+            manifest,
+            precooling=precooling,
+            preheating=preheating,
+            price_lead=price_lead,
+            shed_cooling=shed_cooling,
+            shed_heating=shed_heating,
         )
-        lead_h = number("price_lead", price_lead, minimum=0.0, maximum=12.0)
-        self._prices = PricePeaks(manifest, lead_h) if any(self._store) or any(self._shed) else None
 
     def begin(self, sample: SampleView) -> None:  # noqa: ARG002
         """Reset the arrival times."""
@@ -98,23 +99,14 @@ class SetpointOffsets(Controller):
     def act(self, sample: SampleView) -> Values:
         """Return the setpoints for the timestep that begins at `sample.time`; None where the building's own apply."""
         now, measured = sample.time, sample.values
-        occupied, empty = self._apart(self._with_prices(now)), self._apart(self._empty)
+        heating, cooling = self._shifts.at(now)
+        occupied = self._apart((self._occupied[0] + heating, self._occupied[1] + cooling))
+        empty = self._apart(self._empty)
         values: Values = {}
         for binding, action in self._bindings:
             offsets = occupied if self._is_occupied(binding, measured, now) else empty
             values |= at_offset(action, _clip(action, offsets[binding.role is Role.COOLING]), sample)
         return values
-
-    def _with_prices(self, now: datetime) -> Offsets:
-        heating, cooling = self._occupied
-        if self._prices is None:
-            return heating, cooling
-        change = (0.0, 0.0)
-        if self._prices.is_peak(now):
-            change = self._shed
-        elif self._prices.is_before_peak(now):
-            change = self._store
-        return heating + change[0], cooling + change[1]
 
     def _is_occupied(self, binding: ActionBinding, measured: NDArray[np.float64], now: datetime) -> bool:
         return self._occupancy.is_occupied(binding.people, measured, now, lambda arrival: arrival - self._lead <= now)
