@@ -39,6 +39,11 @@ _ROOM_WORDS = {
     "apartment", "bedroom", "building", "classroom", "core", "flat", "hall", "house", "indoor", "inside", "kitchen",
     "living", "office", "perimeter", "room", "space", "zone",
 }  # fmt: skip
+_FLUID_WORDS = {
+    "boiler", "brine", "collector", "exchange", "flow", "loop", "pipe", "plate", "return", "storage", "supply", "tank",
+    "water",
+}  # fmt: skip
+"""Words of temperatures that are not those of a room's air."""
 _OUTDOOR_WORDS = {"ambient", "external", "outdoor", "outside"}
 _SETPOINT_WORDS = {"setpoint", "setpoints", "setpt", "sp"}
 _NO_PLACE = {
@@ -251,12 +256,13 @@ def _named_zones(manifest: Manifest) -> dict[str, dict[str, int]]:
                 stems.setdefault(name[: -len(ending)], {}).setdefault(role, index)
                 break
     by_actuator = {tuple(words(actuator.name))[:-2] for actuator in manifest.actuators if _is_setpoint(actuator)}
+    has_setpoint = any(_SETPOINT_WORDS.intersection(words(actuator.name)) for actuator in manifest.actuators)
     return {
         "_".join(stem) or "zone": points
         for stem, points in stems.items()
         if "temperature" in points
-        and not _OUTDOOR_WORDS.intersection(stem)
-        and (not stem or len(points) > 1 or _ROOM_WORDS.intersection(stem) or stem in by_actuator)
+        and not (_OUTDOOR_WORDS | _FLUID_WORDS).intersection(stem)
+        and (len(points) > 1 or _ROOM_WORDS.intersection(stem) or stem in by_actuator or (not stem and has_setpoint))
     }
 
 

@@ -176,6 +176,7 @@ STEP = Topic("rpc/step/{sender}", Role.OPERATOR, StepRequest, Delivery.QUERY, re
 COMMAND_REQUEST = Topic("rpc/command/{sender}", Role.CONTROLLER, Command, Delivery.QUERY, reply=Ack)
 WRITE_REQUEST = Topic("rpc/write/{sender}/{name}", Role.OPERATOR, Write, Delivery.QUERY, reply=Ack)
 FAULTS = Topic("rpc/faults/{sender}", Role.OPERATOR, FaultPlan, Delivery.QUERY, reply=Ack)
+FAULT_PLAN = Topic("rpc/fault_plan", Role.ANYONE, Query, Delivery.QUERY, reply=FaultPlan)
 RECORD = Topic("rpc/record/{sender}", Role.OPERATOR, StartRecording, Delivery.QUERY, reply=RecordingStatus)
 STOP_RECORDING = Topic(
     "rpc/stop_recording/{sender}", Role.OPERATOR, StopRecording, Delivery.QUERY, reply=RecordingStatus
@@ -225,6 +226,7 @@ TOPICS = (
     COMMAND_REQUEST,
     WRITE_REQUEST,
     FAULTS,
+    FAULT_PLAN,
     RECORD,
     STOP_RECORDING,
     STATUS,

@@ -253,6 +253,10 @@ class Connection:
             plan = build(FaultPlan, **{**dict(plan), "source": source})
         self.ask(keys.FAULTS, node, plan, Ack)
 
+    def fault_plan(self, node: str) -> FaultPlan:
+        """Return the faults that a node injects now or later; `RequestRejected` if it is a replay."""
+        return self._ask_since(keys.FAULT_PLAN, node, FaultPlan, "its fault plan")
+
     def latest(self, node: str) -> Sample:
         """Return a node's latest sample."""
         return self.ask(keys.SAMPLE, node, None, Sample)
@@ -429,9 +433,9 @@ class Connection:
         """
         return self.ask(keys.SNAPSHOT, node, TakeSnapshot(controller=controller), SnapshotTaken)
 
-    def drop(self, node: str, snapshot: str) -> None:
-        """Drop a snapshot and free its memory; `RequestRejected` if the node has none of that name."""
-        self.ask(keys.DROP, node, DropSnapshot(snapshot=snapshot), Ack)
+    def drop(self, node: str, snapshot: str, controller: str = "") -> None:
+        """Drop a snapshot of an owner and free its memory; `RequestRejected` if the node has none of that name."""
+        self.ask(keys.DROP, node, build(DropSnapshot, snapshot=snapshot, controller=controller), Ack)
 
     def branch(self, node: str, branch: CreateBranch) -> str:
         """Create a branch of a node and return the branch's name; a branch is a node like any other.

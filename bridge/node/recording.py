@@ -113,6 +113,8 @@ class RecordingManager:
         record = Path(request.path)
         if not record.is_absolute():
             raise RequestRejected(f"{request.path!r} is relative; the node needs an absolute path on its machine")
+        if not record.parent.is_dir():  # a mistyped path shall not create folders
+            raise RequestRejected(f"cannot record to {record}: the node's machine has no folder {record.parent}")
         check_library()
         path = recording_path(record, self._server.manifest.node)
         check_path(path, overwrite=request.overwrite)

@@ -75,6 +75,7 @@ class RequestHandlers:
         subscriptions.answer(keys.GEOMETRY, lambda _: codec.encode(self._geometry()))
         subscriptions.answer_in_background(keys.SEMANTIC, self._semantic)
         subscriptions.answer(keys.SYSTEMS, lambda _: codec.encode(self._systems()))
+        subscriptions.answer(keys.FAULT_PLAN, lambda _: codec.encode(self._fault_plan()))
         subscriptions.answer(keys.STATUS, status or (lambda query: codec.encode(self.status(memory=query.memory))))
         subscriptions.request(keys.CLAIM, Claim, self._claim)
         subscriptions.request_undecoded(keys.COMMAND_REQUEST, self._request_command)
@@ -254,6 +255,11 @@ class RequestHandlers:
         if description.systems is None:
             raise RequestRejected(f"the plant {description.name!r} does not describe its systems")
         return description.systems
+
+    def _fault_plan(self) -> FaultPlan:
+        """Return the faults that are injected now or later; thread-safe."""
+        injection = self._server.injection
+        return FaultPlan() if injection is None else injection.plan
 
     def _manifest(self) -> Manifest:
         return self._server.manifest.model_copy(update={"statistics": self._server.statistics()})

@@ -218,7 +218,8 @@ class Replay:
                 count += 1
                 progress(self._sample["time"][0], self._sample["step"][0])
         if not count:
-            raise InvalidConfig(f"{self._reader.path} has no samples in the selected time")
+            selection = "" if self._selected == ReplayRange() else " in the selected time"
+            raise InvalidConfig(f"{self._reader.path} has no samples{selection}")
         return count
 
     def _schedule(self) -> Iterator[tuple[float, RecordedItem]]:

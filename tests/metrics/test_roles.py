@@ -167,7 +167,7 @@ def test_roles__plant_of_ones_own_has_a_room_and_its_tank_is_none() -> None:
 def test_roles__only_power_sensor_of_a_plant_is_its_power() -> None:
     identified = roles(manifest(sensors=[Sensor(name="temperature", unit="degC"), Sensor(name="heat_pump", unit="kW")]))
     assert identified.facility_power == PowerSource(1, 1.0, "Whole building")
-    assert [zone.label for zone in identified.zones] == ["Zone"]
+    assert [zone.label for zone in identified.zones] == []  # it may be that of a tank
 
 
 def of_scenario(scenario: Any) -> Manifest:
@@ -241,3 +241,15 @@ def test_roles__setpoints_of_zones_are_their_bands_and_others_have_the_band_of_p
     low, high = shown.limits(row, JULY)
     assert list(zip(low.tolist(), high.tolist(), strict=True)) == [(20.0, 26.0), (20.5, 23.5)]  # a threshold of 0.5 K
     np.testing.assert_allclose(shown.deviations(row, JULY), [1.0, 0.5])
+
+
+@pytest.mark.parametrize("name", ["old_house_flow_temperature", "tank_temperature", "exchange_house_flow_temperature"])
+def test_roles__temperature_of_a_fluid_is_no_zone(name: str) -> None:
+    assert roles(manifest(sensors=[Sensor(name=name, unit="degC")])).zones == ()
+
+
+def test_roles__only_temperature_of_a_plant_with_a_setpoint_is_a_zone() -> None:
+    plant = manifest(
+        sensors=[Sensor(name="temperature", unit="degC")], actuators=[Actuator(name="setpoint", unit="degC")]
+    )
+    assert len(roles(plant).zones) == 1

@@ -200,6 +200,10 @@ def test_room__override_is_written_with_its_source_and_relinquished(ada: Visitor
     page.locator("#override").fill("99")  # beyond the bounds: the browser does not send it
     page.get_by_role("button", name="Override", exact=True).click()
     assert not page.locator("#override").evaluate("input => input.checkValidity()")
+    page.locator("#override").fill("")
+    bus.step("office")
+    page.get_by_text("step 25 of 96").wait_for()
+    assert page.locator("#override").input_value() == ""  # the present value is only its first one
     page.get_by_role("button", name="Relinquish priority 8").click()
     page.locator(".drawer tr.effective", has_text="baseline control").wait_for()
     assert bus.priorities("office")[SETPOINT][7].value is None
@@ -252,6 +256,15 @@ def test_room__fault_is_injected_and_ended(ada: Visitor, room: Any, bus: zenosta
     bus.step("office")  # from the next sample on
     until(lambda: bus.status("office").faults == ["bias 1"], "the fault is active")
     page.get_by_text("Active now: bias 1", exact=True).wait_for()
+    listed = page.locator("ul[aria-label='Injected faults'] li")
+    assert (
+        "bias, core_zn_air_temperature, offset 3.0\u00a0K" in listed.inner_text()
+        or "3.0\u00a0°C" in listed.inner_text()
+    )
+    bus.faults(
+        "office", {"faults": [{"kind": "stuck", "points": ["electricity_facility"], "value": 9e6}]}, source="bob"
+    )
+    page.locator("ul[aria-label='Injected faults'] li", has_text="stuck, electricity_facility, value 10.0").wait_for()
     page.get_by_role("button", name="End all faults").click()
     page.locator(".toast", has_text="no fault is injected any more").wait_for()
     bus.step("office")

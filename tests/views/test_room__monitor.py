@@ -54,7 +54,7 @@ VIEWS = [
 ]
 """Pages and tabs of every user, and what they have shown when they are complete."""
 
-REFUSED = "wall is a monitor, who changes nothing; an operator may."
+REFUSED = "wall may only read; changes need an operator."
 
 
 def training(folder: Path) -> None:

@@ -229,7 +229,15 @@ def test_room__what_if_controller_that_fails_is_one_error(
         ("acknowledge", {"alarm": "warm"}, 400, "no alarm 'warm'"),
         ("record", {"path": "run.mcap"}, 400, "absolute path"),
         ("stop_recording", {}, 409, "recording"),
+        ("record", {"path": "/nonexistent/folder/run.mcap"}, 409, "no folder /nonexistent/folder"),
+        ("reset", {"seed": 2**64}, 400, "seed"),
         ("faults", {"plan": {"faults": [{"kind": "bais"}]}}, 400, "bias"),
+        (
+            "faults",
+            {"plan": {}, "replaces": {"faults": [{"kind": "freeze", "points": ["level"]}]}},
+            400,
+            "the faults have changed in the meantime",
+        ),
         ("stop", {}, 404, "no operation 'stop'"),
     ],
 )
@@ -239,6 +247,23 @@ def test_room__invalid_change_is_answered_with_the_reason(
     answer = change(client, operation, **content)
     assert answer.status_code == status
     assert text in answer.json()["message"]
+    if operation not in ("what_if", "stop"):
+        entry = client.get("/api/audit").json()["entries"][-1]
+        assert (entry["operation"], entry["accepted"], text in entry["outcome"]) == (operation, False, True)
+
+
+def test_room__fault_plan_is_the_nodes_whoever_has_set_it(client: Any, tank: NodeProgram) -> None:
+    faults = [{"kind": "bias", "points": ["level"], "offset": 0.5}]
+    shown = {"seed": 3, "faults": faults}
+    with zenostat.connect(tank.endpoint, affinity="off") as bus:
+        bus.faults("tank", shown, source="bob")
+        following(client, lambda state: state["fault_plan"] == shown)
+        replaced = {"seed": 3, "faults": [*faults, {"kind": "freeze", "points": ["level"]}]}
+        assert change(client, "faults", plan=replaced, replaces=shown).status_code == 200
+        assert bus.fault_plan("tank").names == ("bias 1", "freeze 2")
+        assert change(client, "faults", plan={}, replaces=shown).status_code == 400
+        assert change(client, "faults", plan={}).status_code == 200
+        assert bus.fault_plan("tank").names == ()
 
 
 def test_room__unknown_node_and_point_are_named(client: Any) -> None:

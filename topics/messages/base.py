@@ -36,7 +36,7 @@ Raw = Annotated[bytes, Field(strict=True)]
 
 Scalar = Annotated[str, Field(strict=True)] | Annotated[bool, Field(strict=True)] | Annotated[int, Field(strict=True)]
 
-Seed = Annotated[int, Field(ge=0, strict=True)]
+Seed = Annotated[int, Field(ge=0, lt=2**64, strict=True)]
 
 _REPLACING = (replace_controls, replace_controls_in_lines)
 _NO_SCHEMAS = ("metadata", "serialization", "config", "default", "expected", "members")

@@ -9,6 +9,7 @@ and roles of users are those of the bus, and a browser may prove its user's name
 from __future__ import annotations
 
 import hashlib
+import re
 import secrets
 import time
 from collections.abc import Awaitable, Callable, MutableMapping
@@ -27,6 +28,14 @@ ASGIApp = Callable[[MutableMapping[str, Any], Callable[[], Awaitable[Any]], Call
 
 OPERATOR = r"^[A-Za-z0-9_][A-Za-z0-9_.\-]{0,63}$"
 """Pattern of an operator's name, which is part of the keys of this operator's requests."""
+
+
+def check_name_of(text: str) -> str:
+    """Return a name of an operator or of a file on the page; ValueError if it is none."""
+    if not re.fullmatch(OPERATOR, text):
+        raise ValueError("1 to 64 letters, digits, '_', '.' or '-' expected, of which the first is no '.' or '-'")
+    return text
+
 
 MAX_BODY_BYTES = 1 << 20
 """Largest body of a request; a fault plan is the largest of them."""
@@ -134,7 +143,7 @@ class Access:
     def sign_in(self, token: str) -> tuple[str, Session] | None:
         """Exchange a token for the id of a new session; None if it is unknown, used or expired."""
         operator, until_s = self._tokens.pop(_digest(token), ("", 0.0))
-        if self._clock() >= until_s:
+        if self._clock() >= until_s or self.role(operator) is None:  # which may have been revoked since
             return None
         identity, session = secrets.token_urlsafe(32), Session(operator, self._clock())
         while len(self._sessions) >= _MAX_SESSIONS:
@@ -212,8 +221,10 @@ class Access:
         if session.role is Role.OPERATOR:
             return None
         if method not in ("GET", "HEAD"):
-            return 403, f"{session.operator} is a monitor, who changes nothing; an operator may"
-        return (403, f"{session.operator} is a monitor; this is for operators") if path.startswith(_OPERATORS) else None
+            return 403, f"{session.operator} may only read; changes need an operator"
+        return (
+            (403, f"{session.operator} may not read this; it is for operators") if path.startswith(_OPERATORS) else None
+        )
 
     def _proven(self, scope: MutableMapping[str, Any]) -> Session | None:
         """Return a session for the name in the connection's certificate; None without one."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
@@ -19,9 +19,17 @@ from starlette.staticfiles import StaticFiles
 
 from zenostat.bridge.client.bus import Bus
 from zenostat.topics import VERSION
-from zenostat.topics.errors import BusError, NameInUse, PeerError, RequestRejected, UsageError, ZenostatError
+from zenostat.topics.errors import (
+    BusError,
+    InvalidConfig,
+    NameInUse,
+    PeerError,
+    RequestRejected,
+    UsageError,
+    ZenostatError,
+)
 from zenostat.topics.keys import Role
-from zenostat.views.room.access import OPERATOR, Access, BodyTooLarge, Guard, Session, operator_of
+from zenostat.views.room.access import Access, BodyTooLarge, Guard, Session, check_name_of, operator_of
 from zenostat.views.room.audit import TOPIC as AUDIT
 from zenostat.views.room.audit import AuditLog
 from zenostat.views.room.builder import Builder
@@ -40,7 +48,7 @@ from zenostat.views.room.node_watch import NodeWatch
 from zenostat.views.room.numbers import to_json
 from zenostat.views.room.operations import read_body, read_operation
 from zenostat.views.room.priorities import priority_arrays
-from zenostat.views.room.series import HistoryCache, history_content
+from zenostat.views.room.series import MAX_SAMPLES, HistoryCache, history_content
 from zenostat.views.room.started_nodes import TOPIC as STARTED
 from zenostat.views.room.started_nodes import StartedNodes
 from zenostat.views.room.training_pages import TrainingPages
@@ -94,7 +102,7 @@ class _SignIn(BaseModel):
 class _Invitation(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True)
 
-    operator: Annotated[str, Field(pattern=OPERATOR)]
+    operator: Annotated[str, AfterValidator(check_name_of)]
 
 
 class Room:
@@ -249,7 +257,9 @@ class Room:
     async def _history(self, request: Request) -> Response:
         watch, query = self._node(request), request.query_params
         text = query.get("max", "1000")
-        max_samples = int(text) if text.isdecimal() and len(text) < 9 else 0
+        if not text.isdecimal() or len(text) > 9:
+            raise InvalidConfig(f"max: 2 to {MAX_SAMPLES} samples expected, not {text[:40]!r}")
+        max_samples = int(text)
         points, start, end = query.getlist("point"), query.get("from"), query.get("to")
         history = await self._call(
             watch, lambda: history_content(self._histories.history(watch, points, start, end, max_samples))
@@ -278,10 +288,14 @@ class Room:
 
     async def _operate(self, request: Request) -> Response:
         watch, operator, name = self._node(request), operator_of(request), request.path_params["operation"]
-        operation = read_operation(name, await request.body())
-        change = self._call(watch, lambda: operation.run(self._bus, watch.node, operator))
+        body = await request.body()
+
+        async def change() -> str:
+            operation = read_operation(name, body)
+            return await self._call(watch, lambda: operation.run(self._bus, watch.node, operator))
+
         try:
-            text = await self.audit.attempt(operator, name, watch.node, change)
+            text = await self.audit.attempt(operator, name, watch.node, change())
         finally:
             watch.refresh()
         return JSONResponse({"text": text})

@@ -76,12 +76,13 @@ class AuditLog:
         """Make a change, add it with its outcome, and return its answer; arguments and errors as of `add`.
 
         Raises:
-            ZenostatError: the change was rejected, which is added as well.
+            ZenostatError: the change was rejected, which is added as well, like any other error.
         """
         try:
             text = await change
-        except ZenostatError as error:
-            self.add(operator, operation, target, str(error), accepted=False)
+        except Exception as error:
+            text = str(error) if isinstance(error, ZenostatError) else f"{type(error).__name__}: {error}"
+            self.add(operator, operation, target, text, accepted=False)
             raise
         self.add(operator, operation, target, text, accepted=True)
         return text

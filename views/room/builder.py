@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
@@ -20,13 +20,14 @@ from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig, NameInUse, RequestRejected
 from zenostat.topics.keys import check_name
 from zenostat.topics.messages import Mode
-from zenostat.views.room.access import OPERATOR, operator_of
+from zenostat.topics.plurals import counted
+from zenostat.views.room.access import check_name_of, operator_of
 from zenostat.views.room.audit import AuditLog
 from zenostat.views.room.operations import read_body
 from zenostat.views.room.scenario_program import ScenarioProgram
 from zenostat.views.room.started_nodes import StartedNodes
 
-ScenarioName = Annotated[str, Field(pattern=OPERATOR)]
+ScenarioName = Annotated[str, AfterValidator(check_name_of)]
 
 
 class _Request(BaseModel):
@@ -141,7 +142,7 @@ class Builder:
         """Save a scenario, and return the answer."""
         path = self._path(asked.name)
         answer = self._checked(asked)
-        if answer["errors"] and not may_have_errors:
+        if answer["is_refused"] or (answer["errors"] and not may_have_errors):
             raise InvalidConfig("\n".join(answer["errors"]))
         if path.exists() and not asked.overwrite:
             raise NameInUse(f"there is a scenario {asked.name!r} already; choose another name, or replace it")
@@ -150,7 +151,8 @@ class Builder:
                 temporary.write_text(answer["yaml"], encoding="utf-8")
         except OSError as error:
             raise InvalidConfig(f"{path}: {error.strerror}") from None
-        return f"saved as {path.name}"
+        errors = f", with {counted(len(answer['errors']), 'error')}" if answer["errors"] else ""
+        return f"saved as {path.name}{errors}"
 
     def _run(self, asked: StartNode, operator: str) -> str:
         path = self._path(asked.name)

@@ -106,9 +106,9 @@ class BusWatch:
                         self._follow(name)
 
     def overview(self) -> list[dict[str, Any]]:
-        """Return the entries of all nodes; a branch that has ended has none."""
+        """Return the entries of all nodes; a branch or a replay that has ended has none."""
         entries = [entry for watch in self.watches() if (entry := watch.summary) is not None]
-        return [entry for entry in entries if entry["online"] or not entry["branch_of"]]
+        return [entry for entry in entries if entry["online"] or not (entry["branch_of"] or entry["replay"])]
 
     # In threads of Zenoh's
 

@@ -59,6 +59,8 @@ _Metric = tuple[str, dict[str, str], float | None]
 
 
 def _node_metrics(node: NodeWatch) -> Iterator[_Metric]:
+    if node.has_ended:
+        return
     entry, state = node.summary, node.state
     yield "zenostat_node_up", {}, state is not None
     if entry is None or state is None:

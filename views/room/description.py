@@ -16,6 +16,8 @@ from zenostat.views.room.storeys import storeys
 
 _ENERGY_KW = {"J": 1e-3, "kJ": 1.0, "MJ": 1e3, "GJ": 1e6, "Wh": 3.6, "kWh": 3600.0}
 """kW of one unit of energy in a second."""
+NO_SETPOINT = -999.0
+"""EnergyPlus's setpoint of a node that has none (`SensedNodeFlagValue` in its source)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,6 +95,11 @@ def _power(source: PowerSource | None) -> dict[str, Any] | None:
     return None if source is None else {"point": source.index, "to_kw": source.to_kw, "label": source.label}
 
 
+def is_setpoint_of_node(point: Sensor | Meter) -> bool:
+    """Return whether a point is the setpoint of a node of a loop, which is `NO_SETPOINT` where there is none."""
+    return isinstance(point, Sensor) and point.variable.casefold().startswith("system node setpoint")
+
+
 def _points(manifest: Manifest, point_roles: PointRoles, places: dict[str, int]) -> list[dict[str, Any]]:
     """Return all points: sensors, meters, then actuators."""
     texts = (*point_roles.labels, *point_roles.actuator_labels)
@@ -121,5 +128,7 @@ def _points(manifest: Manifest, point_roles: PointRoles, places: dict[str, int])
             entry |= {"unit": "kW", "factor": 1e-3}
         if isinstance(point, Actuator):
             entry["default"] = point.default
+        elif is_setpoint_of_node(point):
+            entry["unset"] = NO_SETPOINT
         result.append(entry)
     return result

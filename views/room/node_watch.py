@@ -12,7 +12,8 @@ from typing import Any
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
-from zenostat.topics.messages import AlarmList, Event, Geometry, Manifest, Systems
+from zenostat.topics.fault_plan import FaultPlan
+from zenostat.topics.messages import AlarmList, Event, EventKind, Geometry, Manifest, Systems
 from zenostat.topics.points import value_index
 from zenostat.views.room.description import NodeDescription, describe
 from zenostat.views.room.numbers import to_json
@@ -43,6 +44,7 @@ class NodeWatch:
         description: of its latest instance; None before the first poll.
         state: its latest state; None while it is not reachable.
         problem: why it is not reachable; empty while it is.
+        has_ended: whether it was stopped, or is a replay that has ended.
         polls: number of polls.
     """
 
@@ -51,6 +53,7 @@ class NodeWatch:
         self.description: NodeDescription | None = None
         self.state: dict[str, Any] | None = None
         self.problem = "not polled yet"
+        self.has_ended = self._is_stopped = False
         self.polls = 0
         self._bus, self._updates, self._on_change = bus, updates, on_change
         self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
@@ -83,7 +86,10 @@ class NodeWatch:
     @property
     def summary(self) -> dict[str, Any] | None:
         """Its entry in the list of nodes; None before the first poll."""
-        return None if self.description is None else summary(self.description, self.state, self._rate(), self.problem)
+        if self.description is None:
+            return None
+        entry = summary(self.description, self.state, self._rate(), self.problem)
+        return entry | {"has_ended": self.has_ended}
 
     def events(self) -> list[dict[str, Any]]:
         """Return the latest events, the newest one last."""
@@ -97,6 +103,7 @@ class NodeWatch:
             entry = event.model_dump(mode="json", exclude={"alarm"})
             entry |= {"number": self._event_number, "time": self._time(event.step)}
             self._events.append(entry)
+            self._is_stopped = event.kind is EventKind.STOPPED
         self._wake.set()
 
     def _time(self, step: int) -> str:
@@ -132,11 +139,13 @@ class NodeWatch:
                 sample = SampleView(latest, manifest, value_index(manifest))
             except RequestRejected:  # there is none yet
                 sample = None
-            self.state = node_state(self.description, status, sample, self._alarms())
-            self.problem = ""
+            self.state = node_state(self.description, status, sample, self._alarms(), self._fault_plan())
+            self.problem, self.has_ended = "", False
             self._progress.append((time.monotonic(), status.episode[0], status.step[0]))
         except (NodeLost, NodeNotFound):
-            self._lose("it left the bus")
+            is_replay = self.description is not None and self.description.manifest.replay
+            self.has_ended = self.has_ended or self._is_stopped or is_replay
+            self._lose("it has ended" if self.has_ended else "it left the bus")
         except ZenostatError as error:
             self._lose(str(error))
         except Exception as error:  # a message of a stranger must not end the thread
@@ -145,6 +154,12 @@ class NodeWatch:
     def _alarms(self) -> AlarmList | None:
         try:
             return self._bus.alarms(self.node)
+        except RequestRejected:  # the replay of a recording
+            return None
+
+    def _fault_plan(self) -> FaultPlan | None:
+        try:
+            return self._bus.fault_plan(self.node)
         except RequestRejected:  # the replay of a recording
             return None
 
@@ -170,7 +185,8 @@ class NodeWatch:
             return None
 
     def _publish(self) -> None:
-        state = self.state or {"node": self.node, "online": False, "problem": self.problem}
+        gone = {"node": self.node, "online": False, "problem": self.problem, "has_ended": self.has_ended}
+        state = self.state or gone
         self._updates.publish(f"node:{self.node}", to_json(state))
         with self._lock:
             latest, number = [*self._events][-_EVENTS_SENT:], self._event_number

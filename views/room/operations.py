@@ -13,6 +13,7 @@ from zenostat.topics import codec
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, did_you_mean
 from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import Mode, Reset
+from zenostat.topics.messages.base import Seed
 from zenostat.topics.plurals import counted
 from zenostat.topics.typing_compat import override
 
@@ -90,7 +91,7 @@ class Pace(Operation):
 class ResetNode(Operation):
     """Begin a new episode in all slots."""
 
-    seed: Annotated[int, Field(ge=0)] | None = None
+    seed: Seed | None = None
 
     @override
     def run(self, bus: Bus, node: str, operator: str) -> str:
@@ -133,19 +134,31 @@ class Unshelve(Operation):
 
 
 class Faults(Operation):
-    """Replace the injected faults; an empty list ends all of them."""
+    """Replace the injected faults; an empty list ends all of them.
+
+    `replaces`: the plan that the page shows, unless it does not matter; the node's present one has to be equal.
+    """
 
     plan: dict[str, Any]
+    replaces: dict[str, Any] | None = None
 
     @override
     def run(self, bus: Bus, node: str, operator: str) -> str:
-        try:
-            plan = FaultPlan.model_validate(self.plan)
-        except ValidationError as error:
-            raise InvalidConfig(codec.describe_validation_errors(error)) from None
+        plan = _fault_plan(self.plan)
+        if self.replaces is not None:
+            shown, present = _fault_plan(self.replaces), bus.fault_plan(node)
+            if (shown.seed, shown.faults) != (present.seed, present.faults):
+                raise InvalidConfig("the faults have changed in the meantime: look at the list, and try again")
         bus.faults(node, plan, source=operator)
         names = ", ".join(plan.names)
         return f"injected from the next sample on: {names}" if names else "no fault is injected any more"
+
+
+def _fault_plan(fields: dict[str, Any]) -> FaultPlan:
+    try:
+        return FaultPlan.model_validate(fields)
+    except ValidationError as error:
+        raise InvalidConfig(codec.describe_validation_errors(error)) from None
 
 
 class Record(Operation):
@@ -158,7 +171,8 @@ class Record(Operation):
     def run(self, bus: Bus, node: str, operator: str) -> str:
         if not PurePosixPath(self.path).is_absolute():
             raise InvalidConfig(f"{self.path}: an absolute path on the node's machine expected, such as /tmp/run.mcap")
-        return f"recording to {bus.record(node, self.path, now=self.now, source=operator).path}"
+        path = bus.record(node, self.path, now=self.now, source=operator).path
+        return f"recording to {path}" if self.now else f"the next reset begins a recording to {path}"
 
 
 class StopRecording(Operation):

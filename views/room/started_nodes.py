@@ -182,12 +182,14 @@ class StartedNodes:
         if "ready" in reply:
             self._set(node, "running")
             controller = self._control(node)
-            process.stdout.read()  # until its end
+            last = process.stdout.read().splitlines()[-1:]  # until its end
+            reply = json.loads(last[0]) if last else {}
             code = process.wait()
             if controller is not None:
                 controller.terminate()
                 controller.wait()
-            self._set(node, *(("ended", "") if code == 0 else ("failed", f"it ended with code {code}")))
+            text = str(from_wire(reply)) if "error" in reply else f"it ended with code {code}"
+            self._set(node, *(("ended", "") if code == 0 else ("failed", text)))
         else:
             code = process.wait()
             stopped = code in (0, -signal.SIGTERM) and "error" not in reply

@@ -8,6 +8,7 @@ from datetime import timedelta
 from typing import Any
 
 from zenostat.bridge.client.sample import SampleView
+from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import AlarmList, AlarmState, AlarmStatus, ControllerStatus, LatencySummary, Status
 from zenostat.views.display.colors import comfort_color, hex_color
 from zenostat.views.room.description import NodeDescription
@@ -18,15 +19,26 @@ OPEN_STATES = (AlarmState.ACTIVE, AlarmState.RETURNED)
 
 
 def node_state(
-    description: NodeDescription, status: Status, sample: SampleView | None, alarms: AlarmList | None
+    description: NodeDescription,
+    status: Status,
+    sample: SampleView | None,
+    alarms: AlarmList | None,
+    faults: FaultPlan | None = None,
 ) -> dict[str, Any]:
-    """Return the state of slot 0 of a node that is on the bus."""
+    """Return the state of slot 0 of a node that is on the bus; `faults`: its fault plan, if it is known."""
     state = {
         **_status(status),
         "instance": description.manifest.instance,
         "alarms": [_alarm(alarm) for alarm in alarms.alarms] if alarms is not None else [],
+        "fault_plan": {"faults": []} if faults is None else fault_fields(faults),
     }
     return state if sample is None else state | _sample(description, sample)
+
+
+def fault_fields(plan: FaultPlan) -> dict[str, Any]:
+    """Return the fields of a plan that differ from their defaults, without who set it."""
+    fields = plan.model_dump(mode="json", exclude_defaults=True, exclude={"source"})
+    return {"faults": []} | fields
 
 
 def _status(status: Status) -> dict[str, Any]:
@@ -124,6 +136,7 @@ def summary(
         "weather": manifest.weather,
         "location": manifest.location,
         "branch_of": manifest.branch_of,
+        "replay": manifest.replay,
         "steps": manifest.steps,
         "online": state is not None,
         "problem": problem,

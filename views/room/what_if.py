@@ -141,7 +141,7 @@ def simulate_futures(
         token = bus.session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at(manifest.node, sender=owner))
         stack.enter_context(token)
         snapshot = bus.snapshot(manifest.node, owner)
-        stack.callback(_end, bus.drop, manifest.node, snapshot.snapshot)
+        stack.callback(_end, bus.drop, manifest.node, snapshot.snapshot, owner)
         branches = {}
         for name, future in futures.items():
             request = CreateBranch(controller=owner, snapshot=snapshot.snapshot, relinquished=future.is_relinquished)
@@ -277,7 +277,7 @@ def futures_content(description: NodeDescription, futures: Mapping[str, list[Sam
 
 
 def _totals(description: NodeDescription, values: Floats, times: list[datetime]) -> dict[str, float | None]:
-    """Return energy in kWh, peak power in kW, and degree-hours outside the band while zones are occupied, in K h."""
+    """Return energy by fuel in kWh, peak power in kW, and K h outside the band, of occupied zones and of all."""
     step_h = description.manifest.step_s / 3600
     totals: dict[str, float | None] = {"hours": number(len(values) * step_h)}
     for name, source in (("facility", description.roles.facility_power), ("hvac", description.roles.hvac_power)):
@@ -285,6 +285,10 @@ def _totals(description: NodeDescription, values: Floats, times: list[datetime])
             power = values[:, source.index] * source.to_kw
             totals[f"{name}_kwh"] = number(float(power.sum()) * step_h)
             totals[f"{name}_peak_kw"] = number(float(power.max()))
+    for meter in description.roles.fuels:
+        if meter.fuel != "electricity":
+            power = values[:, meter.index] * meter.to_kw
+            totals[f"{meter.fuel.replace(' ', '_')}_kwh"] = number(float(power.sum()) * step_h)
     comfort = description.comfort
     if comfort is not None:
         begins = [time - timedelta(hours=step_h) for time in times]

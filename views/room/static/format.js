@@ -16,7 +16,7 @@ function digits(unit, size) {
 export function num(value, unit = "") {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   const size = Math.abs(value);
-  if (size === 0 && unit !== "°C") return "0";
+  if ((size === 0 && unit !== "°C") || (unit === "kW" && size < 5e-4)) return "0";
   if (size !== 0 && (size < 5e-4 || size >= 1e7)) return value.toExponential(2).replace("-", "\u2212");
   const text = value.toFixed(digits(unit, size));
   const plain = unit === "°C" || unit === "kW" || !text.includes(".") ? text : text.replace(/0+$/, "").replace(/\.$/, "");
@@ -39,9 +39,9 @@ export function withUnit(value, unit) {
   return text === "–" || !unit ? text : `${text}\u00a0${unit}`;
 }
 
-/** A point's value in the unit that is shown. */
+/** A point's value in the unit that is shown; null where EnergyPlus has none. */
 export function shown(point, value) {
-  return value === null || value === undefined ? null : value * (point.factor ?? 1);
+  return value === null || value === undefined || value === point.unset ? null : value * (point.factor ?? 1);
 }
 
 const DAYS = ["Sun", "Mon", "Tue", "Wed", "Thu", "Fri", "Sat"];

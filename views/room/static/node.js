@@ -37,6 +37,7 @@ export class NodePage {
 
   close() {
     this.isClosed = true;
+    this.root.classList.remove("stale");
     showsReplay(false);
     this.trends?.close();
     this.schematic?.close();
@@ -47,7 +48,7 @@ export class NodePage {
 
   onKey(event) {
     if (!mayChange()) return;
-    if (event.target.closest("button, a, [role=button]") && (event.key === " " || event.key === "Enter")) return;
+    if (event.target.closest("button, a, summary, [role=button]") && (event.key === " " || event.key === "Enter")) return;
     if (event.key === " ") { event.preventDefault(); this.togglePause(); }
     if (event.key === "." && this.state?.paused) operate(this.node, "step", { steps: 1 });
   }
@@ -79,11 +80,18 @@ export class NodePage {
 
   onState(state) {
     if (!state.online) {
-      if (this.description) { this.problem.hidden = false; setText(this.problem, `Not reachable: ${state.problem}. The page continues when the node is back.`); this.frame.classList.add("stale"); }
+      if (this.description) {
+        this.problem.hidden = false;
+        setText(this.problem, `Not reachable: ${state.problem}. The page continues when the node is back.`);
+        this.root.classList.add("stale");
+        this.gone = state;
+        this.showEntry();
+      }
       this.describing = null;
       return;
     }
     this.state = state;
+    this.gone = null;
     if (!this.description || this.description.instance !== state.instance) { this.describe(state.instance); if (!this.description) return; }
     if (this.description.instance === state.instance) this.update();
   }
@@ -174,6 +182,7 @@ export class NodePage {
         body.hidden = name !== chosen;
         setAttribute(buttons[place], "aria-selected", String(name === chosen));
         setAttribute(buttons[place], "tabindex", name === chosen ? "0" : "-1");
+        if (name === chosen) element.scrollLeft = Math.max(0, buttons[place].offsetLeft - element.offsetLeft - 24);  // on a phone
       });
     } };
   }
@@ -220,7 +229,7 @@ export class NodePage {
   update() {
     const { state } = this;
     this.problem.hidden = true;
-    this.frame.classList.remove("stale");
+    this.root.classList.remove("stale");
     setText(this.time, dateTime(state.time));
     this.progress.value = state.step;
     setAttribute(this.progress, "aria-label", `Step ${state.step} of ${this.description.steps}`);
@@ -260,9 +269,10 @@ export class NodePage {
 
   showEntry() {
     const entry = this.entry ?? { ...this.state };
-    const [text, kind] = nodeState({ ...entry, ...this.state });
+    const [text, kind] = nodeState({ ...entry, ...this.state, ...this.gone });
     setText(this.chip, text);
     setAttribute(this.chip, "class", `chip ${kind}`);
+    if (this.gone) { setText(this.paceText, ""); return; }
     const parts = [pace({ ...this.state, rate: entry.rate }), this.state.failure, this.state.faults?.length ? `faults: ${this.state.faults.join(", ")}` : ""];
     setText(this.paceText, parts.filter(Boolean).join(" · "));
   }

@@ -6,7 +6,7 @@ import { address, link } from "./view.js";
 
 /** State of a node in a word, with a class for its color. */
 export function nodeState(entry) {
-  if (!entry.online) return ["offline", "alarm"];
+  if (!entry.online) return entry.has_ended ? ["ended", "muted"] : ["offline", "alarm"];
   if (entry.state === "failed") return ["failed", "alarm"];
   if (entry.state === "ended" || entry.state === "stopped" || entry.state === "starting") return [entry.state, "muted"];
   if (entry.paused) return ["paused", "warning"];

@@ -3,7 +3,7 @@
 import { operate, toast } from "./api.js";
 import { fill, h, setText } from "./dom.js";
 import { bytes, duration, num, shortTime, withUnit, words } from "./format.js";
-import { forOperators, mayChange, refusalNote } from "./session.js";
+import { forOperators, mayChange, refusal, refusalNote } from "./session.js";
 import { change } from "./view.js";
 
 const ORDER = ["active", "returned", "acknowledged", "shelved", "out_of_service", "suppressed"];
@@ -23,7 +23,7 @@ export class AlarmPanel {
     const focus = this.root.contains(document.activeElement) ? document.activeElement.getAttribute("aria-label") : null;
     alarms.sort((a, b) => ORDER.indexOf(a.state) - ORDER.indexOf(b.state) || (b.raised > a.raised ? 1 : -1));
     fill(this.root, alarms.length ? h("ul", { class: "alarms" }, alarms.map((alarm) => this.item(alarm)))
-      : h("p", { class: "empty" }, state.alarms?.length ? state.alarms.length === 1 ? "The alarm is normal." : `All ${state.alarms.length} alarms are normal.` : "This node has no alarm rules. Start it with --alarms FILE.yaml."));
+      : h("p", { class: "empty" }, state.alarms?.length ? state.alarms.length === 1 ? "The alarm is normal." : `All ${state.alarms.length} alarms are normal.` : refusal() ? "No alarms are known here." : "This node has no alarm rules. Start it with --alarms FILE.yaml."));
     if (focus) this.root.querySelector(`[aria-label="${CSS.escape(focus)}"]`)?.focus();
   }
 
@@ -108,23 +108,24 @@ const FAULTS = { bias: ["offset", "Offset"], gain: ["factor", "Factor"], drift: 
 export class FaultPanel {
   constructor(root, node, description) {
     this.node = node;
-    this.faults = [];
+    this.points = new Map(description.points.map((point) => [point.name, point]));
+    this.plan = { faults: [] };
     this.active = h("p", { role: "status" });
-    this.list = h("ul", { class: "log" });
+    this.list = h("ul", { class: "log", "aria-label": "Injected faults" });
     this.kind = h("select", { id: "fault-kind", onchange: () => this.label() }, Object.keys(FAULTS).map((kind) => h("option", {}, kind)));
-    this.point = h("input", { id: "fault-point", list: "fault-points", required: true, autocomplete: "off" });
+    this.point = h("input", { id: "fault-point", list: "fault-points", required: true, autocomplete: "off", oninput: () => this.label() });
     const options = h("datalist", { id: "fault-points" }, description.points.slice(0, 2000).map((point) => h("option", { value: point.name })));
     this.value = h("input", { id: "fault-value", type: "number", step: "any", required: true, value: 2 });
     this.valueLabel = h("label", { for: "fault-value" });
     this.valueField = h("div", {}, this.valueLabel, this.value);
     const add = (event) => {
       event.preventDefault();
-      const point = description.points.find((each) => each.name === this.point.value);
+      const point = this.points.get(this.point.value);
       if (!point) { toast(`There is no point ${this.point.value}.`, true); return; }
       const kind = this.kind.value;
       const fault = { kind, [point.kind === "actuator" ? "actuators" : "points"]: [point.name] };
-      if (FAULTS[kind]) fault[FAULTS[kind][0]] = Number(this.value.value);
-      this.send([...this.faults, fault]);
+      if (FAULTS[kind]) fault[FAULTS[kind][0]] = Number(this.value.value) / (kind === "gain" ? 1 : point.factor ?? 1);
+      this.send([...this.plan.faults, fault]);
     };
     fill(root, this.active, this.list,
       mayChange() ? h("form", { class: "stack", onsubmit: add },
@@ -137,21 +138,43 @@ export class FaultPanel {
     this.label();
   }
 
+  /** Name the field of the value after the fault, in the unit in which the page shows the point. */
   label() {
     const parameter = FAULTS[this.kind.value];
-    this.valueField.hidden = !parameter;
-    this.value.required = Boolean(parameter);
-    if (parameter) setText(this.valueLabel, parameter[1]);
+    this.valueField.hidden = this.value.disabled = !parameter;
+    if (!parameter) return;
+    const unit = this.kind.value === "gain" ? "" : this.points.get(this.point.value)?.unit;
+    setText(this.valueLabel, unit ? `${parameter[1]}, ${unit}` : parameter[1]);
   }
 
   async send(faults) {
-    if (!(await operate(this.node, "faults", { plan: { faults } }))) return;
-    this.faults = faults;
-    fill(this.list, faults.map((fault) => h("li", {}, Object.entries(fault).map(([name, value]) => (name === "kind" ? value : `${name} ${value}`)).join(", "))));
+    const { plan } = this;
+    if (await operate(this.node, "faults", { plan: { ...plan, faults }, replaces: plan })) { this.plan = { ...plan, faults }; this.show(); }
+  }
+
+  /** A fault of the plan in words, with its values in the units that the page shows. */
+  text({ kind, points = [], actuators = [], when, name, ...values }) {
+    const point = this.points.get([...points, ...actuators][0]);
+    const linear = point && [...points, ...actuators].length === 1 && kind !== "gain";
+    const parts = Object.entries(values).map(([key, value]) => `${words(key)} ${linear && FAULTS[kind]?.[0] === key ? withUnit(value * (point.factor ?? 1), point.unit) : JSON.stringify(value)}`);
+    return [name ? `${name}: ${kind}` : kind, [...points, ...actuators].join(", "), ...parts, when && `when ${JSON.stringify(when)}`].filter(Boolean).join(", ");
+  }
+
+  show() {
+    const { faults } = this.plan;
+    const label = (fault) => `End ${this.text(fault)}`;
+    fill(this.list, faults.map((fault, place) => h("li", { class: "row" }, h("span", {}, this.text(fault)), h("span", { class: "grow" }),
+      h("button", forOperators({ class: "small", "aria-label": label(fault), onclick: () => this.send(faults.filter((_, other) => other !== place)) }), "End"))));
   }
 
   update(state) {
     setText(this.active, state.faults?.length ? `Active now: ${state.faults.join(", ")}` : "No injected fault is active.");
+    const text = JSON.stringify(state.fault_plan);
+    if (text === this.shownPlan) return;
+    this.shownPlan = text;
+    if (text === JSON.stringify(this.plan)) return;
+    this.plan = state.fault_plan ?? { faults: [] };
+    this.show();
   }
 }
 

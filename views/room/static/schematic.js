@@ -141,7 +141,7 @@ export class Schematic {
       const line = TOP + LINE * place + 10;
       const value = s("text", { x: w - 9, y: line, "text-anchor": "end", class: "box-value" });
       this.live.push({ value, point });
-      return [s("text", { x: 9, y: line, class: "box-label" }, cut(label, w - 78, LABEL)), value];
+      return [s("text", { x: 9, y: line, class: "box-label" }, cut(label, w - 92, LABEL)), value];
     });
     group.append(title, s("rect", { width: w, height, rx: 7, class: "frame" }),
       s("path", { d: symbol, transform: "translate(9 9)", class: "symbol" }),
@@ -178,9 +178,8 @@ export class Schematic {
   // Values
 
   text(state, point) {
-    const { unit, kind } = this.description.points[point];
-    const value = state.values?.[point];
-    return withUnit(kind === "actuator" ? value : shown(this.description.points[point], value), unit);
+    const described = this.description.points[point];
+    return withUnit(shown(described, state.values?.[point]), described.unit);
   }
 
   update(state) {

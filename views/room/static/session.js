@@ -20,7 +20,7 @@ export const mayChange = () => isOperator() && !isReplay;
 
 /** Why the user may not change anything; null if it is permitted. */
 export const refusal = () => {
-  if (!isOperator()) return `${name} is a monitor, who changes nothing; an operator may.`;
+  if (!isOperator()) return `${name} may only read; changes need an operator.`;
   return isReplay ? "This is the replay of a recording, which takes no requests." : null;
 };
 

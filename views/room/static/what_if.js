@@ -84,15 +84,28 @@ export class WhatIfPanel {
     const legend = h("ul", { class: "legend" });
     const draw = () => this.draw(answer, name, Number(choice.value), canvas, legend);
     choice.addEventListener("change", draw);
+    const { points } = this.description;
+    const other = h("input", { list: "what-if-drawn", autocomplete: "off", placeholder: "another point", "aria-label": "Another point that is drawn" });
+    other.addEventListener("change", () => {
+      const place = points.findIndex((point) => point.name === other.value);
+      if (place < 0) { if (other.value) toast(`There is no point ${other.value}.`, true); return; }
+      if (![...choice.options].some((option) => Number(option.value) === place)) choice.append(h("option", { value: place }, points[place].label));
+      choice.value = place;
+      other.value = "";
+      draw();
+    });
+    const drawn = h("datalist", { id: "what-if-drawn" }, points.slice(0, 2000).map((point) => h("option", { value: point.name }, point.label)));
     fill(this.result, h("h3", {}, `Next ${num(answer.as_is.totals.hours)} h`), this.totals(answer, name),
-      h("div", { class: "row wrap" }, choice, legend, h("span", { class: "grow" }), asked.values && h("button", { class: "primary", onclick: () => this.apply(asked) }, `Apply for ${asked.hours} h`)), canvas,
+      h("div", { class: "row wrap" }, choice, other, drawn, legend, h("span", { class: "grow" }), asked.values && h("button", { class: "primary", onclick: () => this.apply(asked) }, `Apply for ${asked.hours} h`)), canvas,
       asked.controller && this.start(answer.command, asked));
     draw();
     this.result.scrollIntoView({ block: "nearest" });
   }
 
   totals({ as_is: asIs, changed }, name) {
-    const rows = TOTALS.filter(([each]) => asIs.totals[each] !== undefined && asIs.totals[each] !== null);
+    const known = new Set(TOTALS.map(([each]) => each));
+    const fuels = Object.keys(asIs.totals).filter((each) => each.endsWith("_kwh") && !known.has(each)).map((each) => [each, sentence(words(each.slice(0, -4))), "kWh"]);
+    const rows = [...TOTALS.slice(0, 3), ...fuels, ...TOTALS.slice(3)].filter(([each]) => asIs.totals[each] !== undefined && asIs.totals[each] !== null);
     const difference = (each) => { const [a, b] = [asIs.totals[each], changed.totals[each]]; return `${b >= a ? "+" : "\u2212"}${num(Math.abs(b - a))}${a ? ` (${b >= a ? "+" : "\u2212"}${num(Math.abs(100 * (b - a) / a), "%")} %)` : ""}`; };
     const quality = (each) => (changed.totals[each] > asIs.totals[each] + 1e-9 ? "worse" : changed.totals[each] < asIs.totals[each] - 1e-9 ? "better" : "");
     return h("table", { class: "totals" }, h("thead", {}, h("tr", {}, h("th", { scope: "col" }, h("span", { class: "visually-hidden" }, "Total")), ["as is", name, "difference"].map((text) => h("th", { scope: "col", class: "number" }, text)))),
@@ -121,7 +134,9 @@ export class WhatIfPanel {
     const places = points.map((_, place) => place);
     const actuators = places.filter((place) => points[place].kind === "actuator");
     const commanded = values ? actuators.filter((place) => points[place].name in values) : most(actuators).slice(0, 20);
-    const rest = places.slice(0, 300).filter((place) => points[place].kind !== "actuator");
+    const level = (place) => answer.as_is.series[place].reduce((sum, value) => sum + Math.abs(value ?? 0), 1e-9);
+    const rest = places.slice(0, 2000).filter((place) => points[place].kind !== "actuator").map((place) => [effect(place) / level(place), place])
+      .sort(([a], [b]) => b - a).map(([, place]) => place);
     return [...new Set([...most(zones.map((zone) => zone.temperature)), facility?.point, hvac?.point, ...commanded, ...rest].filter((place) => place !== undefined && place !== null))].slice(0, 60);
   }
 
@@ -262,6 +277,8 @@ class ControllerForm {
     return null;
   }
 }
+
+const sentence = (text) => text.slice(0, 1).toUpperCase() + text.slice(1);
 
 /** A docstring's sentence for people who do not write Python. */
 const plain = (text) => text.replaceAll("`", "").replace(/\bNone:/g, "empty:");
