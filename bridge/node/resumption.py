@@ -87,9 +87,11 @@ class Resumption:
         """Return what the new node has done, for its event."""
         exchange, elapsed_s = self._server.exchange, monotonic() - self._began_s
         time = self._server.samples.time(exchange.step[0])
+        dropped = self.written.dropped
+        lost = f"; {dropped:,} bytes at its end were incomplete and are dropped" if dropped else ""
         return (
             f"goes on with {self.path} at step {exchange.step[0]} ({time:%Y-%m-%d %H:%M:%S}); "
-            f"{self.steps} timesteps simulated again in {elapsed_s:.3g} s, equal to the bit"
+            f"{self.steps} timesteps simulated again in {elapsed_s:.3g} s, equal to the bit{lost}"
         )
 
     def take_descriptor(self) -> int:

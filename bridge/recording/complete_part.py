@@ -19,6 +19,7 @@ class Written:
         path: of the file.
         offset: its first bytes, which stay.
         size: bytes of the file.
+        dropped: bytes after these that are no complete part, and are lost.
         missing_index: the message index of the last chunk, if the file ends within it.
         messages: number of messages.
         schemas, channels, counts, chunks, attachments, metadata: for the summary at the end of the file.
@@ -29,6 +30,7 @@ class Written:
     path: Path
     offset: int = 0
     size: int = 0
+    dropped: int = 0
     missing_index: bytes = b""
     messages: int = 0
     schemas: dict[str, Schema] = field(default_factory=dict)

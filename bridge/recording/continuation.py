@@ -36,16 +36,22 @@ from zenostat.topics.recording import RecordedAudit
 MAX_DROPPED = 8 << 20
 """Largest number of bytes that are dropped: more than what a killed node had begun to write is damage."""
 
+_MAX_ATTEMPTS = 1000
+
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 _COMPLETE = (Opcode.DATA_END, Opcode.METADATA)
+_MARK = struct.pack("<I", len(COMPRESSION)) + COMPRESSION.encode()
+"""The name of the compression, which each chunk has after times, size and checksum."""
+_BEFORE_MARK = _HEAD.size + struct.calcsize("<QQQI")
 
 
 def read_written(path: Path) -> Written:
     """Read what is complete of a recording, of which `RecordingReader` has checked the beginning.
 
     Raises:
-        InvalidRecording: an earlier release wrote it, or it is damaged, and not only cut off.
+        InvalidRecording: an earlier release wrote it, or it is damaged, and not only cut off: more is left than a node
+            had begun to write, or there is complete data behind the damage.
     """
     written = Written(path)
     with path.open("rb") as file:
@@ -62,7 +68,34 @@ def read_written(path: Path) -> Written:
             f"{path} is damaged after byte {written.offset:,}, and {dropped:,} bytes follow, which going on with it "
             "would drop"
         )
+    with path.open("rb") as file:
+        file.seek(written.offset)
+        rest = file.read(dropped)
+    if rest.endswith(MAGIC) or _has_later_chunk(rest):
+        raise InvalidRecording(
+            f"{path} is damaged at byte {written.offset:,}, and complete data follow, which going on with it would "
+            f"overwrite; to go on from the damage, keep a copy, and cut the file: truncate -s {written.offset} {path}"
+        )
+    written.dropped = dropped
     return _checked(written)
+
+
+def _has_later_chunk(data: bytes) -> bool:
+    """Return whether there is a chunk that is not damaged anywhere after the first byte."""
+    attempts, mark = 0, data.find(_MARK, _BEFORE_MARK + 1)
+    while mark >= 0 and attempts < _MAX_ATTEMPTS:
+        opcode, length = _HEAD.unpack_from(data, mark - _BEFORE_MARK)
+        begin = mark - _BEFORE_MARK + _HEAD.size
+        if opcode == Opcode.CHUNK and length <= len(data) - begin:
+            attempts += 1
+            try:
+                chunk_data(data[begin : begin + length])
+            except ValueError:
+                pass
+            else:
+                return True
+        mark = data.find(_MARK, mark + 1)
+    return False
 
 
 def has_messages(path: Path) -> bool:

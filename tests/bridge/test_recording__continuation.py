@@ -98,3 +98,29 @@ def test_recording__more_than_a_chunk_after_damage_is_not_dropped(complete: Path
     path.write_bytes(data[:begin] + b"\0" * (MAX_DROPPED + 1))
     with pytest.raises(InvalidRecording, match=r"damaged after byte [\d,]+, and [\d,]+ bytes follow"):
         read_written(path)
+
+
+@pytest.mark.parametrize("hole", [1, 50])
+def test_recording__data_behind_damage_is_not_overwritten(scratch: Path, hole: int) -> None:
+    path = scratch / "damaged.mcap"
+    record(path, range(120))
+    data, (first, second, third, *_) = bytearray(path.read_bytes()), chunk_ends(path)
+    place = (first + second) // 2
+    data[place : place + hole] = bytes(255 - value for value in data[place : place + hole])
+    for end in (third, len(data)):  # of a killed node, and of one that was stopped
+        path.write_bytes(data[:end])
+        with pytest.raises(InvalidRecording, match=r"damaged at byte [\d,]+, and complete data follow.*truncate -s"):
+            read_written(path)
+    path.write_bytes(data[:second])  # nothing is behind it
+    written = read_written(path)
+    assert first <= written.offset < second
+    assert written.dropped == second - written.offset
+
+
+def test_recording__damage_in_the_last_chunk_of_a_complete_file_is_told(complete: Path, scratch: Path) -> None:
+    data, path = bytearray(complete.read_bytes()), scratch / "damaged.mcap"
+    *_, before, last = chunk_ends(complete)
+    data[(before + last) // 2] ^= 255
+    path.write_bytes(data)
+    with pytest.raises(InvalidRecording, match="complete data follow"):
+        read_written(path)
