@@ -82,10 +82,9 @@ def mcp(
         raise InvalidConfig(f"--reports {reports}: expected a folder")
     if token_file is not None and address is None:
         raise InvalidConfig("--token-file: only with --address")
-    limits = None
-    if allow_writes:
-        rules = [WriteRule.parse(text) for text in allow_writes]
-        limits = WriteLimits(rules, priority, parse_duration(max_duration, "--max-duration"), writes_per_minute)
+    rules = [WriteRule.parse(text) for text in allow_writes or ()]
+    longest_s = parse_duration(max_duration, "--max-duration")
+    limits = WriteLimits(rules, priority, longest_s, writes_per_minute) if rules else None
     token = secrets.token_urlsafe(32) if token_file is None else read_token(token_file, "--token-file")
     with ExitStack() as stack:
         log = stack.enter_context(CallLog(audit_log))

@@ -19,7 +19,7 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
-from zenostat.models.engine_library import engine_library, new_api
+from zenostat.models.engine_library import engine_library, key_pattern, new_api
 from zenostat.models.err_file import explain
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import ModelError
@@ -168,7 +168,7 @@ def _schedules(model: str, names: str, weather: str, target: str) -> None:
     api.runtime.set_console_output_status(state, False)
     keys = json.loads(names)
     for key in keys:
-        exchange.request_variable(state, "Schedule Value", key)
+        exchange.request_variable(state, "Schedule Value", key_pattern(key))
     values, handles = array("d"), list[int]()
 
     def read(running: Any) -> None:

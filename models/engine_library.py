@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+import re
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -99,3 +100,14 @@ def _find(folder: Path | None, origin: str) -> EngineLibrary | None:
                 plain = link.with_name("libenergyplusapi.so")  # what the API loads by default
                 return EngineLibrary((plain if plain.exists() else link).resolve(), version, origin)
     return None
+
+
+_SPECIAL = re.compile(r"[\\.+*?()|\[\]{}^$]")
+
+
+def key_pattern(key: str) -> str:
+    """Return a key for `request_variable`, which takes keys with special characters for regular expressions.
+
+    Other calls, such as `get_variable_handle`, take the key itself.
+    """
+    return _SPECIAL.sub(r"\\\g<0>", key)

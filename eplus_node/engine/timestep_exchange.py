@@ -29,7 +29,7 @@ from zenostat.bridge.engine.system_calls import (
 from zenostat.bridge.runtime.polling import Polling
 from zenostat.eplus_node.engine.huge_pages import collapse_huge_pages
 from zenostat.eplus_node.engine.memory import SaturationCache
-from zenostat.models.engine_library import new_api
+from zenostat.models.engine_library import key_pattern, new_api
 
 RUN_PERIOD = 3
 """EnergyPlus's `kind_of_sim` for a run period that reads a weather file."""
@@ -66,9 +66,9 @@ class Engine:
         self.state = self.api.state_manager.new_state()
         self.api.runtime.set_console_output_status(self.state, False)
         for variable, key, *_ in spec["sensors"]:
-            self.api.exchange.request_variable(self.state, variable, key)
+            self.api.exchange.request_variable(self.state, variable, key_pattern(key))
         for variable, key in spec["feedback"]:
-            self.api.exchange.request_variable(self.state, variable, key)
+            self.api.exchange.request_variable(self.state, variable, key_pattern(key))
         self._bind_library()
         self.step = 0
         self.steps = int(spec["steps"])

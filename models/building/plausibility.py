@@ -118,15 +118,26 @@ def _setpoint_findings(objects: Objects) -> Iterator[RuleFinding]:
         path = "heating_setpoint_temperature_schedule_name"
         own, other = fields.get(path), fields.get("cooling_setpoint_temperature_schedule_name")
         heating, cooling = values(own), values(other)
-        if heating and cooling and min(heating) > max(cooling):
+        text = ""
+        if heating and max(heating) > _HOTTEST_HEATING_C:
+            text = f", which is up to {max(heating):g} °C; are its values in °F?"
+        elif heating and cooling and min(heating) > max(cooling):
             text = (
-                f": {path} is {own!r}, whose lowest value, {min(heating):g} °C, is above the highest of the cooling "
-                f"schedule {other!r}, {max(cooling):g} °C; are they swapped?"
+                f", whose lowest value, {min(heating):g} °C, is above the highest of the cooling schedule {other!r}, "
+                f"{max(cooling):g} °C; are they swapped?"
             )
-            yield finding("ThermostatSetpoint:DualSetpoint", name, FieldFinding(path, text, is_fatal=False))
-        elif heating and min(heating) > _HOTTEST_HEATING_C:
-            text = f": {path} is {own!r}, which is always above {_HOTTEST_HEATING_C:g} °C; are its values in °F?"
-            yield finding("ThermostatSetpoint:DualSetpoint", name, FieldFinding(path, text, is_fatal=False))
+        elif heating and cooling:
+            # When one is at its end, the other is beyond it, whatever the times are.
+            for end, of in (("highest", max), ("lowest", min)):
+                if of(heating) > of(cooling):
+                    text = (
+                        f", whose {end} value, {of(heating):g} °C, is above the {end} of the cooling schedule "
+                        f"{other!r}, {of(cooling):g} °C; EnergyPlus ends when heating is above cooling"
+                    )
+                    break
+        if text:
+            finding_of = FieldFinding(path, f": {path} is {own!r}{text}", is_fatal=False)
+            yield finding("ThermostatSetpoint:DualSetpoint", name, finding_of)
 
 
 def _material_findings(objects: Objects) -> Iterator[RuleFinding]:

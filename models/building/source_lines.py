@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import re
 from collections.abc import Callable, Sequence
 from functools import cache
@@ -14,6 +15,7 @@ from zenostat.models.input_format.source_model import SourceModel, SourceObject
 from zenostat.models.upgrade.versions import STEPS, layout_of, short
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 
+_BOM = codecs.BOM_UTF8.decode("latin-1")
 _WHOLE_WORD = r"(?<![\w:.-]){}(?![\w:.-])"
 _NOT_FOUND = re.compile(r"(\w+) ?= ?([^=]+?), item not found")
 
@@ -23,6 +25,8 @@ def read_source(path: Path) -> SourceModel:
     is_idf = path.suffix.lower() == ".idf"
     try:
         text = path.read_text(encoding="latin-1" if is_idf else "utf-8")
+        if text.startswith(_BOM):  # EnergyPlus takes it for a part of the first word
+            return SourceModel()
         return parse_idf(text, _layout(text, path)) if is_idf else read_epjson(text)
     except (OSError, UnicodeDecodeError, InvalidConfig):
         return SourceModel()

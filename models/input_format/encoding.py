@@ -22,7 +22,7 @@ def check_encoding(raw: bytes, path: Path) -> None:
     if not raw.strip():
         raise InvalidConfig(f"{path} is not an IDF: it is empty")
     if raw.startswith(_UTF16) or raw.count(b"\0") > len(raw) // 4:
-        raise InvalidConfig(f"{path} is not an IDF in UTF-8 (perhaps it is in UTF-16): save it as UTF-8")
+        raise InvalidConfig(f"{path} is not an IDF in UTF-8 (perhaps it is in UTF-16): save it as UTF-8 without BOM")
     if b"\0" in raw:
         damaged = raw[: raw.index(b"\0")].count(b"\n") + 1
         raise InvalidConfig(f"{path} is not an IDF: line {damaged} has a NUL byte; the file is damaged")

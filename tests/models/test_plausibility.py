@@ -22,15 +22,15 @@ from zenostat.topics.errors import InvalidConfig
 Objects = dict[str, dict[str, Any]]
 
 
-def setpoints(heating: Any, cooling: Any) -> Objects:
-    """A thermostat's setpoints, each of a Schedule:Constant."""
+def setpoints(heating: Any, cooling: Any, by_night: float | None = None) -> Objects:
+    """A thermostat's setpoints, each of a Schedule:Constant; heating has a Schedule:Compact if it differs by night."""
     field = "setpoint_temperature_schedule_name"
+    constants = {"Always": {"hourly_value": 1.0}, "Cooling": {"hourly_value": cooling}}
+    lines = ("Through: 12/31", "For: AllDays", "Until: 06:00", by_night, "Until: 24:00", heating)
+    compact: Objects = {"Schedule:Compact": {"Heating": {"data": [{"field": line} for line in lines]}}}
     return {
-        "Schedule:Constant": {
-            "Always": {"hourly_value": 1.0},
-            "Heating": {"hourly_value": heating},
-            "Cooling": {"hourly_value": cooling},
-        },
+        "Schedule:Constant": constants if by_night else constants | {"Heating": {"hourly_value": heating}},
+        **(compact if by_night else {}),
         "ThermostatSetpoint:DualSetpoint": {
             "Setpoints": {f"heating_{field}": "Heating", f"cooling_{field}": "Cooling"}
         },
@@ -86,7 +86,10 @@ CASES: dict[str, tuple[Callable[[Objects], object], Severity, str, str, str]] = 
         "heating_setpoint_temperature_schedule_name", "24 °C, is above the highest of the cooling schedule 'Cooling'"),
     "setpoints in °F": (
         lambda model: model.update(setpoints(70.0, 75.0)), WARNING, "ThermostatSetpoint:DualSetpoint",
-        "heating_setpoint_temperature_schedule_name", "always above 40 °C; are its values in °F?"),
+        "heating_setpoint_temperature_schedule_name", "is up to 70 °C; are its values in °F?"),
+    "heating above cooling by day": (
+        lambda model: model.update(setpoints(29.0, 27.0, by_night=15.0)), WARNING, "ThermostatSetpoint:DualSetpoint",
+        "heating_setpoint_temperature_schedule_name", "highest value, 29 °C, is above the highest of the cooling"),
     "no thermostat": (
         lambda model: model.update(CONNECTIONS), WARNING, "ZoneHVAC:EquipmentConnections", "zone_name",
         "zone 'Box' has HVAC equipment, but no ZoneControl:Thermostat"),
