@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -98,6 +99,7 @@ class _Reader:
     def __init__(self, archive: Archive, folder: Path) -> None:
         self._archive, self._folder = archive, folder
         self._kinds: dict[Connector, str] = {}
+        self._units: dict[Connector, str] = {}
         self._fmus: dict[parameters.Path, Any] = {}
         self._systems: set[parameters.Path] = set()
         self._drivers: dict[Connector, tuple[Connector, Any]] = {}
@@ -159,6 +161,8 @@ class _Reader:
     def _read_connectors(self, element: Any, path: parameters.Path) -> None:
         for connector in element.iterfind("ssd:Connectors/ssd:Connector", NAMESPACES):
             self._kinds[path, connector.get("name")] = connector.get("kind")
+            real = connector.find("ssc:Real", NAMESPACES)
+            self._units[path, connector.get("name")] = "" if real is None else real.get("unit", "")
 
     def _read_connection(self, connection: Any, path: parameters.Path) -> None:
         """Note what drives the end of a connection; either of its ends may be the source."""
@@ -190,14 +194,11 @@ class _Reader:
         for target in self._drivers:
             if target[0] not in self._fmus:
                 continue
-            factor, offset, is_plain = 1.0, 0.0, False
+            legs: list[tuple[Connector, Connector, Any]] = []  # from the target to the source
             source = target
             while source in self._drivers:
-                source, connection = self._drivers[source]
-                own, more = parameters.transformation(self._archive, connection, "ssc")
-                offset += factor * more
-                factor *= own
-                is_plain |= parameters.is_true(connection, "suppressUnitConversion")
+                end, (source, connection) = source, self._drivers[source]
+                legs.append((source, end, connection))
             entry = self._point(target, points, connection)
             target_name = f"{names[target[0]]}.{entry.points[0]}"
             if source[0] not in self._fmus:
@@ -205,13 +206,44 @@ class _Reader:
                 continue
             start = self._point(source, points, connection)
             name = f"{names[source[0]]}.{start.points[0]}"
-            without = "1" in (start.unit, entry.unit) or conversion(start.unit, entry.unit) is None
-            unit_ = start.unit if (is_plain or without) and start.unit != entry.unit else ""
-            yield Link(name, target_name, unit_, factor, offset, entry.unit)
+            yield Link(name, target_name, *self._transformed(legs, points), entry.unit)
         self._notes += [
             f"the system's input {name!r} is not connected: command {', '.join(targets)} instead"
             for name, targets in outer.items()
         ]
+
+    def _transformed(
+        self, legs: Sequence[tuple[Connector, Connector, Any]], points: Mapping[Connector, Variable]
+    ) -> tuple[str, float, float]:
+        """Return the unit, factor and offset of a link, through nested systems.
+
+        Each connection converts the unit, unless it is suppressed or one of its ends has none, then it transforms. Of a
+        chain the product is one conversion from the first unit to the last one, where one takes place, and the rest.
+        """
+        units = [self._unit(legs[-1][0], points), *(self._unit(end, points) for _, end, _ in reversed(legs))]
+        factor, offset, is_converted = 1.0, 0.0, False
+        for (before, after), (_, _, connection) in zip(pairwise(units), reversed(legs), strict=True):
+            converted = None
+            if not parameters.is_true(connection, "suppressUnitConversion") and before and after:
+                converted = conversion(before, after)
+            is_converted = is_converted or (converted is not None and before != after)
+            scale, shift = converted or (1.0, 0.0)
+            own, more = parameters.transformation(self._archive, connection, "ssc")
+            factor, offset = own * scale * factor, own * (scale * offset + shift) + more
+        first, last = (points[end].unit for end in (legs[-1][0], legs[0][1]))
+        whole = conversion(first, last) if is_converted else None
+        if whole is None or first == last:
+            return "" if first == last else first, factor, offset
+        if len(legs) == 1:  # without a rounding error
+            own, more = parameters.transformation(self._archive, legs[0][2], "ssc")
+            return "", own, more
+        return "", factor / whole[0], offset - factor / whole[0] * whole[1]
+
+    def _unit(self, connector: Connector, points: Mapping[Connector, Variable]) -> str:
+        """Return the unit of a connector, or of its FMU's variable; empty if it has none."""
+        variable = points.get(connector)
+        own = self._units.get(connector, "") or ("" if variable is None else variable.unit)
+        return "" if own == "1" else own
 
     def _point(self, connector: Connector, points: Mapping[Connector, Variable], connection: Any) -> Variable:
         variable = points.get(connector)
