@@ -90,6 +90,7 @@ class TrainingConfig(ConfigPart):
         parameters: keyword arguments of the algorithm.
         paired_reward: whether rewards are differences to those of zero actions in the same weather; see
             `zenostat.lab.training.paired_reward`.
+        zero_start: whether the policy begins with offsets of zero; see `zenostat.lab.training.zero_actions`.
         normalization: false: nothing is scaled.
         evaluation: false: none.
         checkpoint_steps: training steps between checkpoints; by default a tenth of all.
@@ -110,6 +111,7 @@ class TrainingConfig(ConfigPart):
     policy: str | None = None
     parameters: dict[str, Any] = Field(default_factory=dict)
     paired_reward: bool = False
+    zero_start: bool = False
     normalization: Annotated[Annotated[Normalization, FIELDS] | No, FIELDS_OR_FALSE] = Normalization()
     evaluation: Annotated[Annotated[Evaluation, FIELDS] | No, FIELDS_OR_FALSE] = Evaluation()
     checkpoint_steps: Count | None = None

@@ -14,13 +14,12 @@ import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.wrappers import EpisodeLog, ResidualAction, TensorBoardLog, WeightsAndBiasesLog
-from zenostat.agent_sdk.wrappers.names import attribute, layers
+from zenostat.agent_sdk.wrappers import EpisodeLog, TensorBoardLog, WeightsAndBiasesLog
+from zenostat.agent_sdk.wrappers.names import layers
+from zenostat.lab.training.zero_actions import zero_actions
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.messages import Manifest
 
 _LOGS = (EpisodeLog, TensorBoardLog, WeightsAndBiasesLog)
-_RESCALED = (gym.wrappers.RescaleAction, gym.wrappers.vector.RescaleAction)
 
 
 def paired(env: Any, reference: Any) -> Any:
@@ -37,36 +36,13 @@ def paired(env: Any, reference: Any) -> Any:
         InvalidConfig: the actions are no offsets, zero is not one of them, or a wrapper logs episodes, which would
             write those of the reference as well. At a step: the episodes of both do not end together.
     """
-    manifest: Manifest = attribute(env, "manifest")
-    chain = [*layers(env)]
-    is_residual = any(isinstance(layer, ResidualAction) for layer in chain)
-    absolute = [action.name for action in manifest.task.actions if not action.relative]
-    if absolute and not is_residual:
-        raise InvalidConfig(
-            f"paired_reward: the action {absolute[0]!r} is no offset, so zero is not the building's own control; use "
-            "relative actions or ResidualAction"
-        )
-    for layer in chain:
+    zeros = zero_actions(env, "paired_reward")
+    for layer in layers(env):
         if isinstance(layer, _LOGS):
             raise InvalidConfig(f"paired_reward: {type(layer).__name__} would log the reference as well; remove it")
-    zeros = _zeros(env)
     if isinstance(env, VectorEnv):
         return _PairedVectorEnv(env, reference, np.tile(zeros, (env.num_envs, 1)))
     return _PairedEnv(env, reference, zeros)
-
-
-def _zeros(env: Any) -> NDArray[np.float32]:
-    """Return the action that is an offset of zero, shape (actions,)."""
-    space = getattr(env, "single_action_space", env.action_space)
-    if not isinstance(space, gym.spaces.Box):
-        raise InvalidConfig(f"paired_reward needs continuous actions, not {space}")
-    zeros = np.zeros(space.shape, np.float32)
-    if isinstance(env, _RESCALED):
-        inner: Any = getattr(env.env, "single_action_space", env.env.action_space)
-        zeros = space.low + (space.high - space.low) * ((zeros - inner.low) / (inner.high - inner.low))
-    if zeros not in space:
-        raise InvalidConfig(f"paired_reward: an offset of zero is not in {space}")
-    return zeros
 
 
 def _check_ends(ends: Any, reference_ends: Any) -> None:

@@ -40,6 +40,7 @@ from zenostat.lab.training.horizon import discount, horizon_warning, scale_warni
 from zenostat.lab.training.logs import check_logs, make_logger
 from zenostat.lab.training.parameters import check_action_space, check_algorithm, make_model
 from zenostat.lab.training.references import OnReferences, check_references, evaluate_references
+from zenostat.lab.training.zero_actions import begin_at, zero_actions
 from zenostat.metrics.episode_metrics import EpisodeMetrics
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import ErrorCollector, InvalidConfig
@@ -186,6 +187,8 @@ class _Run:
             warnings.warn(text, stacklevel=3)
         model = make_model(config, env.outermost)
         mark_normalized(model)
+        if config.zero_start:
+            begin_at(model, zero_actions(env.env, "zero_start"))
         files.create(folder, config, env.wrappers(), env.scenario())
         begin = 0 if checkpoint is None else checkpoint.step
         model.set_logger(make_logger(config, folder, begin))

@@ -1,0 +1,72 @@
+"""Policies that begin with offsets of zero: they do what the rule does, whatever they observe, and then learn."""
+
+import csv
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("stable_baselines3", reason="the extra `train` is not installed")
+
+from test_paired_reward import fields
+
+from zenostat.lab.training import read_training, train
+from zenostat.lab.training.environments import TrainingEnv, make_env
+from zenostat.lab.training.parameters import make_model
+from zenostat.lab.training.zero_actions import begin_at, zero_actions
+from zenostat.topics.errors import InvalidConfig
+
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
+
+SMALL = {"policy_kwargs": {"net_arch": [8]}}
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "a2c", "sac", "td3", "ddpg"])
+@pytest.mark.parametrize("is_rescaled", [False, True])
+def test_zero_start__first_actions_are_zero(algorithm: str, is_rescaled: bool, tmp_path: Path) -> None:
+    changes: dict[str, Any] = {"parameters": SMALL, "paired_reward": False, "normalization": {"actions": is_rescaled}}
+    config = read_training(fields(tmp_path, algorithm=algorithm, **changes))
+    env = TrainingEnv(config)
+    model = make_model(config, env.outermost)
+    zeros = zero_actions(env.env, "zero_start")
+    begin_at(model, zeros)
+    observations = np.random.default_rng(0).normal(0.0, 3.0, (50, *env.outermost.observation_space.shape))
+    chosen, _ = model.predict(observations.astype(np.float32), deterministic=True)
+    assert np.array_equal(chosen, np.zeros_like(chosen))
+    assert np.array_equal(zeros, np.zeros_like(zeros))
+    env.close()
+
+
+@pytest.mark.parametrize("algorithm", ["ppo", "sac", "td3"])
+def test_begin_at__any_action(algorithm: str, tmp_path: Path) -> None:
+    config = read_training(fields(tmp_path, algorithm=algorithm, parameters=SMALL, paired_reward=False))
+    env = TrainingEnv(config)
+    model, action = make_model(config, env.outermost), np.full(env.outermost.action_space.shape, -0.5, np.float32)
+    begin_at(model, action)
+    observation = np.ones((1, *env.outermost.observation_space.shape), np.float32)
+    assert model.predict(observation, deterministic=True)[0][0] == pytest.approx(action, abs=1e-6)
+    env.close()
+
+
+def test_zero_start__evaluation_before_the_first_step_is_that_of_the_rule(tmp_path: Path) -> None:
+    evaluation = {"every_steps": 64, "at_start": True, "episodes": 2, "seed": 7, "references": []}
+    config = read_training(fields(tmp_path, evaluation=evaluation, zero_start=True, steps=64))
+    train(config)
+    with (tmp_path / "evaluations.csv").open() as file:
+        evaluated = [float(row["reward"]) for row in csv.DictReader(file) if row["step"] == "0"]
+    env = make_env(config, for_evaluation=True)
+    for seed, reward in zip((7, 8), evaluated, strict=True):
+        env.reset(seed=seed)
+        rewards, ended = [], False
+        while not ended:
+            *_, ended, info = env.step(np.zeros(env.action_space.shape, np.float32))
+            rewards.append(info["reward_terms"])
+        assert reward == pytest.approx(sum(sum(terms.values()) for terms in rewards))
+    env.close()
+
+
+def test_zero_start__actions_have_to_be_offsets(tmp_path: Path) -> None:
+    config = read_training(fields(tmp_path, wrappers=[], paired_reward=False, zero_start=True))
+    with pytest.raises(InvalidConfig, match=r"zero_start: .*is no offset.*relative actions or ResidualAction"):
+        train(config)
