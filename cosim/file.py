@@ -8,7 +8,16 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, create_model
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Discriminator,
+    Field,
+    Tag,
+    create_model,
+)
 
 from zenostat.cosim.market import MarketSpec
 from zenostat.topics.calendar import parse_duration
@@ -62,7 +71,15 @@ def _duration(value: float | str) -> float:
     return value
 
 
-Duration = Annotated[Annotated[float, Field(gt=0)] | str, AfterValidator(_duration)]
+def _kind_of_duration(value: Any) -> str:
+    return "@text" if isinstance(value, str) else "@seconds"
+
+
+Duration = Annotated[
+    Annotated[float, Field(gt=0), Tag("@seconds")] | Annotated[str, Tag("@text")],
+    Discriminator(_kind_of_duration),
+    AfterValidator(_duration),
+]
 """Seconds, or a text such as `15min`."""
 
 PlantName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_\-]{0,63}$")]

@@ -136,7 +136,8 @@ class Orchestrator:
         """Return the state of a connection at sample 0."""
         value = transfer.convert(self.rows[transfer.source].values[-1:, transfer.column])
         first = value if transfer.initial is None else np.array([transfer.initial])
-        flow = _Flow(Ledger(transfer.name, transfer.unit), previous=float(value[0]))
+        previous = first if transfer.delay else value  # before the first values that arrive
+        flow = _Flow(Ledger(transfer.name, transfer.unit), previous=float(previous[0]))
         flow.store.extend([np.repeat(first, transfer.source_steps)] * transfer.delay)
         flow.unknown = np.repeat(transfer.clip(first), transfer.target_steps)
         flow.received, flow.residual = flow.unknown, np.zeros(transfer.target_steps)

@@ -18,7 +18,8 @@ from zenostat.topics import yaml12
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownArgument, did_you_mean
 
 FROM_SCENARIO = "scenario"
-"""Marks the reward of the node's scenario."""
+FROM_SCENARIO_IF_ANY = "scenario, if it has one"
+"""Values of `reward` that stand for that of the scenario; without one, the first one warns of a plant's."""
 
 
 def check_arguments(arguments: Mapping[str, Any], env_type: Callable[..., Any]) -> None:
@@ -140,7 +141,7 @@ def check_agent_settings(reward: AnyReward | None, settings: Mapping[str, Any], 
         InvalidConfig: Invalid reward or wrappers, together with all other errors.
     """
     fields = _fields_of_file(settings.get("scenario") or settings.get("district", ""))
-    if reward != FROM_SCENARIO:
+    if reward not in (FROM_SCENARIO, FROM_SCENARIO_IF_ANY):
         fields["reward"] = reward
     errors = ErrorCollector()
     errors.collect(lambda: _check_fields(fields))

@@ -56,6 +56,8 @@ class DistrictAgentsEnv(AgentsEnv):
                 "expected"
             )
         arguments.check_arguments(env_arguments, DistrictEnv)
+        if reward != "shared" and district_reward == arguments.FROM_SCENARIO:
+            district_reward = arguments.FROM_SCENARIO_IF_ANY  # the agents are paid others
         env = DistrictEnv(file, reward=district_reward, **env_arguments)
         try:
             agents = divide(env.manifest, shared, env.observation_names)

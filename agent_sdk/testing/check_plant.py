@@ -292,6 +292,17 @@ def _saves(context: _CheckContext) -> Iterator[str]:
     yield from _difference(
         context.episode, returned, "after restore() in an instance that had gone on, it continued differently"
     )
+    # Trials restore the present state, in each step, in one instance that is kept.
+    kept, present, commands = context.make(), context.make(), context.random_commands(_SEED)
+    tried = [dict(present.reset(_SEED))]
+    for step in range(context.few):
+        kept.restore(pickle.loads(pickle.dumps(present.save())))  # noqa: S301  # of the same line
+        values = commands(step)
+        tried.append(dict(kept.step(dict(values))))
+        present.step(dict(values))
+    yield from _difference(
+        context.episode, tried, "after restore() in each step in one instance, it stepped differently"
+    )
 
 
 def _has_no_threads(context: _CheckContext) -> Iterator[str]:

@@ -147,7 +147,8 @@ class TrialSteps:
             self._copy = copy
             self._run(copy, alternatives, timesteps)
         except SimulatorError as error:
-            raise type(error)(f"trial from step {self._server.exchange.step}: {error}") from None
+            steps = ", ".join(map(str, self._server.exchange.step))
+            raise type(error)(f"trial from step {steps}: {error}") from None
         finally:
             self._copy = None
             self._end(copy, folder)

@@ -189,7 +189,11 @@ def _start_error(variable: Any, value: Any) -> str:
         return "structural parameters, which change the sizes of arrays, are not supported"
     is_input = variable.causality == "input"
     if not is_input and (variable.variability == "constant" or variable.initial not in {"exact", "approx"}):
-        return f"a {variable.causality} that the FMU calculates; only parameters, inputs and start values can be set"
+        article = "an" if variable.causality[0] in "aeiou" else "a"
+        return (
+            f"it is {article} {variable.causality} that the FMU calculates; only parameters, inputs and start values "
+            "can be set"
+        )
     if variable.type == "String":
         return "" if isinstance(value, str) else "a text expected"
     if variable.type not in NUMERIC:
@@ -211,7 +215,9 @@ def _number_error(variable: Any, value: Any) -> str:
         except (TypeError, ValueError):
             return "a number expected"
         if not (low is None or low <= numeric) or not (high is None or numeric <= high):
-            return f"out of bounds; from {low} to {high} expected"
+            limits = [f"at least {low:g}"] if low is not None else []
+            limits += [f"at most {high:g}"] if high is not None else []
+            return f"out of bounds; {' and '.join(limits)} expected"
         if variable.type not in {"Real", "Float32", "Float64", "Boolean"} and numeric != int(numeric):
             return "a whole number expected"
     return ""

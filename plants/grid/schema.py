@@ -8,7 +8,7 @@ from enum import StrEnum
 from math import inf
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, Field, Tag, model_validator
 from pydantic_core import PydanticCustomError
 
 from zenostat.topics.errors import did_you_mean
@@ -41,6 +41,15 @@ class Profile(_Part):
     column: str
     step_s: Positive = 3600.0
     factor: Finite = 1.0
+
+
+def _kind_of_series(value: Any) -> str:
+    return "@profile" if isinstance(value, Profile | Mapping) else "@number"
+
+
+_KIND = Discriminator(_kind_of_series)
+FiniteSeries = Annotated[Annotated[Finite, Tag("@number")] | Annotated[Profile, Tag("@profile")], _KIND]
+NotNegativeSeries = Annotated[Annotated[NotNegative, Tag("@number")] | Annotated[Profile, Tag("@profile")], _KIND]
 
 
 class Bus(_Part):
@@ -125,7 +134,7 @@ class Load(_Part):
     """
 
     bus: str
-    power_w: Finite | Profile = 0.0
+    power_w: FiniteSeries = 0.0
     power_factor: Annotated[float, Field(gt=0.0, le=1.0)] = 1.0
     reactive_var: Finite | None = None
     low_w: Finite | None = None
@@ -141,7 +150,7 @@ class Pv(_Part):
     """
 
     bus: str
-    power_w: NotNegative | Profile
+    power_w: NotNegativeSeries
 
 
 class Battery(_Part):
@@ -211,6 +220,20 @@ class SessionFile(_Part):
     file: str
 
 
+def _kind_of_sessions(value: Any) -> str:
+    if isinstance(value, SessionFile) or (isinstance(value, Mapping) and "file" in value):
+        return "@file"
+    return "@drawn" if isinstance(value, DrawnSessions | Mapping) else "@list"
+
+
+Sessions = Annotated[
+    Annotated[list[Session], Tag("@list")]
+    | Annotated[SessionFile, Tag("@file")]
+    | Annotated[DrawnSessions, Tag("@drawn")],
+    Discriminator(_kind_of_sessions),
+]
+
+
 class Charger(_Part):
     """A charger of electric vehicles.
 
@@ -222,7 +245,7 @@ class Charger(_Part):
 
     bus: str
     power_kw: Positive
-    sessions: list[Session] | SessionFile | DrawnSessions = Field(default_factory=list)
+    sessions: Sessions = Field(default_factory=list)
 
 
 class Price(_Part):
@@ -233,7 +256,7 @@ class Price(_Part):
         unit: for example `EUR/kWh`.
     """
 
-    price: Finite | Profile
+    price: FiniteSeries
     unit: str = "1/kWh"
 
 

@@ -181,6 +181,15 @@ class Remembers(Good):
         return self.values(0.0)
 
 
+class RestoresOnce(Good):
+    earlier = 0.0
+
+    def restore(self, state: Any) -> None:
+        super().restore(state)
+        self.level += self.earlier
+        self.earlier += 1.0
+
+
 class SaveDisturbs(Good):
     def save(self) -> Any:
         self.temperature, saved = self.temperature + 1.0, super().save()
@@ -256,6 +265,8 @@ MUTANTS: dict[str, tuple[Any, dict[str, str]]] = {
         {"continues from a saved state": "save, pickling its state, or restore in a new instance raised"}),
     "save disturbs": (SaveDisturbs,
         {"continues from a saved state": r"after save\(\) it continued differently: temperature is"}),
+    "restores once": (RestoresOnce,
+        {"continues from a saved state": r"after restore\(\) in each step in one instance, it stepped differently"}),
     "forkable with threads": (mutant(Forkable, __init__=starts_a_thread),
         {"starts no threads if it is forkable": "it started logger, which a fork loses"}),
     "closes what an episode opens": (mutant(close=lambda self: self.log.close()),

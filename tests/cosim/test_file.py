@@ -165,3 +165,14 @@ def test_yaml_lines__each_value_has_its_line() -> None:
     assert {path: lines[path] for path in expected} == expected
     assert lines.at(("b", 1, "unknown", 7)) == 4
     assert lines.at(("unknown",)) == 1
+
+
+@pytest.mark.parametrize(
+    ("timestep", "error"), [("0", "Input should be greater than 0, got 0"), ("[1]", "Input should be a valid number")]
+)
+def test_file__duration_has_one_error(folder: Path, timestep: str, error: str) -> None:
+    text = f"timestep: {timestep}\nplants:\n  a: {{plant: 'p.py:P'}}\n"
+    with pytest.raises(InvalidConfig) as caught:
+        district_file(folder, text)
+    assert str(caught.value).count("timestep") == 1
+    assert f"timestep: {error}" in str(caught.value)

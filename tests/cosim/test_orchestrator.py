@@ -102,6 +102,17 @@ def test_step__different_timesteps_exchange_means(folder: Path) -> None:
     assert [row[0] for row in plants["a"].commands] == [0.0, 0.0, 0.0, 20.0, 20.0, 20.0]
 
 
+@pytest.mark.parametrize("delay", [1, 2])
+def test_step__interpolation_of_a_delayed_value_begins_with_its_first_one(folder: Path, delay: int) -> None:
+    file = file_of(folder, f"  - {{from: a.x, to: b.u, resample: interpolate, delay: {delay}, initial: 0}}\n")
+    plants = {"a": plant(counter, first=[100.0]), "b": plant(gain(1.0))}
+    orchestrator, _, _ = orchestrated(file, plants)
+    for _ in range(4):
+        orchestrator.step(free(plants))
+    later = [50.5, 101.5, 102.5]  # the mean between 0 and 101, between 101 and 102
+    assert [row[0] for row in plants["b"].commands] == ([0.0] * delay + later)[:4]
+
+
 LOOP = "  - {from: a.x, to: b.u}\n  - {from: b.x, to: a.u, solve: true, tolerance: 1.0e-9}\n"
 
 

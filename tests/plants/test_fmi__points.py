@@ -86,10 +86,10 @@ def test_fmu__start_values_of_parameters_and_inputs_are_set(tank: Path) -> None:
     [
         ({"set": {"los": 1.0}}, "the FMU has no variable 'los'"),
         ({"set": {"heta": 1.0}}, "did you mean 'heat'"),
-        ({"set": {"heat": 5000.0}}, "heat = 5000.0: out of bounds; from 0.0 to 3000.0 expected"),
+        ({"set": {"heat": 5000.0}}, "heat = 5000.0: out of bounds; at least 0 and at most 3000 expected"),
         ({"set": {"heat": "much"}}, "heat = 'much': a number expected"),
         ({"set": {"mode": 1.5}}, "mode = 1.5: a whole number expected"),
-        ({"set": {"power": 1.0}}, "power = 1.0: a output that the FMU calculates"),
+        ({"set": {"power": 1.0}}, "power = 1.0: it is an output that the FMU calculates"),
         ({"set": {"heat": [1.0, 2.0]}}, "1 value expected"),
         ({"set": {"los": 1.0, "heat": -1.0}}, "los(?s:.*)heat = -1.0: out of bounds"),
         ({"observe": ["Q"]}, "observe: the FMU has no variable 'Q'"),

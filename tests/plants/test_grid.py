@@ -229,7 +229,7 @@ def test_grid__passes_the_check_of_plants(tmp_path: Path) -> None:
         (
             {"chargers": {"box": {"bus": "a", "power_kw": 1, "sessions": [
                 {"arrival_h": 5, "departure_h": 4, "energy_kwh": 1}]}}},
-            "departure_h 4 is not after arrival_h 5",
+            "chargers.box.sessions.0: departure_h 4 is not after arrival_h 5",
         ),
         (
             {"chargers": {"box": {"bus": "a", "power_kw": 1, "sessions": [

@@ -54,6 +54,47 @@ def test_convert__nested_systems_become_plants_and_connections(tank: Path, tmp_p
     assert (tmp_path / "district" / "tank.fmu").read_bytes() == tank.read_bytes()
 
 
+SUPPRESSED = 'suppressUnitConversion="true"'
+
+
+@pytest.mark.parametrize(
+    ("unit", "outer", "inner", "factor", "offset"),
+    [
+        ("kW", "", "", 1.0, 250.0),  # 2 (1000 (0.5 x / 1000 + 0.1)) + 50
+        ("kW", SUPPRESSED, "", 1000.0, 250.0),  # 2 (1000 (0.5 x + 0.1)) + 50
+        ("kW", "", SUPPRESSED, 1e-3, 50.2),  # 2 (0.5 x / 1000 + 0.1) + 50
+        ("kW", SUPPRESSED, SUPPRESSED, 1.0, 50.2),  # 2 (0.5 x + 0.1) + 50
+        ("", "", "", 1.0, 50.2),
+        ("W", "", "", 1.0, 50.2),
+    ],
+)
+def test_convert__each_connection_converts_before_it_transforms(
+    unit: str, outer: str, inner: str, factor: float, offset: float, tank: Path, tmp_path: Path
+) -> None:
+    nested = ssp.system(
+        "sub", ssp.component("b"), ssp.connection(":q", "b:heat", ssp.linear(2.0, 50.0), inner),
+        ssp.connector("q", "input", unit),
+    )  # fmt: skip
+    link = ssp.connection("a:power", "sub:q", ssp.linear(0.5, 0.1), outer)
+    (connection,) = converted(tmp_path, tank, ssp.system("s", ssp.component("a") + nested, link))["connections"]
+    assert connection.get("factor", 1.0) == pytest.approx(factor)
+    assert connection.get("offset", 0.0) == pytest.approx(offset)
+    assert "unit" not in connection
+
+
+def test_convert__temperatures_through_kelvin(tank: Path, tmp_path: Path) -> None:
+    """20 degC is 293.15 K, of which 0.9 is -9.315 degC, of which 1.1 is -10.2465."""
+    celsius = [ssp.connector("heat", "input", "degC"), ssp.connector("T", "output"), ssp.connector("power", "output")]
+    nested = ssp.system(
+        "sub", ssp.component("a"), ssp.connection("a:T", ":T", ssp.linear(0.9)), ssp.connector("T", "output", "K")
+    )
+    link = ssp.connection("sub:T", "b:heat", ssp.linear(1.1))
+    root = ssp.system("s", nested + ssp.component("b", connectors="".join(celsius)), link)
+    (connection,) = converted(tmp_path, tank, root)["connections"]
+    assert connection["unit"] == "degC"  # as the FMU's input is in W
+    assert connection["factor"] * 20.0 + connection["offset"] == pytest.approx(-10.2465)
+
+
 def test_convert__loops_are_delayed_on_request(tank: Path, tmp_path: Path) -> None:
     content = converted(tmp_path, tank, ssp.TWO_TANKS, Loops.DELAY, files=ssp.VALUES)
     assert [each.get("delay") for each in content["connections"]] == [None, 1]
@@ -115,7 +156,7 @@ CASES = {
         "a: set: the FMU has no variable 'loss'"),
     "out of bounds": (
         ssp.system("s", ssp.component("a", ssp.bindings(ssp.inline(ssp.parameter_set(ssp.real(ssp.LOSS, 0.0)))))),
-        "out of bounds; from 0.5"),
+        "out of bounds; at least 0.5"),
     "other unit": (
         ssp.system("s", ssp.component(
             "a", ssp.bindings(ssp.inline(ssp.parameter_set(ssp.real(ssp.LOSS, 1.0, "bar")))))),

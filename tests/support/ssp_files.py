@@ -16,9 +16,10 @@ LOSS = "body.loss[1,2]"
 """The tank's parameter."""
 
 
-def connector(name: str, kind: str) -> str:
+def connector(name: str, kind: str, unit: str = "") -> str:
     """Return a connector."""
-    return f'<ssd:Connector name="{name}" kind="{kind}"/>'
+    inside = f'<ssc:Real unit="{unit}"/>' if unit else ""
+    return f'<ssd:Connector name="{name}" kind="{kind}">{inside}</ssd:Connector>'
 
 
 def component(name: str, inside: str = "", attributes: str = "", connectors: str = "") -> str:
