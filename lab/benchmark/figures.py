@@ -80,9 +80,11 @@ def _fill_curves(figure: Any, panels: Sequence[tuple[str, ...]], records: Mappin
             curves = [curve_of(of) for key, of in records.items() if key[:3] == (algorithm, *panel) and of.get("curve")]
             for index, curve in enumerate(curves):
                 label = algorithm if index == 0 else None
-                axis.plot(curve["steps"], curve["rewards"], color=LIGHT[f"series-{number}"], linewidth=0.8, label=label)
-        if tuned := records.get(("tuned", *panel)):
-            axis.axhline(tuned["value"], color=LIGHT["muted"], linewidth=0.9, linestyle="--", label="tuned")
+                color = LIGHT[f"series-{number}"]
+                axis.plot(curve["steps"], curve["rewards"], color=color, linewidth=0.8, label=label)
+                if curve["steps"][:1] == [0]:  # evaluations, in the same episodes
+                    label = "before the first step" if index == 0 else None
+                    axis.axhline(curve["rewards"][0], color=color, linewidth=0.7, linestyle="--", label=label)
         axis.set_title(f"{BUILDINGS.get(panel[0], panel[0])}, {panel[1]}")
         axis.xaxis.set_major_formatter(lambda steps, _: f"{steps / 1000:g}k")
     for axis in axes[len(panels) :]:

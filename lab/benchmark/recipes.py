@@ -19,15 +19,17 @@ _SEED_SPACING = 100
 
 _TRAININGS: dict[str, dict[str, Any]] = {
     "ppo": {
+        "paired_reward": True,
         "slots": 4,
         "parameters": {
-            "n_steps": 336,
-            "batch_size": 192,
+            "n_steps": 168,
+            "batch_size": 168,
             "n_epochs": 10,
-            "gamma": 0.95,
+            "gamma": 0.995,
+            "gae_lambda": 0.97,
             "learning_rate": {"linear": 1e-3},
             "target_kl": 0.03,
-            "policy_kwargs": {"log_std_init": -2.0, "net_arch": [64, 64]},
+            "policy_kwargs": {"log_std_init": -2.7, "net_arch": [64, 64]},
         },
         "normalization": {"observations": True, "rewards": True, "actions": True},
         "residual": 1.5,

@@ -22,7 +22,7 @@ PUBLISHED = {name: FOLDER / f"{name}-{VERSION}.json" for name in ("full", "quick
 BOUNDS = FOLDER / f"bounds-{VERSION}"
 _MISSING = "There are no published rows of version {version} yet."
 _FIGURES = ("![Scores of each controller](benchmark/scores.svg)", "![Scores by building](benchmark/buildings.svg)")
-_CURVES = "![Learning curves of each training](benchmark/curves.svg)"
+_CURVES = "![Evaluations of each training on the training weather; dashed: before the first step](benchmark/curves.svg)"
 
 
 def published(name: str) -> Results | None:
