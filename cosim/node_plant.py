@@ -161,7 +161,7 @@ class NodePlant:
         bus = self._bus
         if bus is not None:
             with suppress(BusError, RequestRejected):
-                bus.drop(self._node, snapshot)
+                bus.drop(self._node, snapshot, self.link.name)
 
     def restore(self, snapshot: str) -> Rows:
         """Return to a snapshot; return its sample."""

@@ -29,6 +29,7 @@ class Snapshot:
         bus: The bus of the node.
         node, instance: Name and instance of the node that keeps it.
         name: Its name on that node.
+        owner: Name of the controller that took it.
         sample: The sample at which it was taken.
         env_state: State of the environment: reward, limits, context.
         wrapper_states: State of each wrapper around the environment.
@@ -39,6 +40,7 @@ class Snapshot:
     node: str
     instance: str
     name: str
+    owner: str
     sample: SampleView
     env_state: dict[str, Any] = field(repr=False)
     wrapper_states: WeakKeyDictionary[Any, Any] = field(repr=False)
@@ -68,7 +70,7 @@ class Snapshot:
             # If the node has ended or the bus is closed, the snapshot is gone already.
             with suppress(BusError, RequestRejected, ZError):
                 if self.bus.manifest(self.node).instance == self.instance:  # a restarted node may reuse the name
-                    self.bus.drop(self.node, self.name)
+                    self.bus.drop(self.node, self.name, self.owner)
 
     def __enter__(self) -> Snapshot:
         return self
@@ -93,7 +95,8 @@ def take(link: ControllerLink, sample: SampleView, state: EpisodeState[Any]) -> 
     """
     node, bus = link.manifest.node, link.bus
     name = bus.snapshot(node, link.name).snapshot
-    return Snapshot(bus, node, link.manifest.instance, name, sample, state.capture(), state.wrapper_states())
+    saved = state.capture(), state.wrapper_states()
+    return Snapshot(bus, node, link.manifest.instance, name, link.name, sample, *saved)
 
 
 def from_options(options: Mapping[str, Any], manifest: Manifest, allowed: Collection[str] = ()) -> Snapshot | None:
