@@ -82,7 +82,8 @@ export class NodePage {
     if (!state.online) {
       if (this.description) {
         this.problem.hidden = false;
-        setText(this.problem, `Not reachable: ${state.problem}. The page continues when the node is back.`);
+        setText(this.problem, state.has_ended ? "The node has ended. The page continues if it is started again." : `Not reachable: ${state.problem}. The page continues when the node is back.`);
+        setAttribute(this.problem, "class", `banner${state.has_ended ? "" : " problem"}`);
         this.root.classList.add("stale");
         this.gone = state;
         this.showEntry();

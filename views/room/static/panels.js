@@ -105,6 +105,12 @@ export class ControllerPanel {
 
 const FAULTS = { bias: ["offset", "Offset"], gain: ["factor", "Factor"], drift: ["rate_per_h", "Change per hour"], noise: ["sigma", "Standard deviation"], stuck: ["value", "Value"], quantize: ["resolution", "Resolution"], freeze: null, drop: null };
 
+/** Unit of a fault's parameter: a difference of temperatures is in K. */
+function unitOf(kind, point) {
+  if (kind === "gain" || !point) return "";
+  return point.unit === "°C" && kind !== "stuck" ? "K" : point.unit;
+}
+
 export class FaultPanel {
   constructor(root, node, description) {
     this.node = node;
@@ -143,7 +149,7 @@ export class FaultPanel {
     const parameter = FAULTS[this.kind.value];
     this.valueField.hidden = this.value.disabled = !parameter;
     if (!parameter) return;
-    const unit = this.kind.value === "gain" ? "" : this.points.get(this.point.value)?.unit;
+    const unit = unitOf(this.kind.value, this.points.get(this.point.value));
     setText(this.valueLabel, unit ? `${parameter[1]}, ${unit}` : parameter[1]);
   }
 
@@ -156,7 +162,7 @@ export class FaultPanel {
   text({ kind, points = [], actuators = [], when, name, ...values }) {
     const point = this.points.get([...points, ...actuators][0]);
     const linear = point && [...points, ...actuators].length === 1 && kind !== "gain";
-    const parts = Object.entries(values).map(([key, value]) => `${words(key)} ${linear && FAULTS[kind]?.[0] === key ? withUnit(value * (point.factor ?? 1), point.unit) : JSON.stringify(value)}`);
+    const parts = Object.entries(values).map(([key, value]) => `${words(key)} ${linear && FAULTS[kind]?.[0] === key ? withUnit(value * (point.factor ?? 1), unitOf(kind, point)) : JSON.stringify(value)}`);
     return [name ? `${name}: ${kind}` : kind, [...points, ...actuators].join(", "), ...parts, when && `when ${JSON.stringify(when)}`].filter(Boolean).join(", ");
   }
 

@@ -48,7 +48,8 @@ export function chart(root, { time, series, band = null, height = 260, onZoom = 
       label: unit || undefined, labelFont: font, labelSize: 18, labelGap: 0,
     })),
   ];
-  const scales = { x: { time: isTime, range: range ? () => range : undefined } };
+  const around = isTime ? 1800 : 1;  // of a single sample
+  const scales = { x: { time: isTime, range: (_, from, to) => range ?? (from !== null && from === to ? [from - around, to + around] : [from, to]) } };
   for (const unit of units) {
     scales[unit || "1"] = { range: (_, least, most) => {
       if (least === null) return [0, 1];

@@ -96,7 +96,7 @@ export class WhatIfPanel {
     });
     const drawn = h("datalist", { id: "what-if-drawn" }, points.slice(0, 2000).map((point) => h("option", { value: point.name }, point.label)));
     fill(this.result, h("h3", {}, `Next ${num(answer.as_is.totals.hours)} h`), this.totals(answer, name),
-      h("div", { class: "row wrap" }, choice, other, drawn, legend, h("span", { class: "grow" }), asked.values && h("button", { class: "primary", onclick: () => this.apply(asked) }, `Apply for ${asked.hours} h`)), canvas,
+      h("div", { class: "row wrap drawn" }, choice, other, drawn, legend, h("span", { class: "grow" }), asked.values && h("button", { class: "primary", onclick: () => this.apply(asked) }, `Apply for ${asked.hours} h`)), canvas,
       asked.controller && this.start(answer.command, asked));
     draw();
     this.result.scrollIntoView({ block: "nearest" });
