@@ -1,5 +1,7 @@
 """Part `rooms`: cost of a paced step with the control room and three browsers open, beside the step without.
 
+Between them is the step with the control room and three programs that read what the browsers would draw.
+
 `python -m bench.rooms --minutes 30` measures instead whether the memory of the control room and of a page grows.
 Both need playwright and the system's Chromium.
 """
@@ -12,9 +14,10 @@ import shutil
 import statistics
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -99,6 +102,28 @@ def _pages(link: str, count: int) -> Iterator[list[Any]]:
         browser.close()
 
 
+@contextmanager
+def _readers(link: str, count: int) -> Iterator[None]:
+    """Read the stream of the node's page in so many threads, which draw nothing."""
+    import httpx
+
+    base, _, token = link.partition("/#token=")
+    with ExitStack() as stack:
+        client = stack.enter_context(httpx.Client(base_url=base, headers={"origin": base}, timeout=None))
+        client.post("/api/session", json={"token": token}).raise_for_status()
+        streams = [client.stream("GET", "/api/stream?node=bench") for _ in range(count)]
+        answers = [stack.enter_context(stream) for stream in streams]
+
+        def read(answer: Any) -> None:
+            with suppress(httpx.HTTPError, RuntimeError):  # it is closed at the end
+                for _ in answer.iter_raw():
+                    pass
+
+        for answer in answers:
+            threading.Thread(target=read, args=(answer,), daemon=True).start()
+        yield
+
+
 def _show_node(page: Any, link: str) -> None:
     page.goto(f"{link.partition('/#')[0]}/?node=bench")
     page.locator(".trend-panel canvas").wait_for()
@@ -122,6 +147,10 @@ def measure(*, quick: bool) -> dict[str, Any]:
             with _node(_paced(hub.endpoint)):
                 return _step_us(bus)
 
+        def with_readers() -> float:
+            with _room(hub.endpoint) as (_, link), _readers(link, BROWSERS), _node(_paced(hub.endpoint)):
+                return _step_us(bus)
+
         def with_room() -> float:
             with _room(hub.endpoint) as (_, link), _pages(link, BROWSERS) as pages, _node(_paced(hub.endpoint)):
                 for page in pages:
@@ -129,10 +158,11 @@ def measure(*, quick: bool) -> dict[str, Any]:
                 # The browsers are driven while the steps are simulated.
                 return _step_us(bus, lambda seconds: pages[0].wait_for_timeout(1000 * seconds))
 
-        rounds = pace.rounds({"without": without_room, "with": with_room}, 2 if quick else 9, settle_s=0.5)
+        phases = {"without": without_room, "read": with_readers, "with": with_room}
+        rounds = pace.rounds(phases, 2 if quick else 9, settle_s=0.5)
     return {
-        "us": {title: pace.figures(rounds, title) for title in ("without", "with")},
-        "ratio": pace.figures(rounds, "with", "without"),
+        "us": {title: pace.figures(rounds, title) for title in phases},
+        "ratios": {title: pace.figures(rounds, title, "without") for title in ("read", "with")},
         "others": pace.other_load(rounds),
     }
 
@@ -142,12 +172,12 @@ def show(results: dict[str, Any], console: Console) -> None:
     if "skipped" in results:
         console.print(f"rooms: skipped, {results['skipped']}")
         return
-    table = Table(
-        "", "without", f"with, {BROWSERS} browsers", "ratio", title=f"{STEPS_PER_S} paced steps/s, µs per step"
-    )
-    us, ratio = results["us"], results["ratio"]
-    spread = f"{ratio['median']:.2f} ({ratio['low']:.2f}-{ratio['high']:.2f})"
-    table.add_row(SCENE, *(f"{us[title]['median']:.0f}" for title in ("without", "with")), spread)
+    table = Table("", "µs per step", "ratio", title=f"{SCENE}, {STEPS_PER_S} paced steps/s")
+    names = {"without": "alone", "read": f"with {BROWSERS} readers", "with": f"with {BROWSERS} browsers"}
+    for title, name in names.items():
+        ratio = results["ratios"].get(title)
+        spread = f"{ratio['median']:.2f} ({ratio['low']:.2f}-{ratio['high']:.2f})" if ratio else ""
+        table.add_row(name, f"{results['us'][title]['median']:.0f}", spread)
     console.print(table)
 
 
