@@ -22,6 +22,11 @@ FROM_SCENARIO_IF_ANY = "scenario, if it has one"
 """Values of `reward` that stand for that of the scenario; without one, the first one warns of a plant's."""
 
 
+def is_of_scenario(reward: AnyReward | None) -> bool:
+    """Return whether a value of `reward` stands for that of the scenario."""
+    return reward in (FROM_SCENARIO, FROM_SCENARIO_IF_ANY)
+
+
 def check_arguments(arguments: Mapping[str, Any], env_type: Callable[..., Any]) -> None:
     """Check the names of keyword arguments against the parameters of an environment.
 
@@ -141,7 +146,7 @@ def check_agent_settings(reward: AnyReward | None, settings: Mapping[str, Any], 
         InvalidConfig: Invalid reward or wrappers, together with all other errors.
     """
     fields = _fields_of_file(settings.get("scenario") or settings.get("district", ""))
-    if reward not in (FROM_SCENARIO, FROM_SCENARIO_IF_ANY):
+    if not is_of_scenario(reward):
         fields["reward"] = reward
     errors = ErrorCollector()
     errors.collect(lambda: _check_fields(fields))

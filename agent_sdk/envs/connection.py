@@ -105,8 +105,7 @@ class NodeConnection:
             else:
                 self._connect(node_arguments, connect, node, priority, Affinity(affinity))
             self._check_slots()
-            is_own = reward not in (arguments.FROM_SCENARIO, arguments.FROM_SCENARIO_IF_ANY)
-            chosen = reward if is_own else self.manifest.task.reward
+            chosen = self.manifest.task.reward if arguments.is_of_scenario(reward) else reward
             self.reward: Reward | None = None if chosen is None else read_reward(chosen)
             is_plant = (not self.manifest.versions.energyplus or "district" in node_arguments) and link is None
             self._is_without_reward = reward == arguments.FROM_SCENARIO and self.reward is None and is_plant
@@ -118,7 +117,7 @@ class NodeConnection:
     ) -> None:
         settings = arguments.for_node(node_arguments, node, self._slots)
         arguments.check_agent_settings(reward, settings, placement)
-        if reward not in (arguments.FROM_SCENARIO, arguments.FROM_SCENARIO_IF_ANY):
+        if not arguments.is_of_scenario(reward):
             settings["environment_reward"] = reward_data(None if reward is None else read_reward(reward))
         self._settings = settings
         self._start(settings, node, priority, placement)

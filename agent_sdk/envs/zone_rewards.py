@@ -30,7 +30,7 @@ class SharedReward:
     """
 
     def __init__(self, agents: Mapping[str, ZoneAgent], manifest: Manifest, building_reward: AnyReward | None) -> None:
-        chosen = manifest.task.reward if building_reward == arguments.FROM_SCENARIO else building_reward
+        chosen = manifest.task.reward if arguments.is_of_scenario(building_reward) else building_reward
         reward = None if chosen is None else read_reward(chosen)
         if not isinstance(reward, WeightedReward):
             raise InvalidConfig(

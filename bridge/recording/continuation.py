@@ -61,14 +61,13 @@ def read_written(path: Path) -> Written:
         is_over = False
         while not is_over and (raw := _next_record(file, written.size)):
             is_over = _add(written, raw, file)
-    if is_over and raw and raw[0] in _COMPLETE:  # a completed file; its end is written again
-        return _checked(written)
-    if (dropped := written.size - written.offset) > MAX_DROPPED:
-        raise InvalidRecording(
-            f"{path} is damaged after byte {written.offset:,}, and {dropped:,} bytes follow, which going on with it "
-            "would drop"
-        )
-    with path.open("rb") as file:
+        if is_over and raw and raw[0] in _COMPLETE:  # a completed file; its end is written again
+            return _checked(written)
+        if (dropped := written.size - written.offset) > MAX_DROPPED:
+            raise InvalidRecording(
+                f"{path} is damaged after byte {written.offset:,}, and {dropped:,} bytes follow, which going on with "
+                "it would drop"
+            )
         file.seek(written.offset)
         rest = file.read(dropped)
     if rest.endswith(MAGIC) or _has_later_chunk(rest):

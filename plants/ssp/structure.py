@@ -235,7 +235,6 @@ class _Reader:
         if whole is None or first == last:
             return "" if first == last else first, factor, offset
         if len(legs) == 1:  # without a rounding error
-            own, more = parameters.transformation(self._archive, legs[0][2], "ssc")
             return "", own, more
         return "", factor / whole[0], offset - factor / whole[0] * whole[1]
 

@@ -257,7 +257,7 @@ class Room:
     async def _history(self, request: Request) -> Response:
         watch, query = self._node(request), request.query_params
         text = query.get("max", "1000")
-        if not text.isdecimal() or len(text) > 9:
+        if not text.isdecimal() or len(text) >= 9:
             raise InvalidConfig(f"max: 2 to {MAX_SAMPLES} samples expected, not {text[:40]!r}")
         max_samples = int(text)
         points, start, end = query.getlist("point"), query.get("from"), query.get("to")

@@ -95,7 +95,7 @@ def _power(source: PowerSource | None) -> dict[str, Any] | None:
     return None if source is None else {"point": source.index, "to_kw": source.to_kw, "label": source.label}
 
 
-def is_setpoint_of_node(point: Sensor | Meter) -> bool:
+def _is_setpoint_of_node(point: Sensor | Meter) -> bool:
     """Return whether a point is the setpoint of a node of a loop, which is `NO_SETPOINT` where there is none."""
     return isinstance(point, Sensor) and point.variable.casefold().startswith("system node setpoint")
 
@@ -128,7 +128,7 @@ def _points(manifest: Manifest, point_roles: PointRoles, places: dict[str, int])
             entry |= {"unit": "kW", "factor": 1e-3}
         if isinstance(point, Actuator):
             entry["default"] = point.default
-        elif is_setpoint_of_node(point):
+        elif _is_setpoint_of_node(point):
             entry["unset"] = NO_SETPOINT
         result.append(entry)
     return result

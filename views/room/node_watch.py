@@ -7,18 +7,19 @@ import time
 from collections import deque
 from collections.abc import Callable
 from datetime import datetime, timedelta
-from typing import Any
+from typing import Any, TypeVar
 
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import NodeLost, NodeNotFound, RequestRejected, ZenostatError
-from zenostat.topics.fault_plan import FaultPlan
-from zenostat.topics.messages import AlarmList, Event, EventKind, Geometry, Manifest, Systems
+from zenostat.topics.messages import Event, EventKind, Geometry, Manifest, Systems
 from zenostat.topics.points import value_index
 from zenostat.views.room.description import NodeDescription, describe
 from zenostat.views.room.numbers import to_json
 from zenostat.views.room.state import node_state, summary
 from zenostat.views.room.updates import Updates
+
+T = TypeVar("T")
 
 POLL_S = 0.5
 """Time between two polls of a node, whatever the number of pages."""
@@ -139,7 +140,8 @@ class NodeWatch:
                 sample = SampleView(latest, manifest, value_index(manifest))
             except RequestRejected:  # there is none yet
                 sample = None
-            self.state = node_state(self.description, status, sample, self._alarms(), self._fault_plan())
+            alarms, faults = self._unless_refused(self._bus.alarms), self._unless_refused(self._bus.fault_plan)
+            self.state = node_state(self.description, status, sample, alarms, faults)
             self.problem, self.has_ended = "", False
             self._progress.append((time.monotonic(), status.episode[0], status.step[0]))
         except (NodeLost, NodeNotFound):
@@ -151,16 +153,11 @@ class NodeWatch:
         except Exception as error:  # a message of a stranger must not end the thread
             self._lose(f"{type(error).__name__}: {error}")
 
-    def _alarms(self) -> AlarmList | None:
+    def _unless_refused(self, ask: Callable[[str], T]) -> T | None:
+        """Return the answer of the node; None from the replay of a recording, which takes no requests."""
         try:
-            return self._bus.alarms(self.node)
-        except RequestRejected:  # the replay of a recording
-            return None
-
-    def _fault_plan(self) -> FaultPlan | None:
-        try:
-            return self._bus.fault_plan(self.node)
-        except RequestRejected:  # the replay of a recording
+            return ask(self.node)
+        except RequestRejected:
             return None
 
     def _lose(self, problem: str) -> None:
