@@ -160,7 +160,7 @@ def _run(
     with ExitStack() as stack:
         return run_benchmark(
             set_name, file, names, selection=_selection({**conditions, "controller": None}), workers=running.workers,
-            cache=running.cache, policies=running.policies, hashes=file_hashes(set_name), progress=_watcher(stack),
+            cache=running.cache, policies=running.policies, hashes=file_hashes(set_name), progress=watcher(stack),
         )  # fmt: skip
 
 
@@ -207,7 +207,7 @@ def _check(path: Path, conditions: Mapping[str, str | None], running: _Running) 
     with ExitStack() as stack:
         differences = check(
             path, selection, workers=running.workers, cache=running.cache, policies=running.policies,
-            hashes=file_hashes(results.set), progress=_watcher(stack),
+            hashes=file_hashes(results.set), progress=watcher(stack),
         )  # fmt: skip
     _report(differences, f"{path}: {count} rows are equal to the bit")
 
@@ -224,7 +224,7 @@ def _check_submission(
         errors, notes = check_submission(
             path, reference, file_hashes(load_results(path).set), sample=sample, sample_seed=sample_seed,
             controllers=names, workers=running.workers, cache=running.cache, policies=running.policies,
-            progress=_watcher(stack),
+            progress=watcher(stack),
         )  # fmt: skip
     for note in notes:
         err.print(note, soft_wrap=True, markup=False)
@@ -264,7 +264,7 @@ def _listed(text: str) -> list[str]:
     return [name.strip() for name in text.split(",") if name.strip()]
 
 
-def _watcher(stack: ExitStack) -> Progress:
+def watcher(stack: ExitStack) -> Progress:
     """Show a progress bar for the trainings and one for the tasks; without a terminal, a line for each finished one."""
     if not out.is_interactive:
         return lambda stage, done, total: err.print(f"{stage}: {done} of {total}", soft_wrap=True, markup=False)

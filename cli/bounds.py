@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -15,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from zenostat.lab.benchmark.bound_file import Bound
+    from zenostat.lab.benchmark.bounds import BoundTask
 
 _Names = Annotated[str | None, typer.Option(help="Only these tasks; names separated by commas.", show_default=False)]
 
@@ -32,6 +35,10 @@ def bounds(
             "path/to/file.py:MyController or a training's folder."
         ),
     ] = "baseline,fixed,rbc,oracle",
+    policies: Annotated[
+        Path | None, typer.Option(help="Folder with the policies of `tuned`, `ppo` or `sac`, as of the benchmark.")
+    ] = None,
+    workers: Annotated[int, typer.Option(min=1, max=256, help="Tasks that are searched at the same time.")] = 1,
     building: _Names = None,
     season: _Names = None,
     weather: _Names = None,
@@ -43,12 +50,12 @@ def bounds(
 ) -> None:
     """Search for the best known score of each task of the benchmark, on its true model.
 
-    Example: `zenostat bounds docs/benchmark/bounds-2 --set quick --season summer --simulations 1000`
+    Example: `zenostat bounds bounds --set quick --season summer --simulations 1000 --workers 2`
 
     Ctrl-C ends it; the same command continues where the file of the task was written last. More simulations improve it.
     """
     from zenostat.cli.benchmark import file_hashes
-    from zenostat.lab.benchmark.bounds import BoundTask, tasks_of
+    from zenostat.lab.benchmark.bounds import BoundTask, check_starts, tasks_of
 
     names = {"building": building, "season": season, "weather": weather}
     conditions: dict[str, Any] = {name: _listed(text) for name, text in names.items()} | {"seed": _seeds(seed)}
@@ -58,8 +65,12 @@ def bounds(
         _check(folder, set_name, [(*task.key, number) for task, number in tasks], hashes)
         return
     starts = _listed(controllers) or []
-    jobs = [BoundTask(set_name, task, number, folder, starts, hashes) for task, number in tasks]
-    _show([_improve(job, simulations, search_seed) for job in jobs])
+    jobs = [BoundTask(set_name, task, number, folder, starts, hashes, policies) for task, number in tasks]
+    check_starts(jobs)
+    if workers == 1:
+        _show([_improve(job, simulations, search_seed) for job in jobs])
+    else:
+        _improve_all(jobs, simulations, search_seed, workers)
 
 
 def _listed(text: str | None) -> list[str] | None:
@@ -73,10 +84,26 @@ def _seeds(text: str | None) -> list[int] | None:
         raise InvalidConfig(f"--seed {text}: numbers separated by commas expected") from None
 
 
-def _improve(job: Any, simulations: int, search_seed: int) -> Bound:
+def _improve_all(jobs: Sequence[BoundTask], simulations: int, search_seed: int, workers: int) -> None:
+    from zenostat.cli.benchmark import watcher
+    from zenostat.lab.benchmark.bounds import improve_bound
+    from zenostat.lab.workers import worker_pool
+
+    errors: list[str] = []
+    function = partial(improve_bound, simulations=simulations, search_seed=search_seed)
+    with ExitStack() as stack, worker_pool(workers) as run_all:
+        improved = list(run_all(function, jobs, "bounds", watcher(stack), errors))
+    _show(sorted(improved, key=lambda bound: bound.key))
+    for error in errors:
+        err.print(f"failed: {error}", soft_wrap=True, markup=False)
+    if errors:
+        raise typer.Exit(1)
+
+
+def _improve(job: BoundTask, simulations: int, search_seed: int) -> Bound:
     from zenostat.lab.benchmark.bounds import improve_bound
 
-    name = f"{job.task}/{job.seed}"
+    name = str(job)
     if not out.is_interactive:
 
         def tell(done: int, reward: float) -> None:

@@ -128,7 +128,7 @@ class NetworkPolicy:
         """Return the policy as a controller of a node.
 
         Raises:
-            InvalidConfig: it was trained on other observations or actions.
+            ControllerMismatch: it was trained on other observations or actions.
         """
         return WrappedPolicy(manifest, self, None, self.wrappers, self.states)
 

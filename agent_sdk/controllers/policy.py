@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from zenostat.agent_sdk.controllers.base import Controller, Values
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.controllers.predictor import Predictor, describe_difference
 from zenostat.agent_sdk.envs import spaces
 from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.agent_sdk.vec_normalization import normalization_of
 from zenostat.bridge.client.sample import SampleView
-from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.messages import CommandOp, Manifest
 from zenostat.topics.points import observed_indices
@@ -61,8 +61,8 @@ class PolicyController(Controller):
         normalization: Normalization of its observations; left out, that of the model's environment, if it has one.
 
     Raises:
-        InvalidConfig: It was trained on other observations or actions than the node's, or behind a `VecNormalize` that
-            is missing.
+        ControllerMismatch: It was trained on other observations or actions than the node's.
+        InvalidConfig: It was trained behind a `VecNormalize` that is missing.
     """
 
     def __init__(self, manifest: Manifest, model: BaseAlgorithm, normalization: VecNormalize | None = None) -> None:
@@ -74,7 +74,7 @@ class PolicyController(Controller):
         ):
             if trained != current:
                 names = _dimension_names(manifest, kind)
-                raise InvalidConfig(
+                raise ControllerMismatch(
                     f"the model was trained on other {kind} than those of {manifest.node!r}: "
                     f"{describe_difference(trained, current, names)}; use the scenario of its training; for a "
                     "model trained behind wrappers, save_wrappers(env, 'model.wrappers.yaml') beside model.zip"

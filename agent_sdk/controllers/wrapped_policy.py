@@ -14,12 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.agent_sdk.controllers.base import Controller, Values
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.controllers.predictor import Predictor, describe_difference
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics, set_wrapper_states
 from zenostat.agent_sdk.wrappers.serialization import apply_wrappers
 from zenostat.bridge.client.sample import SampleView
-from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Manifest, WeatherSeries
 
 _LOGS = ("EpisodeLog", "TensorBoardLog", "WeightsAndBiasesLog")
@@ -41,7 +41,7 @@ class WrappedPolicy(Controller):
         states: what they have learnt, from the outermost; see `zenostat.wrappers.save_wrappers`.
 
     Raises:
-        InvalidConfig: the node's observations or actions within the wrappers are not those of the training.
+        ControllerMismatch: the node's observations or actions within the wrappers are not those of the training.
     """
 
     def __init__(
@@ -61,7 +61,7 @@ class WrappedPolicy(Controller):
             for kind in ("observation", "action"):
                 current, trained = getattr(env, f"{kind}_space"), getattr(model, f"{kind}_space")
                 if current != trained:
-                    raise InvalidConfig(
+                    raise ControllerMismatch(
                         f"the model was trained on other {kind}s than those of {manifest.node!r} within the wrappers "
                         f"of its training: {describe_difference(trained, current)}; use the scenario of its training"
                     )

@@ -17,7 +17,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from zenostat.agent_sdk.controllers import Agent, load_controller, make_controller
+from zenostat.agent_sdk.controllers import Agent, load_controller
 from zenostat.agent_sdk.controllers.action_roles import setpoint_pairs
 from zenostat.agent_sdk.controllers.base import BaselineController
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
@@ -25,8 +25,9 @@ from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.lab.benchmark.bound_file import Bound, bound_path, definition_of, load_bound, packed
 from zenostat.lab.benchmark.bound_moves import Actions, Floats, SequenceSpace
 from zenostat.lab.benchmark.bound_search import Best, Simulated, search
-from zenostat.lab.benchmark.definition import BASELINES, SETS, Task
-from zenostat.lab.benchmark.episodes import LinearReward
+from zenostat.lab.benchmark.definition import BASELINES, SETS, TUNED, Task, is_prepared
+from zenostat.lab.benchmark.episodes import LinearReward, make_task_controller
+from zenostat.lab.benchmark.prepared import Preparation, check_published
 from zenostat.lab.benchmark.results import current_versions
 from zenostat.lab.evaluate import run_episode
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
@@ -59,8 +60,9 @@ class BoundTask:
         task: the task.
         seed: seed of the episode.
         folder: folder of the bounds.
-        controllers: names of `BASELINES`, or others as for `load_controller`.
+        controllers: names of controllers of the benchmark, or others as for `load_controller`.
         hashes: sha256 of models and weather files by name.
+        policies: folder with the tuned rules and trained policies (of the training 0) among the controllers.
     """
 
     set: str
@@ -69,6 +71,25 @@ class BoundTask:
     folder: Path
     controllers: Sequence[str] = CONTROLLERS
     hashes: Mapping[str, str] = field(default_factory=dict)
+    policies: Path | None = None
+
+    def __str__(self) -> str:
+        return f"{self.task}/{self.seed}"
+
+    def prepared(self, controller: str) -> Path | None:
+        """Return the file of a controller that is trained or tuned for each task; None of any other one.
+
+        Raises:
+            InvalidConfig: the folder of policies does not have it, or one of another definition.
+        """
+        if not is_prepared(controller):
+            return None
+        training_seed = None if controller == TUNED else 0
+        return check_published(
+            Preparation(
+                self.folder, self.set, controller, self.task.building, self.task.season, training_seed, self.policies
+            )
+        )
 
     @property
     def path(self) -> Path:
@@ -108,6 +129,18 @@ def tasks_of(set_name: str, **conditions: Sequence[Any] | None) -> list[tuple[Ta
     if not chosen:
         raise UnknownName(f"the set {set_name!r} has no task that meets all conditions together")
     return chosen
+
+
+def check_starts(jobs: Sequence[BoundTask]) -> None:
+    """Check the controllers with which new searches begin.
+
+    Raises:
+        UnknownName, InvalidConfig: see `load_controller` and `BoundTask.prepared`.
+    """
+    for job in jobs:
+        for name in () if job.path.exists() else job.controllers:
+            if job.prepared(name) is None and name not in BASELINES:
+                load_controller(name)
 
 
 def improve_bound(
@@ -235,16 +268,13 @@ def _bound(job: BoundTask, relative_k: float | None, search_seed: int, actions: 
 
 def _recorded(job: BoundTask, env: BuildingEnv, name: str, planner: _CountedPlanner) -> tuple[Actions, _Outcome] | None:
     """Return the actions of a controller and their outcome; None if it does not fit this form of actions."""
-    factory, is_relative = load_controller(name), all(action.relative for action in env.manifest.task.actions)
-    if factory is BaselineController and not is_relative:  # an absolute action always sets a value
-        return None
-    parameters = dict(BASELINES.get(name, {}))
-    if name in ("random", "oracle"):
-        parameters["seed"] = job.seed
     try:
-        agent = Agent(make_controller(factory, env.manifest, parameters), planner)
+        controller = make_task_controller(name, env.manifest, job.task, job.seed, job.prepared(name))
     except ControllerMismatch:
         return None
+    if isinstance(controller, BaselineController) and not all(one.relative for one in env.manifest.task.actions):
+        return None  # an absolute action always sets a value
+    agent = Agent(controller, planner)
     actions: list[Any] = []
 
     def act(_: Any) -> Any:
@@ -334,10 +364,10 @@ def check_bound(bound: Bound, set_name: str, hashes: Mapping[str, str] | None = 
     with closing(BuildingEnv(**job.arguments(bound.relative_k))) as env:
         shape = (env.manifest.steps, *(env.action_space.shape or ()))
         if bound.shape != shape:
-            return [f"{bound.task}/{bound.seed}: actions of shape {bound.shape}; {shape} expected"]
+            return [f"{job}: actions of shape {bound.shape}; {shape} expected"]
         outcome = replayed(env, bound.sequence(), bound.seed)
-    differences = [f"{bound.task}/{bound.seed}: version of {change}" for change in _changes(bound, hashes or {})]
+    differences = [f"{job}: version of {change}" for change in _changes(bound, hashes or {})]
     for name, value in (("reward", outcome.reward), ("linear", outcome.linear), ("terms", outcome.terms)):
         if getattr(bound, name) != value:
-            differences.append(f"{bound.task}/{bound.seed}: {name} {getattr(bound, name)!r}, now {value!r}")
+            differences.append(f"{job}: {name} {getattr(bound, name)!r}, now {value!r}")
     return differences

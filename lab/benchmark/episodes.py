@@ -135,18 +135,34 @@ def _run_episode(job: Job, env: BuildingEnv, episode: Episode) -> Row:
 
 def _controller(job: Job, manifest: Manifest, episode: Episode) -> Any:
     name = episode.controller
-    if is_prepared(name):
-        file = preparation_of(episode, job.set, job.cache).file
-        if name == TUNED:
-            return make_controller(
-                load_controller(rule_of(episode.task.building)["controller"]), manifest, read_record(file)["parameters"]
-            )
+    file = preparation_of(episode, job.set, job.cache).file if is_prepared(name) else None
+    return make_task_controller(name, manifest, episode.task, episode.seed, file)
+
+
+def make_task_controller(name: str, manifest: Manifest, task: Task, seed: int, file: Path | None = None) -> Any:
+    """Return a controller of the benchmark, or another one, for an episode.
+
+    Args:
+        name: its name in the benchmark, or as for `load_controller`.
+        manifest: the environment's.
+        task: what is controlled.
+        seed: seed of the episode, which controllers that draw or plan have as well.
+        file: the finished training or tuning of one that is trained or tuned for each task.
+
+    Raises:
+        ControllerMismatch: it cannot control this environment.
+        UnknownName, InvalidConfig: see `load_controller`.
+    """
+    if file is not None and name == TUNED:
+        factory = load_controller(rule_of(task.building)["controller"])
+        return make_controller(factory, manifest, read_record(file)["parameters"])
+    if file is not None:
         return make_controller(load_controller(str(file)), manifest, {})
     if name == "pid":
         return TwoLoopPID(manifest)
     parameters = dict(BASELINES.get(name, {}))
     if name in ("random", "oracle"):
-        parameters["seed"] = episode.seed
+        parameters["seed"] = seed
     return make_controller(load_controller(name), manifest, parameters)
 
 

@@ -125,8 +125,7 @@ def ensure_prepared(preparation: Preparation) -> tuple[Preparation, dict[str, An
     """
     published = preparation.published
     if not preparation.file.is_file() and published is not None and published.is_file():
-        if read_record(published)["configuration"] != preparation.configuration:
-            raise InvalidConfig(f"{published} was made for another definition: choose another folder of policies")
+        check_published(preparation)
         preparation.cache.mkdir(parents=True, exist_ok=True)
         with atomic_file(preparation.file) as temporary:
             shutil.copyfile(published, temporary)
@@ -140,6 +139,21 @@ def ensure_prepared(preparation: Preparation) -> tuple[Preparation, dict[str, An
             shutil.copyfile(preparation.file, temporary)
     record = read_record(preparation.file)
     return preparation, {**record, "processor_s": _measured_s(preparation) or record.get("processor_s")}
+
+
+def check_published(preparation: Preparation) -> Path:
+    """Return the file of a training or tuning in the folder of policies.
+
+    Raises:
+        InvalidConfig: there is no such folder or file, or it cannot be read or is one of another configuration.
+    """
+    path = preparation.published
+    if path is None or not path.is_file():
+        where = "no folder of policies is named" if path is None else f"there is no file {path}"
+        raise InvalidConfig(f"{preparation.name}: {where}; `zenostat benchmark --policies FOLDER` makes it")
+    if read_record(path)["configuration"] != preparation.configuration:
+        raise InvalidConfig(f"{path} was made for another definition: choose another folder of policies")
+    return path
 
 
 def read_record(file: Path) -> dict[str, Any]:

@@ -11,11 +11,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.benchmark_page import FOLDER as PUBLISHED
 from support.examples import examples
 from typer.testing import CliRunner
 
 from zenostat.cli.commands import app
-from zenostat.lab.benchmark import SETS, Row, Task, bound_search, run_benchmark
+from zenostat.lab.benchmark import SETS, Row, Task, bound_search, load_results, run_benchmark
 from zenostat.lab.benchmark.bound_file import Bound, bound_path, definition_of, load_bound, load_bounds, packed
 from zenostat.lab.benchmark.bound_moves import (
     Actions,
@@ -269,6 +270,24 @@ def test_bounds__tasks_are_chosen_by_name() -> None:
         tasks_of("slow")
 
 
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        (["--controllers", "tuned"], "tuned/ref-small-office/summer: no folder of policies is named"),
+        (["--controllers", "baseline,ppo", "--policies", "none"], "ppo/ref-small-office/summer/0: there is no file"),
+        (["--controllers", "rbk"], "no controller 'rbk'"),
+    ],
+)
+def test_bounds__start_that_is_missing_is_refused_before_any_search(
+    tmp_path: Path, arguments: list[str], text: str
+) -> None:
+    chosen = ["--set", "smoke", "--building", OFFICE, "--workers", "2"]
+    result = CliRunner().invoke(app, ["bounds", str(tmp_path / "bounds"), *chosen, *arguments])
+    assert isinstance(result.exception, UnknownName | InvalidConfig)
+    assert text in str(result.exception)
+    assert not (tmp_path / "bounds").exists()
+
+
 # Shares of the gap
 
 
@@ -307,6 +326,25 @@ def test_gap__table_has_the_bound_and_leaves_out_episodes_without_a_gap() -> Non
 
 
 # Real episodes
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.timeout(600)
+def test_bound__begins_with_published_policies_whose_rows_are_equal_to_the_bit(tmp_path: Path) -> None:
+    task, policies = Task(OFFICE, "summer", "USA_IL_Chicago"), PUBLISHED / "policies-2-quick"
+    job = BoundTask("quick", task, SEED, tmp_path, ["baseline", "tuned", "ppo"], policies=policies)
+    bound = improve_bound(job, 1)
+    published = load_results(PUBLISHED / "quick-2.json").rows.values()
+    rewards = {
+        one.controller: one.reward
+        for one in published
+        if (one.building, one.season, one.weather, one.seed) == (*task.key, SEED)
+    }
+    assert bound.starts["baseline (relative)"] == rewards["baseline"]
+    assert bound.starts["tuned (absolute)"] == rewards["tuned"]
+    assert bound.starts["ppo (absolute)"] == rewards["ppo"]
+    assert bound.reward >= max(rewards[name] for name in ("baseline", "tuned", "ppo"))
 
 
 @pytest.mark.slow
