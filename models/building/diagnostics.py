@@ -10,6 +10,7 @@ import json
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from enum import StrEnum
+from functools import cache
 from itertools import chain
 from pathlib import Path
 from typing import Any, Protocol
@@ -32,9 +33,6 @@ from zenostat.models.building.template_references import is_template, traced_ref
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.source_model import SourceModel
 from zenostat.topics.errors import list_errors
-
-FORMAT = "10"
-"""Version of the stored files."""
 
 REQUIRED = ("Building", "GlobalGeometryRules")
 """Types of which EnergyPlus requires an object."""
@@ -200,6 +198,12 @@ def describe(diagnostics: Iterable[Diagnostic], file: str, verdict: str) -> str:
     return list_errors(f"{file} {verdict}:", [str(each) for each in diagnostics])
 
 
+@cache
+def _rules() -> str:
+    """Return a hash of this package's sources: other rules have other diagnostics."""
+    return digest(*(path.read_bytes() for path in sorted(Path(__file__).parent.glob("*.py"))))
+
+
 def cached_diagnostics(building: _Model) -> list[Diagnostic]:
     """Return the diagnostics of a model; cached, since a model is checked each time that it is used."""
 
@@ -210,7 +214,7 @@ def cached_diagnostics(building: _Model) -> list[Diagnostic]:
         target.write_text(json.dumps([asdict(each) for each in diagnostics]))
 
     files = versions_of_files(building.objects)
-    name = f"diagnostics/{digest(building.content, energyplus.version(), FORMAT, *files)}.json"
+    name = f"diagnostics/{digest(building.content, energyplus.version(), _rules(), *files)}.json"
     return [
         Diagnostic(**{**each, "severity": Severity(each["severity"])}) for each in json.loads(cached_bytes(name, make))
     ]
