@@ -10,7 +10,7 @@ from typing import Any
 
 from zenostat.cli.console import err, out
 from zenostat.cli.options import Loops
-from zenostat.cosim.file import read_district
+from zenostat.cosim.file import RESERVED, read_district
 from zenostat.cosim.graph import feedback_edges
 from zenostat.plants.ssp.structure import Link, Structure, read_structure
 from zenostat.topics.errors import InvalidConfig
@@ -34,13 +34,11 @@ def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> Non
     if target.suffix not in (".yaml", ".yml"):
         raise InvalidConfig(f"{target}: name a file that ends in .yaml, for the district of {source}")
     folder = target.with_suffix("")
-    existing = [path for path in (target, folder) if path.exists()]
-    if existing and not overwrite:
-        raise InvalidConfig(f"{existing[0]} exists; choose another name, or --overwrite")
+    _check_target(target, folder, overwrite=overwrite)
     work = folder.with_name(f".{folder.name}.new")
     shutil.rmtree(work, ignore_errors=True)
     try:
-        structure = read_structure(source, work)
+        structure = read_structure(source, work, RESERVED)
         if folder.exists():
             shutil.rmtree(folder)
         work.rename(folder)
@@ -53,6 +51,21 @@ def convert(source: Path, target: Path, loops: Loops, *, overwrite: bool) -> Non
     plants, links = len(structure.components), len(structure.links)
     out.print(f"{target}: FMUs: {plants}, connections: {links}; check it with: zenostat cosim {target} --check",
               markup=False, soft_wrap=True)  # fmt: skip
+
+
+def _check_target(target: Path, folder: Path, *, overwrite: bool) -> None:
+    """Refuse a target that exists, and with `overwrite` one whose folder was not made by an earlier conversion."""
+    existing = [path for path in (target, folder) if path.exists()]
+    if existing and not overwrite:
+        raise InvalidConfig(f"{existing[0]} exists; choose another name, or --overwrite")
+    if not folder.exists():
+        return
+    others = [path for path in folder.iterdir() if path.suffix != ".fmu"] if folder.is_dir() else [folder]
+    if others or not target.exists():
+        reason = f"it has {others[0].name}" if others else f"there is no {target.name} beside it"
+        raise InvalidConfig(
+            f"{folder} is not of an earlier conversion ({reason}) and is not replaced; choose another name"
+        )
 
 
 def district(structure: Structure, folder: str, loops: Loops, source: str) -> dict[str, Any]:

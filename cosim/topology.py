@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from zenostat.cosim.file import Connection, DistrictFile, kind_of, read_district
+from zenostat.cosim.file import RESERVED, Connection, DistrictFile, kind_of, read_district
 from zenostat.cosim.graph import Graph, components, find_cycle, graph_of, is_loop, levels
 from zenostat.topics.errors import did_you_mean
 from zenostat.topics.model_file import FileErrors
@@ -83,7 +83,7 @@ def check_file(file: DistrictFile) -> Topology:
 def _check_plants(file: DistrictFile, errors: FileErrors) -> None:
     for name, plant in file.spec.plants.items():
         kinds, location = kind_of(plant), ("plants", name)
-        if name in ("exchange", "loop", "plant", "residual"):
+        if name in RESERVED:
             errors.add(location, f"a plant cannot have the name {name!r}, which the district's own points begin with")
         if len(kinds) != 1:
             text = f"is {' and '.join(kinds)} at once" if kinds else "says not what it is"

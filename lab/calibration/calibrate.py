@@ -34,6 +34,7 @@ from zenostat.lab.calibration.trials import (
     TrialResult,
     Trials,
     simulate_all,
+    simulate_those_possible,
     study_folder,
 )
 from zenostat.lab.workers import RunAll, worker_pool
@@ -160,7 +161,7 @@ def calibrate(
             complete = [(each.values, each.error) for each in ended if each.is_complete]
             if not complete:
                 raise InvalidConfig("no trial was simulated to its end: allow more trials, or set pruner: false")
-            best, linear = _refine(setting, min(complete, key=lambda each: each[1]), run_all)
+            best, linear, failing = _refine(setting, min(complete, key=lambda each: each[1]), run_all)
             (after,) = simulate_all(simulator, [best[0]], periods, run_all)
         finally:
             shutil.rmtree(scratch, ignore_errors=True)
@@ -170,46 +171,51 @@ def calibrate(
             for name, hours in (("before", before), ("after", after))
             if chosen
         }
-        determined = determine(config, best[0], linear, [*complete, best])
+        determined = determine(config, best[0], linear, [*complete, best], failing)
         return CalibrationResult(config, data, best[0], fits, determined, ended)
 
 
 def _refine(
     setting: Setting, best: tuple[dict[str, float], float], run_all: RunAll
-) -> tuple[tuple[dict[str, float], float], Linearization]:
+) -> tuple[tuple[dict[str, float], float], Linearization, frozenset[str]]:
     """Return the best values and their error after steps from the best trial, and the objective around them.
 
+    Returned last are the parameters that cannot be simulated with values nearby.
+
     The derivatives serve for further steps until one does not lower the error; then they are computed anew, as in the
-    end.
+    end. A step to values that cannot be simulated is not taken.
     """
     config, data, scales = setting.config, setting.data, setting.scales
 
-    def simulate(values: Sequence[Mapping[str, float]]) -> list[Hours]:
-        return simulate_all(setting.simulator, values, config.periods, run_all)
+    def simulate(values: Sequence[Mapping[str, float]]) -> list[Hours | None]:
+        return simulate_those_possible(setting.simulator, values, config.periods, run_all)
 
-    def derive() -> list[Derivatives]:
+    def derive() -> tuple[list[Derivatives], frozenset[str]]:
         return derivatives(config, data, best[0], center, simulate(points(config, best[0])))
 
     def around() -> Linearization:
         return linearize(compare(data, center), derived, scales, config.adjustable)
 
-    (center,) = simulate([best[0]])
-    derived, has_moved = derive(), False
+    (center,) = simulate_all(setting.simulator, [best[0]], config.periods, run_all)
+    (derived, failing), has_moved = derive(), False
     for _ in range(config.refine):
         linear = around()
         near = [stepped(config, best[0], step) for step in (linear.step, linear.newton)]
-        simulated = simulate(near)
-        errors = [objective(compare(data, hours), scales, config.adjustable) for hours in simulated]
-        nearest = errors.index(min(errors))
-        if errors[nearest] <= best[1] * (1.0 - _GAIN):
-            best, center, has_moved = (near[nearest], errors[nearest]), simulated[nearest], True
+        reached = [
+            (objective(compare(data, hours), scales, config.adjustable), place, hours)
+            for place, hours in enumerate(simulate(near))
+            if hours is not None
+        ]
+        error, place, hours = min(reached, key=lambda each: each[:2], default=(math.inf, 0, center))
+        if error <= best[1] * (1.0 - _GAIN):
+            best, center, has_moved = (near[place], error), hours, True
         elif has_moved:
-            derived, has_moved = derive(), False
+            (derived, failing), has_moved = derive(), False
         else:
             break
     if has_moved:
-        derived = derive()
-    return best, around()
+        derived, failing = derive()
+    return best, around(), failing
 
 
 def _part(hours: Hours, periods: Sequence[Days]) -> Mapping[Days, Floats]:

@@ -36,6 +36,11 @@ class Parameter(Range):
     unit: str | None = None
     truth: float | None = None
 
+    @field_validator("low", "high", "step", "start")
+    @classmethod
+    def _as_float(cls, value: float | None) -> float | None:
+        return None if value is None else float(value)  # a whole number is one of all numbers here
+
     @model_validator(mode="after")
     def _is_a_range(self) -> Parameter:
         if self.choices is not None or self.low is None or self.high is None:
@@ -62,6 +67,15 @@ class Parameter(Range):
         """Return the value at a place in the range; see `to_unit`."""
         low, high = self.ends
         return low * (high / low) ** place if self.log else low + (high - low) * place
+
+    def nearest(self, value: float) -> float:
+        """Return the nearest value that may be searched: in the range, and at a multiple of its step."""
+        low, high = self.ends
+        value = min(max(value, low), high)
+        if self.step is None:
+            return value
+        steps = min(round((value - low) / self.step), int((high - low) / self.step + 1e-9))
+        return low + steps * self.step
 
 
 class Column(ConfigPart):

@@ -17,7 +17,8 @@ Near an end of a range, all steps are towards its middle: (s(h) - s(0)) / h and 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 import numpy as np
@@ -74,26 +75,41 @@ def points(config: Calibration, center: Mapping[str, float]) -> list[dict[str, f
 
 
 def derivatives(
-    config: Calibration, data: MeasuredData, center: Mapping[str, float], at_center: Hours, at_points: Sequence[Hours]
-) -> list[Derivatives]:
-    """Return the derivatives of each column's values at its measured rows.
+    config: Calibration, data: MeasuredData, center: Mapping[str, float], at_center: Hours,
+    at_points: Sequence[Hours | None],
+) -> tuple[list[Derivatives], frozenset[str]]:  # fmt: skip
+    """Return the derivatives of each column's values at its measured rows, and the parameters that have none.
 
     Args:
         config: the calibration.
         data: measured data.
         center: values at the point.
         at_center: simulated hours there.
-        at_points: simulated hours with `points`.
+        at_points: simulated hours with `points`; None where the simulation failed. If those on both sides have
+            failed, the derivatives by the parameter are 0, so that the data do not determine it.
     """
     middle = [each.simulated for each in compare(data, at_center)]
-    sides = iter([[each.simulated for each in compare(data, hours)] for hours in at_points])
+    sides = iter([None if hours is None else [each.simulated for each in compare(data, hours)] for hours in at_points])
     pairs: list[list[tuple[Floats, Floats]]] = [[] for _ in middle]
+    failing = set()
     for name, parameter in config.parameters.items():
-        taken = steps(parameter, center[name])
-        simulated = [next(sides) for _ in taken]
+        at_step = {step: next(sides) for step in steps(parameter, center[name])}
+        taken = _complete_side({step for step, each in at_step.items() if each is not None}, at_step)
+        if not taken:
+            failing.add(name)
         for column, pair in enumerate(pairs):
-            pair.append(_differences(taken, middle[column], [each[column] for each in simulated]))
-    return [Derivatives(*(np.stack(each, axis=1) for each in zip(*pair, strict=True))) for pair in pairs]
+            values = [each[column] for step in taken if (each := at_step[step]) is not None]
+            zeros = np.zeros_like(middle[column])
+            pair.append(_differences(taken, middle[column], values) if taken else (zeros, zeros))
+    combined = [Derivatives(*(np.stack(each, axis=1) for each in zip(*pair, strict=True))) for pair in pairs]
+    return combined, frozenset(failing)
+
+
+def _complete_side(simulated: AbstractSet[float], taken: Iterable[float]) -> tuple[float, ...]:
+    """Return all steps if all were simulated, else the two on one side, the nearer one first; none if both miss one."""
+    ordered = sorted(taken, key=abs)
+    sides = [[*taken], [step for step in ordered if step < 0.0], [step for step in ordered if step > 0.0]]
+    return next((tuple(side) for side in sides if side and simulated >= set(side)), ())
 
 
 def _differences(taken: Sequence[float], middle: Floats, values: Sequence[Floats]) -> tuple[Floats, Floats]:

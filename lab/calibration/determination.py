@@ -23,7 +23,7 @@ most half of its range.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -58,6 +58,7 @@ class Determined:
         share: share of the range that the joined interval has, on the scale of the search.
         is_determined: whether that is small enough.
         is_at_end: whether the best value is at an end of the range.
+        is_failing: whether the model cannot be simulated with values nearby.
         correlations: correlation with each other parameter.
         profile: for parts of the range, the middle and the lowest error of a trial there, of parts with trials.
     """
@@ -71,6 +72,7 @@ class Determined:
     share: float
     is_determined: bool
     is_at_end: bool
+    is_failing: bool
     correlations: Mapping[str, float]
     profile: Sequence[tuple[float, float]]
 
@@ -85,6 +87,8 @@ class Determined:
         parts = ["determined" if self.is_determined else "not determined"]
         if self.is_at_end:
             parts.append("at an end of its range")
+        if self.is_failing:
+            parts.append("values nearby cannot be simulated")
         if self.confused_with:
             parts.append(f"hardly told apart from {', '.join(self.confused_with)}")
         return "; ".join(parts)
@@ -163,16 +167,16 @@ def _dependence(each: Compared) -> float:
 
 
 def stepped(config: Calibration, center: Mapping[str, float], step: Floats) -> dict[str, float]:
-    """Return the values a step away from a point, within the ranges."""
+    """Return the values a step away from a point, the nearest ones that may be searched."""
     return {
-        name: parameter.from_unit(min(max(parameter.to_unit(center[name]) + float(part), 0.0), 1.0))
+        name: parameter.nearest(parameter.from_unit(min(max(parameter.to_unit(center[name]) + float(part), 0.0), 1.0)))
         for (name, parameter), part in zip(config.parameters.items(), step, strict=True)
     }
 
 
 def determine(
     config: Calibration, best: Mapping[str, float], linear: Linearization,
-    trials: Sequence[tuple[Mapping[str, float], float]],
+    trials: Sequence[tuple[Mapping[str, float], float]], failing: Collection[str] = (),
 ) -> list[Determined]:  # fmt: skip
     """Return interval and verdict of each parameter.
 
@@ -181,6 +185,7 @@ def determine(
         best: best values.
         linear: step and covariance at these.
         trials: values and error of each trial that was simulated to its end, and of the best values.
+        failing: parameters that cannot be simulated with values nearby.
     """
     names, covariance = list(config.parameters), linear.covariance
     lowest = min(error for _, error in trials)
@@ -200,7 +205,7 @@ def determine(
                 name, best[name], parameter.from_unit(joined[0]), parameter.from_unit(joined[1]),
                 (parameter.from_unit(spread[0]), parameter.from_unit(spread[1])),
                 (parameter.from_unit(interval[0]), parameter.from_unit(interval[1])),
-                share, share <= config.determined, not _AT_END < middle < 1.0 - _AT_END,
+                share, share <= config.determined, not _AT_END < middle < 1.0 - _AT_END, name in failing,
                 _correlations(covariance, place, names), _profile(parameter, name, trials),
             )
         )  # fmt: skip

@@ -170,7 +170,6 @@ def _stamps(
     zone = _zone(config.time_zone)
     lines: list[int] = []
     stamps: list[datetime] = []
-    written: list[datetime] = []
     for line, row in rows:
         text = row[place].strip() if place < len(row) else ""
         where = f"{path}, line {line}"
@@ -179,8 +178,7 @@ def _stamps(
         except ValueError:
             wanted = config.time_format or "ISO 8601, as 2017-01-09 13:00, or time_format in the parameters file"
             raise InvalidConfig(f"{where}: {text!r} is no timestamp; expected {wanted}") from None
-        standard = _standard(where, stamp, zone, utc_offset_h, written[-1] if written else None)
-        written.append(stamp)
+        standard = _standard(where, stamp, zone, utc_offset_h, stamps[-1] if stamps else None)
         if stamps and standard <= stamps[-1]:
             raise InvalidConfig(f"{where}: {_order_error(text, standard, stamps, lines, config)}")
         lines.append(line)
@@ -202,14 +200,12 @@ def _zone(name: str | None) -> ZoneInfo | None:
 def _standard(
     where: str, stamp: datetime, zone: ZoneInfo | None, utc_offset_h: float, before: datetime | None
 ) -> datetime:
-    """Return a timestamp in the standard time of the weather file."""
+    """Return a timestamp in the standard time of the weather file; `before`: that of the row before."""
     if stamp.tzinfo is not None:
         return (stamp.astimezone(UTC) + timedelta(hours=utc_offset_h)).replace(tzinfo=None)
     if zone is None:
         return stamp
-    # The hour that a clock shows twice: the second one follows the first one in the file.
-    again = before is not None and before.tzinfo is None and stamp <= before
-    local = stamp.replace(tzinfo=zone, fold=int(again))
+    local = stamp.replace(tzinfo=zone)
     back = local.astimezone(UTC).astimezone(zone).replace(tzinfo=None)
     if back != stamp:
         raise InvalidConfig(
@@ -224,7 +220,12 @@ def _standard(
             f"time_zone: {zone.key} has the standard time UTC{standard:+g}, the weather file UTC{utc_offset_h:+g}; use "
             "the zone or the weather file of the building"
         )
-    return (local.astimezone(UTC) + timedelta(hours=utc_offset_h)).replace(tzinfo=None)
+    first, second = (
+        (local.replace(fold=fold).astimezone(UTC) + timedelta(hours=utc_offset_h)).replace(tzinfo=None)
+        for fold in (0, 1)
+    )
+    # Of the hour that a clock shows twice, the second one follows the first one in the file.
+    return second if before is not None and first <= before else first
 
 
 def _order_error(

@@ -268,14 +268,32 @@ def simulate_all(
     Raises:
         SimulatorError: one of them failed.
     """
+    errors: list[str] = []
+    hours = [each for each in _simulate(simulator, values, periods, run_all, errors) if each is not None]
+    if errors:
+        raise SimulatorError(errors[0])
+    return hours
+
+
+def simulate_those_possible(
+    simulator: Simulator, values: Sequence[Mapping[str, float]], periods: Sequence[Days], run_all: RunAll
+) -> list[Hours | None]:
+    """Return the hours of the model with each of some values; None where a simulation failed."""
+    return _simulate(simulator, values, periods, run_all, [])
+
+
+def _simulate(
+    simulator: Simulator, values: Sequence[Mapping[str, float]], periods: Sequence[Days], run_all: RunAll,
+    errors: list[str],
+) -> list[Hours | None]:  # fmt: skip
     jobs = [
         Simulation(simulator, each, days, place, os.getpid()) for place, each in enumerate(values) for days in periods
     ]
-    errors: list[str] = []
     hours = {(place, days): table for place, days, table in run_all(run_simulation, jobs, "simulations", None, errors)}
-    if errors:
-        raise SimulatorError(errors[0])
-    return [{days: hours[place, days] for days in periods} for place in range(len(values))]
+    return [
+        {days: hours[place, days] for days in periods} if all((place, days) in hours for days in periods) else None
+        for place in range(len(values))
+    ]
 
 
 @contextmanager

@@ -39,6 +39,7 @@ class Archive:
     def __init__(self, path: Path, content: zipfile.ZipFile) -> None:
         self.path, self._content = path, content
         self._names = {str(PurePosixPath(name)) for name in content.namelist()}
+        self._copies: dict[Path, str] = {}
 
     def error(self, text: str, element: Any = None, document: str = STRUCTURE) -> InvalidConfig:
         """Return an error about an element of a document, with its line."""
@@ -87,11 +88,16 @@ class Archive:
     def unpack(self, name: str, folder: Path) -> Path:
         """Copy an entry of the archive into a folder, where its folders become a part of its name; return the copy.
 
+        Another entry whose copy would have the same name has a number before it.
+
         Raises:
             InvalidConfig: the archive does not have it.
         """
         entry = self._find(name)
-        target = folder / "_".join(part for part in PurePosixPath(entry).parts if part not in ("resources", "..", "/"))
+        base = "_".join(part for part in PurePosixPath(entry).parts if part not in ("resources", "..", "/"))
+        target, number = folder / base, 2
+        while self._copies.setdefault(target, entry) != entry:
+            target, number = folder / f"{number}_{base}", number + 1
         folder.mkdir(parents=True, exist_ok=True)
         target.write_bytes(self._content.read(entry))
         return target

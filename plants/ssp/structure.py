@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -79,25 +79,26 @@ class Structure:
     notes: tuple[str, ...]
 
 
-def read_structure(path: Path, folder: Path) -> Structure:
+def read_structure(path: Path, folder: Path, reserved: Collection[str] = ()) -> Structure:
     """Read an SSP file; nothing of it runs.
 
     Args:
         path: the file.
         folder: for copies of its FMUs.
+        reserved: names that no plant may have.
 
     Raises:
         InvalidConfig: it is no SSP file of version 1.0, or has what is not supported; names the element and its line.
     """
     with open_archive(path) as archive:
-        return _Reader(archive, folder).read()
+        return _Reader(archive, folder, reserved).read()
 
 
 class _Reader:
     """Reader of one file."""
 
-    def __init__(self, archive: Archive, folder: Path) -> None:
-        self._archive, self._folder = archive, folder
+    def __init__(self, archive: Archive, folder: Path, reserved: Collection[str]) -> None:
+        self._archive, self._folder, self._reserved = archive, folder, reserved
         self._kinds: dict[Connector, str] = {}
         self._units: dict[Connector, str] = {}
         self._fmus: dict[parameters.Path, Any] = {}
@@ -113,7 +114,7 @@ class _Reader:
         self._values += parameters.parameters(self._archive, system, ())
         if not self._fmus:
             raise self._archive.error("the system has no components", system)
-        names = _plant_names(self._fmus)
+        names = _plant_names(self._fmus, self._reserved)
         starts = self._starts()
         components, points = [], dict[Connector, Variable]()
         for path, element in self._fmus.items():
@@ -198,6 +199,9 @@ class _Reader:
             source = target
             while source in self._drivers:
                 end, (source, connection) = source, self._drivers[source]
+                if any(end == passed for _, passed, _ in legs):
+                    text = f"{'.'.join([*end[0], end[1]])} is driven by itself, through systems without a component"
+                    raise self._archive.error(text, connection)
                 legs.append((source, end, connection))
             entry = self._point(target, points, connection)
             target_name = f"{names[target[0]]}.{entry.points[0]}"
@@ -274,12 +278,12 @@ class _Reader:
             return None
 
 
-def _plant_names(components: Mapping[parameters.Path, Any]) -> dict[parameters.Path, str]:
+def _plant_names(components: Mapping[parameters.Path, Any], reserved: Collection[str]) -> dict[parameters.Path, str]:
     """Return a name for each component's plant: its path, in letters that names of plants may have."""
     names: dict[parameters.Path, str] = {}
     for path in components:
         base = re.sub(r"[^A-Za-z0-9_\-]", "_", "_".join(path))[:56]
-        base = f"_{base}" if base in ("", "exchange", "loop", "plant", "residual") or base[0] == "-" else base
+        base = f"_{base}" if not base or base in reserved or base[0] == "-" else base
         name, number = base, 2
         while name in names.values():
             name, number = f"{base}_{number}", number + 1

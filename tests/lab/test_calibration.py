@@ -16,7 +16,7 @@ from zenostat.lab.calibration.config import Calibration, read_calibration
 from zenostat.lab.calibration.headings import read_headings
 from zenostat.lab.calibration.measured import MeasuredData, read_measured
 from zenostat.metrics.calibration_errors import HOURLY, MONTHLY, fit_errors
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, SimulatorError
 
 pytest.importorskip("optuna")
 
@@ -120,6 +120,39 @@ def test_calibrate__recovers_the_truth_and_tells_what_is_not_determined(tmp_path
     assert high - low > 0.9  # nothing but the range itself is known
     assert result.fits["held-out after"].error < 0.2 * result.fits["held-out before"].error
     assert result.states == {"complete": 32}  # whole batches of 8
+
+
+@pytest.mark.parametrize(("fails_below", "verdict"), [
+    (-9.0, "determined"), (1.1, "not determined; values nearby cannot be simulated"),
+])  # fmt: skip
+def test_calibrate__simulations_that_fail_nearby_do_not_end_it(
+    tmp_path: Path, fails_below: float, verdict: str
+) -> None:
+    class Fragile(LinearModel):
+        def simulate(self, values: Any, days: Any) -> Any:
+            offset = values.get("offset", 1.5)
+            if not fails_below <= offset <= 1.6:
+                raise SimulatorError("too cold or too warm")
+            return super().simulate(values, days)
+
+    space = {**SPACE, "offset": {**SPACE["offset"], "start": 1.3}}
+    result = run(tmp_path / "out", Fragile(), noise=0.02, trials=40, parameters=space)
+    day, _, offset = result.parameters
+    assert (day.verdict, offset.verdict) == ("determined", verdict)
+    assert offset.value == pytest.approx(TRUTH["offset"], abs=0.2 if verdict == "determined" else 0.5)
+    assert result.states["fail"] > 0
+
+
+def test_calibrate__whole_ends_are_a_range_of_all_numbers_and_steps_hold_for_the_result(tmp_path: Path) -> None:
+    parameters = {
+        "day": {"edit": "lighting", "low": 1, "high": 2},
+        "offset": {"edit": "heating_setpoint", "low": -2, "high": 2, "step": 0.25},
+    }
+    result = run(tmp_path / "out", parameters=parameters, trials=12)
+    tried = [each.values for each in result.ended]
+    assert any(values["day"] % 1.0 for values in tried)
+    assert all(values["offset"] % 0.25 == 0.0 for values in (*tried, result.values))
+    assert result.values["offset"] == TRUTH["offset"]
 
 
 def test_calibrate__continues_to_the_bit_after_any_interruption(tmp_path: Path) -> None:

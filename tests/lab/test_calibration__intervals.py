@@ -85,7 +85,8 @@ def test_derivatives__of_a_quadratic_model_are_exact_in_the_middle_of_a_range(
     assert len(sides) == count
     assert all(1.0 <= each["offset"] <= 3.0 for each in sides)
     hours = [{WINTER: Quadratic().simulate(each, WINTER)} for each in ({"offset": value}, *sides)]
-    energy, room = derivatives(config, data, {"offset": value}, hours[0], hours[1:])
+    (energy, room), failing = derivatives(config, data, {"offset": value}, hours[0], hours[1:])
+    assert not failing
     assert not energy.inner.any()
     assert not energy.outer.any()
     slope = 2.0 * value * 2.0  # of the square, per range

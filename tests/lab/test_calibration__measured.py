@@ -106,6 +106,20 @@ def test_read_measured__converts_daylight_saving_time(file: Path) -> None:
     assert data.begins[2:5] == (datetime(2017, 11, 5), datetime(2017, 11, 5, 1), datetime(2017, 11, 5, 2))
 
 
+def test_read_measured__converts_the_repeated_hour_of_quarters(file: Path) -> None:
+    """From 1:00 to 2:00, the clock goes through the same four quarters twice."""
+    clock = [f"2017-11-05 01:{minute:02}" for minute in (0, 15, 30, 45)]
+    times = ["2017-11-05 00:45", *clock, *clock, "2017-11-05 02:00"]
+    data = read(
+        file, ["time,meter [kWh]", *rows(times, "1")], METER, time_zone="America/Denver", missing="leave_out",
+        timestamps="begin", interval="15min", periods=[["2017-11-05", "2017-11-05"]],
+    )  # fmt: skip
+    assert data.begins == (datetime(2017, 11, 5), datetime(2017, 11, 5, 1))  # standard time, UTC-7
+    assert data.columns[0].values.tolist() == [4.0, 4.0]
+    with pytest.raises(InvalidConfig, match="line 11: 2017-11-05 01:45 occurs again, after line 10"):
+        read(file, ["time,meter [kWh]", *rows([*times[:-1], times[-2]], "1")], METER, time_zone="America/Denver")
+
+
 def test_read_measured__converts_timestamps_with_an_offset(file: Path) -> None:
     times = [f"2017-03-12T{hour:02}:00:00Z" for hour in range(7, 24)]
     times += [f"2017-03-13T{hour:02}:00:00Z" for hour in range(7)]

@@ -141,6 +141,11 @@ CASES = {
         ssp.system("s", A + ssp.component("b", connectors=ssp.connector("warmth", "input")),
                    ssp.connection("a:T", "b:warmth")),
         "the FMU of 'b' has no scalar input or output 'warmth'"),
+    "circle without a component": (
+        ssp.system("s", A + ssp.system(
+            "n", B, ssp.connection(":i", ":o"), ssp.connector("i", "input") + ssp.connector("o", "output")),
+            ssp.connection("n:o", "n:i") + ssp.connection("n:o", "a:heat")),
+        "n.o is driven by itself, through systems without a component"),
     "not in the schema": (ssp.system("s", '<ssd:Component name="a"/>'), "The attribute 'source' is required"),
     "not linear": (
         ssp.system("s", A + B, ssp.connection("a:T", "b:heat", '<ssc:BooleanMappingTransformation>'
@@ -196,6 +201,36 @@ def test_convert__existing_file_is_not_replaced_unasked(tank: Path, tmp_path: Pa
     with pytest.raises(InvalidConfig, match=r"district\.yaml exists; choose another name, or --overwrite"):
         converted(tmp_path, tank, ssp.TWO_TANKS, files=ssp.VALUES)
     assert (tmp_path / "district.yaml").read_text() == "mine"
+
+
+def test_convert__only_folders_of_earlier_conversions_are_replaced(tank: Path, tmp_path: Path) -> None:
+    source, target = ssp.write_ssp(tmp_path / "system.ssp", tank, ssp.system("s", A)), tmp_path / "results.yaml"
+    folder = tmp_path / "results"
+    folder.mkdir()
+    (folder / "measured.csv").write_text("mine")
+    with pytest.raises(InvalidConfig, match=r"not of an earlier conversion \(it has measured\.csv\)"):
+        convert(source, target, Loops.SOLVE, overwrite=True)
+    (folder / "measured.csv").rename(folder / "mine.fmu")
+    with pytest.raises(InvalidConfig, match=r"there is no results\.yaml beside it"):
+        convert(source, target, Loops.SOLVE, overwrite=True)
+    assert (folder / "mine.fmu").read_text() == "mine"
+    (folder / "mine.fmu").unlink()
+    folder.rmdir()
+    for _ in range(2):
+        convert(source, target, Loops.SOLVE, overwrite=True)
+    assert [path.name for path in folder.iterdir()] == ["tank.fmu"]
+
+
+def test_convert__different_fmus_with_similar_paths_have_a_copy_each(tank: Path, tmp_path: Path) -> None:
+    elements = A + ssp.component("b").replace("resources/tank.fmu", "tank.fmu") + ssp.component("c")
+    source = ssp.write_ssp(tmp_path / "system.ssp", tank, ssp.system("s", elements))
+    with zipfile.ZipFile(source, "a") as archive:
+        archive.write(tank, "tank.fmu")
+    convert(source, tmp_path / "district.yaml", Loops.SOLVE, overwrite=False)
+    plants = parse((tmp_path / "district.yaml").read_text(), "the file")["plants"]
+    assert {name: plant["fmu"] for name, plant in plants.items()} == {
+        "a": "district/tank.fmu", "b": "district/2_tank.fmu", "c": "district/tank.fmu"
+    }  # fmt: skip
 
 
 @pytest.mark.slow

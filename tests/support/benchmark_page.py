@@ -120,9 +120,9 @@ def _side(interval: Interval) -> str:
 
 
 def _learned(scores: Sequence[Scores]) -> Table | None:
-    """Return how much better the learned controllers are than the tuned rule, by building; None without them."""
+    """Return how much better learned controllers and planning are than the tuned rule, by building; None without."""
     by_name = {of.controller: of for of in scores}
-    names = [name for name in ("ppo", "sac") if name in by_name]
+    names = [name for name in ("ppo", "sac", "oracle") if name in by_name]
     if not names or "tuned" not in by_name:
         return None
     rows, buildings = [], list(by_name["tuned"].buildings)
@@ -137,7 +137,7 @@ def _learned(scores: Sequence[Scores]) -> Table | None:
         *(BUILDINGS.get(name, name) for name in buildings),
         "buildings above 0, with the whole interval",
     )
-    return Table("Score of learned controllers minus that of `tuned` in the same episodes", columns, tuple(rows))
+    return Table("Scores of learned controllers and of the oracle minus those of `tuned` in the same episodes", columns, tuple(rows))
 
 
 def planning_page(text: str) -> str:

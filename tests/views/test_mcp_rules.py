@@ -17,9 +17,12 @@ from support import builders
 from support.examples import examples
 
 from zenostat.bridge.client.priorities import PriorityValue
+from zenostat.topics import codec, keys
 from zenostat.topics.errors import AccessDenied, BadMessage, InvalidConfig, PlantFailed, RequestRejected, UnknownName
+from zenostat.topics.messages import Event, EventKind
 from zenostat.views.mcp.call_log import CallLog
 from zenostat.views.mcp.content import CLOSE, MAX_TEXT, NOTICE, OPEN, read_data, render
+from zenostat.views.mcp.event_log import EventLog
 from zenostat.views.mcp.tools import TOOLS, call
 from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
 
@@ -309,6 +312,16 @@ def test_call__invalid_arguments_are_named_before_anything_is_asked(
     content, is_error = call(SimpleNamespace(), tool, arguments)  # type: ignore[arg-type]
     assert is_error
     assert text in content.data["message"]
+
+
+def test_event_log__branches_do_not_displace_their_building() -> None:
+    session = SimpleNamespace(declare_subscriber=lambda key, callback: None)
+    log = EventLog(SimpleNamespace(session=session))  # type: ignore[arg-type]
+    event = Event(kind=EventKind.CONNECTED, text="a controls at priority 10", step=0)
+    for node in ("office", "school", *(f"office.{number}" for number in range(600))):
+        payload = SimpleNamespace(to_bytes=lambda: codec.encode(event))
+        log._add(SimpleNamespace(payload=payload, encoding=codec.encoding(Event), key_expr=keys.EVENT.at(node)))  # type: ignore[arg-type]
+    assert [len(log.latest(node, 9)) for node in ("office", "school", "office.0", "office.599")] == [1, 1, 0, 1]
 
 
 def test_call__mistake_of_the_server_shows_its_kind_only(capsys: pytest.CaptureFixture[str]) -> None:

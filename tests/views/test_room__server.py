@@ -132,6 +132,18 @@ def test_room__write_is_streamed_with_its_source_and_its_end(client: Any) -> Non
     assert [kind for kind in kinds if kind in ("written", "expired")] == ["written", "expired"]
 
 
+def test_room__streams_of_a_session_end_when_it_signs_out(client: Any) -> None:
+    base = str(client.base_url)
+    token = client.post("/api/invitation", json={"operator": "bob"}).json()["link"].partition("#token=")[2]
+    with httpx.Client(base_url=base, headers={"origin": base.rstrip("/")}, timeout=30) as bob:
+        assert bob.post("/api/session", json={"token": token}).json() == {"operator": "bob"}
+        with bob.stream("GET", "/api/stream?node=tank") as answer:
+            lines = answer.iter_lines()
+            next(lines)
+            assert httpx.delete(f"{base}/api/session", headers=dict(bob.headers), cookies=bob.cookies).is_success
+            assert not [line for line in lines if line.startswith("event: audit")]  # it ends
+
+
 def test_room__what_if_changes_a_copy_only(client: Any) -> None:
     before = client.get("/api/nodes/tank/history", params={"point": "level"}).json()["points"][0]["values"]
     answer = change(client, "what_if", values={"pump": 10}, hours=1).json()
@@ -144,6 +156,17 @@ def test_room__what_if_changes_a_copy_only(client: Any) -> None:
     assert after == before
     array = client.get("/api/nodes/tank/priorities", params={"point": "pump"}).json()["entries"]
     assert all(entry["value"] is None for entry in array)
+
+
+def test_room__what_if_as_is_keeps_the_ends_of_values_at_the_lowest_priority(client: Any) -> None:
+    """At 20 W the level rises by 0.2 in a minute, and under baseline control, after two minutes, by 0.05."""
+    assert change(client, "write", point="pump", value=20, priority=16, duration_s=120).status_code == 200
+    before = client.get("/api/nodes/tank/history", params={"point": "level"}).json()["points"][0]["values"][-1]
+    answer = change(client, "what_if", values={"pump": None}, priority=16, hours=0.1).json()
+    levels_of = {name: [level - before for level in answer[name]["series"][0]] for name in ("as_is", "changed")}
+    assert levels_of["as_is"] == pytest.approx([0.2, 0.4, 0.45, 0.5, 0.55, 0.6])
+    assert levels_of["changed"] == pytest.approx([0.05 * k for k in range(1, 7)])
+    assert change(client, "write", point="pump", value=None, priority=16).status_code == 200
 
 
 def levels(client: Any, **question: Any) -> list[float]:
@@ -226,6 +249,7 @@ def test_room__what_if_controller_that_fails_is_one_error(
         ("write", {"point": "pump", "value": 101}, 409, "0 to 100 W"),
         ("what_if", {"values": {"pump": 101}}, 409, "0 to 100 W"),
         ("what_if", {"values": {}}, 400, "values"),
+        ("what_if", {"values": {"pump": 1}, "hours": 24}, 400, "at most 16.8167 h expected, 1009 timesteps of 60 s"),
         ("acknowledge", {"alarm": "warm"}, 400, "no alarm 'warm'"),
         ("record", {"path": "run.mcap"}, 400, "absolute path"),
         ("stop_recording", {}, 409, "recording"),

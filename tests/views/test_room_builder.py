@@ -1,5 +1,6 @@
 """The scenario builder of the control room: its program, what a scenario of a page may name, and nodes from it."""
 
+import asyncio
 import json
 import subprocess
 import sys
@@ -194,6 +195,25 @@ def test_audit_log__each_entry_is_a_line_of_the_file(tmp_path: Path) -> None:
     assert file.stat().st_mode & 0o777 == 0o600
     with pytest.raises(InvalidConfig, match="audit-log"):
         AuditLog(Updates(), tmp_path)
+
+
+def test_audit_log__no_change_is_made_while_entries_cannot_be_written() -> None:
+    log, made = AuditLog(Updates(), Path("/dev/full")), []
+
+    async def change() -> str:
+        made.append(1)
+        return "done"
+
+    async def changes() -> None:
+        assert await log.attempt("ada", "write", "office", change) == "done"  # the disk has become full
+        for _ in range(2):
+            with pytest.raises(RequestRejected, match="nothing was changed, since the audit log cannot be written"):
+                await log.attempt("ada", "write", "office", change)
+
+    asyncio.run(changes())
+    assert made == [1]
+    assert [entry["accepted"] for entry in log.entries()] == [True, False, False]
+    log.close()
 
 
 @pytest.fixture(scope="module")

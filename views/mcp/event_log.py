@@ -1,4 +1,4 @@
-"""The latest events of all nodes, kept since the server was started."""
+"""The latest 200 events of each node, kept since the server was started; of 500 nodes, those with the latest ones."""
 
 from __future__ import annotations
 
@@ -49,5 +49,7 @@ class EventLog:
         node = keys.node_of(str(sample.key_expr))
         with self._lock:
             if node not in self._events and len(self._events) >= _NODES:
-                self._events.popitem(last=False)
+                branches = (name for name in self._events if name.rpartition(".")[0] in self._events)
+                del self._events[next(branches, next(iter(self._events)))]
             self._events.setdefault(node, deque(maxlen=_EVENTS)).append(event)
+            self._events.move_to_end(node)

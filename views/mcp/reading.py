@@ -50,7 +50,8 @@ def _entry(desk: Desk, node: str) -> dict[str, Any] | None:
         description = desk.description(node)
         if description.manifest.branch_of:
             return None
-        state = node_state(description, desk.bus.status(node), desk.sample(description.manifest), desk.bus.alarms(node))
+        alarms = None if description.manifest.replay else desk.bus.alarms(node)
+        state = node_state(description, desk.bus.status(node), desk.sample(description.manifest), alarms)
     except (NodeLost, NodeNotFound):
         return None
     except ZenostatError as error:

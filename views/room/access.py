@@ -164,6 +164,11 @@ class Access:
         session.used_s = self._clock()
         return session
 
+    def lasts(self, identity: str | None) -> bool:
+        """Return whether the session of an id has not ended; its use is not noted."""
+        session = self._sessions.get(_digest(identity or ""))
+        return session is not None and self._clock() - session.used_s <= _IDLE_S
+
     def sign_out(self, identity: str | None) -> None:
         """End a session."""
         self._sessions.pop(_digest(identity or ""), None)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -60,6 +61,8 @@ from zenostat.views.room.what_if import WhatIf, what_if
 _STATIC = Path(__file__).with_name("static")
 _MAX_PENDING = 8
 """Largest number of requests of pages that wait for one node: one that is frozen must not stop the others."""
+_THREADS = 64
+"""Threads for requests that wait: for several frozen nodes at a time."""
 
 T = TypeVar("T")
 
@@ -170,6 +173,7 @@ class Room:
 
     @asynccontextmanager
     async def _lifespan(self, _: Starlette) -> AsyncIterator[None]:
+        asyncio.get_running_loop().set_default_executor(ThreadPoolExecutor(_THREADS, "room-request"))
         self.updates.start()
         self._watch = await asyncio.to_thread(BusWatch, self._bus, self.updates)
         try:
@@ -235,14 +239,22 @@ class Room:
         session: Session = request.state.session
         if session.role is not Role.OPERATOR:
             topics -= {AUDIT, STARTED}
-        return StreamingResponse(self._follow(topics, session.operator), media_type="text/event-stream")
+        identity = request.cookies.get(self._access.cookie)
+        is_signed_in = self._access.lasts(identity)  # else it is the connection's certificate that permits it
 
-    async def _follow(self, topics: set[str], user: str) -> AsyncIterator[bytes]:
-        """Yield the changes of some topics until the user's name is revoked."""
+        def may_follow() -> bool:
+            return self._access.role(session.operator) is not None and (
+                not is_signed_in or self._access.lasts(identity)
+            )
+
+        return StreamingResponse(self._follow(topics, may_follow), media_type="text/event-stream")
+
+    async def _follow(self, topics: set[str], may_follow: Callable[[], bool]) -> AsyncIterator[bytes]:
+        """Yield the changes of some topics until the session has ended or the user's name is revoked."""
         stream = self.updates.follow(topics)
         try:
             async for message in stream:
-                if self._access.role(user) is None:
+                if not may_follow():
                     return
                 yield message
         finally:
@@ -295,7 +307,7 @@ class Room:
             return await self._call(watch, lambda: operation.run(self._bus, watch.node, operator))
 
         try:
-            text = await self.audit.attempt(operator, name, watch.node, change())
+            text = await self.audit.attempt(operator, name, watch.node, change)
         finally:
             watch.refresh()
         return JSONResponse({"text": text})

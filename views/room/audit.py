@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import json
 import os
+import sys
 import threading
 from collections import deque
-from collections.abc import Awaitable
+from collections.abc import Awaitable, Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from zenostat.topics.errors import InvalidConfig, ZenostatError
+from zenostat.topics.errors import InvalidConfig, RequestRejected, ZenostatError
 from zenostat.views.room.numbers import to_json
 from zenostat.views.room.updates import Updates
 
@@ -20,6 +21,8 @@ TOPIC = "audit"
 _KEPT = 500
 _SENT = 100
 _MAX_TEXT = 2000
+_MAX_UNWRITTEN = 1 << 20
+"""Bytes that are kept while the file cannot be written; what comes later are refusals."""
 
 
 class AuditLog:
@@ -37,6 +40,7 @@ class AuditLog:
         self._updates, self._lock = updates, threading.Lock()
         self._entries: deque[dict[str, Any]] = deque(maxlen=_KEPT)
         self._number = 0
+        self._unwritten = b""
         try:
             # Each entry is one write to the end of the file, which a rotation may move.
             self._file = None if file is None else os.open(file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)
@@ -53,8 +57,7 @@ class AuditLog:
             outcome: answer, or the reason for which it was rejected.
             accepted: whether it was carried out.
 
-        Raises:
-            OSError: it cannot be written to the file.
+        What cannot be written to the file is kept, and written before any other change is made; see `attempt`.
         """
         entry = {
             "time": datetime.now(UTC).isoformat(timespec="milliseconds"),
@@ -67,19 +70,38 @@ class AuditLog:
         with self._lock:
             self._number += 1
             self._entries.append(entry | {"number": self._number})
-            if self._file is not None:
-                os.write(self._file, json.dumps(entry).encode() + b"\n")
+            if self._file is not None and len(self._unwritten) < _MAX_UNWRITTEN:
+                self._unwritten += json.dumps(entry).encode() + b"\n"
+                if problem := self._write():
+                    sys.stderr.write(f"the audit log cannot be written: {problem}\n")
             latest = [*self._entries][-_SENT:]
         self._updates.publish(TOPIC, to_json({"entries": latest}))
 
-    async def attempt(self, operator: str, operation: str, target: str, change: Awaitable[str]) -> str:
-        """Make a change, add it with its outcome, and return its answer; arguments and errors as of `add`.
+    def _write(self) -> str:
+        """Write what is not written yet; return why it cannot be, or ""."""
+        try:
+            while self._file is not None and self._unwritten:
+                self._unwritten = self._unwritten[os.write(self._file, self._unwritten) :]
+        except OSError as error:
+            return error.strerror or str(error)
+        return ""
+
+    def _check(self) -> None:
+        """Raise `RequestRejected` if earlier entries cannot be written."""
+        with self._lock:
+            problem = self._write()
+        if problem:
+            raise RequestRejected(f"nothing was changed, since the audit log cannot be written: {problem}")
+
+    async def attempt(self, operator: str, operation: str, target: str, change: Callable[[], Awaitable[str]]) -> str:
+        """Make a change, add it with its outcome, and return its answer; arguments as of `add`.
 
         Raises:
             ZenostatError: the change was rejected, which is added as well, like any other error.
         """
         try:
-            text = await change
+            self._check()
+            text = await change()
         except Exception as error:
             text = str(error) if isinstance(error, ZenostatError) else f"{type(error).__name__}: {error}"
             self.add(operator, operation, target, text, accepted=False)

@@ -134,7 +134,7 @@ class Builder:
 
     async def _audited(self, request: Request, operation: str, target: str, function: Callable[[], str]) -> str:
         """Call a function in a thread, and add its outcome to the audit log."""
-        return await self._audit.attempt(operator_of(request), operation, target, asyncio.to_thread(function))
+        return await self._audit.attempt(operator_of(request), operation, target, lambda: asyncio.to_thread(function))
 
     # In threads
 

@@ -131,6 +131,8 @@ class BusWatch:
         if self._is_closed:
             return
         self._forget_ended_branches()
+        if len(self._nodes) >= MAX_NODES:
+            self._forget_absent_node()
         if len(self._nodes) < MAX_NODES:
             self._nodes[node] = NodeWatch(self.bus, node, self.updates, self._publish)
 
@@ -141,6 +143,12 @@ class BusWatch:
             if watch.state is None and description is not None and description.manifest.branch_of:
                 watch.close()
                 del self._nodes[name]
+
+    def _forget_absent_node(self) -> None:
+        """Forget a node that is not on the bus, one that has never answered before others."""
+        absent = [(watch.description is not None, name) for name, watch in self._nodes.items() if watch.is_absent]
+        if absent:
+            self._nodes.pop(min(absent)[1]).close()
 
     def _on_event(self, sample: zenoh.Sample) -> None:
         with self._lock:

@@ -46,7 +46,7 @@ def prometheus(watch: BusWatch) -> str:
             continue
         for name, labels, value in _node_metrics(node):
             if value is not None:
-                samples[name].append(f"{name}{_labels(node=node.node, **labels)} {float(value):g}")
+                samples[name].append(f"{name}{_labels(node=node.node, **labels)} {float(value):.15g}")
     samples["zenostat_room_followers"].append(f"zenostat_room_followers {watch.updates.followers}")
     lines = []
     for name, (kind, text) in _HELP.items():

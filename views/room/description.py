@@ -19,6 +19,9 @@ _ENERGY_KW = {"J": 1e-3, "kJ": 1.0, "MJ": 1e3, "GJ": 1e6, "Wh": 3.6, "kWh": 3600
 NO_SETPOINT = -999.0
 """EnergyPlus's setpoint of a node that has none (`SensedNodeFlagValue` in its source)."""
 
+MAX_FUTURE_STEPS = 7 * 24 * 6 + 1
+"""Largest number of timesteps that *What if* simulates: a week of ten minutes each, and one more."""
+
 
 @dataclass(frozen=True, eq=False)
 class NodeDescription:
@@ -35,6 +38,11 @@ class NodeDescription:
     roles: PointRoles
     comfort: Comfort | None
     content: dict[str, Any]
+
+
+def longest_future_h(step_s: float) -> float:
+    """Return the longest time that *What if* simulates in timesteps of a length, in hours."""
+    return MAX_FUTURE_STEPS * step_s / 3600.0
 
 
 def describe(manifest: Manifest, geometry: Geometry | None, systems: Systems | None = None) -> NodeDescription:
@@ -54,6 +62,7 @@ def describe(manifest: Manifest, geometry: Geometry | None, systems: Systems | N
         "begin": manifest.begin,
         "end": manifest.end,
         "step_s": manifest.step_s,
+        "what_if_hours": longest_future_h(manifest.step_s),
         "steps": manifest.steps,
         "slots": manifest.slots,
         "history_samples": manifest.history_samples,

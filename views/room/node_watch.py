@@ -24,7 +24,8 @@ T = TypeVar("T")
 POLL_S = 0.5
 """Time between two polls of a node, whatever the number of pages."""
 
-_ABSENT_POLL_S = 2.0
+_ABSENT_POLL_S, _LONGEST_ABSENT_POLL_S = 2.0, 60.0
+"""Time between two polls of a node that is not there, doubled by each; its return is told at once by its token."""
 _PAUSE_S = 0.1
 _EVENTS = 500
 _EVENTS_SENT = 40
@@ -80,6 +81,11 @@ class NodeWatch:
         self._thread.join(timeout_s)
 
     @property
+    def is_absent(self) -> bool:
+        """Whether its latest poll has failed."""
+        return self.state is None and self.polls > 0
+
+    @property
     def is_branch(self) -> bool:
         """Whether it is a branch of another node."""
         return self.description is not None and bool(self.description.manifest.branch_of)
@@ -117,6 +123,7 @@ class NodeWatch:
     # In the thread
 
     def _run(self) -> None:
+        absent_s = _ABSENT_POLL_S / 2.0
         while not self._is_closed:
             self._wake.clear()
             self._poll()
@@ -124,7 +131,8 @@ class NodeWatch:
             if self._is_closed:
                 return
             self._publish()
-            if self._wake.wait(_ABSENT_POLL_S if self.problem else POLL_S) and not self._is_closed:
+            absent_s = min(2.0 * absent_s, _LONGEST_ABSENT_POLL_S) if self.problem else _ABSENT_POLL_S / 2.0
+            if self._wake.wait(absent_s if self.problem else POLL_S) and not self._is_closed:
                 time.sleep(_PAUSE_S)  # however often something changes
 
     def _poll(self) -> None:

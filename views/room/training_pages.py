@@ -158,8 +158,7 @@ class TrainingPages:
             raise NameInUse(f"a node {node!r} is on the bus already; choose another name")
 
     async def _audited(self, request: Request, operation: str, target: str, function: Callable[[], str]) -> Response:
-        change = asyncio.to_thread(function)
-        text = await self._audit.attempt(operator_of(request), operation, target, change)
+        text = await self._audit.attempt(operator_of(request), operation, target, lambda: asyncio.to_thread(function))
         return JSONResponse({"text": text})
 
 

@@ -27,13 +27,11 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage, InvalidConfig, RequestRejected, ZenostatError
 from zenostat.topics.messages import Ack, CommandOp, CreateBranch, Manifest, Sample, SimulatePlan, Write
-from zenostat.views.room.description import NodeDescription
+from zenostat.views.room.description import MAX_FUTURE_STEPS, NodeDescription, longest_future_h
 from zenostat.views.room.numbers import number, numbers
 from zenostat.views.room.trial_controllers import BUNDLED, Factory, TrialController, semantic_model
 
-_MAX_STEPS = 1000
 _STEPS_PER_REQUEST = 48  # so that a large building answers in time
-_LOWEST_PRIORITY = 16
 ANSWER_LIMIT_S = 30.0
 """Time that a controller has for each sample; some compile on their first."""
 
@@ -45,7 +43,7 @@ Floats = NDArray[np.float64]
 class WhatIf(BaseModel):
     """Values to try for some actuators, or a controller, at a priority, for the next hours.
 
-    The value None relinquishes an actuator there.
+    The value None relinquishes an actuator there. By default it is a day, or the longest that can be simulated.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -53,7 +51,7 @@ class WhatIf(BaseModel):
     values: Annotated[dict[str, float | None], Field(max_length=200)] = Field(default_factory=dict)
     controller: TrialController | None = None
     priority: Annotated[int, Field(ge=1, le=16)] = 8
-    hours: Annotated[float, Field(gt=0, le=7 * 24)] = 24.0
+    hours: Annotated[float | None, Field(gt=0, le=7 * 24)] = None
 
     @model_validator(mode="after")
     def _one_change(self) -> Self:
@@ -109,7 +107,8 @@ def what_if(
         create(description.manifest)  # its errors come before anything is simulated
         changed = Future(priority=request.priority, controller=create)
     with errors:
-        samples = simulate_futures(bus, description, {"as_is": Future(), "changed": changed}, request.hours, operator)
+        hours = min(24.0, longest_future_h(description.manifest.step_s)) if request.hours is None else request.hours
+        samples = simulate_futures(bus, description, {"as_is": Future(), "changed": changed}, hours, operator)
     return futures_content(description, samples)
 
 
@@ -126,15 +125,20 @@ def simulate_futures(
         operator: name of who asks.
 
     Raises:
-        InvalidConfig: the hours are shorter than a timestep.
+        InvalidConfig: the hours are shorter than a timestep, or too many.
         RequestRejected: the node cannot branch now, or rejects a value.
         ForkFailed: the system cannot fork the simulation.
         BadMessage: the node named a node that is none of its branches.
     """
     manifest = description.manifest
-    steps = min(_MAX_STEPS, int(hours * 3600 / manifest.step_s + 1e-6))
+    steps, step_h = int(hours * 3600 / manifest.step_s + 1e-6), manifest.step_s / 3600
     if steps < 1:
-        raise InvalidConfig(f"hours: at least a timestep of {manifest.step_s / 3600:g} h expected")
+        raise InvalidConfig(f"hours: at least a timestep of {step_h:g} h expected")
+    if steps > MAX_FUTURE_STEPS:
+        raise InvalidConfig(
+            f"hours: at most {longest_future_h(manifest.step_s):g} h expected, {MAX_FUTURE_STEPS} timesteps of "
+            f"{manifest.step_s:g} s"
+        )
     with ExitStack() as stack:
         owner = bus.sender(f"{operator}-what-if")
         # Its end ends the branches, even if this program is killed.
@@ -178,8 +182,9 @@ def _relinquish_controllers(bus: Bus, node: str, branch: str, operator: str) -> 
 
 def _simulate(bus: Bus, branch: str, steps: int, future: Future) -> list[Sample]:
     """Simulate a branch with its commands as they are, or with those of a controller; return its samples."""
-    priority = _LOWEST_PRIORITY if future.controller is None else future.priority
-    link = open_link(bus, branch, name="what-if", priority=priority)
+    # Without a controller, no actuator is claimed: a claim would end the expiries of what others have written.
+    claimed: list[str] | None = [] if future.controller is None else None
+    link = open_link(bus, branch, name="what-if", priority=future.priority, actuators=claimed)
     try:
         first = bus.latest(branch)
         steps = min(steps, link.manifest.steps - first.step[0])

@@ -17,6 +17,11 @@ const NOTES = {
 const PRIORITY = { values: "8", controller: "10" };
 const TOTALS = [["facility_kwh", "Electricity", "kWh"], ["facility_peak_kw", "Peak power", "kW"], ["hvac_kwh", "HVAC electricity", "kWh"], ["degree_hours", "Outside the band, occupied", "K h"], ["degree_hours_always", "Outside the band, always", "K h"]];
 
+function lengths({ what_if_hours: longest }) {
+  const known = [6, 12, 24, 48].filter((hours) => hours <= longest);
+  return known.length ? known : [longest];
+}
+
 export class WhatIfPanel {
   constructor(root, node, description) {
     this.node = node;
@@ -30,8 +35,8 @@ export class WhatIfPanel {
     this.bodies = { values: h("div", { class: "stack" }), controller: h("div", { class: "stack" }) };
     this.setpoints = new Setpoints(this.bodies.values, this);
     this.controllers = new ControllerForm(this.bodies.controller, node);
-    this.hours = h("select", { id: "hours" }, [6, 12, 24, 48].map((hours) => h("option", { value: hours }, `${hours} h`)));
-    this.hours.value = "24";
+    this.hours = h("select", { id: "hours" }, lengths(description).map((hours) => h("option", { value: hours }, `${num(hours)} h`)));
+    this.hours.value = String(Math.max(...lengths(description).filter((hours) => hours <= 24)));
     this.priority = h("select", { id: "what-if-priority" }, Array.from({ length: 16 }, (_, place) => h("option", { value: place + 1 }, priorityName(place + 1))));
     this.button = h("button", { class: "primary" }, "Simulate");
     fill(root,
