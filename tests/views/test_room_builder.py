@@ -256,6 +256,21 @@ def test_builder__node_is_started_from_a_page_audited_and_ends_with_the_room(tan
         until(lambda: "second" not in bus.nodes(), "it has ended with the room")
 
 
+@pytest.mark.slow
+@pytest.mark.process
+def test_started_nodes__tell_that_their_controller_has_ended(tank: NodeProgram, scratch: Path) -> None:
+    file = scratch / "mine.yaml"
+    file.write_text(yaml12.dump(FIELDS))
+    with nothing_left(scratch):
+        nodes = StartedNodes({"connect": [tank.endpoint], "affinity": "off"}, Updates())
+        try:
+            nodes.start(file, "third", "ada", {}, controller="nothing")
+            until(lambda: "its controller ended with code" in nodes.content()[-1]["text"], "it is told")
+            assert nodes.content()[-1]["state"] == "running"
+        finally:
+            nodes.close()
+
+
 @contextmanager
 def signed_in(server: Any) -> Iterator[Any]:
     with httpx.Client(base_url=server.url, headers={"origin": server.url}, timeout=120) as client:

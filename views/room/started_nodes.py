@@ -205,10 +205,21 @@ class StartedNodes:
             return None
         keys = self._settings.get("keys")
         options = ["--connect", self._settings["connect"][0], *(["--keys", str(keys)] if keys else [])]
-        return subprocess.Popen(
+        controller = subprocess.Popen(
             [*_COMMAND, "run", "--node", node.name, "--controller", node.controller, *options],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, process_group=0,
         )  # fmt: skip
+        threading.Thread(target=self._watch_controller, args=(node, controller), daemon=True).start()
+        return controller
+
+    def _watch_controller(self, node: StartedNode, controller: subprocess.Popen[bytes]) -> None:
+        """Show that a controller has failed while its node goes on."""
+        code = controller.wait()
+        if code not in (0, -signal.SIGTERM) and node.process.poll() is None:
+            text = (
+                f"its controller ended with code {code}, so its baseline control is in effect; the log has the reason"
+            )
+            self._set(node, "running", text)
 
     def _set(self, node: StartedNode, state: str, text: str = "") -> None:
         with self._lock:
