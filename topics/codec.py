@@ -20,12 +20,14 @@ from pydantic import BaseModel, ValidationError
 from zenostat.topics.errors import BadMessage, did_you_mean
 from zenostat.topics.messages import (
     SCHEMA_VERSION,
+    Ack,
     AlarmList,
     Batch,
     Claim,
     Geometry,
     Manifest,
     Message,
+    PriorityArrays,
     Sample,
     Status,
     Systems,
@@ -41,11 +43,13 @@ MAX_ENTRIES = 4_000
 """Largest number of entries in all lists and maps of a message; messages with more are rejected before validation."""
 
 MAX_ITEMS = {
+    Ack: 100_000,
     AlarmList: 100_000,
     Batch: 100_000,
     Claim: 20_000,
     Geometry: 100_000,
     Manifest: 1_000_000,
+    PriorityArrays: 100_000,
     Sample: 100_000,
     Status: 100_000,
     Systems: 1_000_000,

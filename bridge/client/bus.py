@@ -15,7 +15,15 @@ from pathlib import Path
 
 from zenostat.bridge.client.connection import Connection, build
 from zenostat.bridge.client.controller_link import ControllerLink, open_link
-from zenostat.bridge.client.history import History, first_step, join_replies, last_step, row_count
+from zenostat.bridge.client.history import (
+    History,
+    first_step,
+    groups,
+    join_points,
+    join_replies,
+    last_step,
+    row_count,
+)
 from zenostat.bridge.client.listener import listen
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.trials import CommandValues, trial_request, tried_samples
@@ -32,6 +40,7 @@ from zenostat.topics.messages import (
     AlarmQuery,
     HistoryQuery,
     HistorySeries,
+    Manifest,
     OnFull,
     RecordingStatus,
     RemoveFromService,
@@ -204,15 +213,19 @@ class Bus(Connection):
         names = [*manifest.names, *(a.name for a in manifest.actuators)] if points is None else list(points)
         if isinstance(points, str):
             raise InvalidConfig(f"points: a list of names expected, such as [{points!r}]")
-        query = build(
-            HistoryQuery,
-            points=names,
-            slot=slot,
-            from_step=first_step(manifest, start),
-            to_step=last_step(manifest, end),
-            max_samples=max_samples,
-            extremes=extremes,
-        )
+        begin, last = first_step(manifest, start), last_step(manifest, end)
+        parts: list[History] = []
+        for chosen in groups(names):
+            query = build(
+                HistoryQuery, points=chosen, slot=slot, from_step=begin, to_step=last, max_samples=max_samples,
+                extremes=extremes,
+            )  # fmt: skip
+            parts.append(self._history(manifest, query))
+            begin, last = max(begin or 0, parts[0].oldest_step), int(parts[0].step[-1])
+        return join_points(parts)
+
+    def _history(self, manifest: Manifest, query: HistoryQuery) -> History:
+        node = manifest.node
         replies = [self.ask(keys.HISTORY, node, query, HistorySeries)]
         while replies[-1].remaining:
             last, following = replies[-1], replies[-1].first_step + row_count(replies[-1])
@@ -223,7 +236,7 @@ class Bus(Connection):
             if reply.first_step != following:
                 raise RequestRejected(f"node {node!r} replaced samples while they were read; request fewer points")
             replies.append(reply)
-        return join_replies(manifest, slot, replies)
+        return join_replies(manifest, query.slot, replies)
 
     # Recordings
 

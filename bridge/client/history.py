@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from math import ceil, floor
 
@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from zenostat.topics import codec
 from zenostat.topics.calendar import parse_moment
-from zenostat.topics.errors import BadMessage, InvalidConfig, UnknownName, did_you_mean
-from zenostat.topics.messages import HistorySeries, Manifest
+from zenostat.topics.errors import BadMessage, EpisodeChanged, InvalidConfig, RequestRejected, UnknownName, did_you_mean
+from zenostat.topics.messages import MAX_HISTORY_POINTS, HistorySeries, Manifest
 
 _ROUNDING = 1e-6
 """Part of a timestep by which a time may miss a sample: decimal fractions of seconds are not exact."""
@@ -107,6 +107,44 @@ def _steps(manifest: Manifest, moment: datetime | str, what: str) -> float:
 def row_count(reply: HistorySeries) -> int:
     """Return the number of samples in a reply."""
     return len(reply.values) // (codec.FLOAT.itemsize * len(reply.points))
+
+
+def groups(points: Sequence[str]) -> list[Sequence[str]]:
+    """Return points in groups that a query can have, of equal size but for one."""
+    count = max(1, ceil(len(points) / MAX_HISTORY_POINTS))
+    size = ceil(len(points) / count)
+    return [points[first : first + size] for first in range(0, max(1, len(points)), max(1, size))]
+
+
+def join_points(parts: Sequence[History]) -> History:
+    """Return one history of the points of several ones, which have the same samples.
+
+    Raises:
+        EpisodeChanged: A new episode began while they were read.
+        RequestRejected: The samples are not the same.
+    """
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    node = first.manifest.node
+    if any(part.episode != first.episode for part in parts):
+        raise EpisodeChanged(f"node {node!r} began a new episode while its history was read")
+    if any(not np.array_equal(part.step, first.step) for part in parts):
+        raise RequestRejected(
+            f"node {node!r} replaced samples while they were read; request at most {MAX_HISTORY_POINTS} points at once"
+        )
+
+    def table(name: str) -> NDArray[np.float64]:
+        return np.concatenate([getattr(part, name) for part in parts], axis=1)
+
+    return replace(
+        first,
+        points=tuple(point for part in parts for point in part.points),
+        units=tuple(unit for part in parts for unit in part.units),
+        values=table("values"),
+        lows=table("lows") if first.lows is not None else None,
+        highs=table("highs") if first.highs is not None else None,
+    )
 
 
 def join_replies(manifest: Manifest, slot: int, replies: Sequence[HistorySeries]) -> History:

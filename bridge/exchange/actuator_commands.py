@@ -16,7 +16,7 @@ from zenostat.bridge.exchange.claims import ClaimHolder
 from zenostat.bridge.exchange.priority_array import PRIORITIES, PriorityArray
 from zenostat.topics import codec
 from zenostat.topics.errors import BadMessage
-from zenostat.topics.messages import Actuator, Command, CommandOp, Write
+from zenostat.topics.messages import ANONYMOUS, Actuator, Command, CommandOp, Write
 from zenostat.topics.points import LARGEST, actuator_index, bound_arrays, contains, describe_violation
 from zenostat.topics.units import with_unit
 
@@ -196,10 +196,16 @@ class ActuatorCommands:
             self._expiries.append(Expiry(elapsed_s + write.duration_s, write.priority, index, write.source))
         return f"{actuator.name} = {with_unit(f'{write.value:g}', actuator.unit)} at priority {write.priority}"
 
-    def drop_superseded_expiries(self, claimant: ClaimHolder) -> None:
-        """Drop the expiries of actuators that a new claim covers at the same priority."""
-        priority, claimed = claimant.priority, claimant.mask
-        self._expiries = [e for e in self._expiries if not (e.priority == priority and claimed[e.actuator])]
+    def drop_own_expiries(self, claimant: ClaimHolder) -> None:
+        """Drop the expiries of what a controller has written itself, at the priority and actuators of its claim.
+
+        Those of others hold until it sets these actuators.
+        """
+        self._expiries = [
+            e
+            for e in self._expiries
+            if (e.priority, e.source) != (claimant.priority, claimant.name) or not claimant.mask[e.actuator]
+        ]
 
     def relinquish_sources(self, names: Collection[str]) -> list[str]:
         """Relinquish all values of some sources, in all slots; return the names of the actuators that had any."""
@@ -221,15 +227,22 @@ class ActuatorCommands:
             return b""
         remaining = np.full((self.array.shape[1], PRIORITIES), np.nan, "<f8")
         for e in self._expiries:
-            remaining[e.actuator, e.priority - 1] = e.at_s - elapsed_s
+            if self._is_in_force(e):
+                remaining[e.actuator, e.priority - 1] = e.at_s - elapsed_s
         return remaining.tobytes()
 
     def expire(self, elapsed_s: float) -> list[tuple[str, str]]:
         """Relinquish written values that have expired; return a description and the source of each."""
-        expired = [e for e in self._expiries if e.at_s <= elapsed_s]
+        expired = [e for e in self._expiries if e.at_s <= elapsed_s and self._is_in_force(e)]
         self._expiries = [e for e in self._expiries if e.at_s > elapsed_s]
         for e in expired:
-            self.array.put_one(e.priority, 0, e.actuator, np.nan)
+            where = np.arange(self.array.shape[1]) == e.actuator
+            self.array.relinquish(e.priority, [self.array.names.index(e.source or ANONYMOUS)], where)
         return [
             (f"{self._actuators[e.actuator].name} relinquished at priority {e.priority}", e.source) for e in expired
         ]
+
+    def _is_in_force(self, expiry: Expiry) -> bool:
+        """Return whether the value is still the written one, and not that of a controller that has set it since."""
+        names, source = self.array.names, expiry.source or ANONYMOUS
+        return source in names and self.array.has(expiry.priority, names.index(source), expiry.actuator)

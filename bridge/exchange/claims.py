@@ -41,7 +41,8 @@ class ClaimHolder:
     """A controller's claim: its priority, its actuators, its state and its statistics.
 
     `mask`: of each actuator, whether it is claimed. `covers_all`: whether all are. `source`: index of its name among
-    the sources. `connected_at_s`, `disconnected_at_s`: wall times of its claim and its disconnection.
+    the sources. `connected_at_s`, `disconnected_at_s`: wall times of its claim and its disconnection. `inherited`:
+    names of the controllers whose claims it has replaced, since it keeps their values until it sets others.
     """
 
     name: str
@@ -54,6 +55,7 @@ class ClaimHolder:
     state: ControllerState = ControllerState.CONNECTED
     connected_at_s: float = 0.0
     disconnected_at_s: float = 0.0
+    inherited: frozenset[str] = frozenset()
 
     def transition(self, trigger: ControllerTrigger) -> bool:
         """Change the state according to the table of transitions; return whether it is another one.
@@ -103,8 +105,11 @@ class Claims:
                 f"{MAX_CLAIMS} controllers have a claim, which is the maximum; "
                 "a reset of all slots drops the claims of disconnected ones"
             )
+        inherited = frozenset(replaced)
         for name in replaced:
-            self._relinquish(self.by_name.pop(name), except_for=mask)
+            former = self.by_name.pop(name)
+            self._relinquish(former, except_for=mask)
+            inherited |= former.inherited
         old = self.by_name.get(claim.controller)
         if old is not None:
             self._relinquish(old, except_for=mask if old.priority == claim.priority else np.zeros_like(mask))
@@ -117,6 +122,7 @@ class Claims:
             covers_all=bool(mask.all()),
             stats=old.stats if old else ControllerStats(),
             connected_at_s=now_s,
+            inherited=inherited | old.inherited if old else inherited,
         )
         self._list_required()
         return holder, replaced
@@ -141,8 +147,12 @@ class Claims:
 
     @property
     def sources(self) -> list[int]:
-        """The indices of the controllers' names among the sources."""
-        return [claimant.source for claimant in self.by_name.values()]
+        """The indices of the controllers' names among the sources, and of those whose values they keep."""
+        return [index for claimant in self.by_name.values() for index in self._sources_of(claimant)]
+
+    def _sources_of(self, claimant: ClaimHolder) -> list[int]:
+        names = self._array.names
+        return [claimant.source, *(names.index(name) for name in claimant.inherited if name in names)]
 
     def holder(self, priority: int, actuator: int) -> ClaimHolder | None:
         """Return the controller that has claimed a priority of an actuator."""
@@ -153,7 +163,7 @@ class Claims:
         self.by_name = {name: c for name, c in self.by_name.items() if c.state.is_connected}
         self._list_required()
         for claimant in self.by_name.values():
-            claimant.source = self._array.source(claimant.name)
+            claimant.source, claimant.inherited = self._array.source(claimant.name), frozenset()
             claimant.transition(ControllerTrigger.RESET)
 
     def remove(self, controller: str) -> None:
@@ -196,7 +206,8 @@ class Claims:
         return is_other and not holder.state.is_connected and holder.priority == claim.priority and overlaps
 
     def _relinquish(self, claimant: ClaimHolder, except_for: NDArray[np.bool_]) -> None:
-        """Relinquish the values that a controller has set, except for actuators that the next claim covers."""
-        where = np.tile(claimant.mask & ~except_for, (self._array.shape[0], 1))
-        if where.any():
-            self._array.put(claimant.priority, claimant.source, np.full(self._array.shape, np.nan), where)
+        """Relinquish the values that a controller has set, except for actuators that the next claim covers.
+
+        What others have written at its priority stays.
+        """
+        self._array.relinquish(claimant.priority, self._sources_of(claimant), claimant.mask & ~except_for)

@@ -73,6 +73,31 @@ class PriorityArray:
                 changed |= where
         return np.asarray(changed.any(axis=0))
 
+    def relinquish(self, priority: int, sources: Collection[int], where: NDArray[np.bool_]) -> bool:
+        """Relinquish those of the selected values at a priority that are of some sources; return whether there are any.
+
+        Args:
+            priority: of the values.
+            sources: indices of the sources.
+            where: of each value, whether it is selected, broadcast to shape (slots, actuators).
+        """
+        row = self._rows.get(priority)
+        if row is None:
+            return False
+        is_theirs = np.isin(np.frombuffer(row.sources, INDEX).reshape(self.shape), [*sources])
+        chosen = np.asarray(where & is_theirs & ~np.isnan(np.frombuffer(row.values).reshape(self.shape)))
+        if chosen.any():
+            self.put(priority, 0, np.full(self.shape, np.nan), chosen)
+        return bool(chosen.any())
+
+    def has(self, priority: int, source: int, actuator: int) -> bool:
+        """Return whether an actuator has a value of a source at a priority in any slot."""
+        row = self._rows.get(priority)
+        if row is None:
+            return False
+        is_theirs = np.frombuffer(row.sources, INDEX).reshape(self.shape)[:, actuator] == source
+        return bool((is_theirs & ~np.isnan(np.frombuffer(row.values).reshape(self.shape)[:, actuator])).any())
+
     def copy(self) -> PriorityArray:
         """Return a deep copy."""
         duplicate = PriorityArray(*self.shape)

@@ -201,7 +201,7 @@ class StepExchange(ExchangeState):
         """
         is_renewal = claim.controller in self.claims.by_name
         claimant, replaced = self.claims.claim(claim, now_s)
-        self.commands.drop_superseded_expiries(claimant)
+        self.commands.drop_own_expiries(claimant)
         for name in (*replaced, claim.controller):
             self.answers.forget(name)
         if claim.required and self.state is State.WAITING:

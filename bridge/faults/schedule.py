@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import StrEnum
@@ -19,6 +19,10 @@ from zenostat.topics.fault_plan import AnyFault, FaultPlan, When
 
 FOREVER = 2**62
 _DAY_S, _WEEK_S = 86_400, 7 * 86_400
+_MAX_CYCLE = 2_000_000
+
+Clock = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
+"""Function of steps, which returns whether clock and weekday at each are those of a fault; same shape."""
 _NEVER = -1
 
 
@@ -52,9 +56,10 @@ class StepGrid:
         return FOREVER if self.end is None else self._floor((self.end - self.begin).total_seconds())
 
     @property
-    def week(self) -> int:
-        """Number of samples in a week, after which clock times repeat."""
-        return round(_WEEK_S / self.step_s)
+    def cycle(self) -> int:
+        """Number of samples after which clock times repeat; at most `_MAX_CYCLE`."""
+        step_us = round(self.step_s * 1e6)
+        return min(math.lcm(round(_WEEK_S * 1e6), step_us) // step_us, _MAX_CYCLE)
 
     def _floor(self, elapsed_s: float) -> int:
         return math.floor(elapsed_s / self.step_s + 1e-9)
@@ -84,18 +89,22 @@ def span(when: When, grid: StepGrid) -> tuple[int, int]:
     return max(first), min(end)
 
 
-def clock(when: When, grid: StepGrid) -> NDArray[np.bool_] | None:
-    """Return for each sample of the first week whether it meets `hours` and `weekdays`; None if there are neither."""
+def clock(when: When, grid: StepGrid) -> Clock | None:
+    """Return a function of steps that returns whether each meets `hours` and `weekdays`; None if there are neither."""
     if when.hours is None and when.weekdays is None:
         return None
     monday = datetime.combine(grid.begin.date() - timedelta(grid.begin.weekday()), datetime.min.time())
     elapsed = (grid.begin - monday).total_seconds()
-    seconds = np.round(elapsed + np.arange(grid.week) * grid.step_s, 6) % _WEEK_S
-    on = np.ones(grid.week, np.bool_)
-    if when.hours is not None:
-        on &= in_hours(when.hours, seconds % _DAY_S / 3600.0)
-    if when.weekdays is not None:
-        on &= np.isin(seconds // _DAY_S, [WEEKDAYS.index(day) for day in when.weekdays])
+
+    def on(steps: NDArray[np.int64]) -> NDArray[np.bool_]:
+        seconds = np.round(elapsed + steps * grid.step_s, 6) % _WEEK_S
+        met = np.ones(steps.shape, np.bool_)
+        if when.hours is not None:
+            met &= in_hours(when.hours, seconds % _DAY_S / 3600.0)
+        if when.weekdays is not None:
+            met &= np.isin(seconds // _DAY_S, [WEEKDAYS.index(day) for day in when.weekdays])
+        return met
+
     return on
 
 
@@ -104,8 +113,7 @@ def check(name: str, when: When, grid: StepGrid) -> None:
     first, end = span(when, grid)
     on = clock(when, grid)
     if first < end and on is not None:
-        steps = np.arange(first, min(end, first + grid.week)) % grid.week
-        end = end if on[steps].any() else first
+        end = end if on(np.arange(first, min(end, first + grid.cycle))).any() else first
     if first >= end:
         raise InvalidConfig(f"fault {name!r} is never active: no sample is in its window; samples are {grid}")
 
@@ -141,7 +149,7 @@ class FaultSchedule:
         whens = [fault.when for _, _, fault in selected]
         self._slots = len(episodes.keys)
         self._span = np.array([span(when, grid) for when in whens], np.int64).reshape(-1, 2).T[:, :, None]
-        self._week = [(row, on) for row, when in enumerate(whens) if (on := clock(when, grid)) is not None]
+        self._clocks = [(row, on) for row, when in enumerate(whens) if (on := clock(when, grid)) is not None]
         self._bursts = [
             (
                 row,
@@ -168,8 +176,8 @@ class FaultSchedule:
         self.at = at = np.array(steps, np.int64)
         first, end = self._span
         on = (first <= at) & (at < end)
-        for row, week in self._week:
-            on[row] &= week[at % len(week)]
+        for row, meets in self._clocks:
+            on[row] &= meets(at)
         for row, probability, duration, stream in self._bursts:
             until = np.where(on[row], self._until[row], 0)
             starts = on[row] & (at >= until) & (stream.at(at)[:, 0] < probability)

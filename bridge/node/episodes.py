@@ -16,6 +16,7 @@ from zenostat.bridge.node.server import NodeServer, Stopped
 from zenostat.topics import keys
 from zenostat.topics.errors import RequestRejected, SimulatorError
 from zenostat.topics.messages import (
+    MAX_SEEDS,
     Ack,
     BranchCreated,
     CreateBranch,
@@ -121,7 +122,7 @@ class EpisodeManager:
     def _reset(self, reset: Reset) -> Message:
         self._handled += 1
         requested = list(dict.fromkeys(reset.slots)) if reset.slots is not None else [*range(self._slots)]
-        by_slot = dict(sorted(zip(requested, _seeds(reset, len(requested)), strict=True)))
+        by_slot = dict(sorted(zip(requested, seeds_of(reset, len(requested)), strict=True)))
         slots, seeds = [*by_slot], [*by_slot.values()]
         self._server.check_slot(slots[-1])
         if reset.snapshot:
@@ -233,10 +234,16 @@ class EpisodeManager:
         return Ack(episode=exchange.episode, episode_starts=starts)
 
 
-def _seeds(reset: Reset, slots: int) -> list[int | None]:
+def seeds_of(reset: Reset, slots: int) -> list[int | None]:
     """Return a seed for each of the slots to reset."""
     if isinstance(reset.seed, list):
         if len(reset.seed) != slots:
             raise RequestRejected(f"{len(reset.seed)} seeds for {slots} slots; one each, or a single one")
         return reset.seed
-    return [None if reset.seed is None else reset.seed + index for index in range(slots)]
+    if reset.seed is None:
+        return [None] * slots
+    if reset.seed + slots > MAX_SEEDS:
+        raise RequestRejected(
+            f"seed {reset.seed}: slot {slots - 1} would have {reset.seed + slots - 1}, above 2**64 - 1"
+        )
+    return [reset.seed + index for index in range(slots)]

@@ -8,7 +8,9 @@ import pytest
 from support.point_faults import BEGIN, NAN, plan_of, point_faults, room
 
 from zenostat.bridge.faults import read_plan
+from zenostat.bridge.faults.schedule import StepGrid, clock
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.fault_plan import When
 
 WRONG = {
     "faults: [": ["is not valid YAML"],
@@ -87,6 +89,18 @@ def test_point_faults__delay_that_begins_amid_an_episode_lets_no_former_command_
         for k in range(begins, begins + 8)
     ]
     np.testing.assert_array_equal(commanded, [NAN, NAN, NAN, *(10.0 + k / 4 for k in range(begins, begins + 5))])
+
+
+@pytest.mark.parametrize("step_s", [18_000.0, 780.0, 1_100.0])
+def test_fault_schedule__hours_are_those_of_the_clock_for_any_timestep(step_s: float) -> None:
+    """In weeks that are no whole number of timesteps, too."""
+    grid = StepGrid(step_s, BEGIN)
+    meets = clock(When(hours=(8, 17), weekdays=("mon", "fri")), grid)
+    assert meets is not None
+    steps = np.arange(int(5 * 7 * 86_400 / step_s))
+    times = [BEGIN + timedelta(seconds=float(step) * step_s) for step in steps]
+    expected = [8 <= time.hour < 17 and time.weekday() in (0, 4) for time in times]
+    assert meets(steps).tolist() == expected
 
 
 def test_point_faults__windows_that_last_longer_than_any_episode_are_refused() -> None:

@@ -8,7 +8,9 @@ from support.builders import NAN, answer, claim, command, exchange, ruling
 
 from zenostat.bridge.exchange.priority_array import PRIORITIES, PriorityArray
 from zenostat.bridge.exchange.step_exchange import StepExchange
-from zenostat.topics.messages import Command, CommandOp, EventKind, Mode, State, Write
+from zenostat.bridge.node.episodes import seeds_of
+from zenostat.topics.errors import RequestRejected
+from zenostat.topics.messages import Command, CommandOp, EventKind, Mode, Reset, State, Write
 
 KEEP, SET, RELEASE = CommandOp.KEEP, CommandOp.SET, CommandOp.RELINQUISH
 
@@ -439,3 +441,12 @@ def test_priority_array__names_each_of_many_sources() -> None:
         array.put_one(8, array.source(f"w{number}"), number, 1.0)
     names = [array.names[index] for index in np.frombuffer(array.resolve()[1], "<u2")]
     assert names == [f"w{number}" for number in range(300)]
+
+
+@pytest.mark.parametrize("slots", [1, 2])
+def test_seeds__of_consecutive_slots_stay_below_the_number_of_seeds(slots: int) -> None:
+    largest = 2**64 - slots
+    assert seeds_of(Reset(seed=largest), slots) == [largest + index for index in range(slots)]
+    if slots > 1:
+        with pytest.raises(RequestRejected, match=r"slot 1 would have 18446744073709551616, above 2\*\*64 - 1"):
+            seeds_of(Reset(seed=largest + 1), slots)

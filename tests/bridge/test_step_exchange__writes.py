@@ -5,9 +5,9 @@ import math
 import numpy as np
 import pytest
 from support.builders import NAN, advance, answer, claim, exchange, ruling
-from support.exchange_checks import KEEP, RELEASE, check_event, running, same, unchanged
+from support.exchange_checks import KEEP, RELEASE, SET, check_event, running, same, unchanged
 
-from zenostat.topics.messages import EventKind, Mode, Write
+from zenostat.topics.messages import EventKind, Mode, Policy, Write
 
 
 def test_step_exchange__write_rules_over_a_controller_until_it_is_released() -> None:
@@ -141,6 +141,56 @@ def test_step_exchange__expiry_releases_what_was_written_and_nothing_else() -> N
     answer(at, "agent", [0.0, 0.0], [KEEP, KEEP])
     at.intake.expire(1800.0)
     assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
+
+
+def test_step_exchange__claim_does_not_end_the_time_of_what_others_have_written() -> None:
+    at = exchange()
+    at.intake.write("cool", Write(value=28.0, duration_s=1800.0, priority=10, source="wall"), 0.0)
+    claim(at, "agent", 10)
+    answer(at, "agent", [20.0, 0.0], [SET, KEEP])
+    assert advance(at) == ([20.0, 28.0], ["agent", "wall"])
+    assert np.frombuffer(at.commands.remaining_s(900.0), "<f8").reshape(2, 16)[1, 9] == 900.0
+    (event,) = at.intake.expire(1800.0)
+    assert (event.kind, event.source) == (EventKind.EXPIRED, "wall")
+    answer(at, "agent", [0.0, 0.0], [KEEP, KEEP])
+    values, _ = advance(at)
+    assert same(values, [20.0, NAN])
+
+
+def test_step_exchange__time_of_an_own_write_ends_with_the_writers_claim() -> None:
+    at = exchange()
+    at.intake.write("cool", Write(value=28.0, duration_s=1800.0, priority=10, source="agent"), 0.0)
+    claim(at, "agent", 10)
+    assert not at.commands.has_expiries
+
+
+@pytest.mark.parametrize("policy", [Policy.RELINQUISH, Policy.HOLD])
+def test_step_exchange__end_of_a_claim_relinquishes_what_the_controller_has_set_only(policy: Policy) -> None:
+    at = exchange()
+    at.policy = policy
+    at.intake.write("cool", Write(value=28.0, priority=10, source="wall"), 0.0)
+    claim(at, "agent", 10)
+    answer(at, "agent", [20.0, 0.0], [SET, KEEP])
+    advance(at)
+    at.fallback.on_disconnect("agent", 0.0)
+    at.fallback.bypass("agent", 0.0)
+    assert same(ruling(at)[0], [NAN if policy is Policy.RELINQUISH else 20.0, 28.0])
+    at.claims.remove("agent")
+    assert same(ruling(at)[0], [NAN, 28.0])
+
+
+def test_step_exchange__values_of_a_replaced_controller_end_with_its_successors_claim() -> None:
+    at = exchange()
+    at.policy = Policy.HOLD
+    for name in ("first", "second", "third"):
+        claim(at, name, 10)
+        answer(at, name, [20.0, 25.0], [SET, SET] if name == "first" else [KEEP, KEEP])
+        advance(at)
+        at.fallback.on_disconnect(name, 0.0)
+        at.fallback.bypass(name, 0.0)
+    assert ruling(at) == ([20.0, 25.0], ["first", "first"])
+    at.claims.remove("third")
+    assert same(ruling(at)[0], [NAN, NAN])
 
 
 REFUSED_WRITES = {

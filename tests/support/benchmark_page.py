@@ -137,7 +137,11 @@ def _learned(scores: Sequence[Scores]) -> Table | None:
         *(BUILDINGS.get(name, name) for name in buildings),
         "buildings above 0, with the whole interval",
     )
-    return Table("Scores of learned controllers and of the oracle minus those of `tuned` in the same episodes", columns, tuple(rows))
+    return Table(
+        "Scores of learned controllers and of the oracle minus those of `tuned` in the same episodes",
+        columns,
+        tuple(rows),
+    )
 
 
 def planning_page(text: str) -> str:

@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator
 from datetime import datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -104,6 +105,19 @@ def test_history__of_all_points_and_of_a_range(bus: zenostat.Bus) -> None:
     assert thin.step.tolist() == [0, 3, 6, 9]
     assert thin.lows[:, 0].tolist() == [20.0, 21.0, 24.0, 27.0]
     assert thin.highs[:, 0].tolist() == [20.0, 23.0, 26.0, 29.0]
+
+
+@pytest.mark.parametrize("options", [{}, {"max_samples": 3, "extremes": True}, {"start": "07-03T00:02"}])
+def test_history__of_more_points_than_a_query_has_is_the_same(
+    bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch, options: dict[str, Any]
+) -> None:
+    heat(bus, *[200.0] * 9)
+    whole = bus.history("oven", **options)
+    monkeypatch.setattr("zenostat.bridge.client.history.MAX_HISTORY_POINTS", 3)
+    parts = bus.history("oven", **options)
+    assert (parts.points, parts.units, parts.stride) == (whole.points, whole.units, whole.stride)
+    for name in ("step", "values", "lows", "highs"):
+        np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
 
 
 def test_a_history_larger_than_a_reply__is_read_in_parts(bus: zenostat.Bus, monkeypatch: pytest.MonkeyPatch) -> None:

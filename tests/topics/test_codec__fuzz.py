@@ -13,7 +13,19 @@ from hypothesis import strategies as st
 
 from zenostat.topics import codec, fault_plan
 from zenostat.topics.errors import BadMessage
-from zenostat.topics.messages import Claim, Command, Manifest, Message, Reset, Sample, Write
+from zenostat.topics.messages import (
+    Ack,
+    Claim,
+    Command,
+    EngineStart,
+    EpisodeStart,
+    Manifest,
+    Message,
+    PriorityArrays,
+    Reset,
+    Sample,
+    Write,
+)
 
 
 def _tree(kind: type[Message]) -> Iterator[type[Message]]:
@@ -167,6 +179,19 @@ def test_codec__as_many_entries_as_are_allowed_are_a_message() -> None:
     assert codec.decode(Claim, codec.encode(claim)) == claim
     longer = claim.model_copy(update={"actuators": [*claim.actuators, "b"]})
     assert f"more than {most} entries" in refused(Claim, codec.encode(longer))
+
+
+def test_codec__answers_of_the_largest_nodes_are_messages() -> None:
+    """256 slots with noise on eight columns of the weather, and 4,096 sources."""
+    noise = {f"column_{column}.{name}": 1.0 for column in range(8) for name in ("sigma", "mu", "tau_h")}
+    start = EpisodeStart(engine_start=EngineStart.FORKED, weather="USA_CO_Denver", noise_parameters=noise)
+    ack = Ack(episode=[7] * 256, episode_starts=[start] * 256)
+    assert codec.decode(Ack, codec.encode(ack)) == ack
+    raw = bytes(8)
+    arrays = PriorityArrays(
+        episode=[0], step=[0], values=raw, source_index=raw, sources=[f"device-{i}" for i in range(4096)]
+    )
+    assert codec.decode(PriorityArrays, codec.encode(arrays)) == arrays
 
 
 def test_codec__of_thousands_of_faults_the_first_are_named() -> None:

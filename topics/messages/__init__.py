@@ -25,6 +25,7 @@ from zenostat.topics.messages.alarms import (
 )
 from zenostat.topics.messages.base import (
     ANONYMOUS,
+    MAX_SEEDS,
     SCHEMA_VERSION,
     Count,
     Finite,
@@ -59,6 +60,7 @@ from zenostat.topics.messages.geometry import (
     ZoneGeometry,
 )
 from zenostat.topics.messages.history import (
+    MAX_HISTORY_POINTS,
     HistoryQuery,
     HistorySeries,
 )
@@ -138,6 +140,8 @@ from zenostat.topics.messages.timestep import (
 
 __all__ = [
     "ANONYMOUS",
+    "MAX_HISTORY_POINTS",
+    "MAX_SEEDS",
     "REJECTIONS",
     "SCHEMA_VERSION",
     "Ack",

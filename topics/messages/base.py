@@ -36,7 +36,9 @@ Raw = Annotated[bytes, Field(strict=True)]
 
 Scalar = Annotated[str, Field(strict=True)] | Annotated[bool, Field(strict=True)] | Annotated[int, Field(strict=True)]
 
-Seed = Annotated[int, Field(ge=0, lt=2**64, strict=True)]
+MAX_SEEDS = 2**64
+"""Number of seeds: 0 to 2**64 - 1."""
+Seed = Annotated[int, Field(ge=0, lt=MAX_SEEDS, strict=True)]
 
 _REPLACING = (replace_controls, replace_controls_in_lines)
 _NO_SCHEMAS = ("metadata", "serialization", "config", "default", "expected", "members")

@@ -8,6 +8,9 @@ from pydantic import Field
 
 from zenostat.topics.messages.base import Count, Message, Raw
 
+MAX_HISTORY_POINTS = 1000
+"""Largest number of points in a query of a history."""
+
 
 class HistoryQuery(Message):
     """Request the values of some points in the present episode of a slot, as far as the node keeps them.
@@ -17,7 +20,7 @@ class HistoryQuery(Message):
     `extremes`: also send the smallest and the largest value of the samples between those that are sent.
     """
 
-    points: Annotated[list[str], Field(min_length=1, max_length=1000)]
+    points: Annotated[list[str], Field(min_length=1, max_length=MAX_HISTORY_POINTS)]
     slot: Count = 0
     from_step: Count | None = None
     to_step: Count | None = None
