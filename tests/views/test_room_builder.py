@@ -198,10 +198,10 @@ def test_audit_log__each_entry_is_a_line_of_the_file(tmp_path: Path) -> None:
 
 
 def test_audit_log__no_change_is_made_while_entries_cannot_be_written() -> None:
-    log, made = AuditLog(Updates(), Path("/dev/full")), []
+    log, changed = AuditLog(Updates(), Path("/dev/full")), []
 
     async def change() -> str:
-        made.append(1)
+        changed.append(1)
         return "done"
 
     async def changes() -> None:
@@ -211,7 +211,7 @@ def test_audit_log__no_change_is_made_while_entries_cannot_be_written() -> None:
                 await log.attempt("ada", "write", "office", change)
 
     asyncio.run(changes())
-    assert made == [1]
+    assert changed == [1]
     assert [entry["accepted"] for entry in log.entries()] == [True, False, False]
     log.close()
 
