@@ -273,12 +273,15 @@ async def _relinquish(client: NodeClient) -> None:
         return  # the operator has been told, and a node that has ended has no commands
     try:
         async with asyncio.timeout(_RELINQUISH_S):
-            count = await client.relinquish_written()
-    except RequestRejected:  # the episode is over, and the next one has no commands
+            done = await client.relinquish_written()
+    except RequestRejected:  # a replay has no commands
         return
     except (ZenostatError, TimeoutError) as error:
         reason = str(error) or f"node {client.name!r} does not answer"
         err.print(f"commands through this gateway are not relinquished: {reason}", soft_wrap=True, markup=False)
         return
-    if count:
-        out.print(f"relinquished {count} command{'s' * (count > 1)} of this gateway")
+    if done.count:
+        out.print(f"relinquished {counted(done.count, 'command')} of this gateway")
+    for command, reason in done.rejected.items():
+        remains = f"{command.actuator} at priority {command.priority}, written as {command.source}"
+        err.print(f"a command through this gateway remains in force: {remains}: {reason}", soft_wrap=True, markup=False)

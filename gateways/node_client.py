@@ -16,7 +16,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.bus_side import BusMessage, BusSide
 from zenostat.gateways.exclusive_names import liveliness_tokens
 from zenostat.gateways.node_listeners import Counts, Listeners
-from zenostat.gateways.written_commands import WrittenCommands
+from zenostat.gateways.written_commands import Relinquished, WrittenCommands
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import (
     BadMessage,
@@ -32,6 +32,7 @@ from zenostat.topics.messages import (
     Ack,
     ErrorReply,
     Event,
+    EventKind,
     Manifest,
     Message,
     Pause,
@@ -39,6 +40,8 @@ from zenostat.topics.messages import (
     Query,
     Resume,
     Sample,
+    State,
+    Status,
     StepRequest,
     Write,
 )
@@ -54,6 +57,8 @@ MAX_PENDING = 256
 
 _QUERY_AFTER_S = 1.0
 """Time after which the node is asked for its sample: one that was streamed over a congested link may be lost."""
+
+_STATE_S = 2.0  # a busy node that does not say that it has failed is one that runs
 
 _MAX_WAITING_MESSAGES = 4096
 _MESSAGES_PER_TURN = 256  # then other tasks of the loop have their turn
@@ -81,6 +86,7 @@ class NodeClient:
         manifest: the node's latest manifest.
         sample: slot 0 of its latest sample; None before the first one.
         is_online: whether it is on the bus.
+        has_failed: whether its simulation has failed; until it has a sample again.
         listeners: functions to call at samples, events, presence and manifests.
         counts: counts of messages.
     """
@@ -93,7 +99,7 @@ class NodeClient:
         self._identity, self._via = identity, via
         self.name, self.source = name, keys.own_name(identity, source)
         self.sample: SampleView | None = None
-        self.is_online = False
+        self.is_online = self.has_failed = False
         self.listeners, self.counts = Listeners(), Counts()
         self._session = session
         self._index = PointIndex((), "sensor or meter")
@@ -116,6 +122,7 @@ class NodeClient:
             self._bus.listen(self.name, self._receive, self._on_presence)
             stack.callback(self._cancel)
             await self._fetch_sample()
+            await self._fetch_state()
             self._close = stack.pop_all()
         return self
 
@@ -170,27 +177,14 @@ class NodeClient:
             self._written.remove(actuator, priority)
         return ack
 
-    async def relinquish_written(self) -> int:
-        """Relinquish the commands that were written through this client and are still in force; return their number.
+    async def relinquish_written(self) -> Relinquished:
+        """Relinquish the commands that were written through this client and are still in force.
 
         Raises:
-            RequestRejected: the node rejected it, for example since its episode is over.
+            RequestRejected: the node has no priority arrays, as in a replay, so no command is in force.
             NodeLost, PeerError: as for `ask`.
         """
-        if not self._written:
-            return 0
-        arrays = await self.ask(keys.PRIORITIES, Query(), PriorityArrays)
-        slots = range(self.manifest.slots)
-        remaining = {
-            command
-            for slot in slots
-            for command in self._written.remaining(decode_priorities(arrays, self.manifest, slot))
-        }
-        for actuator, priority, source in sorted(remaining):
-            relinquishment = Write(value=None, priority=priority, source=source)
-            await self.ask(keys.WRITE_REQUEST, relinquishment, Ack, name=actuator)
-            self._written.remove(actuator, priority)
-        return len(remaining)
+        return await self._written.relinquish(self.ask, self.manifest)
 
     async def priorities(self) -> dict[str, list[PriorityValue]]:
         """Return each actuator's priority array in slot 0 by its name: 16 entries, that of priority 1 first."""
@@ -327,6 +321,9 @@ class NodeClient:
             self._set_sample(codec.decode(Sample, message.payload, message.encoding))
         elif key == keys.EVENT.key:
             event = codec.decode(Event, message.payload, message.encoding)
+            self.has_failed = event.kind is EventKind.FAILED or (
+                self.has_failed and event.kind is not EventKind.STARTED
+            )
             for notify in self.listeners.events:
                 notify(event)
         elif key == keys.MANIFEST.key:
@@ -334,6 +331,7 @@ class NodeClient:
 
     def _set_sample(self, message: Sample) -> None:
         sample = self.sample = SampleView(message, self.manifest, self._index)
+        self.has_failed = False
         self.counts.samples += 1
         self._changed.set()
         for notify in self.listeners.samples:
@@ -348,6 +346,12 @@ class NodeClient:
         latest = self.sample
         if latest is None or (latest.episode, latest.step) < (message.episode[0], message.step[0]):
             self._set_sample(message)
+
+    async def _fetch_state(self) -> None:
+        """Query whether the simulation has failed: the event may have been published before this client listened."""
+        with suppress(ZenostatError, TimeoutError):
+            async with asyncio.timeout(_STATE_S):
+                self.has_failed = (await self.ask(keys.STATUS, Query(), Status)).state is State.FAILED
 
     def _set_manifest(self, manifest: Manifest) -> None:
         if manifest.instance != self._instance:
@@ -372,6 +376,7 @@ class NodeClient:
                 return
             self._set_manifest(manifest)
             await self._fetch_sample()
+            await self._fetch_state()
         except ZenostatError:  # it has left already; the next token reports its return
             return
         self._set_online(value=True)

@@ -3,10 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol, TypeVar
 
-from zenostat.bridge.client.priorities import PriorityValue
+from zenostat.bridge.client.priorities import PriorityValue, decode_priorities
+from zenostat.topics import keys
+from zenostat.topics.errors import RequestRejected
+from zenostat.topics.messages import Ack, Manifest, Message, PriorityArrays, Query, State, Status, Write
 from zenostat.topics.messages.base import ANONYMOUS
+
+M = TypeVar("M", bound=Message)
+
+
+class Ask(Protocol):
+    """Sends a request to a node; see `NodeClient.ask`."""
+
+    async def __call__(self, topic: keys.Topic, request: Message, reply_type: type[M], *, name: str = "") -> M:
+        """Return the node's reply."""
 
 
 class WrittenCommand(NamedTuple):
@@ -15,6 +28,19 @@ class WrittenCommand(NamedTuple):
     actuator: str
     priority: int
     source: str
+
+
+@dataclass(slots=True)
+class Relinquished:
+    """Outcome of relinquishing the commands of a gateway.
+
+    Attributes:
+        count: number of commands that are relinquished.
+        rejected: the commands that remain in force, with the node's reasons.
+    """
+
+    count: int = 0
+    rejected: dict[WrittenCommand, str] = field(default_factory=dict)
 
 
 class WrittenCommands:
@@ -33,6 +59,30 @@ class WrittenCommands:
     def remove(self, actuator: str, priority: int) -> None:
         """Forget a command that has been relinquished."""
         self._sources.pop((actuator, priority), None)
+
+    async def relinquish(self, ask: Ask, manifest: Manifest) -> Relinquished:
+        """Relinquish the commands that are still in force; see `NodeClient.relinquish_written`.
+
+        A command whose relinquishment the node rejects does not keep the others in force. Once the episode is over,
+        there is nothing to relinquish: no command has an effect, and the next episode begins without commands.
+        """
+        done = Relinquished()
+        if not self:
+            return done
+        arrays = await ask(keys.PRIORITIES, Query(), PriorityArrays)
+        decoded = [decode_priorities(arrays, manifest, slot) for slot in range(manifest.slots)]
+        for command in sorted({command for array in decoded for command in self.remaining(array)}):
+            actuator, priority, source = command
+            try:
+                await ask(keys.WRITE_REQUEST, Write(value=None, priority=priority, source=source), Ack, name=actuator)
+            except RequestRejected as error:
+                done.rejected[command] = str(error)
+            else:
+                done.count += 1
+                self.remove(actuator, priority)
+        if done.rejected and (await ask(keys.STATUS, Query(), Status)).state in (State.ENDED, State.FAILED):
+            done.rejected.clear()
+        return done
 
     def remaining(self, arrays: Mapping[str, Sequence[PriorityValue]]) -> list[WrittenCommand]:
         """Return the commands that are still in priority arrays, with the source by which they were written."""

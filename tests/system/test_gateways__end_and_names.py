@@ -22,6 +22,7 @@ from support.run_cli import ZENOSTAT, error_of, run_in_process
 
 import zenostat
 from zenostat import Bus
+from zenostat.topics.messages import Reset
 
 PLANT = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
 ENDS = pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
@@ -122,6 +123,27 @@ def test_bacnet__relinquishes_what_its_clients_commanded(room: NodeProgram, bus:
     assert (code, len(err.splitlines())) == (0, 1)  # the warning of its beginning
     assert "relinquished 2 commands" in out
     assert commands(bus) == OTHERS
+
+
+@pytest.mark.slow
+def test_gateways__command_that_cannot_be_relinquished_is_named_at_the_end(room: NodeProgram, bus: Bus) -> None:
+    options = ["--connect", room.endpoint, "--address", "127.0.0.1:0"]
+    with (
+        RunningGateway("modbus", "room", *options) as gateway,
+        ModbusTcpClient("127.0.0.1", port=gateway.port, timeout=20) as client,
+    ):
+        for address in (0, 2):
+            registers = list(struct.unpack(">HH", struct.pack(">f", 0.5)))
+            assert not client.write_registers(address, registers, device_id=1).isError()
+        with bus.controller("room", name="mine", priority=8, actuators=["circulation"], required=False):
+            code, out, err = gateway.end()
+    assert code == 0
+    assert "relinquished 1 command of this gateway" in out
+    assert err.count("\n") == 1
+    assert "remains in force: circulation at priority 8, written as modbus: " in err
+    assert "is claimed by 'mine" in err
+    assert commands(bus) == OTHERS
+    bus.reset("room", Reset())
 
 
 @pytest.mark.slow

@@ -63,6 +63,19 @@ async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(e
     assert [event.source for event in events if event.kind is EventKind.WRITTEN] == ["device-7"] * 2
 
 
+async def test_gateways__commands_are_relinquished_although_one_of_them_cannot_be(episode_bus: Bus) -> None:
+    names = sorted(("core_zn_heating_setpoint", COOLING))
+    async with _client(episode_bus.endpoint, source="device-7") as node:
+        for name in names:
+            await node.write(name, 22.0 if name == names[1] else 24.0)
+        with episode_bus.controller("office", name="mine", priority=8, actuators=names[:1], required=False):
+            done = await node.relinquish_written()
+    assert (done.count, [*done.rejected]) == (1, [(names[0], 8, "device-7")])
+    assert all("is claimed by 'mine" in reason for reason in done.rejected.values())
+    arrays = episode_bus.priorities("office")
+    assert [arrays[name][7].value for name in names] == [24.0, None]
+
+
 @pytest.mark.slow
 async def test_gateways__node_in_lockstep_without_its_controller_ends_the_wait_for_a_step(episode_bus: Bus) -> None:
     episode_bus.pause("office")
