@@ -28,7 +28,7 @@ EVERYONE = "*"
 """Stands for all clients in `--allow`, also for those without a name."""
 
 EVERYTHING = "*"
-"""Pattern of all points; a request on no single point needs it."""
+"""Pattern of all points; a request on no single point needs it, and no other pattern permits it."""
 
 _MAX_INSTANCE = 4_194_302
 _TOKEN = re.compile(r"[\x21-\x7e]{16,512}")
@@ -191,7 +191,7 @@ class Clients:
         if not self.is_restricted:
             return ""
         own = self._patterns(client)
-        if any(fnmatchcase(point, pattern) for pattern in own):
+        if EVERYTHING in own or (point != EVERYTHING and any(fnmatchcase(point, pattern) for pattern in own)):
             return ""
         name = client or "a client that has no name in the file of clients"
         return replace_controls(f"{name} may not write {point[:200]}; it may write {', '.join(own) or 'nothing'}")

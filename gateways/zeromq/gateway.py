@@ -349,10 +349,13 @@ class Gateway:
 
 
 def _written(request: Request) -> list[str]:
-    """Return the actuators that a request writes or claims; `*` for all of them, and for any other request."""
+    """Return the actuators that a request writes or claims; `*` for all of them, and for any other request.
+
+    A claim of no actuators is another request: a node in lockstep waits for the controller nevertheless.
+    """
     if request.row is keys.WRITE_REQUEST:
         return [request.name]
-    if isinstance(request.message, Claim) and request.message.actuators is not None:
+    if isinstance(request.message, Claim) and request.message.actuators:
         return request.message.actuators
     return [EVERYTHING]
 

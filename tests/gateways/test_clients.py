@@ -76,6 +76,11 @@ def test_allow__adds_to_the_file_and_names_everyone_with_a_star(tmp_path: Path) 
     assert clients.denial("", "perimeter_a")
 
 
+def test_clients__request_on_no_single_point_needs_the_pattern_of_all() -> None:
+    clients = read_clients(None, ["one=?", "two=[*]", "three=**", "all=*"], is_exposed=True, name_themselves=True)
+    assert [name for name in clients.allowed if not clients.denial(name, "*")] == ["all"]
+
+
 def test_clients__default_is_everything_on_loopback_and_nothing_over_a_network() -> None:
     assert read_clients(None, [], is_exposed=False) == UNRESTRICTED
     assert UNRESTRICTED.denial("", "any") == ""

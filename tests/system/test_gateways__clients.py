@@ -20,6 +20,8 @@ from support.zeromq import GatewayProgram, Peer
 
 from zenostat import Bus
 from zenostat.gateways.clients import Clients, read_clients
+from zenostat.gateways.zeromq.frames import SENT
+from zenostat.topics import keys
 
 COOLING, HEATING = "core_zn_cooling_setpoint", "core_zn_heating_setpoint"
 TOKEN, OTHER_TOKEN = "0123456789abcdef", "fedcba9876543210"
@@ -230,11 +232,37 @@ def test_zeromq__sender_writes_and_claims_what_it_may(shared_node: NodeProgram, 
             assert (kind, fields["error"]) == ("ErrorReply", "AccessDenied")
         assert peer.ask("rpc/claim/panel", controller="panel")[1]["error"] == "AccessDenied"
         assert peer.ask("rpc/claim/panel", controller="panel", actuators=[COOLING])[0] == "Ack"
+        assert peer.ask("rpc/claim/panel", controller="panel", actuators=[])[1]["error"] == "AccessDenied"
         assert peer.ask("rpc/pause/panel", source="panel")[1]["error"] == "AccessDenied"
         assert peer.ask("rpc/status")[0] == "Status"
         assert peer.ask("rpc/pause/chief", source="chief")[0] == "Ack"
         assert peer.ask("rpc/resume/chief", source="chief")[0] == "Ack"
         assert episode_bus.priorities("office")[COOLING][7] == (26.5, "panel")
+
+
+@pytest.mark.slow
+def test_zeromq__gateway_refuses_each_request_that_could_change_the_node_and_is_not_allowed(
+    shared_node: NodeProgram, episode_bus: Bus
+) -> None:
+    needed = {
+        "alarm": "a", "alternatives": 1, "controller": "mallory", "duration_s": 60.0, "episode": [0], "name": "n",
+        "path": "p", "snapshot": "s1", "step": [0], "steps": 1, "timesteps": 1, "value": 20.0, "values": b"",
+    }  # fmt: skip
+    with GatewayProgram(shared_node.endpoint, "--allow", "panel=?") as running, Peer(running) as peer:
+        for key, row in SENT.items():
+            bodies = [{name: needed[name] for name, field in row.message.model_fields.items() if field.is_required()}]
+            if row is keys.CLAIM:
+                bodies = [
+                    {"controller": sender, **({} if actuators is None else {"actuators": actuators})}
+                    for sender in ("mallory", "panel")
+                    for actuators in (None, [], [COOLING], ["*"])
+                ]
+            for body in bodies:
+                topic = key.format(sender=body.get("controller", "mallory"), name=COOLING)
+                kind, denied = peer.ask(topic, **body)
+                assert (kind, denied["error"]) == ("ErrorReply", "AccessDenied"), (topic, body, denied)
+        assert all(peer.ask(key)[0] != "ErrorReply" for key in ("manifest", "sample", "rpc/status", "rpc/priorities"))
+    assert episode_bus.status("office").controllers == []
 
 
 @pytest.mark.parametrize(
