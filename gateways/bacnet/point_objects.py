@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import struct
 from typing import Any
 
 from bacpypes3.basetypes import (
@@ -24,6 +23,8 @@ from zenostat.gateways.bacnet.cov import CovCriteria
 from zenostat.gateways.bacnet.node_state import NodeState
 from zenostat.gateways.bacnet.points import PointSpec
 from zenostat.gateways.bacnet.units import bacnet_unit
+from zenostat.gateways.single_precision import single, snapped
+from zenostat.topics.points import contains
 
 RESERVED_PRIORITY = 6
 """Priority of minimum on and off times (ASHRAE 135, clause 19.2.3), which clients must not write."""
@@ -35,18 +36,14 @@ _ArrayOfPropertyIdentifier = ArrayOf(PropertyIdentifier)
 
 def real(value: float) -> Real:
     """Return a value in single precision, infinite where that has no such number."""
-    try:
-        struct.pack(">f", value)
-    except OverflowError:
-        value = math.copysign(math.inf, value)
-    return Real(value)
+    return Real(single(value))
 
 
 def double(value: float) -> float:
     """Return the number with the fewest digits that is the same in single precision: 21.1, not 21.100000381."""
     for digits in range(6, 9):
         text = f"{value:.{digits}g}"
-        if struct.pack(">f", float(text)) == struct.pack(">f", value):
+        if single(float(text)) == single(value):
             return float(text)
     return value
 
@@ -225,9 +222,9 @@ class AnalogOutput(_Analog, AnalogOutputObject):
         if isinstance(value, Null):
             await self._state.write(self._spec.name, None, priority)
             return
-        number, spec = double(value), self._spec
-        low = -math.inf if spec.low is None else spec.low
-        high = math.inf if spec.high is None else spec.high
-        if not math.isfinite(number) or not low <= number <= high:
+        spec, received = self._spec, single(value)
+        bound = snapped(spec, received)
+        number = double(value) if bound == received else bound
+        if not contains(spec, number):
             raise PropertyError("valueOutOfRange")
         await self._state.write(spec.name, number, priority)

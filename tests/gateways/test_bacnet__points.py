@@ -1,13 +1,17 @@
 """Objects of a BACnet device: instance numbers, names, units and bounds, without a network."""
 
+import math
 import struct
 
+import pytest
 from bacpypes3 import basetypes
+from bacpypes3.errors import PropertyError
+from bacpypes3.primitivedata import Real
 from hypothesis import given
 from hypothesis import strategies as st
 
 from zenostat.gateways.bacnet import units
-from zenostat.gateways.bacnet.point_objects import double, real
+from zenostat.gateways.bacnet.point_objects import AnalogOutput, double, real
 from zenostat.gateways.bacnet.points import point_specs
 from zenostat.topics.device_addresses import MAX_INSTANCE, ObjectKind, instance_number, instance_numbers
 from zenostat.topics.messages import Actuator, Manifest, Meter, Mode, Policy, Sensor, Versions
@@ -83,6 +87,23 @@ def test_bacnet__names_are_unique_also_where_the_bus_has_one_name_for_several_th
         (ObjectKind.INPUT, "office/input"),
         (ObjectKind.OUTPUT, "supply/output"),
     ]
+
+
+async def test_bacnet__bound_that_a_client_has_read_can_be_written() -> None:
+    low, high, written = -17.77777777777778, 29.444444444444443, []
+
+    class State:
+        async def write(self, *command: object) -> None:
+            written.append(command)
+
+    (spec,) = point_specs(manifest(actuators=(Actuator(name="a", unit="degC", low=low, high=high),)))
+    output = AnalogOutput(State(), spec)
+    for read in (output.minPresValue, output.maxPresValue):
+        await output.command(Real(struct.unpack(">f", struct.pack(">f", read))[0]), 8)
+    assert written == [("a", low, 8), ("a", high, 8)]
+    for outside in (low - 1e-5, high + 1e-5, math.inf, math.nan):
+        with pytest.raises(PropertyError, match=r"valueOutOfRange|value-out-of-range"):
+            await output.command(Real(outside), 8)
 
 
 def test_bacnet__each_unit_is_in_the_enumeration_of_the_standard() -> None:
