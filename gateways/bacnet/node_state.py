@@ -17,14 +17,11 @@ from zenostat.topics import keys
 from zenostat.topics.errors import NodeLost, PeerError, RequestRejected, ZenostatError
 from zenostat.topics.messages import (
     Ack,
-    Event,
-    EventKind,
     Manifest,
     Message,
     Pause,
     Query,
     Resume,
-    State,
     Status,
     StepRequest,
 )
@@ -102,11 +99,10 @@ class NodeState:
         self.node, self._source, self._changed = node, source, changed
         self.arrays: LatestReply[dict[str, list[PriorityValue]]] = LatestReply(node.priorities, {})
         self.status: LatestReply[Status | None] = LatestReply(self._ask_status, None)
-        self._failed = False
         self._target: tuple[int, int] | None = None
         self.set_manifest(node.manifest)
         node.listeners.samples.append(self._on_sample)
-        node.listeners.events.append(self._on_event)
+        node.listeners.events.append(lambda _: changed())
         node.listeners.presence.append(lambda _: changed())
 
     def set_manifest(self, manifest: Manifest) -> None:
@@ -136,7 +132,7 @@ class NodeState:
     @property
     def has_failed(self) -> bool:
         """Whether its simulation has failed."""
-        return self._failed
+        return self.node.has_failed
 
     def value(self, index: int) -> float:
         """Return the latest value of a sensor or meter, in its unit on the bus."""
@@ -155,7 +151,7 @@ class NodeState:
         return self.arrays.value.get(name) or [NULL] * 16
 
     def _on_sample(self, sample: SampleView) -> None:
-        self._failed = self.arrays.failed = False
+        self.arrays.failed = False
         self._values, self._effective = sample.values, sample.effective
         if sample.baseline_effective is not None:
             baseline, is_baseline = sample.baseline_effective, ~np.isnan(sample.baseline_effective)
@@ -164,14 +160,8 @@ class NodeState:
         np.copyto(self._baseline, baseline, where=is_baseline & ~self._knows_baseline)
         self._changed()
 
-    def _on_event(self, event: Event) -> None:
-        self._failed = event.kind is EventKind.FAILED or (self._failed and event.kind is not EventKind.STARTED)
-        self._changed()
-
     async def _ask_status(self) -> Status:
-        status = await self.node.ask(keys.STATUS, Query(), Status)
-        self._failed = status.state is State.FAILED
-        return status
+        return await self.node.ask(keys.STATUS, Query(), Status)
 
     # Commands
 
@@ -196,7 +186,7 @@ class NodeState:
     def steps_left(self) -> int:
         """Timesteps that the paused node still has to simulate of those that were requested here."""
         sample = self.sample
-        if self._target is None or sample is None or sample.truncated or self._failed or not self.node.is_online:
+        if self._target is None or sample is None or sample.truncated or self.has_failed or not self.node.is_online:
             return 0
         episode, step = self._target
         return max(0, step - sample.step) if sample.episode == episode else 0

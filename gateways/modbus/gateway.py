@@ -15,6 +15,7 @@ from zenostat.gateways.modbus.server import ExceptionCode, ModbusException, Modb
 from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.notices import Notices
 from zenostat.gateways.points import effective_value, is_effective, readings
+from zenostat.gateways.single_precision import single, snapped
 from zenostat.topics.errors import AccessDenied, InvalidAction, RequestRejected, UnknownName, ZenostatError
 from zenostat.topics.keys import is_own
 from zenostat.topics.messages import Actuator, Manifest
@@ -116,7 +117,8 @@ class ModbusGateway:
     def _discrete_inputs(self) -> list[bool]:
         node, sample = self._node, self._node.sample
         is_up = node.is_online and sample is not None
-        states = [is_up, is_up and not sample.truncated, is_up and sample.fallback] if sample is not None else []
+        is_running = sample is not None and is_up and not sample.truncated and not node.has_failed
+        states = [is_up, is_running, sample is not None and is_up and sample.fallback]
         states += [False] * (FIRST_VALUE - len(states))
         effective = [
             is_up and sample is not None and is_effective(sample, actuator, node.source) for actuator in self._actuators
@@ -174,7 +176,7 @@ class ModbusGateway:
         """Return the registers of one value, in the order of words of this gateway."""
         if kind == "uint16":
             return [int(value)]
-        raw = _pack_float(value) if kind == "float32" else struct.pack(">I", int(value))
+        raw = struct.pack(">f", single(value)) if kind == "float32" else struct.pack(">I", int(value))
         words = list(struct.unpack(">HH", raw))
         return words[::-1] if self._is_little_endian else words
 
@@ -188,20 +190,21 @@ class ModbusGateway:
         numbers = [self._float_of(values[i : i + 2]) for i in range(0, len(values), 2)]
         targets = self._actuators[address // 2 : address // 2 + len(numbers)]
         self._check(peer, targets)
-        numbers = [_snapped(actuator, number) for actuator, number in zip(targets, numbers, strict=True)]
+        numbers = [snapped(actuator, number) for actuator, number in zip(targets, numbers, strict=True)]
         if not all(contains(actuator, number) for actuator, number in zip(targets, numbers, strict=True)):
             raise ModbusException(ExceptionCode.ILLEGAL_DATA_VALUE)
         await self._write(peer, dict(zip((a.name for a in targets), numbers, strict=True)))
 
     async def write_coils(self, peer: Peer, address: int, values: Sequence[bool]) -> None:
-        """Relinquish actuators with 0; 1 is valid only for those that are commanded already."""
+        """Relinquish with 0 what the gateway commands; 1 is valid only for that, and 0 changes nothing elsewhere."""
         _check_range(address, len(values), len(self._actuators))
         targets = self._actuators[address : address + len(values)]
         self._check(peer, targets)
         commands = (await self._commands())[address : address + len(values)]
         if any(bit and math.isnan(command) for bit, command in zip(values, commands, strict=True)):
             raise ModbusException(ExceptionCode.ILLEGAL_DATA_VALUE)  # there is no value to command
-        await self._write(peer, {a.name: None for a, bit in zip(targets, values, strict=True) if not bit})
+        commanded = zip(targets, values, commands, strict=True)
+        await self._write(peer, {a.name: None for a, bit, value in commanded if not bit and not math.isnan(value)})
 
     def _check(self, peer: Peer, actuators: Sequence[Actuator]) -> None:
         """Raise the exception of an illegal function unless a client may write all of some actuators."""
@@ -226,21 +229,6 @@ class ModbusGateway:
     def _float_of(self, words: Sequence[int]) -> float:
         ordered = words[::-1] if self._is_little_endian else words
         return float(struct.unpack(">f", struct.pack(">HH", *ordered))[0])
-
-
-def _snapped(actuator: Actuator, number: float) -> float:
-    """Return the bound of which a float32 is the rounded value, which may be outside by the rounding; else itself."""
-    for bound in (actuator.low, actuator.high):
-        if bound is not None and struct.unpack(">f", _pack_float(bound))[0] == number:
-            return bound
-    return number
-
-
-def _pack_float(value: float) -> bytes:
-    try:
-        return struct.pack(">f", value)
-    except OverflowError:  # beyond the range of float32
-        return struct.pack(">f", math.copysign(math.inf, value))
 
 
 def _check_range(address: int, count: int, size: int) -> None:

@@ -139,6 +139,18 @@ def test_modbus_gateway__write_is_a_command_until_its_coil_is_cleared(bus: Bus, 
     assert client.write_coil(index, True, device_id=UNIT).exception_code == 3  # there is no value to command
 
 
+def test_modbus_gateway__coils_written_0_relinquish_what_the_gateway_commands_alone(
+    bus: Bus, client: ModbusTcpClient
+) -> None:
+    count, index, heating = len(bus.manifest("office").actuators), _index(bus), "core_zn_heating_setpoint"
+    bus.write("office", heating, 19.0, priority=8, source="operator")
+    assert not client.write_registers(2 * index, _registers(26.0), device_id=UNIT).isError()
+    for _ in range(2):  # as a PLC that writes all its coils in each cycle
+        assert not client.write_coils(0, [False] * count, device_id=UNIT).isError()
+        assert bus.priorities("office")[heating][7] == (19.0, "operator")
+        assert bus.priorities("office")[COOLING][7] == (None, None)
+
+
 def test_modbus_gateway__bounds_are_reached_in_spite_of_the_rounding_to_float32(
     bus: Bus, client: ModbusTcpClient
 ) -> None:
