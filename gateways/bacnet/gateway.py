@@ -57,6 +57,7 @@ class BacnetGateway:
         self._changed = asyncio.Event()
         self._specs: list[PointSpec] = []
         self._points: list[NodeObject] = []
+        self._described = ""  # the instance of the node
 
     async def __aenter__(self) -> BacnetGateway:
         # bacpypes3 logs each malformed message with a traceback; they are counted here.
@@ -119,16 +120,19 @@ class BacnetGateway:
         )
 
     def _set_manifest(self, manifest: Manifest) -> None:
-        """Replace the objects if the points have changed."""
+        """Describe the node of a manifest, and replace the objects if the points have changed."""
         specs = point_specs(manifest)
-        if specs == self._specs:
+        self._device.describe(manifest, [(spec.kind, spec.instance, spec.object_name) for spec in specs])
+        is_same = specs == self._specs
+        if not is_same or manifest.instance != self._described:
+            self._state.set_manifest(manifest)
+        self._described = manifest.instance
+        if is_same:
             return
         for old in self._points:
             self._application.remove_object(old)
-        self._state.set_manifest(manifest)
         self._specs = specs
         kinds: dict[ObjectKind, Any] = {ObjectKind.INPUT: AnalogInput, ObjectKind.OUTPUT: AnalogOutput}
         self._points = [kinds[spec.kind](self._state, spec) for spec in specs]
         for point in self._points:
             self._application.add_object(point)
-        self._device.describe(manifest, [(spec.kind, spec.instance, spec.object_name) for spec in specs])

@@ -104,6 +104,18 @@ async def test_bacnet_gateway__commands_of_others_on_the_bus_are_in_the_priority
         assert await reader.read(COOLING, "priority-array", 17) == "property invalid-array-index"
 
 
+async def test_bacnet_gateway__other_building_with_the_same_points_is_described(paused_bus: Bus) -> None:
+    async with served(paused_bus.endpoint) as (gateway, reader, _):
+        assert "USA_CO_Denver" in await reader.read(DEVICE, "description")
+        before = await reader.read(INPUT)
+        manifest = gateway._node.manifest.model_copy(update={"building": "b", "weather": "w", "location": "Paris"})
+        for notify in gateway._node.listeners.manifests:
+            notify(manifest)
+        read = [await reader.read(DEVICE, name) for name in ("location", "model-name", "description")]
+        assert read == ["Paris", "b", "simulated building b with weather w"]
+        assert await reader.read(INPUT) == before  # of the same instance
+
+
 REJECTED: list[tuple[str, Any, dict[str, Any], str]] = [
     (COOLING, 99.0, {}, "property value-out-of-range"),
     (COOLING, float("nan"), {}, "property value-out-of-range"),
