@@ -186,10 +186,7 @@ class Service:
                 return self._error(error)
 
             def work() -> Response:
-                test = self.manager.get(testid)
-                with test.lock:
-                    if test.is_stopped:  # while this request waited for another one
-                        raise UnknownTest(testid)
+                with self.manager.use(testid) as test:
                     self._access.check_operation(client, operation, test, fields)
                     try:
                         message, payload = operation.call(test, fields)

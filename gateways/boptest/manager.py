@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from time import monotonic
 from typing import Any
@@ -162,6 +162,22 @@ class TestManager:
         entry.used_s = monotonic()
         return entry.test
 
+    @contextmanager
+    def use(self, testid: str) -> Iterator[ExtendedTest]:
+        """Hold a test for a request, alone; while it lasts and when it ends, the test counts as used.
+
+        Raises:
+            UnknownTest: there is none with this id, or it was stopped while this request waited for another one.
+        """
+        test, entry = self.get(testid), self._entry(testid)
+        with test.lock:
+            if test.is_stopped:
+                raise UnknownTest(testid)
+            try:
+                yield test
+            finally:
+                entry.used_s = monotonic()
+
     def client_of(self, testid: str) -> str:
         """Return the name of the client that started a test, empty without one; `UnknownTest` if there is none."""
         return self._entry(testid).client
@@ -178,21 +194,19 @@ class TestManager:
 
     def branch(self, testid: str, fields: Mapping[str, Any]) -> str:
         """Branch a test, and return the branch's id."""
-        test = self.get(testid)
-        branchid, entry = self._reserve(test.case, test.client)
-        entry.parent = testid
-        try:
-            with test.lock:
-                if test.is_stopped:
-                    raise UnknownTest(testid)
+        with self.use(testid) as test:
+            branchid, entry = self._reserve(test.case, test.client)
+            entry.parent = testid
+            try:
                 entry.test = test.branch(fields)
-        except BaseException:
-            with self._lock:
-                self._entries.pop(branchid, None)
-            raise
-        finally:
-            entry.started.set()
-        return branchid
+            except BaseException:
+                with self._lock:
+                    self._entries.pop(branchid, None)
+                raise
+            finally:
+                entry.used_s = monotonic()
+                entry.started.set()
+            return branchid
 
     def stop(self, testid: str) -> None:
         """End a test and its branches; `UnknownTest` if there is none with this id.
@@ -264,7 +278,10 @@ class TestManager:
             entry = self._entries.get(testid)
         if entry is None or entry.test is None or not entry.test.lock.acquire(blocking=False):
             return  # it has ended, or a request is in progress
+        is_idle = entry.used_s < monotonic() - self._timeout_s  # a request may have ended since the sweep began
         entry.test.lock.release()
+        if not is_idle:
+            return
         with suppress(UnknownTest):
             self.stop(testid)
             self.notify(f"test {testid} of {entry.case.name} ended after {self._timeout_s:g} s without a request")
