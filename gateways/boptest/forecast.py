@@ -106,7 +106,7 @@ class Forecaster:
         hours_s = hour_s + 3600.0 * np.arange(int((horizon_s + 3600) / 3600 + 1))
         if self._stored.get(name, (None,))[0] != key:
             truth = self._weather.at(name, hours_s)
-            start = None if not seed else int(seed + times_s[0]) % 2**32
+            start = None if seed is None else int(seed + times_s[0]) % 2**32
             if name == "TDryBul":
                 hourly = truth - forecast_errors.temperature_errors(level, len(hours_s), start)
             else:

@@ -1,11 +1,13 @@
 """BOPTEST's forecasts: the error model, weather and the sun, prices, and test periods."""
 
 from datetime import datetime
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from zenostat.gateways.boptest import forecast_errors
+from zenostat.gateways.boptest.forecast import Forecaster
 from zenostat.gateways.boptest.prices import rate_at, read_rates
 from zenostat.gateways.boptest.test_periods import find_test_periods
 from zenostat.gateways.boptest.weather import COLUMNS, Weather, wet_bulb
@@ -79,6 +81,20 @@ def weather(**columns):
         name: np.resize(np.asarray(values, float), hours) for name, values in columns.items()
     }
     return Weather(0.0, 3600.0, all_columns, 40.0, -105.0, -7.0)
+
+
+@pytest.mark.parametrize("seed", [0, 7])
+def test_boptest_forecasts__each_seed_is_repeatable_also_0(seed):
+    points = {"TDryBul": "temperature_uncertainty", "HGloHor": "solar_uncertainty"}
+    scenario = {**dict.fromkeys(points.values(), "high"), "seed": seed}
+
+    def forecast(now_s):
+        series = weather(dry_bulb_temperature=[10.0, 20.0], global_horizontal_radiation=[0.0, 300.0, 600.0])
+        forecaster = Forecaster(series, read_rates(), SimpleNamespace(points={}))
+        return forecaster.forecast([*points], now_s, DAY_S, 3600.0, scenario, None)
+
+    assert forecast(0.0) == forecast(0.0)
+    assert forecast(0.0)["TDryBul"] != forecast(DAY_S)["TDryBul"]
 
 
 def test_boptest_forecasts__weather_is_linear_between_hours_and_gaps_are_filled():
