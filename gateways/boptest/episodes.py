@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -69,8 +69,13 @@ class Episodes:
             self.building.close()
             raise
 
-    def begin(self, start_s: float, warmup_s: float) -> Beginning:
+    def begin(self, start_s: float, warmup_s: float, in_use: Collection[Beginning] = ()) -> Beginning:
         """Return to the building at a time, after a warm-up under the baseline control.
+
+        Args:
+            start_s: the time.
+            warmup_s: length of the warm-up.
+            in_use: beginnings that snapshots and branches refer to, which are kept besides the last four.
 
         Raises:
             BadRequest: times that are not multiples of the timestep, or after the year.
@@ -88,8 +93,9 @@ class Episodes:
             beginning = self._kept[key] = self._kept.pop(key)
             self.building.main.reset(beginning.snapshot)
             return beginning
-        while len(self._kept) >= _MAX_KEPT:
-            self._drop(next(iter(self._kept)))
+        others = [key for key, kept in self._kept.items() if kept not in in_use]
+        for other in others[: max(len(others) - _MAX_KEPT + 1, 0)]:
+            self._drop(other)
         beginning = self._kept[key] = self._simulate(start, begin)
         return beginning
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any
+from weakref import WeakSet
 
 from zenostat.gateways.boptest import parsing
 from zenostat.gateways.boptest.cases import TestCase
@@ -47,7 +48,12 @@ class ExtendedTest(BuildingTest):
         client: str = "",
     ) -> None:
         self._saved: dict[str, _Saved] = {}
+        self._branches: WeakSet[ExtendedTest] = WeakSet()
         super().__init__(case, rates, days, episodes, simulation, interruption, client)
+
+    def _beginnings_in_use(self) -> Collection[Beginning]:
+        branches = [branch.beginning for branch in self._branches if not branch.is_stopped]
+        return {*branches, *(saved.beginning for saved in self._saved.values())}
 
     def take_snapshot(self) -> Answer:
         """Take a snapshot of the test."""
@@ -101,6 +107,7 @@ class ExtendedTest(BuildingTest):
             self.scenario,
         )  # fmt: skip
         branch._adopt(saved)
+        self._branches.add(branch)
         return branch
 
     def baseline(self) -> Answer:

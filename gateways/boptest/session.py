@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from functools import cache
 from math import inf
 from threading import RLock
@@ -89,7 +89,7 @@ class BuildingTest:
     # Beginning
 
     def _begin(self, start_s: float, warmup_s: float, end_s: float = inf) -> None:
-        self.beginning: Beginning = self.episodes.begin(start_s, warmup_s)
+        self.beginning: Beginning = self.episodes.begin(start_s, warmup_s, self._beginnings_in_use())
         self.recorder = self.beginning.recorder.copy()
         self.first_row = len(self.recorder) - 1
         self.end_s = end_s
@@ -97,6 +97,10 @@ class BuildingTest:
         self.time_ratio = TimeRatio()
         self.forecaster = Forecaster(self.episodes.weather, self._rates, self.episodes.schedules)
         self._restart_kpis()
+
+    def _beginnings_in_use(self) -> Collection[Beginning]:
+        """Return the beginnings that can be needed after another one."""
+        return ()
 
     def _restart_kpis(self) -> None:
         comfort = self.episodes.schedules.comfort(self.beginning.baseline)

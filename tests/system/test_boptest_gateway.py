@@ -198,6 +198,37 @@ def test_boptest_gateway__snapshots_and_branches_continue_independently(test):
     assert test.answer("PUT", "snapshot", {"snapshot": name}).status_code == 400
 
 
+@pytest.mark.slow
+def test_boptest_gateway__snapshot_and_branch_outlast_many_other_beginnings(test):
+    name = test.payload("POST", "snapshot")["snapshot"]
+    branch = Client(test.url)
+    branch.testid = test.answer("POST", "branch", {}).json()["testid"]
+    test.put("step", step=DAY_S)
+    branch.put("step", step=DAY_S)
+    expected = test.advance()
+    kpis = {**test.get("kpi"), "time_rat": None}
+    for count in range(1, 7):
+        test.put("initialize", start_time=START_S + 900 * count, warmup_period=WARMUP_S)
+        test.get("kpi")
+    test.put("snapshot", snapshot=name)
+    test.put("step", step=DAY_S)
+    for client in (test, branch):
+        assert client.advance() == expected
+        assert {**client.get("kpi"), "time_rat": None} == kpis
+        for _ in range(2):  # beyond what the baseline has simulated
+            client.advance()
+            assert client.get("kpi")["tdis_tot"] is not None
+            assert client.get("baseline")["time"] == client.put("results", point_names=["time"], start_time=0,
+                                                                final_time=1e12)["time"][-1]  # fmt: skip
+    assert branch.answer("PUT", "stop").text == "OK"
+    test.payload("DELETE", "snapshot", {"snapshot": name})
+    episodes = test.service.manager.get(test.testid).episodes
+    for count in range(1, 7):
+        test.put("initialize", start_time=START_S + 900 * count, warmup_period=WARMUP_S)
+        assert len(episodes._kept) <= 5
+    assert len(episodes._kept) == 4
+
+
 def test_boptest_gateway__baseline_is_the_building_that_nobody_controls(test):
     free = [test.advance() for _ in range(4)]
     test.put("initialize", start_time=START_S, warmup_period=WARMUP_S)
