@@ -19,7 +19,9 @@ from zenostat.bridge.transport.session import open_session
 from zenostat.gateways.bacnet import BacnetGateway
 from zenostat.gateways.bacnet.cov import COV_INTERVAL_S
 from zenostat.gateways.bacnet.network import find_interface
+from zenostat.gateways.bus_side import BusMessage
 from zenostat.gateways.node_client import NodeClient
+from zenostat.topics import codec, keys
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 from zenostat.topics.messages import Event, EventKind, Reset
 
@@ -261,8 +263,8 @@ async def test_bacnet_gateway__value_that_is_not_a_number_and_a_failed_simulatio
         assert await reader.read(INPUT, "reliability") == "unreliable-other"
         assert [int(flag) for flag in await reader.read(INPUT, "status-flags")] == [0, 1, 0, 0]
         assert await reader.read(COOLING, "reliability") == "no-fault-detected"
-        for notify in state.node.listeners.events:
-            notify(Event(kind=EventKind.FAILED, text="it failed"))
+        failed = codec.encode(Event(kind=EventKind.FAILED, text="it failed"))
+        state.node._handle(BusMessage(keys.EVENT.at("office"), codec.encoding(Event), failed))
         assert await reader.read(COOLING, "reliability") == "process-error"
         assert await reader.read(DEVICE, "system-status") == "non-operational"
         assert await reader.write(ADVANCE, 1.0) == "ok"
