@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import re
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
@@ -20,7 +21,7 @@ from zenostat.agent_sdk.controllers import (
     make_controller,
 )
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
-from zenostat.agent_sdk.envs.arguments import of_scenario
+from zenostat.agent_sdk.envs.arguments import fields_of_file, of_scenario
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards import Reward
 from zenostat.bridge.client.bus import Bus
@@ -41,6 +42,9 @@ if TYPE_CHECKING:
 
 ControllerFactory = Callable[..., ControllerProtocol]
 """Function of a node's manifest and parameters by name: a controller class, or the result of `load_policy`."""
+
+_ADDED_SENSOR = re.compile(r"_next(_\d+)?$")
+"""Name of a sensor of the next value of a schedule, which relative actions add."""
 
 Progress = Callable[[str, int, int, int], None]
 """Callback for each timestep: controller name, episode number, step, steps per episode."""
@@ -355,10 +359,21 @@ def _named_node(settings: Mapping[str, Any], controller: str) -> dict[str, Any]:
 
 
 def without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """Remove all actuators, as baseline control needs: an action would always set a value."""
-    return {name: value for name, value in settings.items() if name not in ("actions", "control", "discrete")} | {
-        "actuators": {}
-    }
+    """Remove all actuators, as baseline control needs: an action would always set a value.
+
+    With them go the fields that name actions, and the sensors that relative actions add to the observation.
+    """
+    fields = {**fields_of_file(settings.get("file", "")), **settings}
+    removed: dict[str, Any] = {"actuators": {}}
+    if isinstance(fields.get("relative"), Mapping):
+        removed["relative"] = {}
+    unobserved = fields.get("unobserved")
+    if fields.get("relative") is not None and isinstance(unobserved, list | tuple):
+        own = {*(fields.get("sensors") or {}), *(fields.get("meters") or {})}
+        removed["unobserved"] = [name for name in unobserved if name in own or not _ADDED_SENSOR.search(str(name))]
+    return {
+        name: value for name, value in settings.items() if name not in ("actions", "control", "discrete")
+    } | removed
 
 
 def controller_factories(

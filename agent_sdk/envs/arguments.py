@@ -145,7 +145,7 @@ def check_agent_settings(reward: AnyReward | None, settings: Mapping[str, Any], 
     Raises:
         InvalidConfig: Invalid reward or wrappers, together with all other errors.
     """
-    fields = _fields_of_file(settings.get("scenario") or settings.get("district", ""))
+    fields = fields_of_file(settings.get("scenario") or settings.get("district", ""))
     if not is_of_scenario(reward):
         fields["reward"] = reward
     errors = ErrorCollector()
@@ -164,7 +164,7 @@ def check_agent_fields(scenario: str | Path) -> None:
     Raises:
         InvalidConfig: Lists the errors of both.
     """
-    _check_fields(_fields_of_file(scenario))
+    _check_fields(fields_of_file(scenario))
 
 
 def _check_fields(fields: Mapping[str, Any]) -> None:
@@ -178,7 +178,7 @@ def _check_fields(fields: Mapping[str, Any]) -> None:
     errors.raise_if_any()
 
 
-def _fields_of_file(scenario: str | Path) -> dict[str, Any]:
+def fields_of_file(scenario: str | Path) -> dict[str, Any]:
     """Return the fields of a scenario file; none if it is no file, or cannot be read (the node reports why)."""
     if Path(scenario).suffix not in (".yaml", ".yml"):
         return {}

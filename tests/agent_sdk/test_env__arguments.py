@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO, _fields_of_file, check_agent_settings, for_node
+from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO, fields_of_file, check_agent_settings, for_node
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.eplus_node.config import read_config
 from zenostat.topics.errors import InvalidConfig, UsageError
@@ -221,7 +221,7 @@ def test_env__node_knows_every_setting_that_is_handed_on() -> None:
 def test_env__reward_of_a_file_is_read(tmp_path: Path) -> None:
     file = tmp_path / "mine.yml"
     file.write_text("building: b\nreward: {kind: linear, weight: 0.25}\n")
-    assert _fields_of_file(str(file))["reward"] == {"kind": "linear", "weight": 0.25}
+    assert fields_of_file(str(file))["reward"] == {"kind": "linear", "weight": 0.25}
 
 
 @pytest.mark.parametrize(
@@ -234,17 +234,17 @@ def test_env__reward_of_a_file_is_read(tmp_path: Path) -> None:
 def test_env__file_without_a_reward_has_none(tmp_path: Path, content: bytes) -> None:
     file = tmp_path / "mine.yaml"
     file.write_bytes(content)
-    assert _fields_of_file(str(file)).get("reward") is None
+    assert fields_of_file(str(file)).get("reward") is None
 
 
 @pytest.mark.parametrize("scenario", ["", "office-small-USA_CO_Denver-continuous-v1", "gone.yaml"])
 def test_env__what_is_no_file_has_no_reward_to_read(user_folder: Path, scenario: str) -> None:
-    assert _fields_of_file(scenario).get("reward") is None
+    assert fields_of_file(scenario).get("reward") is None
 
 
 def test_env__folder_is_no_file(tmp_path: Path) -> None:
     (tmp_path / "folder.yaml").mkdir()
-    assert _fields_of_file(str(tmp_path / "folder.yaml")).get("reward") is None
+    assert fields_of_file(str(tmp_path / "folder.yaml")).get("reward") is None
 
 
 def test_env__good_reward_starts_nothing(tmp_path: Path) -> None:

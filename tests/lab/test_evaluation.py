@@ -4,6 +4,7 @@ import math
 import sys
 from datetime import datetime, timedelta
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, read_reward
 from zenostat.agent_sdk.testing import Climate, FakeBuilding, FakeLink
 from zenostat.bridge.client.sample import SampleView
-from zenostat.lab.evaluate import EpisodeRecord, Evaluation, evaluate
+from zenostat.lab.evaluate import EpisodeRecord, Evaluation, evaluate, without_actuators
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.messages import Aggregation, Manifest, Meter, Sample, Task
@@ -340,3 +341,27 @@ def test_evaluation__meters_of_a_plant_are_named_as_the_metrics() -> None:
     result = tallied(of, [24.0, 0.0, 0.0, 0.0], [24.0, KWH, 5.0, KWH])
     assert result.energy_kwh == pytest.approx({"electricity": 1.0})
     assert MetricsAccumulator(of).sources["electricity_kwh"] == "meter electricity"
+
+
+def test_without_actuators__no_field_names_an_action_or_its_sensors(tmp_path: Path) -> None:
+    own = {"scenario": "office", "relative": {"heating": 3.0}, "discrete": 10, "unobserved": ["schedule_next", "core"]}
+    assert without_actuators(own) == {
+        "scenario": "office", "actuators": {}, "relative": {}, "unobserved": ["core"],
+    }  # fmt: skip
+    file = tmp_path / "own.yaml"
+    file.write_text("relative: {heating: 3}\nsensors: {out_next: [a, b]}\nunobserved: [out_next, heat_next_2]\n")
+    assert without_actuators({"file": file}) == {
+        "file": file, "actuators": {}, "relative": {}, "unobserved": ["out_next"],
+    }  # fmt: skip
+    assert without_actuators({"scenario": "office", "relative": 3.0}) == {
+        "scenario": "office", "relative": 3.0, "actuators": {},
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_evaluate__baseline_of_a_scenario_with_relative_actions() -> None:
+    office = {"scenario": "ref-small-office-USA_AZ_Phoenix-continuous-v1", "begin": "07-05", "end": "07-05"}
+    relative = {"relative": {"heating_setpoint": 3.0}, "unobserved": ["htgsetp_sch_next"]}
+    rows = evaluate({**office, **relative}, ["fixed", "baseline"]).rows
+    assert [row.controller for row in rows] == ["fixed", "baseline"]
+    assert rows[1].result == evaluate(office, ["baseline"]).rows[0].result
