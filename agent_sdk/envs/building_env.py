@@ -427,6 +427,11 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         """
         self._state.context |= self._actions.context(values)
 
+    def renew_reward(self) -> None:
+        """Let the reward forget what it has kept of earlier episodes, such as the maxima of `normalized`."""
+        if self.reward is not None:
+            self._state.reward = self.reward.bind(self.manifest)
+
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
         """Return columns of this episode's weather file, noise included; `UnknownName` lists the columns."""
         return self.link.weather(columns)

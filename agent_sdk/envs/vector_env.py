@@ -242,6 +242,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
     def _step(self, actions: ArrayLike) -> StepResult:
         restarting = self._restarting_slots()
         commanded, operations = self._command(actions, restarting)
+        ended = self._sample
         start_infos = self._start_episodes(restarting) if restarting else {}
         if len(restarting) == self.num_envs:
             none = np.zeros(self.num_envs, np.bool_)
@@ -251,7 +252,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
         sample = self._sample = VectorSample(link.receive())
         entries = self._infos.of_sample(sample, link)
         entries["action"] = self._actions.commanded(commanded, operations)
-        rewards, terminated, truncated, infos = self._outcome(sample, entries, restarting)
+        rewards, terminated, truncated, infos = self._outcome(sample, entries, restarting, ended)
         if self._renderer is not None:
             advanced = [slot for slot in range(self.num_envs) if slot not in restarting]
             self._renderer.add(advanced, sample.times, sample.values, entries, actions, rewards)
@@ -277,9 +278,12 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
         return done
 
     def _outcome(
-        self, sample: VectorSample, entries: Infos, restarted: list[int]
+        self, sample: VectorSample, entries: Infos, restarted: list[int], ended: VectorSample | None
     ) -> tuple[NDArray[np.float64], Flags, Flags, Infos]:
-        """Update the observations; return rewards, terminated, truncated and infos of the slots that have advanced."""
+        """Update the observations; return rewards, terminated, truncated and infos of the slots that have advanced.
+
+        `ended` has the last samples of the episodes before those that have `restarted`.
+        """
         count, ends = self.num_envs, sample.times
         if ends.count(ends[0]) == count:
             begins = [ends[0] - self._timestep] * count
@@ -288,7 +292,14 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
         rewards = np.zeros(count)
         state, values = self._state, sample.fault_free_values
         if state.reward is not None:
-            rewards[:], entries["reward_terms"], entries["reward_metrics"] = state.reward(values, begins)
+            # A reward that keeps maxima for all episodes has seen the last sample; a first one is never rewarded.
+            values_of, begins_of = values, begins
+            if restarted and ended is not None:
+                values_of, begins_of = values.copy(), list(begins)
+                values_of[restarted] = ended.fault_free_values[restarted]
+                for slot in restarted:
+                    begins_of[slot] = ended.times[slot] - self._timestep
+            rewards[:], entries["reward_terms"], entries["reward_metrics"] = state.reward(values_of, begins_of)
         violations = state.limits.violated_slots(values) if state.limits is not None else {}
         observations, live = sample.observed(begins, ends, self._observed_indices), self._all_slots.copy()
         terminated, truncated = np.zeros(count, np.bool_), sample.truncated

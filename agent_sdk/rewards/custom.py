@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
@@ -17,6 +18,9 @@ RewardFunction = Callable[[Mapping[str, Any], Any], Mapping[str, Any] | float]
 """A function of `(values, begin)`: the values by the names of sensors and meters, and the time at which the timestep
 began. It returns the reward or its terms by name."""
 
+ATTRIBUTES = "attributes"
+"""Key of the attributes of a custom reward, in the state of one that has no `state()` and `restore(state)`."""
+
 
 def from_function(function: RewardFunction | type) -> Reward:
     """Return a reward that calls a function.
@@ -25,8 +29,8 @@ def from_function(function: RewardFunction | type) -> Reward:
         function: called once per timestep, and once at the first sample to get the names of its terms, with the values
             by name (floats, or arrays of the leading shape if there are several slots) and the time at which the
             timestep began. It returns the reward, or terms by name that add up to the reward. A callable object may
-            also have `reset(slots)`, `state()` and `restore(state)`, see `BoundReward`. A class is instantiated without
-            arguments for each environment.
+            also have `reset(slots)`, `state()` and `restore(state)`, see `BoundReward`; without the last two, its attributes
+            are its state, and are copied. A class is instantiated without arguments for each environment.
 
     Raises:
         InvalidConfig: the function does not take two arguments; at a step, it returned something other than a reward.
@@ -157,12 +161,34 @@ class _BoundFunction(BoundReward):
             reset(slots)
 
     def state(self) -> dict[str, Any]:
-        get_state = getattr(self._function, "state", None)
-        return dict(get_state()) if callable(get_state) else {}
+        if self._has_own_state():
+            return dict(self._function.state())  # type: ignore[attr-defined]
+        attributes = _attributes(self._function)
+        try:
+            return {ATTRIBUTES: copy.deepcopy(attributes)} if attributes else {}
+        except Exception as error:
+            raise InvalidConfig(
+                f"reward: the attributes of {_name(self._function)} cannot be copied for a snapshot or branch "
+                f"({type(error).__name__}: {error}); give it state() and restore(state)"
+            ) from error
 
     def restore(self, state: dict[str, Any]) -> None:
-        if callable(restore := getattr(self._function, "restore", None)):
-            restore(state)
+        if self._has_own_state():
+            self._function.restore(state)  # type: ignore[attr-defined]
+        else:
+            attributes = _attributes(self._function)
+            attributes.clear()
+            attributes.update(copy.deepcopy(state.get(ATTRIBUTES, {})))
+
+    def _has_own_state(self) -> bool:
+        return all(callable(getattr(self._function, method, None)) for method in ("state", "restore"))
+
+
+def _attributes(function: Any) -> dict[str, Any]:
+    """Return the attributes of a callable object, or of that of a method; none of a function."""
+    owner = function.__self__ if inspect.ismethod(function) else function
+    attributes = {} if inspect.isroutine(owner) else getattr(owner, "__dict__", {})
+    return attributes if isinstance(attributes, dict) else {}
 
 
 def _name(function: Any) -> str:

@@ -183,12 +183,14 @@ def evaluate_model(
     """Run episodes of a model without exploration, in an environment within the same wrappers as in its training.
 
     Observations pass through the model's `VecNormalize` if it has one. Neither that nor Gymnasium's running statistics
-    around `env` learn from them. Episode k is reset with `seed + k`.
+    around `env` learn from them. Episode k is reset with `seed + k`. The reward has forgotten earlier evaluations.
 
     Raises:
         InvalidConfig: The model was trained behind a `VecNormalize` but loaded without it.
     """
     normalization = normalization_of(model)
+    if callable(renew := getattr(env.unwrapped, "renew_reward", None)):  # an environment of the user's own has none
+        renew()
     results = []
     for number in range(episodes):
         predictor = Predictor(model)

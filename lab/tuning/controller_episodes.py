@@ -56,7 +56,8 @@ class ControllerEpisodes:
         Raises:
             InvalidConfig: the controller does not fit, a parameter is invalid, or the episodes have no such metric.
         """
-        building: Any = self._env
+        building: Any = self._env.unwrapped
+        building.renew_reward()
         agent = Agent(make_controller(factory, building.manifest, parameters), building)
         results: list[EpisodeMetrics] = []
         for number, seed in enumerate(self._resets, 1):

@@ -1,5 +1,6 @@
 """Rewards of a user's own, and points that are missing or of another unit."""
 
+import threading
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from pathlib import Path
@@ -157,6 +158,45 @@ def test_rewards__class_is_made_for_each_use_and_may_remember() -> None:
     second.reset()
     assert second(values(), WINTER).reward == -1.0
     assert read_reward(Counting()).bind(NODE)(values(), WINTER).reward == -1.0
+
+
+class Change:
+    """Reward constant temperatures; without `state()`, its attributes are its state."""
+
+    def __init__(self) -> None:
+        self.history: list[float] = []
+        self.sensors = object()
+
+    def __call__(self, values: Mapping[str, Any], begin: datetime) -> float:
+        self.history.append(values["north"])
+        return -float(len(self.history))
+
+    def reward(self, values: Mapping[str, Any], begin: datetime) -> float:
+        return self(values, begin)
+
+
+@pytest.mark.parametrize("make", [lambda: Change, lambda: Change().reward], ids=["class", "method"])
+def test_rewards__attributes_of_a_class_without_a_state_are_copied(make: Any) -> None:
+    first, second = read_reward(make()).bind(NODE), read_reward(make()).bind(NODE)
+    assert [first(values(), WINTER).reward for _ in range(3)] == [-1.0, -2.0, -3.0]
+    kept = first.state()
+    assert first(values(), WINTER).reward == -4.0
+    second.restore(kept)
+    first.restore(kept)
+    assert [first(values(), WINTER).reward, first(values(), WINTER).reward] == [-4.0, -5.0]
+    assert second(values(), WINTER).reward == -4.0
+
+
+def test_rewards__attributes_that_cannot_be_copied_are_named() -> None:
+    class Locked:
+        def __init__(self) -> None:
+            self.lock = threading.Lock()
+
+        def __call__(self, values: Mapping[str, Any], begin: datetime) -> float:
+            return 0.0
+
+    with pytest.raises(InvalidConfig, match=r"attributes of Locked cannot be copied .*state\(\) and restore\(state\)"):
+        read_reward(Locked).bind(NODE).state()
 
 
 def test_rewards__what_can_be_bound_is_taken_as_it_is() -> None:

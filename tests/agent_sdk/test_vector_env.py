@@ -73,6 +73,20 @@ def test_vector_env__slots_begin_anew_in_the_middle_of_their_episodes(mode: Auto
         step_both(envs, envs[0].action_space.sample())
 
 
+def test_vector_env__maxima_of_a_reward_do_not_count_the_first_sample_of_a_slot_that_begins_anew() -> None:
+    # Heated from the beginning, a building is coldest, and farthest from this band, at sample 0.
+    form = {"reward": {"kind": "normalized", "summer": [25.0, 30.0], "winter": [25.0, 30.0]}, "control": "building"}
+    mode = AutoresetMode.NEXT_STEP
+    envs = [fakes(2, mode, **form), apart(2, mode, **form)]
+    warmest = envs[0].action_space.high
+    reset_both(envs, seed=1)
+    for _ in range(5):
+        step_both(envs, warmest)
+    reset_both(envs, options={"reset_mask": np.array([True, False])})
+    for _ in range(40):
+        step_both(envs, warmest)
+
+
 def test_vector_env__slot_that_has_ended_may_be_begun_by_hand() -> None:
     """Then it is not begun a second time by the next step."""
     envs = [fakes(2, terminate=[WIDE]), apart(2, terminate=[WIDE])]

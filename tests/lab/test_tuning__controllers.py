@@ -56,6 +56,16 @@ def test_tune_controller__value_is_the_mean_over_the_episodes_of_a_new_controlle
     assert tuned.plain() == {"controller": "rbc", "parameters": tuned.parameters}
 
 
+def test_controller_episodes__a_reward_that_keeps_maxima_forgets_them_with_each_controller() -> None:
+    episodes = ControllerEpisodes({**ARGUMENTS, "reward": {"kind": "normalized"}})
+    factory = load_controller("rbc")
+    first = episodes.value(factory, {}, "reward")
+    other = episodes.value(factory, {"margin": 1.5, "setback": 6.0}, "reward")
+    assert other != first
+    assert episodes.value(factory, {}, "reward") == first
+    episodes.close()
+
+
 @pytest.mark.variants
 @pytest.mark.parametrize("sampler", ["tpe", "random", "cma-es"])
 def test_tune_controller__repeats_to_the_bit_and_depends_on_the_seed(sampler: Any) -> None:
