@@ -26,6 +26,7 @@ from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards import Reward
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
+from zenostat.lab.scenario_context import context_wrappers, within_context
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.episode_weather import EpisodeWeather, query_weather
 from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices
@@ -45,6 +46,8 @@ ControllerFactory = Callable[..., ControllerProtocol]
 
 _ADDED_SENSOR = re.compile(r"_next(_\d+)?$")
 """Name of a sensor of the next value of a schedule, which relative actions add."""
+
+_OF_ACTIONS = ("relative", "unobserved")
 
 Progress = Callable[[str, int, int, int], None]
 """Callback for each timestep: controller name, episode number, step, steps per episode."""
@@ -213,6 +216,7 @@ def evaluate(
     progress: Progress | None = None,
     trace: bool = False,
     record: str | Path | None = None,
+    wrappers: Sequence[Mapping[str, Any]] | None = None,
     **overrides: Any,
 ) -> Evaluation:
     """Run controllers one after another through the same episodes.
@@ -236,6 +240,8 @@ def evaluate(
         progress: callback for each timestep.
         trace: keep the samples of the first episode of each controller; see `Evaluation.report`.
         record: folder for a recording (`.mcap`) of each controller's node, which has the controller's name.
+        wrappers: of these wrappers, as data, those that set actuators outside the actions (`ChangingContext`) act in
+            all episodes, as do those of the scenario. Other wrappers concern what an agent sees, and are not applied.
         overrides: arguments of `BuildingEnv` that override those of the scenario. `monitoring` is on by default: nodes
             also measure what metrics, KPIs and reports need, which no controller observes.
 
@@ -249,6 +255,7 @@ def evaluate(
         settings["record"] = record
     if not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
         settings.setdefault("monitoring", True)
+    wrappers = context_wrappers(wrappers or ())
     prices, emissions = read_prices(prices), read_emissions(emissions)
     factories = controller_factories(controllers)
     arguments = assign_parameters(factories, parameters or {}, seed)
@@ -260,8 +267,7 @@ def evaluate(
     text = ""
     for name in sorted(factories, key=lambda key: is_baseline_factory(factories[key])):
         is_baseline = is_baseline_factory(factories[name])
-        arguments_of = _named_node(without_actuators(settings) if is_baseline else settings, name)
-        with closing(BuildingEnv(**arguments_of)) as env:
+        with closing(_open(_named_node(settings, name), wrappers, is_baseline=is_baseline)) as env:
             if name not in created and name not in unfit:
                 alike = {
                     key: factory for key, factory in factories.items() if is_baseline_factory(factory) == is_baseline
@@ -271,7 +277,8 @@ def evaluate(
                 try:
                     seeds = range(seed, seed + episodes)
                     recorder = TrajectoryRecorder(env.manifest) if trace else None
-                    run = partial(run_episode, env, prices=prices, emissions=emissions)
+                    within = within_context(env, wrappers)
+                    run = partial(run_episode, within, prices=prices, emissions=emissions)
                     rows[name], weathers = _run_episodes(name, created[name], run, env, seeds, progress, recorder)
                     if recorder is not None:
                         source_names = {getattr(env.link, "name", ""): name}
@@ -356,6 +363,26 @@ def _named_node(settings: Mapping[str, Any], controller: str) -> dict[str, Any]:
     if Path(settings["record"]).suffix == SUFFIX:
         raise InvalidConfig(f"{settings['record']}: an evaluation has a recording for each controller; name a folder")
     return {**settings, "node": safe_name(controller)}
+
+
+def _open(settings: Mapping[str, Any], wrappers: Sequence[Mapping[str, Any]], *, is_baseline: bool) -> BuildingEnv:
+    """Open the environment of a controller; that of baseline control has no actuators but those of the context."""
+    if not is_baseline:
+        return BuildingEnv(**settings)
+    if not context_wrappers(wrappers):
+        env = BuildingEnv(**without_actuators(settings))
+        if not context_wrappers(env.manifest.task.wrappers):
+            return env
+        env.close()
+    return BuildingEnv(**without_actions(settings))
+
+
+def without_actions(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """Keep the actuators, for wrappers that set some of them, but remove all actions: the others are never set."""
+    kept = {name: value for name, value in settings.items() if name not in ("control", "discrete")}
+    return kept | {name: value for name, value in without_actuators(settings).items() if name in _OF_ACTIONS} | {
+        "actions": {}
+    }
 
 
 def without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -47,7 +47,7 @@ class Agent:
         planner: Planner | None = None,
         semantic: Callable[[], Finder] | None = None,
     ) -> None:
-        self.controller = controller
+        self.controller, self._planner = controller, planner
         if isinstance(controller, PlanningController):
             if planner is None:
                 raise InvalidConfig(
@@ -75,8 +75,16 @@ class Agent:
         return self.controller.act(sample)
 
     def action(self, sample: SampleView) -> Any:
-        """Return the commands for a sample as an action; see `action_of`. Unnamed actuators keep their last command."""
+        """Return the commands for a sample as an action; see `action_of`. Unnamed actuators keep their last command.
+
+        What the wrappers of a trained policy set outside the actions is the environment's context.
+        """
         values = self.values(sample)  # before the next line: a new episode clears `_commanded`
+        if getattr(self.controller, "sets_context", False) and hasattr(self._planner, "set_context"):
+            known = {name for action in sample.manifest.task.actions for name in action.actuators}
+            if context := {name: value for name, value in values.items() if name not in known}:
+                self._planner.set_context(context)
+                values = {name: value for name, value in values.items() if name in known}
         self._commanded |= values
         return action_of(sample.manifest, self._commanded, sample)
 

@@ -44,6 +44,9 @@ class WrappedPolicy(Controller):
         ControllerMismatch: the node's observations or actions within the wrappers are not those of the training.
     """
 
+    sets_context = True
+    """Commands may name actuators of no action, which a `ChangingContext` of its wrappers sets."""
+
     def __init__(
         self,
         manifest: Manifest,

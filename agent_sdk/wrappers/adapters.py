@@ -223,7 +223,10 @@ class _VectorAdapter(_VectorWrapper, BuildingWrapper):
     def _start(
         self, slots: list[int], observations: Values, infos: dict[str, Any], seeds: Sequence[int | None] | None
     ) -> tuple[Values, dict[str, Any]]:
-        if slots:
+        present = _present(slots, infos)
+        if seeds is not None:
+            seeds = [seed for slot, seed in zip(slots, seeds, strict=True) if slot in present]
+        if slots := present:
             start = ResetBatch(slots, np.asarray(observations)[slots], Infos(infos, slots), seeds)
             self._store(slots, self._logic.start(start))
             infos = self._with_added(slots, infos)
@@ -265,16 +268,22 @@ class _VectorAdapter(_VectorWrapper, BuildingWrapper):
         infos: dict[str, Any],
         actions: Values,
     ) -> Values:
-        """Pass the timestep to the logic: running slots first, then those whose last sample is in the infos."""
+        """Pass the timestep to the logic: running slots first, then those whose last sample is in the infos.
+
+        A slot whose node is lost keeps its last observation.
+        """
         final = np.flatnonzero(ends).tolist() if self.autoreset_mode is AutoresetMode.SAME_STEP else []
         width = () if self._logic.reward_space is None else self._logic.reward_space.shape
         outer_rewards = np.zeros((self.num_envs, *width), np.float64)
-        for slots in ([i for i in live if i not in final], final):
+        for is_final, all_slots in ((False, [i for i in live if i not in final]), (True, final)):
+            step_infos = infos["final_info"] if is_final and all_slots else infos
+            slots = _present(all_slots, step_infos)
+            for slot in all_slots if is_final else ():
+                if slot not in slots:
+                    infos["final_obs"][slot] = self._last[slot].copy()
             if not slots:
                 continue
-            is_final = slots is final
             rows = np.array([infos["final_obs"][i] for i in slots]) if is_final else observations[slots]
-            step_infos = infos["final_info"] if is_final else infos
             step = StepBatch(slots, rows, rewards[slots], ends[slots], Infos(step_infos, slots), actions[slots])
             outer_rows, outer_rewards[slots] = self._logic.step(step)
             if is_final:
@@ -303,6 +312,13 @@ class _VectorAdapter(_VectorWrapper, BuildingWrapper):
     def close(self, **kwargs: Any) -> None:
         self._logic.close()
         self.env.close(**kwargs)
+
+
+def _present(slots: Sequence[int], infos: Mapping[str, Any]) -> list[int]:
+    """Return the slots that have a sample: not those of a fleet whose node is lost, whose infos are an error alone."""
+    if "error" not in infos:
+        return list(slots)
+    return [slot for slot in slots if Infos(infos, [slot]).get(0, "error") is None]
 
 
 def _mask(before: Any, slots: list[int], count: int) -> NDArray[np.bool_]:

@@ -31,7 +31,7 @@ class _Logic(WrapperLogic):
         self._folder, self._format = Path(folder), format
         self._folder.mkdir(parents=True, exist_ok=True)
         self._open: dict[int, tuple[Writer, str]] = {}
-        self._rewards: dict[int, tuple[list[str], list[str]]] = {}
+        self._rewards: dict[int, list[str]] = {}
         self._columns = [f"observation.{name}" for name in view.names] + [f"action.{n}" for n in _action_columns(view)]
         self._effective = [f"effective.{actuator.name}" for actuator in view.manifest.actuators]
 
@@ -42,34 +42,31 @@ class _Logic(WrapperLogic):
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:
         for row, slot in enumerate(step.slots):
-            terms = step.infos.get(row, "reward_terms") or {}
-            metrics = step.infos.get(row, "reward_metrics") or {}
+            numbers = _reward_numbers(step, row)
             if slot not in self._open:
-                self._begin(slot, terms, metrics)
-            self._open[slot][0].row(self._cells(row, slot, step, terms, metrics))
+                self._begin(slot, numbers)
+            elif added := [name for name in numbers if name not in self._rewards[slot]]:
+                self._rewards[slot] += added
+                self._open[slot][0].extend(added)
+            self._open[slot][0].row(self._cells(row, slot, step, numbers))
             if step.ends[row]:
                 self._finish(slot, "")
         return step.observations, step.rewards
 
-    def _cells(
-        self, row: int, slot: int, step: StepBatch, terms: Mapping[str, float], metrics: Mapping[str, float]
-    ) -> list[Cell]:
+    def _cells(self, row: int, slot: int, step: StepBatch, numbers: Mapping[str, float]) -> list[Cell]:
         effective = np.asarray(step.infos.get(row, "effective"), np.float64).tolist()
-        named_terms, named_metrics = self._rewards[slot]
         return [
             step.infos.get(row, "time"),
             *np.ravel(step.observations[row]).tolist(),
             *np.ravel(step.actions[row]).tolist(),
             *effective,
             float(step.rewards[row]),
-            *(_number(terms.get(name)) for name in named_terms),
-            *(_number(metrics.get(name)) for name in named_metrics),
+            *(numbers.get(name) for name in self._rewards[slot]),
         ]
 
-    def _begin(self, slot: int, terms: Mapping[str, float], metrics: Mapping[str, float]) -> None:
-        self._rewards[slot] = (list(terms), [name for name, value in metrics.items() if np.ndim(value) == 0])
-        rewards = [f"reward.{n}" for n in terms] + [f"metric.{n}" for n in self._rewards[slot][1]]
-        columns = ["time", *self._columns, *self._effective, "reward", *rewards]
+    def _begin(self, slot: int, numbers: Mapping[str, float]) -> None:
+        self._rewards[slot] = list(numbers)
+        columns = ["time", *self._columns, *self._effective, "reward", *numbers]
         name = self._next_name(slot)
         hidden = self._folder / f".{name}.{self._format}"
         if self._format == "csv":
@@ -92,9 +89,15 @@ class _Logic(WrapperLogic):
             self._finish(slot, "-left")
 
 
-def _number(value: Any) -> float | None:
-    """Convert a term to a float; None, an empty cell, if a custom reward does not have it in this timestep."""
-    return None if value is None else float(value)
+def _reward_numbers(step: StepBatch, row: int) -> dict[str, float]:
+    """Return terms and metrics of the reward by column; a custom reward need not have all in each timestep."""
+    groups = (("reward", "reward_terms"), ("metric", "reward_metrics"))
+    return {
+        f"{group}.{name}": float(value)
+        for group, key in groups
+        for name, value in (step.infos.get(row, key) or {}).items()
+        if np.ndim(value) == 0
+    }
 
 
 def _action_columns(view: EnvView) -> list[str]:

@@ -49,7 +49,9 @@ def evaluate_references(config: TrainingConfig, folder: Path) -> None:
         return  # an environment of the user's own: only buildings have other controllers
     try:
         with preserve_random_state():
-            result = evaluate(arguments, settings.references, episodes=settings.episodes, seed=settings.seed)
+            result = evaluate(
+                arguments, settings.references, episodes=settings.episodes, seed=settings.seed, wrappers=config.wrappers
+            )
     except UsageError as error:
         warnings.warn(f"evaluation.references: {error}", stacklevel=2)
         return

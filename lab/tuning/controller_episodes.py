@@ -9,6 +9,7 @@ import gymnasium as gym
 
 from zenostat.agent_sdk.controllers import Agent, ControllerProtocol, make_controller
 from zenostat.lab.evaluate import run_episode
+from zenostat.lab.scenario_context import within_context
 from zenostat.lab.scenario_env import pop_env_id
 from zenostat.lab.tuning.trial import mean_metric
 from zenostat.metrics.episode_metrics import EpisodeMetrics
@@ -36,7 +37,8 @@ class ControllerEpisodes:
         settings = dict(arguments)
         if weathers:
             settings |= {"weather": list(weathers), "weather_order": "sequence"}
-        self._env: gym.Env[Any, Any] = gym.make(pop_env_id(settings), **settings).unwrapped
+        building: Any = gym.make(pop_env_id(settings), **settings).unwrapped
+        self._env = within_context(building)
         self._resets = [seed if number == 0 else None for seed in seeds for number in range(max(len(weathers), 1))]
 
     @property

@@ -18,6 +18,7 @@ from zenostat.agent_sdk.testing import Climate, FakeBuilding, FakeLink
 from zenostat.bridge.client.sample import SampleView
 from zenostat.lab.evaluate import EpisodeRecord, Evaluation, evaluate, without_actuators
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
+from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.messages import Aggregation, Manifest, Meter, Sample, Task
 from zenostat.topics.points import value_index
@@ -365,3 +366,31 @@ def test_evaluate__baseline_of_a_scenario_with_relative_actions() -> None:
     rows = evaluate({**office, **relative}, ["fixed", "baseline"]).rows
     assert [row.controller for row in rows] == ["fixed", "baseline"]
     assert rows[1].result == evaluate(office, ["baseline"]).rows[0].result
+
+
+@pytest.mark.slow
+def test_evaluate__all_controllers_act_within_the_context_of_the_scenario(tmp_path: Path) -> None:
+    from zenostat.lab.tuning.controller_episodes import ControllerEpisodes
+
+    thermostat = "Zone Temperature Control"
+    file = tmp_path / "own.yaml"
+    fields = {
+        "building": "ref-small-office", "weather": "USA_AZ_Phoenix", "begin": "07-05", "end": "07-05",
+        "actuators": {
+            "core_cooling": [thermostat, "Cooling Setpoint", "CORE_ZN", 22.5, 30.0],
+            "side_cooling": [thermostat, "Cooling Setpoint", "PERIMETER_ZN_1", 22.5, 30.0],
+        },
+        "actions": {"core": ["core_cooling"]},
+        "wrappers": [{"wrapper": "ChangingContext", "schedule": {"00:00": {"side_cooling": 29.0}}}],
+    }  # fmt: skip
+    file.write_text(yaml12.dump(fields))
+    result = evaluate(file, ["fixed", "baseline"], trace=True)
+    for name in ("fixed", "baseline"):
+        run = result.traces[name].trajectory
+        assert set(run.effective[1:, list(run.actuators).index("side_cooling")]) == {29.0}
+    episodes = ControllerEpisodes({"file": str(file)})
+    assert episodes.value(FixedSetpoints, {}, "reward") == result.rows[0].result.reward
+    episodes.close()
+    further = [{"wrapper": "ChangingContext", "schedule": {"00:00": {"side_cooling": 23.0}}}, {"wrapper": "CyclicTime"}]
+    (row,) = evaluate({k: v for k, v in fields.items() if k != "wrappers"}, ["baseline"], wrappers=further, trace=True).rows
+    assert row.result.reward != result.rows[1].result.reward
