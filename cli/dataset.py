@@ -59,14 +59,14 @@ def dataset(
 
     from zenostat.agent_sdk.envs.arguments import of_scenario
     from zenostat.lab.datasets import write_dataset
+    from zenostat.lab.scenario_env import pop_env_id
 
     options = (("begin", begin), ("end", end))
     arguments: dict[str, Any] = {name: value for name, value in options if value is not None}
 
     def make() -> gym.Env[Any, Any]:
         chosen = of_scenario(scenario)
-        name = chosen.pop("scenario", "Scenario-v1")
-        return gym.make(f"zenostat/{name}", **chosen, **arguments)
+        return gym.make(pop_env_id(chosen), **chosen, **arguments)
 
     with ExitStack() as stack:
         path = write_dataset(

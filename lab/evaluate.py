@@ -338,6 +338,8 @@ def _run_episodes(
     agent, steps = Agent(controller, env), env.manifest.steps
     rows, weathers = [], []
     for number, seed in enumerate(seeds):
+        if callable(seed_episode := getattr(controller, "seed_episode", None)):
+            seed_episode(seed)
         report = None if progress is None else partial(progress, name, number)
         result, weather = run(
             lambda _: agent.action(env.sample),
@@ -380,9 +382,11 @@ def _open(settings: Mapping[str, Any], wrappers: Sequence[Mapping[str, Any]], *,
 def without_actions(settings: Mapping[str, Any]) -> dict[str, Any]:
     """Keep the actuators, for wrappers that set some of them, but remove all actions: the others are never set."""
     kept = {name: value for name, value in settings.items() if name not in ("control", "discrete")}
-    return kept | {name: value for name, value in without_actuators(settings).items() if name in _OF_ACTIONS} | {
-        "actions": {}
-    }
+    return (
+        kept
+        | {name: value for name, value in without_actuators(settings).items() if name in _OF_ACTIONS}
+        | {"actions": {}}
+    )
 
 
 def without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:
@@ -398,9 +402,7 @@ def without_actuators(settings: Mapping[str, Any]) -> dict[str, Any]:
     if fields.get("relative") is not None and isinstance(unobserved, list | tuple):
         own = {*(fields.get("sensors") or {}), *(fields.get("meters") or {})}
         removed["unobserved"] = [name for name in unobserved if name in own or not _ADDED_SENSOR.search(str(name))]
-    return {
-        name: value for name, value in settings.items() if name not in ("actions", "control", "discrete")
-    } | removed
+    return {name: value for name, value in settings.items() if name not in ("actions", "control", "discrete")} | removed
 
 
 def controller_factories(

@@ -16,14 +16,13 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.controllers.base import Controller, Values
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.controllers.predictor import Predictor, describe_difference
+from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics, set_wrapper_states
+from zenostat.agent_sdk.rewards.reward_reader import CUSTOM
+from zenostat.agent_sdk.wrappers.checkpoint import LOGS, frozen_statistics, set_wrapper_states, without_logs
 from zenostat.agent_sdk.wrappers.serialization import apply_wrappers
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Manifest, WeatherSeries
-
-_LOGS = ("EpisodeLog", "TensorBoardLog", "WeightsAndBiasesLog")
-"""Wrappers that only write files."""
 
 
 class WrappedPolicy(Controller):
@@ -57,9 +56,10 @@ class WrappedPolicy(Controller):
     ) -> None:
         super().__init__(manifest)
         self._model, self._normalization = model, normalization
-        self._wrappers = [wrapper for wrapper in wrappers if wrapper["wrapper"] not in _LOGS]
-        self._states = [state for state in states if state["wrapper"] not in _LOGS]
+        self._wrappers = [wrapper for wrapper in wrappers if wrapper["wrapper"] not in LOGS]
+        self._states = without_logs(states)
         self._link: _SampleQueue | None = None
+        self._seed: int | None = None
         with self._environment(_SampleQueue(manifest)) as env:
             for kind in ("observation", "action"):
                 current, trained = getattr(env, f"{kind}_space"), getattr(model, f"{kind}_space")
@@ -71,12 +71,21 @@ class WrappedPolicy(Controller):
 
     @contextmanager
     def _environment(self, link: _SampleQueue) -> Iterator[gym.Env[Any, Any]]:
-        with BuildingEnv(link=link) as env:
+        # A reward that is code of the program that evaluates is not among the data of the manifest.
+        is_code = (link.manifest.task.reward or {}).get("kind") == CUSTOM
+        with BuildingEnv(link=link, reward=None if is_code else FROM_SCENARIO) as env:
             wrapped = apply_wrappers(env, self._wrappers)
             if self._states:
                 set_wrapper_states(wrapped, self._states, "the training's wrappers")
             with frozen_statistics(wrapped):
                 yield wrapped
+
+    def seed_episode(self, seed: int) -> None:
+        """Let the wrappers draw from the seed of the next episode, as in an evaluation of its training.
+
+        Without it, each episode draws what the first one after the training would have drawn.
+        """
+        self._seed = seed
 
     def begin(self, sample: SampleView) -> None:  # noqa: ARG002
         """Reset the wrappers and the state of a recurrent model."""
@@ -84,7 +93,8 @@ class WrappedPolicy(Controller):
             self._link.cancel()
         self._link = _SampleQueue(self.manifest)
         torch = sys.modules.get("torch")  # loaded with a model of stable-baselines3
-        arguments = [self._link, torch and torch.get_num_threads()]
+        arguments = [self._link, torch and torch.get_num_threads(), self._seed]
+        self._seed = None
         threading.Thread(target=self._run, args=arguments, name="policy", daemon=True).start()
 
     def act(self, sample: SampleView) -> Values:
@@ -94,12 +104,12 @@ class WrappedPolicy(Controller):
         assert self._link is not None
         return self._link.exchange(sample)
 
-    def _run(self, link: _SampleQueue, torch_threads: int | None) -> None:
+    def _run(self, link: _SampleQueue, torch_threads: int | None, seed: int | None) -> None:
         if torch_threads is not None:
             sys.modules["torch"].set_num_threads(torch_threads)  # it applies to the thread that calls it
         try:
             with self._environment(link) as env:
-                predictor, (observation, _) = Predictor(self._model), env.reset()
+                predictor, (observation, _) = Predictor(self._model), env.reset(seed=seed)
                 while True:
                     if self._normalization is not None:
                         observation = self._normalization.normalize_obs(observation)

@@ -29,8 +29,8 @@ def from_function(function: RewardFunction | type) -> Reward:
         function: called once per timestep, and once at the first sample to get the names of its terms, with the values
             by name (floats, or arrays of the leading shape if there are several slots) and the time at which the
             timestep began. It returns the reward, or terms by name that add up to the reward. A callable object may
-            also have `reset(slots)`, `state()` and `restore(state)`, see `BoundReward`; without the last two, its attributes
-            are its state, and are copied. A class is instantiated without arguments for each environment.
+            also have `reset(slots)`, `state()` and `restore(state)`, see `BoundReward`; without the last two, its
+            attributes are its state, and are copied. A class is instantiated without arguments for each environment.
 
     Raises:
         InvalidConfig: the function does not take two arguments; at a step, it returned something other than a reward.

@@ -12,11 +12,14 @@ from gymnasium import Wrapper
 from gymnasium.vector import VectorWrapper
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
-from zenostat.agent_sdk.wrappers.names import inside
+from zenostat.agent_sdk.wrappers.names import inside, layers
 from zenostat.agent_sdk.wrappers.serialization import wrappers_of
 from zenostat.topics import yaml12
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
+
+LOGS = ("EpisodeLog", "TensorBoardLog", "WeightsAndBiasesLog")
+"""Wrappers that only write files."""
 
 _DTYPES = ("float32", "float64")
 
@@ -101,6 +104,11 @@ def set_wrapper_states(env: Any, states: Sequence[Mapping[str, Any]], path: str)
         raise InvalidConfig(f"{path} does not fit: {reason}") from None
 
 
+def without_logs(states: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
+    """Return the states of a chain of wrappers without those that only write files."""
+    return [state for state in states if state["wrapper"] not in LOGS]
+
+
 @contextmanager
 def frozen_statistics(env: Any) -> Iterator[None]:
     """Keep Gymnasium's running statistics around `env` as they are within the context."""
@@ -182,12 +190,12 @@ def restore_normalization(env: Any, folder: str | Path) -> None:
         folder: Sinergym's `norm_stats`.
 
     Raises:
-        InvalidConfig: the wrapper or a file is missing, or a file has another number of values.
+        InvalidConfig: the wrapper or a file is missing, a file has another number of values, a variance is below 0, or
+            the count is not above 0.
     """
-    try:
-        statistics = env.get_wrapper_attr("obs_rms")
-    except AttributeError:
-        raise InvalidConfig("the environment has no NormalizeObservation, which the statistics are for") from None
+    statistics = next((layer.obs_rms for layer in layers(env) if hasattr(layer, "obs_rms")), None)
+    if statistics is None:
+        raise InvalidConfig("the environment has no NormalizeObservation, which the statistics are for")
     shape, loaded = np.shape(statistics.mean), {}
     for name in ("mean", "var", "count"):
         path = Path(folder) / f"{name}.txt"
@@ -200,6 +208,10 @@ def restore_normalization(env: Any, folder: str | Path) -> None:
         expected_shape = shape if name != "count" else (1,)
         if loaded[name].shape != expected_shape or not np.isfinite(loaded[name]).all():
             raise InvalidConfig(f"{path}: {int(np.prod(expected_shape))} numbers expected, got {loaded[name].size}")
+        if name == "var" and (loaded[name] < 0.0).any():
+            raise InvalidConfig(f"{path}: {loaded[name].min():g} is no variance; numbers of at least 0 expected")
+        if name == "count" and not loaded[name][0] > 0.0:
+            raise InvalidConfig(f"{path}: {loaded[name][0]:g} is no number of observations; one above 0 expected")
     statistics.mean, statistics.var = loaded["mean"], loaded["var"]
     if "count" in loaded:
         statistics.count = float(loaded["count"][0])

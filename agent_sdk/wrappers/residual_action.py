@@ -54,6 +54,9 @@ class _ResidualLogic(WrapperLogic):
             raise InvalidConfig(f"{own} needs continuous actions, not {view.action_space}")
         self._inner = view.action_space
         limit = _limits(offset, view.action_names, own)
+        # An action without an offset has bounds all the same: learners scale actions by the width of their bounds.
+        self._has_offset = limit > 0.0
+        limit = np.where(self._has_offset, limit, np.float32(1.0))
         self._space = self.action_space = Box(-limit, limit, dtype=np.float32)
         self.action_names = view.action_names
         manifest = view.manifest
@@ -81,7 +84,9 @@ class _ResidualLogic(WrapperLogic):
         if offsets.shape[1:] != low.shape or not ((offsets >= low) & (offsets <= high)).all():
             shown = np.asarray(actions if self.view.vector else actions[0]).tolist()
             raise InvalidAction(f"{self.view.wrapper_name}: action {shown} is not in {self._space}")
-        clipped: NDArray[np.float32] = np.clip(self._rule[slots] + offsets, self._inner.low, self._inner.high)
+        clipped: NDArray[np.float32] = np.clip(
+            self._rule[slots] + np.where(self._has_offset, offsets, np.float32(0.0)), self._inner.low, self._inner.high
+        )
         return clipped
 
     def _update(self, slots: Sequence[int]) -> None:
@@ -128,7 +133,7 @@ class ResidualAction(BuildingWrapper):
     Args:
         controller: name of the rule: `rbc`, `fixed`, `setback`, `offsets`, `incremental` or `pid`.
         offset: largest offset to both sides, above 0, for all actions or by action; actions that a mapping does not
-            name follow the rule.
+            name follow the rule, and their offset, -1 to 1, has no effect.
         parameters: parameters of the rule, such as those that `zenostat tune` has found.
 
     Raises:

@@ -138,6 +138,7 @@ def capture(model: BaseAlgorithm, env: TrainingEnv, counters: Mapping[str, Any],
         "simulated": simulated_state(env.env),
         "returns": None if env.normalization is None else env.normalization.returns,
         "counters": dict(counters),
+        "reference_wrappers": [wrapper_state(each) for each in env.both[1:]],
     }
     buffer = getattr(model, "replay_buffer", None)
     return Checkpoint(
@@ -163,11 +164,13 @@ def restore_environment(checkpoint: Checkpoint, env: TrainingEnv, seed: int) -> 
             f"the simulation differs from that of the checkpoint at step {checkpoint.step}: the building, its weather "
             "files or EnergyPlus have changed since; begin a new training"
         )
-    if checkpoint.wrappers:
-        with TemporaryDirectory(prefix="zenostat-") as folder:
-            path = Path(folder) / WRAPPERS
-            path.write_text(checkpoint.wrappers, encoding="utf-8")
-            for each in env.both:
+    # A reference was given other actions than the environment: what its wrappers know is its own.
+    texts = [checkpoint.wrappers, *checkpoint.state.get("reference_wrappers", ())]
+    for each, text in zip(env.both, texts, strict=False):
+        if text:
+            with TemporaryDirectory(prefix="zenostat-") as folder:
+                path = Path(folder) / WRAPPERS
+                path.write_text(text, encoding="utf-8")
                 restore_wrappers(each, path)
     if env.normalization is not None:
         saved = pickle.loads(checkpoint.normalization)  # noqa: S301  # pickled, as is the model beside it

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -124,7 +125,8 @@ class TrainingConfig(ConfigPart):
     @property
     def folder(self) -> Path:
         """Folder of the results; by default named after scenario, algorithm and seed."""
-        name = f"{safe_name(Path(self.scenario).stem)}-{safe_name(self.algorithm)}-{self.seed}"
+        scenario = re.sub(r"\.ya?ml$", "", Path(self.scenario).name)  # an id may have dots, those of its weather
+        name = f"{safe_name(scenario)}-{safe_name(self.algorithm)}-{self.seed}"
         return Path("training") / name if self.output is None else Path(self.output)
 
     @property

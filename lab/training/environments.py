@@ -14,6 +14,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecMonitor, Ve
 from zenostat.agent_sdk.envs.arguments import check_agent_fields, of_scenario
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
 from zenostat.agent_sdk.wrappers import action_names_of, apply_wrappers, wrappers_of
+from zenostat.agent_sdk.wrappers.checkpoint import LOGS
 from zenostat.agent_sdk.wrappers.names import attribute
 from zenostat.agent_sdk.wrappers.serialization import check_wrappers
 from zenostat.bridge.client.controller_link import ControllerLink
@@ -47,9 +48,11 @@ def check_environment(config: TrainingConfig) -> None:
 
 
 def make_env(config: TrainingConfig, *, for_evaluation: bool = False) -> gym.Env[Any, Any]:
-    """Make one environment of a training within its wrappers."""
+    """Make one environment of a training within its wrappers; for evaluations without those that write logs."""
     arguments = config.environment(for_evaluation=for_evaluation)
-    env: gym.Env[Any, Any] = _wrapped(gym.make(pop_env_id(arguments), **arguments), config)
+    env: gym.Env[Any, Any] = _wrapped(
+        gym.make(pop_env_id(arguments), **arguments), config, for_evaluation=for_evaluation
+    )
     return env
 
 
@@ -64,9 +67,10 @@ def make_slots(config: TrainingConfig) -> gym.vector.VectorEnv[Any, Any, Any]:
     return env
 
 
-def _wrapped(env: Any, config: TrainingConfig) -> Any:
+def _wrapped(env: Any, config: TrainingConfig, *, for_evaluation: bool = False) -> Any:
     try:
-        env = apply_wrappers(env, config.wrappers)
+        wrappers = [entry for entry in config.wrappers if not (for_evaluation and entry["wrapper"] in LOGS)]
+        env = apply_wrappers(env, wrappers)
         space = getattr(env, "single_action_space", env.action_space)
         if config.normalization and config.normalization.actions and isinstance(space, gym.spaces.Box):
             env = apply_wrappers(env, [RESCALED])

@@ -14,8 +14,9 @@ import numpy as np
 from zenostat.agent_sdk.controllers.policy import preserve_random_state
 from zenostat.agent_sdk.controllers.predictor import Predictor
 from zenostat.agent_sdk.vec_normalization import mark_normalized, normalization_of, normalization_path
-from zenostat.agent_sdk.wrappers import restore_wrappers, save_wrappers
-from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics
+from zenostat.agent_sdk.wrappers import save_wrappers
+from zenostat.agent_sdk.wrappers.checkpoint import LOGS, frozen_statistics, set_wrapper_states, without_logs
+from zenostat.agent_sdk.wrappers.names import layers
 from zenostat.lab.evaluate import run_episode
 from zenostat.metrics.episode_metrics import EpisodeMetrics
 from zenostat.topics import yaml12
@@ -163,18 +164,20 @@ class EvaluationCallback(BaseCallback):
     def _save(self, wrapper_text: str) -> None:
         if self._path is None:
             return
-        with atomic_file(self._path) as temporary:
-            self.model.save(temporary)
         normalization = self.model.get_vec_normalize_env()
         normalization_file, wrappers_file = normalization_path(self._path), self._path.with_suffix(".wrappers.yaml")
         if normalization is not None:
-            normalization.save(str(normalization_file))
+            with atomic_file(normalization_file) as temporary:
+                normalization.save(str(temporary))
         else:
             normalization_file.unlink(missing_ok=True)  # of an earlier training
         if wrapper_text:
-            wrappers_file.write_text(wrapper_text, encoding="utf-8")
+            with atomic_file(wrappers_file) as temporary:
+                temporary.write_text(wrapper_text, encoding="utf-8")
         else:
             wrappers_file.unlink(missing_ok=True)
+        with atomic_file(self._path) as temporary:  # last: a model that is there has what it needs
+            self.model.save(temporary)
 
 
 def evaluate_model(
@@ -217,6 +220,7 @@ def _copy_wrapper_state(training: Any, env: gym.Env[Any, Any]) -> str:
         save_wrappers(envs[0], path)
         text = path.read_text(encoding="utf-8")
         content = yaml12.parse(text, str(path))
-        if content["wrappers"]:
-            restore_wrappers(env, path)
+        if states := content["wrappers"]:
+            logs = any(type(layer).__name__ in LOGS for layer in layers(env))  # an evaluation need not log
+            set_wrapper_states(env, states if logs else without_logs(states), "the training's wrappers")
     return text if content["wrappers"] or "chain" in content else ""

@@ -20,6 +20,8 @@ from zenostat.lab.training.zero_actions import zero_actions
 from zenostat.topics.errors import InvalidConfig
 
 _LOGS = (EpisodeLog, TensorBoardLog, WeightsAndBiasesLog)
+_SCALED = ("NormalizeReward", "ClipReward")
+"""Gymnasium's wrappers that change a reward by what it has been, or not in proportion."""
 
 
 def paired(env: Any, reference: Any) -> Any:
@@ -33,13 +35,19 @@ def paired(env: Any, reference: Any) -> Any:
         reference: another one, made with the same arguments and wrappers; the caller closes both.
 
     Raises:
-        InvalidConfig: the actions are no offsets, zero is not one of them, or a wrapper logs episodes, which would
-            write those of the reference as well. At a step: the episodes of both do not end together.
+        InvalidConfig: the actions are no offsets, zero is not one of them, a wrapper logs episodes, which would
+            write those of the reference as well, or scales rewards. At a step: the episodes of both do not end
+            together.
     """
     zeros = zero_actions(env, "paired_reward")
     for layer in layers(env):
         if isinstance(layer, _LOGS):
             raise InvalidConfig(f"paired_reward: {type(layer).__name__} would log the reference as well; remove it")
+        if type(layer).__name__ in _SCALED:
+            raise InvalidConfig(
+                f"paired_reward: {type(layer).__name__} would scale the rewards of environment and reference "
+                "differently; remove it, and use normalization.rewards"
+            )
     if isinstance(env, VectorEnv):
         return _PairedVectorEnv(env, reference, np.tile(zeros, (env.num_envs, 1)))
     return _PairedEnv(env, reference, zeros)

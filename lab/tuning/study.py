@@ -39,7 +39,11 @@ with requires_extra("tune", "tuning", "Optuna"):
 
 _REASON = "reason"
 _IDENTITY = "zenostat"
+_INTERRUPTED = "interrupted"
+"""Mark of a trial that repeats one that was interrupted, which is none of its `retries`."""
 _POLL_S = 0.2
+_CREATION_S = 10.0
+"""Time for another machine to write the settings and first trials of a study that it creates."""
 _INVALID_TRIALS = 3
 """Number of first trials that fail because their configuration is invalid, after which the study ends."""
 _END_S = 20.0
@@ -80,21 +84,29 @@ def open_study(config: StudyConfig) -> optuna.Study:
             study = optuna.create_study(
                 study_name=config.study, storage=storage, direction=config.direction, **arguments
             )
-            study.set_user_attr(_IDENTITY, identity)
             if config.begins_with_default:
                 study.enqueue_trial({}, user_attrs={DEFAULT: True})
             start = starting_point(config.parameters)
             for point in config.grid() if config.sampler == "grid" else [start] if start else []:
                 study.enqueue_trial({name: encode(value) for name, value in point.items()})
+            study.set_user_attr(_IDENTITY, identity)  # last: another machine then has all that was queued
         except optuna.exceptions.DuplicatedStudyError:
             study = optuna.load_study(study_name=config.study, storage=storage, **arguments)
-            saved = _without_nulls(study.user_attrs.get(_IDENTITY, {}))
+            saved = _without_nulls(_identity_of(study))
             if differing := [name for name in identity if saved.get(name) != identity[name]]:
                 raise InvalidConfig(
                     f"the study {config.study!r} exists in {without_password(config.url)} with other settings "
                     f"({', '.join(differing)}): choose another name, or restore them"
                 ) from None
     return study
+
+
+def _identity_of(study: optuna.Study) -> dict[str, Any]:
+    """Return the settings of a study that exists; wait while another machine is creating it."""
+    end = time.monotonic() + _CREATION_S
+    while not (identity := study.user_attrs.get(_IDENTITY, {})) and time.monotonic() < end:
+        time.sleep(_POLL_S)
+    return dict(identity)
 
 
 @dataclass
@@ -247,6 +259,7 @@ class Tuning:
         if result.get("again"):
             of = worker.trial.user_attrs.get(RETRY_OF, worker.trial.number)
             default = {name: True for name in (DEFAULT,) if name in worker.trial.user_attrs}
+            default |= {_INTERRUPTED: True} if interrupted else {}
             self.study.enqueue_trial(worker.trial.params, user_attrs={RETRY_OF: of, **default})
         if self._on_trial is not None:
             self._on_trial(self.study.trials[worker.trial.number])
@@ -263,7 +276,10 @@ class Tuning:
 
     def _may_retry(self, trial: optuna.Trial) -> bool:
         of = trial.user_attrs.get(RETRY_OF, trial.number)
-        retries: int = sum(other.user_attrs.get(RETRY_OF) == of for other in self.study.get_trials(deepcopy=False))
+        retries: int = sum(
+            other.user_attrs.get(RETRY_OF) == of and _INTERRUPTED not in other.user_attrs
+            for other in self.study.get_trials(deepcopy=False)
+        )
         return retries < self._config.retries
 
     def _heartbeat(self) -> None:

@@ -107,7 +107,7 @@ class StudyConfig(ConfigPart, ABC):
         parameters: what to search.
         sampler: `tpe`, `random`, `grid` or `cma-es`.
         seed: seed of the sampler; with one worker, the same study gives the same trials, also if it was interrupted.
-        trials: number of trials; of a grid by default all its points.
+        trials: number of trials; a grid has all its points.
         workers: number of trials at the same time on this machine.
         metric: metric to optimize, as `reward` or `hvac_electricity_kwh`.
         direction: whether to maximize it.
@@ -171,11 +171,16 @@ class StudyConfig(ConfigPart, ABC):
         """Return the study with its number of trials.
 
         Raises:
-            InvalidConfig: the grid has ranges without a step, there is no number of trials, or `cma-es` has a choice.
+            InvalidConfig: the grid has ranges without a step or another number of trials, there is no number of trials,
+                or `cma-es` has a choice.
         """
         if self.sampler == "grid":
-            points = self.grid()
-            return self.model_copy(update={"trials": self.trials or len(points)})
+            points = len(self.grid())
+            if self.trials not in (None, points):
+                raise InvalidConfig(
+                    f"{what}: trials: {self.trials}, but a grid has all of its {points} points; leave it out"
+                )
+            return self.model_copy(update={"trials": points})
         if self.trials is None:
             raise InvalidConfig(f"{what}: trials: it is missing; only a grid has a number of its own")
         choices = [name for name, searched in self.parameters.items() if searched.choices is not None]

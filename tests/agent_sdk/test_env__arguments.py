@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO, fields_of_file, check_agent_settings, for_node
+from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO, check_agent_settings, fields_of_file, for_node
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.eplus_node.config import read_config
 from zenostat.topics.errors import InvalidConfig, UsageError

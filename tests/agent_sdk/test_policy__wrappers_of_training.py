@@ -10,15 +10,18 @@ import pytest
 
 pytest.importorskip("stable_baselines3")
 
+import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from zenostat.agent_sdk.controllers import Agent
 from zenostat.agent_sdk.controllers.policy_loader import load_policy
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
-from zenostat.agent_sdk.testing import FakeEnv
+from zenostat.agent_sdk.testing import FakeBuilding, FakeEnv, FakeLink
 from zenostat.agent_sdk.vec_normalization import normalization_path
-from zenostat.agent_sdk.wrappers import restore_wrappers, save_wrappers
+from zenostat.agent_sdk.wrappers import apply_wrappers, restore_wrappers, save_wrappers
+from zenostat.lab.evaluate import evaluate
+from zenostat.lab.training import evaluate_model
 from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig
 
@@ -51,6 +54,28 @@ def test_policy__model_behind_rescaled_actions_is_evaluated_afterwards(tmp_path:
             expected, expected_reward, *_ = wrapped.step(action)
             assert np.array_equal(observation, expected)
             assert reward == expected_reward
+
+
+def test_policy__forecast_errors_are_those_of_the_seed_of_the_episode(tmp_path: Path) -> None:
+    """An evaluation afterwards gives what one during the training gives, also with a reward that is code."""
+    errors = {"dry_bulb_temperature": {"sigma": 2.0, "tau_h": 6.0}}
+    chain = [{"wrapper": "WeatherForecast", "columns": ["dry_bulb_temperature"], "n": 2, "errors": errors}]
+
+    def bill(values: Any, begin: Any) -> float:
+        return -float(values["hvac_electricity"])
+
+    with closing(apply_wrappers(FakeEnv(reward=bill, **DAY), chain)) as env:
+        model = PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu", seed=0)
+        with torch.no_grad():  # a policy that reacts to the forecasts
+            model.policy.action_net.weight.normal_(0.0, 5.0)
+        model.save(tmp_path / "model.zip")
+        save_wrappers(env, tmp_path / "model.wrappers.yaml")
+        expected = [result.reward for result in evaluate_model(model, env, episodes=2, seed=7)]
+        policy = load_policy(tmp_path / "model.zip", "ppo")
+        rows = evaluate(
+            {"link": FakeLink(FakeBuilding(**DAY)), "reward": bill}, {"policy": policy}, episodes=2, seed=7
+        ).rows
+    assert [row.result.reward for row in rows] == expected
 
 
 def test_policy__state_of_wrappers_is_restored_with_and_without_the_chain(tmp_path: Path) -> None:

@@ -169,20 +169,20 @@ def test_wrappers__weights_and_biases_offline(tmp_path: Path, monkeypatch: pytes
     assert list(tmp_path.rglob("*.wandb"))
 
 
-@pytest.mark.parametrize("format", ["csv", "parquet"])
-def test_wrappers__term_that_appears_later_has_a_column(tmp_path: Path, format: str) -> None:
+@pytest.mark.parametrize("kind", ["csv", "parquet"])
+def test_wrappers__term_that_appears_later_has_a_column(tmp_path: Path, kind: Any) -> None:
     def late(values: Any, begin: Any) -> dict[str, float]:
         return {"base": -1.0} | ({"late": -2.0} if begin.hour >= 2 else {})
 
-    if format == "parquet":
+    if kind == "parquet":
         parquet = pytest.importorskip("pyarrow.parquet")
-    env = w.EpisodeLog(FakeEnv(zones=1, steps_per_hour=1, reward=late), tmp_path, format)
+    env = w.EpisodeLog(FakeEnv(zones=1, steps_per_hour=1, reward=late), tmp_path, kind)
     env.reset(seed=0)
     for _ in range(4):
         env.step(env.action_space.sample())
     env.close()
     (file,) = tmp_path.iterdir()
-    rows = parquet.read_table(file).to_pylist() if format == "parquet" else rows_of(file)
-    empty = None if format == "parquet" else ""
+    rows = parquet.read_table(file).to_pylist() if kind == "parquet" else rows_of(file)
+    empty = None if kind == "parquet" else ""
     assert [row["reward.late"] for row in rows] == [empty, empty, *(type(rows[2]["reward.late"])(-2.0),) * 2]
     assert [float(row["reward.base"]) for row in rows] == [-1.0] * 4

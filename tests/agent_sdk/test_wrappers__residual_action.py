@@ -54,7 +54,12 @@ def test_residual_action__only_named_actions_have_offsets() -> None:
     with FakeEnv() as env:
         first, *others = w.action_names_of(env)
         wrapped = w.ResidualAction(env, "rbc", {first: 2.0})
-        assert wrapped.action_space.high.tolist() == [2.0, *(0.0 for _ in others)]
+        assert wrapped.action_space.high.tolist() == [2.0, *(1.0 for _ in others)]
+        wrapped.reset(seed=0)
+        *_, first_info = wrapped.step(np.zeros(len(others) + 1, np.float32))
+        wrapped.reset(seed=0)
+        *_, info = wrapped.step(np.array([0.0, *(1.0 for _ in others)], np.float32))
+        assert np.array_equal(info["action"], first_info["action"])
 
 
 @pytest.mark.parametrize(

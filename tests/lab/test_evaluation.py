@@ -392,5 +392,7 @@ def test_evaluate__all_controllers_act_within_the_context_of_the_scenario(tmp_pa
     assert episodes.value(FixedSetpoints, {}, "reward") == result.rows[0].result.reward
     episodes.close()
     further = [{"wrapper": "ChangingContext", "schedule": {"00:00": {"side_cooling": 23.0}}}, {"wrapper": "CyclicTime"}]
-    (row,) = evaluate({k: v for k, v in fields.items() if k != "wrappers"}, ["baseline"], wrappers=further, trace=True).rows
+    (row,) = evaluate(
+        {k: v for k, v in fields.items() if k != "wrappers"}, ["baseline"], wrappers=further, trace=True
+    ).rows
     assert row.result.reward != result.rows[1].result.reward

@@ -23,6 +23,11 @@ pytestmark = pytest.mark.usefixtures("one_torch_thread")
 
 DAY: dict[str, Any] = {"zones": 2, "begin": "07-03", "end": "07-03", "steps_per_hour": 1}
 STEPS = 24
+INCREMENTS = {
+    "wrapper": "IncrementalAction",
+    "increments": {"zone_1_cooling_setpoint": 0.5},
+    "initial": {"zone_1_cooling_setpoint": 0.0},
+}
 RESIDUAL = {"wrapper": "ResidualAction", "controller": "fixed", "offset": 2.0}
 
 
@@ -65,8 +70,11 @@ def test_paired_reward__is_the_difference_of_two_environments(slots: int, tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slots", [1, 2])
-def test_paired_reward__resumed_training_equals_an_uninterrupted_one(slots: int, tmp_path: Path) -> None:
-    changes: dict[str, Any] = {"slots": slots, "checkpoint_steps": 70}
+@pytest.mark.parametrize("further", [[], [INCREMENTS]])
+def test_paired_reward__resumed_training_equals_an_uninterrupted_one(
+    slots: int, further: list[Any], tmp_path: Path
+) -> None:
+    changes: dict[str, Any] = {"slots": slots, "checkpoint_steps": 70, "wrappers": [RESIDUAL, *further]}
     train(read_training(fields(tmp_path / "whole", **changes)))
     stop = threading.Event()
     cut = train(
@@ -88,6 +96,8 @@ def test_paired_reward__resumed_training_equals_an_uninterrupted_one(slots: int,
         ({"wrappers": []}, "is no offset.*relative actions or ResidualAction"),
         ({"arguments": {**DAY, "discrete": 5, "control": "building"}, "wrappers": []}, "is no offset"),
         ({"wrappers": [RESIDUAL, {"wrapper": "EpisodeLog", "folder": "log"}]}, "EpisodeLog would log"),
+        ({"wrappers": [RESIDUAL, {"wrapper": "NormalizeReward"}]}, "NormalizeReward would scale"),
+        ({"wrappers": [RESIDUAL, {"wrapper": "ClipReward", "min_reward": -1.0}]}, "ClipReward would scale"),
     ],
 )
 def test_paired_reward__actions_have_to_be_offsets(changes: dict[str, Any], text: str, tmp_path: Path) -> None:

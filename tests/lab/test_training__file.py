@@ -160,6 +160,24 @@ def test_training__folder_of_a_training_behind_wrappers_is_a_controller(tmp_path
                 assert metrics.reward == result.best_reward
 
 
+def test_training__evaluations_write_no_logs(tmp_path: Path) -> None:
+    log = {"wrapper": "EpisodeLog", "folder": str(tmp_path / "log")}
+    evaluation = {"every_steps": 64, "references": []}
+    changes = {"wrappers": [{"wrapper": "CyclicTime"}, log], "evaluation": evaluation, "steps": 64, "arguments": DAY}
+    train(read_training(fields("ppo", tmp_path / "run", **changes)))
+    episodes = [path.name for path in sorted((tmp_path / "log").iterdir())]
+    assert episodes == ["episode-000001.csv", "episode-000002.csv", "episode-000003-left.csv"]
+    with (tmp_path / "run" / "evaluations.csv").open() as file:
+        assert len(file.readlines()) == 2
+
+
+def test_training__default_folder_has_the_whole_id() -> None:
+    ids = ["office-USA_CO.Denver-continuous-v1", "office-USA_CO.Boulder-continuous-v1", "my/own.office.yaml"]
+    folders = [read_training({"algorithm": "ppo", "scenario": name, "steps": 1}).folder.name for name in ids]
+    assert len(set(folders)) == 3
+    assert [folder.endswith("v1-ppo-0") for folder in folders] == [True, True, False]
+
+
 def test_training__folder_of_an_older_version_is_one_sentence(tmp_path: Path) -> None:
     training = fields("a2c", tmp_path, arguments=DAY, steps=5)
     train(read_training(training))

@@ -45,7 +45,9 @@ def test_tuning__grid_has_all_combinations_in_order(tmp_path: Path) -> None:
     queued = [trial.system_attrs["fixed_params"] for trial in open_study(config).trials]
     assert [tuple(point.values()) for point in queued] == points
     with pytest.raises(InvalidConfig, match=r"parameters\.learning_rate: a grid needs choices"):
-        study(tmp_path, sampler="grid")
+        study(tmp_path, sampler="grid", trials=None)
+    with pytest.raises(InvalidConfig, match="trials: 3, but a grid has all of its 6 points"):
+        study(tmp_path, parameters=searched, sampler="grid", trials=3)
 
 
 @pytest.mark.parametrize(
@@ -93,6 +95,26 @@ def test_tuning__study_that_exists_with_other_settings_is_one_sentence(tmp_path:
     assert len(open_study(study(tmp_path, trials=7, workers=2)).trials) == 0  # these may differ
     with pytest.raises(InvalidConfig, match=r"the study 's' exists .*with other settings \(seed\)"):
         open_study(study(tmp_path, seed=1))
+
+
+def test_open_study__waits_for_the_machine_that_is_creating_the_study(tmp_path: Path) -> None:
+    config = study(tmp_path)
+    created = open_study(config)
+    identity = created.user_attrs["zenostat"]
+    created.set_user_attr("zenostat", {})  # as between the creation and what is written after it
+    threading.Timer(0.5, created.set_user_attr, ["zenostat", identity]).start()
+    assert open_study(config).study_name == "s"
+
+
+@pytest.mark.filterwarnings("ignore:Heartbeat of storage")
+def test_tuning__interruptions_are_no_retries(tmp_path: Path) -> None:
+    tuning = Tuning(study(tmp_path, retries=1))
+    trial = tuning.study.ask()
+    for _ in range(3):
+        tuning.study.enqueue_trial({}, user_attrs={"retry_of": trial.number, "interrupted": True})
+    assert tuning._may_retry(trial)
+    tuning.study.enqueue_trial({}, user_attrs={"retry_of": trial.number})
+    assert not tuning._may_retry(trial)
 
 
 def test_tuning__database_that_is_not_there_is_one_sentence_without_its_password(tmp_path: Path) -> None:

@@ -24,8 +24,15 @@ SMALL = {"policy_kwargs": {"net_arch": [8]}}
 
 @pytest.mark.parametrize("algorithm", ["ppo", "a2c", "sac", "td3", "ddpg"])
 @pytest.mark.parametrize("is_rescaled", [False, True])
-def test_zero_start__first_actions_are_zero(algorithm: str, is_rescaled: bool, tmp_path: Path) -> None:
-    changes: dict[str, Any] = {"parameters": SMALL, "paired_reward": False, "normalization": {"actions": is_rescaled}}
+@pytest.mark.parametrize("offset", [2.0, {"zone_1_cooling_setpoint": 2.0}], ids=["all", "one"])
+def test_zero_start__first_actions_are_zero(algorithm: str, is_rescaled: bool, offset: Any, tmp_path: Path) -> None:
+    wrappers = [{"wrapper": "ResidualAction", "controller": "fixed", "offset": offset}]
+    changes: dict[str, Any] = {
+        "wrappers": wrappers,
+        "parameters": SMALL,
+        "paired_reward": False,
+        "normalization": {"actions": is_rescaled},
+    }
     config = read_training(fields(tmp_path, algorithm=algorithm, **changes))
     env = TrainingEnv(config)
     model = make_model(config, env.outermost)

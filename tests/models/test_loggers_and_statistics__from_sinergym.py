@@ -77,6 +77,18 @@ def test_loggers_and_statistics__statistics_that_do_not_fit_are_refused(tmp_path
     np.savetxt(tmp_path / "mean.txt", [1.0, 2.0])
     with pytest.raises(InvalidConfig, match=r"mean\.txt: \d+ numbers expected, got 2"):
         w.restore_normalization(env, tmp_path)
+    size = len(w.names_of(env))
+    for name, numbers in (("mean", np.zeros(size)), ("var", np.full(size, -1.0)), ("count", [0.0])):
+        np.savetxt(tmp_path / f"{name}.txt", numbers)
+    with pytest.raises(InvalidConfig, match=r"var\.txt: -1 is no variance"):
+        w.restore_normalization(env, tmp_path)
+    np.savetxt(tmp_path / "var.txt", np.ones(size))
+    with pytest.raises(InvalidConfig, match=r"count\.txt: 0 is no number of observations"):
+        w.restore_normalization(env, tmp_path)
+    (tmp_path / "count.txt").unlink()
+    vector = gym.wrappers.vector.NormalizeObservation(gym.make_vec("zenostat/Fake-v1", 2))
+    w.restore_normalization(vector, tmp_path)
+    assert vector.obs_rms.var.tolist() == [1.0] * size
 
 
 @pytest.mark.parametrize(("tau_h", "percent"), [(24.0, 1), (2.0, 15), (1.0, 41)])
