@@ -256,3 +256,23 @@ def test_controllers__what_is_no_controller(
     with pytest.raises(error, match=message) as caught:
         load_controller(text)
     assert "\n" not in str(caught.value)
+
+
+def test_agent__context_of_a_policys_wrappers_is_the_environments() -> None:
+    class Policy:
+        sets_context = True
+
+        def act(self, sample: SampleView) -> dict[str, float | None]:
+            return {HEAT.name: 20.0, COOL.name: 26.0, "fan": 1.0}
+
+    class Environment:
+        context: dict[str, float | None] = {}  # noqa: RUF012
+
+        def set_context(self, values: dict[str, float | None]) -> None:
+            self.context = values
+
+    env, sample = Environment(), view(node())
+    assert Agent(Policy(), env).action(sample).tolist() == [20.0, 26.0]  # type: ignore[arg-type]
+    assert env.context == {"fan": 1.0}
+    with pytest.raises(InvalidAction, match="no action of the task sets 'fan'"):
+        Agent(Policy()).action(sample)
