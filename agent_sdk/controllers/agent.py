@@ -80,10 +80,11 @@ class Agent:
         What the wrappers of a trained policy set outside the actions is the environment's context.
         """
         values = self.values(sample)  # before the next line: a new episode clears `_commanded`
-        if getattr(self.controller, "sets_context", False) and hasattr(self._planner, "set_context"):
+        set_context = getattr(self._planner, "set_context", None)
+        if getattr(self.controller, "sets_context", False) and callable(set_context):
             known = {name for action in sample.manifest.task.actions for name in action.actuators}
             if context := {name: value for name, value in values.items() if name not in known}:
-                self._planner.set_context(context)
+                set_context(context)
                 values = {name: value for name, value in values.items() if name in known}
         self._commanded |= values
         return action_of(sample.manifest, self._commanded, sample)
