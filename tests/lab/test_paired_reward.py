@@ -17,7 +17,9 @@ pytest.importorskip("stable_baselines3")
 torch = pytest.importorskip("torch")
 
 from zenostat.lab.training import read_training, train  # noqa: E402
+from zenostat.lab.training.checkpoint import capture, restore_environment  # noqa: E402
 from zenostat.lab.training.environments import TrainingEnv  # noqa: E402
+from zenostat.lab.training.parameters import make_model  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 
@@ -70,11 +72,8 @@ def test_paired_reward__is_the_difference_of_two_environments(slots: int, tmp_pa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("slots", [1, 2])
-@pytest.mark.parametrize("further", [[], [INCREMENTS]])
-def test_paired_reward__resumed_training_equals_an_uninterrupted_one(
-    slots: int, further: list[Any], tmp_path: Path
-) -> None:
-    changes: dict[str, Any] = {"slots": slots, "checkpoint_steps": 70, "wrappers": [RESIDUAL, *further]}
+def test_paired_reward__resumed_training_equals_an_uninterrupted_one(slots: int, tmp_path: Path) -> None:
+    changes: dict[str, Any] = {"slots": slots, "checkpoint_steps": 70}
     train(read_training(fields(tmp_path / "whole", **changes)))
     stop = threading.Event()
     cut = train(
@@ -88,6 +87,24 @@ def test_paired_reward__resumed_training_equals_an_uninterrupted_one(
     assert whole == again
     with (tmp_path / "cut" / "curve.csv").open() as file:
         assert len([*csv.DictReader(file)]) == 192 // STEPS
+
+
+@pytest.mark.parametrize("slots", [1, 2])
+def test_paired_reward__wrappers_of_the_reference_are_restored_to_their_own_state(slots: int, tmp_path: Path) -> None:
+    config = read_training(fields(tmp_path, slots=slots, wrappers=[RESIDUAL, INCREMENTS]))
+    env, again = TrainingEnv(config), TrainingEnv(config)
+    model = make_model(config, env.outermost)
+    env.monitor.seed(config.seed)
+    env.monitor.reset()
+    for _ in range(14):
+        env.monitor.step(actions(env, 1.0))
+    restore_environment(capture(model, env, {}), again, config.seed)
+    still = actions(env, 0.0)
+    difference = [env.monitor.step(still)[1].tolist() for _ in range(8)]
+    assert min(map(min, difference)) < -0.1  # the increments have moved the setpoint, the reference has not
+    assert [again.monitor.step(still)[1].tolist() for _ in range(8)] == difference
+    env.close()
+    again.close()
 
 
 @pytest.mark.parametrize(
