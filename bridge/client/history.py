@@ -111,9 +111,10 @@ def row_count(reply: HistorySeries) -> int:
 
 def groups(points: Sequence[str]) -> list[Sequence[str]]:
     """Return points in groups that a query can have, of equal size but for one."""
-    count = max(1, ceil(len(points) / MAX_HISTORY_POINTS))
-    size = ceil(len(points) / count)
-    return [points[first : first + size] for first in range(0, max(1, len(points)), max(1, size))]
+    if len(points) <= MAX_HISTORY_POINTS:
+        return [points]
+    size = ceil(len(points) / ceil(len(points) / MAX_HISTORY_POINTS))
+    return [points[first : first + size] for first in range(0, len(points), size)]
 
 
 def join_points(parts: Sequence[History]) -> History:

@@ -65,38 +65,34 @@ class PriorityArray:
         """Relinquish all values of some sources; return whether each actuator had one, shape (actuators,)."""
         indices = [index for index, name in enumerate(self.names) if index and name in names]
         changed = np.zeros(self.shape, np.bool_)
-        for priority, row in [*self._rows.items()]:
-            values = np.frombuffer(row.values).reshape(self.shape)
-            where = np.isin(np.frombuffer(row.sources, INDEX).reshape(self.shape), indices) & ~np.isnan(values)
-            if where.any():
-                self.put(priority, 0, np.full(self.shape, np.nan), where)
-                changed |= where
+        for priority in [*self._rows]:
+            changed |= self.relinquish(priority, indices, np.ones(self.shape, np.bool_))
         return np.asarray(changed.any(axis=0))
 
-    def relinquish(self, priority: int, sources: Collection[int], where: NDArray[np.bool_]) -> bool:
-        """Relinquish those of the selected values at a priority that are of some sources; return whether there are any.
+    def relinquish(self, priority: int, sources: Collection[int], where: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Relinquish those of the selected values at a priority that are of some sources; return which, same shape.
 
         Args:
             priority: of the values.
             sources: indices of the sources.
             where: of each value, whether it is selected, broadcast to shape (slots, actuators).
         """
-        row = self._rows.get(priority)
-        if row is None:
-            return False
-        is_theirs = np.isin(np.frombuffer(row.sources, INDEX).reshape(self.shape), [*sources])
-        chosen = np.asarray(where & is_theirs & ~np.isnan(np.frombuffer(row.values).reshape(self.shape)))
+        chosen = where & self._values_of(priority, sources)
         if chosen.any():
             self.put(priority, 0, np.full(self.shape, np.nan), chosen)
-        return bool(chosen.any())
+        return chosen
 
     def has(self, priority: int, source: int, actuator: int) -> bool:
         """Return whether an actuator has a value of a source at a priority in any slot."""
+        return bool(self._values_of(priority, [source])[:, actuator].any())
+
+    def _values_of(self, priority: int, sources: Collection[int]) -> NDArray[np.bool_]:
+        """Return of each value at a priority whether it is set and of one of some sources."""
         row = self._rows.get(priority)
         if row is None:
-            return False
-        is_theirs = np.frombuffer(row.sources, INDEX).reshape(self.shape)[:, actuator] == source
-        return bool((is_theirs & ~np.isnan(np.frombuffer(row.values).reshape(self.shape)[:, actuator])).any())
+            return np.zeros(self.shape, np.bool_)
+        is_theirs = np.isin(np.frombuffer(row.sources, INDEX).reshape(self.shape), [*sources])
+        return np.asarray(is_theirs & ~np.isnan(np.frombuffer(row.values).reshape(self.shape)))
 
     def copy(self) -> PriorityArray:
         """Return a deep copy."""

@@ -20,6 +20,7 @@ from zenostat.topics.fault_plan import AnyFault, FaultPlan, When
 FOREVER = 2**62
 _DAY_S, _WEEK_S = 86_400, 7 * 86_400
 _MAX_CYCLE = 2_000_000
+"""Largest number of samples of a table of clock times."""
 
 Clock = Callable[[NDArray[np.int64]], NDArray[np.bool_]]
 """Function of steps, which returns whether clock and weekday at each are those of a fault; same shape."""
@@ -105,7 +106,10 @@ def clock(when: When, grid: StepGrid) -> Clock | None:
             met &= np.isin(seconds // _DAY_S, [WEEKDAYS.index(day) for day in when.weekdays])
         return met
 
-    return on
+    if grid.cycle == _MAX_CYCLE:
+        return on
+    table = on(np.arange(grid.cycle))  # a look-up costs less in each timestep
+    return lambda steps: table[steps % len(table)]
 
 
 def check(name: str, when: When, grid: StepGrid) -> None:

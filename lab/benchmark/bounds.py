@@ -137,10 +137,12 @@ def check_starts(jobs: Sequence[BoundTask]) -> None:
     Raises:
         UnknownName, InvalidConfig: see `load_controller` and `BoundTask.prepared`.
     """
-    for job in jobs:
-        for name in () if job.path.exists() else job.controllers:
-            if job.prepared(name) is None and name not in BASELINES:
-                load_controller(name)
+    new = [job for job in jobs if not job.path.exists()]
+    for name in dict.fromkeys(name for job in new for name in job.controllers):
+        if name not in BASELINES:
+            load_controller(name)
+        for job in new:
+            job.prepared(name)
 
 
 def improve_bound(

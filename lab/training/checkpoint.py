@@ -164,7 +164,7 @@ def restore_environment(checkpoint: Checkpoint, env: TrainingEnv, seed: int) -> 
             f"the simulation differs from that of the checkpoint at step {checkpoint.step}: the building, its weather "
             "files or EnergyPlus have changed since; begin a new training"
         )
-    # A reference was given other actions than the environment: what its wrappers know is its own.
+    # A reference has had other actions than the environment, so its wrappers have states of their own.
     texts = [checkpoint.wrappers, *checkpoint.state.get("reference_wrappers", ())]
     for each, text in zip(env.both, texts, strict=False):
         if text:

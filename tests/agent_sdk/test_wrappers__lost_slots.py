@@ -16,7 +16,7 @@ _BACK = 5
 
 
 class Losing(FakeVectorEnv):
-    """Slot 1 is lost in steps 3 and 4, and begins anew in step 5, as a `FleetVectorEnv` shows it."""
+    """Slot 1 is lost in steps 3 and 4, and starts a new episode in step 5, as a `FleetVectorEnv` shows it."""
 
     count = 0
 

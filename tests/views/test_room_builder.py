@@ -265,7 +265,7 @@ def test_started_nodes__tell_that_their_controller_has_ended(tank: NodeProgram, 
         nodes = StartedNodes({"connect": [tank.endpoint], "affinity": "off"}, Updates())
         try:
             nodes.start(file, "third", "ada", {}, controller="nothing")
-            until(lambda: "its controller ended with code" in nodes.content()[-1]["text"], "it is told")
+            until(lambda: "its controller ended with code" in nodes.content()[-1]["text"], "its text says so")
             assert nodes.content()[-1]["state"] == "running"
         finally:
             nodes.close()

@@ -25,7 +25,7 @@ POLL_S = 0.5
 """Time between two polls of a node, whatever the number of pages."""
 
 _ABSENT_POLL_S, _LONGEST_ABSENT_POLL_S = 2.0, 60.0
-"""Time between two polls of a node that is not there, doubled by each; its return is told at once by its token."""
+"""Time between polls of an absent node, doubled by each; its liveliness token shows its return at once."""
 _PAUSE_S = 0.1
 _EVENTS = 500
 _EVENTS_SENT = 40
@@ -123,7 +123,7 @@ class NodeWatch:
     # In the thread
 
     def _run(self) -> None:
-        absent_s = _ABSENT_POLL_S / 2.0
+        wait_s = POLL_S
         while not self._is_closed:
             self._wake.clear()
             self._poll()
@@ -131,8 +131,9 @@ class NodeWatch:
             if self._is_closed:
                 return
             self._publish()
-            absent_s = min(2.0 * absent_s, _LONGEST_ABSENT_POLL_S) if self.problem else _ABSENT_POLL_S / 2.0
-            if self._wake.wait(absent_s if self.problem else POLL_S) and not self._is_closed:
+            absent_s = min(max(2.0 * wait_s, _ABSENT_POLL_S), _LONGEST_ABSENT_POLL_S)
+            wait_s = absent_s if self.problem else POLL_S
+            if self._wake.wait(wait_s) and not self._is_closed:
                 time.sleep(_PAUSE_S)  # however often something changes
 
     def _poll(self) -> None:
