@@ -154,13 +154,10 @@ class Access:
 
     def session(self, identity: str | None) -> Session | None:
         """Return the session of this id, which is then used again; None if it is unknown or was idle for 12 hours."""
-        digest = _digest(identity or "")
-        session = self._sessions.get(digest)
-        if session is None:
+        if not self.lasts(identity):
+            self.sign_out(identity)
             return None
-        if self._clock() - session.used_s > _IDLE_S:
-            del self._sessions[digest]
-            return None
+        session = self._sessions[_digest(identity or "")]
         session.used_s = self._clock()
         return session
 

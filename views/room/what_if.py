@@ -182,7 +182,7 @@ def _relinquish_controllers(bus: Bus, node: str, branch: str, operator: str) -> 
 
 def _simulate(bus: Bus, branch: str, steps: int, future: Future) -> list[Sample]:
     """Simulate a branch with its commands as they are, or with those of a controller; return its samples."""
-    # Without a controller, no actuator is claimed: a claim would end the expiries of what others have written.
+    # Without a controller nothing is commanded, so no actuator is claimed.
     claimed: list[str] | None = [] if future.controller is None else None
     link = open_link(bus, branch, name="what-if", priority=future.priority, actuators=claimed)
     try:
