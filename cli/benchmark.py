@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, NamedTuple
 import typer
 
 from zenostat.cli.console import err, out, progress
+from zenostat.cli.name_lists import end_with_failures, names_in, numbers_in
 from zenostat.cli.tables import show, show_json
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
@@ -121,12 +122,9 @@ def benchmark(
         if merged:
             results = _merge(merged, file)
         else:
-            results, errors = _run(set_name, file, _listed(controllers), conditions, running)
+            results, errors = _run(set_name, file, names_in(controllers), conditions, running)
     _show(results, page, bounds, as_json=as_json)
-    for error in errors:
-        err.print(f"failed: {error}", soft_wrap=True, markup=False)
-    if errors:
-        raise typer.Exit(1)
+    end_with_failures(errors, "failed: ")
 
 
 class _Running(NamedTuple):
@@ -180,21 +178,16 @@ def _load_shown(path: Path, conditions: Mapping[str, str | None]) -> Results:
     from zenostat.lab.benchmark.merge import with_controllers
 
     results, names = load_results(path), conditions["controller"]
-    return results if names is None else with_controllers(results, _listed(names), str(path))
+    return results if names is None else with_controllers(results, names_in(names), str(path))
 
 
 def _selection(conditions: Mapping[str, str | None]) -> Selection:
     from zenostat.lab.benchmark import Selection
 
-    values: dict[str, Any] = {name: _listed(text) for name, text in conditions.items() if text is not None}
+    values: dict[str, Any] = {name: names_in(text) for name, text in conditions.items() if text is not None}
     for name in ("seed", "training_seed"):
-        if name not in values:
-            continue
-        try:
-            values[name] = [int(number) for number in values[name]]
-        except ValueError:
-            option = name.replace("_", "-")
-            raise InvalidConfig(f"--{option} {conditions[name]}: numbers separated by commas expected") from None
+        if text := conditions.get(name):
+            values[name] = numbers_in(text, f"--{name.replace('_', '-')}")
     return Selection(**values)
 
 
@@ -219,7 +212,7 @@ def _check_submission(
     from zenostat.lab.benchmark import load_results
     from zenostat.lab.benchmark.submission import check_submission
 
-    names = _listed(conditions["controller"] or "")
+    names = names_in(conditions["controller"] or "")
     with ExitStack() as stack:
         errors, notes = check_submission(
             path, reference, file_hashes(load_results(path).set), sample=sample, sample_seed=sample_seed,
@@ -232,10 +225,7 @@ def _check_submission(
 
 
 def _report(errors: Sequence[str], success: str) -> None:
-    for error in errors:
-        err.print(error, soft_wrap=True, markup=False)
-    if errors:
-        raise typer.Exit(1)
+    end_with_failures(errors)
     out.print(success, soft_wrap=True, markup=False)
 
 
@@ -258,10 +248,6 @@ def file_hashes(set_name: str) -> dict[str, str]:
     paths = {name: find_building(name).path for name in SETS[set_name].buildings}
     paths |= {name: find_weather(name).path for name in (*SETS[set_name].weathers, *TRAINING_WEATHERS)}
     return {name: file_digest(path) for name, path in paths.items()}
-
-
-def _listed(text: str) -> list[str]:
-    return [name.strip() for name in text.split(",") if name.strip()]
 
 
 def watcher(stack: ExitStack) -> Progress:

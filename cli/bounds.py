@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from zenostat.cli.console import err, out, progress
+from zenostat.cli.name_lists import end_with_failures, names_in, numbers_in
 from zenostat.cli.tables import show
 from zenostat.topics.errors import InvalidConfig
 
@@ -58,30 +59,19 @@ def bounds(
     from zenostat.lab.benchmark.bounds import BoundTask, check_starts, tasks_of
 
     names = {"building": building, "season": season, "weather": weather}
-    conditions: dict[str, Any] = {name: _listed(text) for name, text in names.items()} | {"seed": _seeds(seed)}
-    tasks = tasks_of(set_name, **conditions)
+    conditions: dict[str, Any] = {name: names_in(text) for name, text in names.items() if text is not None}
+    tasks = tasks_of(set_name, **conditions, seed=None if seed is None else numbers_in(seed, "--seed"))
     hashes = file_hashes(set_name)
     if checked:
         _check(folder, set_name, [(*task.key, number) for task, number in tasks], hashes)
         return
-    starts = _listed(controllers) or []
+    starts = names_in(controllers)
     jobs = [BoundTask(set_name, task, number, folder, starts, hashes, policies) for task, number in tasks]
     check_starts(jobs)
     if workers == 1:
         _show([_improve(job, simulations, search_seed) for job in jobs])
     else:
         _improve_all(jobs, simulations, search_seed, workers)
-
-
-def _listed(text: str | None) -> list[str] | None:
-    return None if text is None else [name.strip() for name in text.split(",") if name.strip()]
-
-
-def _seeds(text: str | None) -> list[int] | None:
-    try:
-        return None if text is None else [int(value) for value in _listed(text) or ()]
-    except ValueError:
-        raise InvalidConfig(f"--seed {text}: numbers separated by commas expected") from None
 
 
 def _improve_all(jobs: Sequence[BoundTask], simulations: int, search_seed: int, workers: int) -> None:
@@ -94,10 +84,7 @@ def _improve_all(jobs: Sequence[BoundTask], simulations: int, search_seed: int, 
     with ExitStack() as stack, worker_pool(workers) as run_all:
         improved = list(run_all(function, jobs, "bounds", watcher(stack), errors))
     _show(sorted(improved, key=lambda bound: bound.key))
-    for error in errors:
-        err.print(f"failed: {error}", soft_wrap=True, markup=False)
-    if errors:
-        raise typer.Exit(1)
+    end_with_failures(errors, "failed: ")
 
 
 def _improve(job: BoundTask, simulations: int, search_seed: int) -> Bound:
@@ -126,14 +113,7 @@ def _check(folder: Path, set_name: str, keys: Sequence[Any], hashes: dict[str, s
     chosen = [bound for key, bound in load_bounds(folder, set_name).items() if key in set(keys)]
     if not chosen:
         raise InvalidConfig(f"{folder} has no bounds of the chosen tasks")
-    differences = []
-    for bound in chosen:
-        changes = check_bound(bound, set_name, hashes)
-        for change in changes:
-            err.print(change, soft_wrap=True, markup=False)
-        differences += changes
-    if differences:
-        raise typer.Exit(1)
+    end_with_failures([change for bound in chosen for change in check_bound(bound, set_name, hashes)])
     out.print(f"{folder}: bounds that are equal to the bit: {len(chosen)}", soft_wrap=True, markup=False)
 
 

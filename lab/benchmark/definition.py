@@ -291,7 +291,10 @@ SETS = {
     ),
     "full": BenchmarkSet(
         "full", tuple(BUILDINGS), tuple(SEASONS), HELD_OUT_WEATHERS, _FULL_SEEDS, 7,
-        {"ppo": 150_528, "sac": 32_256}, tuple(range(TRAINING_SEEDS)), (60, (0, 1)), 14,
+        {"ppo": 21_504, "sac": 10_752}, tuple(range(TRAINING_SEEDS)), (30, (0,)), 4,
     ),
 }  # fmt: skip
-"""`smoke` is a test of the program, `quick` is for a look, `full` is the published one."""
+"""`smoke` is a test of the program, `quick` is for a look, `full` is the published one.
+
+The tunings and the first training of `quick` are those of `full` as well.
+"""

@@ -14,12 +14,11 @@ import numpy as np
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.wrappers import EpisodeLog, TensorBoardLog, WeightsAndBiasesLog
+from zenostat.agent_sdk.wrappers.checkpoint import LOGS
 from zenostat.agent_sdk.wrappers.names import layers
 from zenostat.lab.training.zero_actions import zero_actions
 from zenostat.topics.errors import InvalidConfig
 
-_LOGS = (EpisodeLog, TensorBoardLog, WeightsAndBiasesLog)
 _SCALED = ("NormalizeReward", "ClipReward")
 """Gymnasium's wrappers that change a reward by what it has been, or not in proportion."""
 
@@ -41,7 +40,7 @@ def paired(env: Any, reference: Any) -> Any:
     """
     zeros = zero_actions(env, "paired_reward")
     for layer in layers(env):
-        if isinstance(layer, _LOGS):
+        if type(layer).__name__ in LOGS:
             raise InvalidConfig(f"paired_reward: {type(layer).__name__} would log the reference as well; remove it")
         if type(layer).__name__ in _SCALED:
             raise InvalidConfig(

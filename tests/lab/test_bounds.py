@@ -332,7 +332,7 @@ def test_gap__table_has_the_bound_and_leaves_out_episodes_without_a_gap() -> Non
 @pytest.mark.process
 @pytest.mark.timeout(600)
 def test_bound__begins_with_published_policies_whose_rows_are_equal_to_the_bit(tmp_path: Path) -> None:
-    task, policies = Task(OFFICE, "summer", "USA_IL_Chicago"), PUBLISHED / "policies-2-quick"
+    task, policies = Task(OFFICE, "summer", "USA_IL_Chicago"), PUBLISHED / "policies-2"
     job = BoundTask("quick", task, SEED, tmp_path, ["baseline", "tuned", "ppo"], policies=policies)
     bound = improve_bound(job, 1)
     published = load_results(PUBLISHED / "quick-2.json").rows.values()
