@@ -167,6 +167,7 @@ def test_benchmark_files__page_tells_what_the_rows_say(tmp_path: Path, monkeypat
     results.trainings[f"ppo/{OFFICE}/summer/0"] = {"configuration": "00", "curve": curve, "processor_s": 7200.0}
     results.save(tmp_path / "quick.json")
     monkeypatch.setattr(benchmark_page, "PUBLISHED", {name: tmp_path / f"{name}.json" for name in SETS})
+    monkeypatch.setattr(benchmark_page, "BOUNDS", tmp_path / "bounds")
     text = benchmark_page.page(benchmark_page.PAGE.read_text(encoding="utf-8"))
     assert "Better than the baseline control, with the whole interval: `ppo` (0.200), `tuned` (0.100)." in text
     assert "Worse, with the whole interval: `fixed` (-0.200)." in text
