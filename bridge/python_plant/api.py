@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 PointSpec = str | Sequence[str | float | None]
-"""A unit, or a unit with bounds: `"degC"`, `("degC", 0.0, 100.0)`; None is no bound."""
+"""A unit, or a unit with bounds: `"degC"`, `("degC", 0.0, 100.0)`; None is no bound.
+
+A sensor's aggregation may follow, such as `("W", 0.0, None, "mean")`, and an actuator's default."""
 
 
 class Plant(Protocol):
@@ -14,7 +16,7 @@ class Plant(Protocol):
 
     Further attributes are optional:
 
-    - `meters`, like `sensors`: consumption in the timestep (J for energy).
+    - `meters`, like `sensors` but without aggregation: consumption in the timestep (J for energy).
     - `begin`: simulated time of sample 0, a `datetime` or `"2026-01-01T00:00"`; by default 2001-01-01, a Monday.
     - `duration_s`: length of an episode in seconds, a multiple of `step_s`; by default a day.
     - `time`: time features of the observation, such as `("hour",)`; see `zenostat.topics.messages.TimeField`.
@@ -37,7 +39,8 @@ class Plant(Protocol):
 
     Attributes:
         step_s: length of a timestep in seconds.
-        sensors: unit and bounds of each measured point, by name.
+        sensors: unit and bounds of each measured point, by name, and optionally its aggregation: `instant` (default),
+            `mean` or `sum`.
         actuators: unit, low, high and optionally a default of each point that can be commanded, by name.
     """
 

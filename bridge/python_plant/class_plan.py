@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
@@ -145,10 +145,11 @@ def _communicate(process: subprocess.Popen[str], request: str, plant: str, unres
 
 
 def _describe(fields: Mapping[str, Any]) -> PlantDescription:
-    def measured(points: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-        return [{name: point[name] for name in ("name", "unit", "low", "high")} for point in points]
+    def points(kind: str, last: str = "") -> list[dict[str, Any]]:
+        names = ("name", "unit", "low", "high", *([last] if last else []))
+        return [{name: point[name] for name in names} for point in fields[kind]]
 
-    actuators = tuple(Actuator(**point) for point in fields["actuators"])
+    actuators = tuple(Actuator(**point) for point in points("actuators", "default"))
     by_name = {actuator.name: actuator for actuator in actuators}
     actions = tuple(
         Action(name=a.name, unit=a.unit, low=a.low, high=a.high, actuators=(a.name,))
@@ -157,8 +158,8 @@ def _describe(fields: Mapping[str, Any]) -> PlantDescription:
     return PlantDescription(
         name=fields["name"],
         run_period=RunPeriod(datetime.fromisoformat(fields["begin"]), fields["step_s"], fields["steps"]),
-        sensors=tuple(Sensor(**point) for point in measured(fields["sensors"])),
-        meters=tuple(Meter(**point) for point in measured(fields["meters"])),
+        sensors=tuple(Sensor(**point) for point in points("sensors", "aggregation")),
+        meters=tuple(Meter(**point) for point in points("meters")),
         actuators=actuators,
         versions=Versions(zenostat=VERSION),
         warnings=tuple(fields["warnings"]),

@@ -22,7 +22,7 @@ from zenostat.bridge.runtime.source_loader import source_spec
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, ZenostatError, did_you_mean
 from zenostat.topics.keys import check_name
-from zenostat.topics.messages import ElectricGrid, TimeField
+from zenostat.topics.messages import Aggregation, ElectricGrid, TimeField
 
 BEGIN = datetime(2001, 1, 1)
 """Default time of sample 0: a Monday, in a year without a leap day."""
@@ -35,13 +35,14 @@ _EXAMPLE = 'for example sensors = {"temperature": ("degC", 0.0, 100.0)}'
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """A point of a plant: name, unit, bounds, and the value while nobody commands it."""
+    """A point of a plant: name, unit, bounds, the value while nobody commands it, and a sensor's aggregation."""
 
     name: str
     unit: str
     low: float | None = None
     high: float | None = None
     default: float | None = None
+    aggregation: Aggregation = Aggregation.INSTANT
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,9 +171,9 @@ def describe(plant: Any) -> ClassDescription:
     """
     name, errors = type(plant).__name__, list[str]()
     step_s, steps, begin = _run_period(plant, errors)
-    sensors = _points(plant, "sensors", errors, required=True)
+    sensors = _points(plant, "sensors", errors, required=True, fourth="aggregation")
     meters = _points(plant, "meters", errors)
-    actuators = _points(plant, "actuators", errors, required=True, has_default=True)
+    actuators = _points(plant, "actuators", errors, required=True, fourth="default")
     if sensors == meters == () and not errors:
         errors.append(f"measures nothing: at least one sensor or meter expected, {_EXAMPLE}")
     both = sorted({point.name for point in sensors} & {point.name for point in meters})
@@ -387,7 +388,7 @@ def _signature(method: Any) -> str:
 
 
 def _points(
-    plant: Any, attribute: str, errors: list[str], *, required: bool = False, has_default: bool = False
+    plant: Any, attribute: str, errors: list[str], *, required: bool = False, fourth: str = ""
 ) -> tuple[Point, ...]:
     specs = getattr(plant, attribute, None)
     if specs is None and not required:
@@ -399,27 +400,37 @@ def _points(
     points = []
     for name, spec in specs.items():
         try:
-            points.append(_point(name, spec, has_default=has_default))
+            points.append(_point(name, spec, fourth))
         except (ValueError, ZenostatError) as error:
             errors.append(f"{attribute}[{name!r}]: {error}")
     return tuple(points)
 
 
-def _point(name: Any, spec: Any, *, has_default: bool) -> Point:
+def _point(name: Any, spec: Any, fourth: str) -> Point:
+    """Return a point; the fourth part of its specification is an actuator's default, or a sensor's aggregation."""
     if not isinstance(name, str):
         raise ValueError("a name is a text")
     check_name(name, "a point's name")
     parts = (spec,) if isinstance(spec, str) else spec
-    most = 4 if has_default else 3
-    if not isinstance(parts, Sequence) or not 1 <= len(parts) <= most or not isinstance(parts[0], str):
-        form = "(unit, low, high, default)" if has_default else "(unit, low, high)"
-        raise ValueError(f"{spec!r}: a unit, or {form} expected")
-    low, high, default = [*(_bound(value) for value in parts[1:]), None, None, None][:3]
+    form = ("unit", "low", "high", *([fourth] if fourth else []))
+    if not isinstance(parts, Sequence) or not 1 <= len(parts) <= len(form) or not isinstance(parts[0], str):
+        raise ValueError(f"{spec!r}: a unit, or ({', '.join(form)}) expected")
+    bounds, last = parts[1:3], parts[3:]
+    low, high = [*(_bound(value) for value in bounds), None, None][:2]
     if low is not None and high is not None and not low < high:
         raise ValueError(f"low {low:g} is not below high {high:g}")
+    if last and fourth == "aggregation":
+        return Point(name, parts[0], low, high, aggregation=_aggregation(last[0]))
+    default = _bound(last[0]) if last else None
     if default is not None and not (-inf if low is None else low) <= default <= (inf if high is None else high):
         raise ValueError(f"the default {default:g} is out of bounds")
     return Point(name, parts[0], low, high, default)
+
+
+def _aggregation(value: Any) -> Aggregation:
+    if value not in list(Aggregation):
+        raise ValueError(f"no aggregation {value!r}; there are: {', '.join(Aggregation)}")
+    return Aggregation(value)
 
 
 def _bound(value: Any) -> float | None:

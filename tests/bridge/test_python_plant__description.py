@@ -127,22 +127,30 @@ def test_python_plant__point_has_a_unit_and_bounds_and_an_actuator_a_default() -
 @pytest.mark.parametrize(
     ("spec", "reason"),
     [
-        (5, "a unit, or (unit, low, high) expected"),
-        ((), "a unit, or (unit, low, high) expected"),
-        ((0.0, 100.0), "a unit, or (unit, low, high) expected"),
-        (None, "a unit, or (unit, low, high) expected"),
-        (("degC", 0.0, 100.0, 20.0), "a unit, or (unit, low, high) expected"),  # a sensor has no default
+        (5, "a unit, or (unit, low, high, aggregation) expected"),
+        ((), "a unit, or (unit, low, high, aggregation) expected"),
+        ((0.0, 100.0), "a unit, or (unit, low, high, aggregation) expected"),
+        (None, "a unit, or (unit, low, high, aggregation) expected"),
+        (("degC", 0.0, 100.0, 20.0), "no aggregation 20.0; there are: mean, sum, instant"),  # a sensor has no default
         (("degC", "0", 100.0), "a finite number or None expected"),
         (("degC", 0.0, float("inf")), "a finite number or None expected"),
         (("degC", True, 100.0), "a finite number or None expected"),
         (("degC", 100.0, 0.0), "low 100 is not below high 0"),
         (("degC", 5.0, 5.0), "low 5 is not below high 5"),
+        (("W", None, None, "average"), "no aggregation 'average'"),
     ],
 )
 def test_python_plant__points_specification_that_is_not_valid_is_named(spec: Any, reason: str) -> None:
     (error,) = errors_of(with_attributes(sensors={"temperature": spec}))
     assert error.startswith("plant Tank: sensors['temperature']: ")
     assert reason in error
+
+
+def test_python_plant__sensor_has_an_aggregation_and_a_meter_has_none() -> None:
+    description = described(sensors={"a": "degC", "b": ("W", None, None, "mean"), "c": ("J", 0.0, None, "sum")})
+    assert [sensor.aggregation for sensor in description.sensors] == ["instant", "mean", "sum"]
+    (error,) = errors_of(with_attributes(meters={"energy": ("J", 0.0, None, "sum")}))
+    assert "a unit, or (unit, low, high) expected" in error
 
 
 @pytest.mark.parametrize("default", [-1.0, 3001.0])
