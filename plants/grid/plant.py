@@ -84,13 +84,14 @@ class GridPlant:
             ],
         }
 
-    def _sensors(self) -> dict[str, tuple[str, float | None, float | None]]:
+    def _sensors(self) -> dict[str, tuple[str | float | None, ...]]:
         grid, free = self.grid, (None, None)
-        sensors: dict[str, tuple[str, float | None, float | None]] = {}
-        sensors |= {f"{name}_voltage": ("pu", 0.0, None) for name in grid.buses}
-        sensors |= {f"{name}_loading": ("percent", 0.0, None) for name in (*grid.lines, *grid.transformers)}
-        sensors |= {"import": ("W", 0.0, None), "export": ("W", 0.0, None), "losses": ("W", *free)}
-        sensors |= {f"{name}_power": ("W", *free) for name in (*grid.loads, *grid.pv, *grid.batteries, *grid.chargers)}
+        sensors: dict[str, tuple[str | float | None, ...]] = {}
+        sensors |= {f"{name}_voltage": ("pu", 0.0, None, "mean") for name in grid.buses}
+        sensors |= {f"{name}_loading": ("percent", 0.0, None, "mean") for name in (*grid.lines, *grid.transformers)}
+        sensors |= dict.fromkeys(("import", "export"), ("W", 0.0, None, "mean"))
+        powers = (*grid.loads, *grid.pv, *grid.batteries, *grid.chargers)
+        sensors |= dict.fromkeys(("losses", *(f"{name}_power" for name in powers)), ("W", *free, "mean"))
         sensors |= {f"{name}_available": ("W", 0.0, None) for name in grid.pv}
         sensors |= {f"{name}_state_of_charge": ("fraction", 0.0, 1.0) for name in grid.batteries}
         for name in grid.chargers:

@@ -82,15 +82,15 @@ class DistrictHeating:
         self._tank_loss_w_k, self._pipe_loss_w_k = tank_loss_w_k, pipe_m * pipe_loss_w_m_k
         self._return_c, self._ambient_c, self._ground_c, self._initial_c = return_c, ambient_c, ground_c, initial_c
         self._tank_c = initial_c
-        names = ("tank", "supply", "return")
-        self.sensors: dict[str, tuple[str, float | None, float | None]] = {
-            **{f"{name}_temperature": ("degC", None, None) for name in names},
-            **{f"{name}_heat": ("W", 0.0, None) for name in ("source", *self._demands)},
-            **{f"{name}_unmet": ("W", None, None) for name in self._demands},
-            **dict.fromkeys(("tank_loss", "pipe_loss", "tank_charge"), ("W", None, None)),
-            "flow": ("kg/s", 0.0, None),
-            "source_power": ("W", 0.0, None),
-            "efficiency": ("1", 0.0, None),
+        self.sensors: dict[str, tuple[str | float | None, ...]] = {
+            "tank_temperature": ("degC", None, None),
+            **{f"{name}_temperature": ("degC", None, None, "mean") for name in ("supply", "return")},
+            **{f"{name}_heat": ("W", 0.0, None, "mean") for name in ("source", *self._demands)},
+            **{f"{name}_unmet": ("W", None, None, "mean") for name in self._demands},
+            **dict.fromkeys(("tank_loss", "pipe_loss", "tank_charge"), ("W", None, None, "mean")),
+            "flow": ("kg/s", 0.0, None, "mean"),
+            "source_power": ("W", 0.0, None, "mean"),
+            "efficiency": ("1", 0.0, None, "mean"),
         }
         self._meter = "natural_gas" if source == "boiler" else "electricity"
         self.meters = {self._meter: ("J", 0.0, None)}
