@@ -12,10 +12,13 @@ from numpy.typing import NDArray
 from zenostat.cosim.coupled import Floats, Rows
 from zenostat.cosim.market import Clearing, MarketSpec
 from zenostat.topics import VERSION
-from zenostat.topics.messages import Actuator, Manifest, Mode, Policy, Sensor, Versions
+from zenostat.topics.messages import Actuator, Aggregation, Manifest, Mode, Policy, Sensor, Versions
 
 SENSORS = ("price", "demand", "cleared_demand", "limit", "cleared", "trials")
 """Sensors of a market, in this order."""
+
+_MEANS = ("price", "demand", "cleared_demand", "limit")
+"""Those that hold for the timestep; a district whose timestep is longer has their means."""
 
 PRICE = SENSORS.index("price")
 
@@ -47,6 +50,7 @@ def market_manifest(name: str, spec: MarketSpec, others: Mapping[str, Manifest],
             Sensor(
                 name=sensor,
                 unit=units.get(sensor, "count"),
+                aggregation=Aggregation.MEAN if sensor in _MEANS else Aggregation.INSTANT,
                 low=spec.low if sensor == "price" else None,
                 high=spec.high if sensor == "price" else None,
             )

@@ -29,6 +29,7 @@ from zenostat.topics.connection_balance import ConnectionBalance
 from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, ZenostatError
 from zenostat.topics.messages import (
     Action,
+    Aggregation,
     EngineStart,
     EpisodeStart,
     Meter,
@@ -112,10 +113,13 @@ def _own_sensors(binding: Binding) -> list[Sensor]:
     def own(name: str, unit: str, low: float | None = None, high: float | None = None) -> Sensor:
         return Sensor(name=name, unit=unit, low=low, high=high, observed=False)
 
-    sensors = [own(f"exchange.{transfer.name}", transfer.unit) for transfer in binding.transfers]
+    def mean(name: str, unit: str) -> Sensor:
+        return Sensor(name=name, unit=unit, aggregation=Aggregation.MEAN, observed=False)
+
+    sensors = [mean(f"exchange.{transfer.name}", transfer.unit) for transfer in binding.transfers]
     sensors += [own(f"residual.{transfer.name}", transfer.unit) for transfer in binding.transfers if transfer.tolerance]
     sensors += [
-        own(f"balance.{transfer.name}.{term}", transfer.unit)
+        mean(f"balance.{transfer.name}.{term}", transfer.unit)
         for transfer in binding.transfers
         for term in transfer.balance_terms
     ]
