@@ -21,8 +21,10 @@ from zenostat.topics.model_file import FileErrors
 from zenostat.topics.points import bounds, describe_bounds
 from zenostat.topics.units import conversion, quantity
 
-_MEANS = ("power", "energy", "mass flow", "volume flow", "reactive power", "apparent power", "current")
+_RATES = ("power", "mass flow", "volume flow", "reactive power", "apparent power", "current")
 """Quantities that are exchanged as means over the timestep."""
+_RATE_UNITS = {"J": "W", "kg": "kg/s", "m3": "m3/s", "L": "L/s"}
+"""Units of amounts, and those of their rates."""
 _TICK_S = 1e-6
 """Timesteps are whole numbers of microseconds."""
 
@@ -320,7 +322,8 @@ def _transfer(
         errors.add(
             (*location, "initial"), f"initial = {spec.initial:g} is outside of {low:g} to {high:g} {actuator.unit}"
         )
-    kind = spec.resample or (Resample.MEAN if quantity(point.unit) in _MEANS else Resample.HOLD)
+    is_mean = _is_amount(point) or quantity(point.unit) in _RATES
+    kind = spec.resample or (Resample.MEAN if is_mean else Resample.HOLD)
     return Transfer(
         entry=connection.entry,
         name=connection.name,
@@ -384,10 +387,10 @@ def _actuator(member: Member, spec: Connection, errors: FileErrors) -> Actuator 
     return None
 
 
-def _is_per_step(point: Sensor | Meter) -> bool:
-    """Return whether a point is the energy of a timestep, not one that is stored."""
+def _is_amount(point: Sensor | Meter) -> bool:
+    """Return whether a point is the amount of a timestep, such as its energy, and not one that is stored."""
     is_sum = isinstance(point, Meter) or point.aggregation is Aggregation.SUM
-    return quantity(point.unit) == "energy" and is_sum
+    return is_sum and quantity(point.unit) not in _RATES
 
 
 def _is_instant_power(source: Member, point: Sensor | Meter) -> bool:
@@ -426,19 +429,16 @@ def _units(
 def _conversion(
     point: Sensor | Meter, source_step_s: float, unit: str, target_step_s: float
 ) -> tuple[float, float] | None:
-    if not _is_per_step(point):
-        return conversion(point.unit, unit)
-    per_joule = conversion(point.unit, "J")
-    assert per_joule is not None
-    to_watts = per_joule[0] / source_step_s  # the mean power of the timestep
-    if quantity(unit) == "energy":
-        from_joules = conversion("J", unit)
-        assert from_joules is not None
-        if source_step_s == target_step_s:
-            return conversion(point.unit, unit)
-        return to_watts * target_step_s * from_joules[0], 0.0
-    from_watts = conversion("W", unit)
-    return None if from_watts is None else (to_watts * from_watts[0], 0.0)
+    linear = conversion(point.unit, unit)
+    if not _is_amount(point):
+        return linear
+    if linear is not None:  # an amount of the target's timestep, at the same rate
+        return (linear[0] * (target_step_s / source_step_s), linear[1])
+    for amount, rate in _RATE_UNITS.items():
+        to_amount, from_rate = conversion(point.unit, amount), conversion(rate, unit)
+        if to_amount is not None and from_rate is not None:
+            return to_amount[0] / source_step_s * from_rate[0], 0.0
+    return None
 
 
 def _bounds(connection: Connection, actuator: Actuator, errors: FileErrors) -> tuple[float, float]:

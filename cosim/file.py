@@ -143,8 +143,8 @@ class ConnectionSpec(_Part):
     sum: bool = Field(default=False, description="Add the values of all connections to this target.")
     resample: Resample | None = Field(
         None,
-        description="Conversion between different timesteps: hold, mean or interpolate; by default mean for powers and "
-        "flows, hold for others.",
+        description="Conversion between different timesteps: hold, mean or interpolate; by default mean for powers, "
+        "flows and amounts of a timestep, hold for others.",
     )
     delay: Annotated[int, Field(ge=1, le=10_000)] | None = Field(None, description="Delay in steps of the district.")
     solve: bool = Field(default=False, description="Solve the loop of this connection in each step, by trials.")

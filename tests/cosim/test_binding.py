@@ -65,6 +65,36 @@ def test_units__are_converted_then_factor_and_offset(
 
 
 @pytest.mark.parametrize(
+    ("unit", "target", "expected"),
+    [
+        ("kg", "kg", 6.0),
+        ("m3", "m3", 6.0),
+        ("count", "count", 6.0),
+        ("kWh", "kWh", 6.0),
+        ("kg", "kg/s", 6.0 / 900.0),
+        ("m3", "m3/h", 24.0),
+        ("L", "L/s", 6.0 / 900.0),
+        ("J", "W", 6.0 / 900.0),
+    ],
+)
+def test_amounts__none_is_lost_between_timesteps(folder: Path, unit: str, target: str, expected: float) -> None:
+    """1, 2 and 3 of a meter in timesteps of 300 s are 6 in one of 900 s."""
+    file = district_file(folder, TEXT + "  - {from: a.used, to: b.u}\n")
+    a = manifest_of({}, {}, meters={"used": unit}, step_s=300.0, steps=288)
+    b = manifest_of({"x": "1"}, {"u": (target, None, None)})
+    (transfer,) = bind(file, check_file(file), {"a": a, "b": b}).transfers
+    received = transfer.resample(transfer.convert(np.array([1.0, 2.0, 3.0])), 0.0)
+    assert received == pytest.approx([expected], rel=1e-12)
+
+
+def test_stored_energy__is_held_between_timesteps(folder: Path) -> None:
+    file = district_file(folder, TEXT + "  - {from: a.content, to: b.energy}\n")
+    a = manifest_of({"content": "J"}, {}, step_s=300.0, steps=288)
+    (transfer,) = bind(file, check_file(file), {"a": a, "b": manifest_of({"x": "1"}, ACTUATORS)}).transfers
+    assert transfer.resample(transfer.convert(np.array([1e5, 2e5, 3.6e6])), 0.0) == pytest.approx([1.0])
+
+
+@pytest.mark.parametrize(
     ("connection", "expected"),
     [
         ("from: a.temperature, to: b.load", "FILE:5: a.temperature is in degF and b.load in W, which are unlike"),
