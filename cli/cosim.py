@@ -169,8 +169,9 @@ def show_balances(plant: DistrictPlant, elapsed_s: float) -> None:
             balance.residual,
             balance.stored,
         )
-        cells = (f"{term / elapsed_s:.6g}" for term in terms)
-        rows.append((balance.name, balance.unit, *cells, f"{balance.closure:.1e}"))
+        time_s = elapsed_s - balance.missing_steps * plant.description.run_period.step_s
+        cells = (f"{term / time_s:.6g}" if time_s else "" for term in terms)
+        rows.append((balance.label, balance.unit, *cells, f"{balance.closure:.1e}"))
     if rows:
         columns = ("connection", "unit", "sent", "received", "clipped", "resampled", "residual", "stored", "closure")
         show("mean over the episode: sent = received + …", columns, rows, right=columns[2:], wrap=columns[:1])

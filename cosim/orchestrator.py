@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from math import fsum
+from math import fsum, isfinite, nan
 from typing import Any, TypeVar
 
 import numpy as np
@@ -33,6 +33,12 @@ from zenostat.topics.connection_balance import ConnectionBalance
 Floats = NDArray[np.float64]
 
 _Result = TypeVar("_Result")
+
+_REASONS = {
+    Outcome.JUMP: "the plants respond with a jump",
+    Outcome.LIMIT: "the limit was reached",
+    Outcome.UNDEFINED: "a plant has no value",
+}
 
 _STATE = ("rows", "loops", "_flows", "_ledgers", "_orders", "_step", "_clearings")
 """Attributes of the orchestrator that change from step to step: mappings, lists of what has `copy`, and a number."""
@@ -72,6 +78,8 @@ class _Flow:
     Attributes:
         store: converted values of the latest steps that a delay holds, the oldest first.
         previous: converted value of the source's latest timestep.
+        last: latest converted value of the source that is a finite number, which holds where it has none; else NaN.
+        is_missing: whether the source had no value in a timestep of the latest step.
         received: values that the target got in the latest step, shape (target's timesteps,).
         unknown: those of a solved connection, with which the next step begins.
         residual: of the latest step, shape (target's timesteps,).
@@ -81,6 +89,8 @@ class _Flow:
     ledger: Ledger
     store: deque[Floats] = field(default_factory=deque)
     previous: float = 0.0
+    last: float = nan
+    is_missing: bool = False
     received: Floats = field(default_factory=lambda: np.zeros(1))
     unknown: Floats = field(default_factory=lambda: np.zeros(1))
     residual: Floats = field(default_factory=lambda: np.zeros(1))
@@ -136,8 +146,9 @@ class Orchestrator:
         """Return the state of a connection at sample 0."""
         value = transfer.convert(self.rows[transfer.source].values[-1:, transfer.column])
         first = value if transfer.initial is None else np.array([transfer.initial])
+        last = next((each for each in (float(value[0]), float(first[0])) if isfinite(each)), nan)
         previous = first if transfer.delay else value  # before the first values that arrive
-        flow = _Flow(Ledger(transfer.name, transfer.unit), previous=float(previous[0]))
+        flow = _Flow(Ledger(transfer.name, transfer.unit), previous=float(previous[0]), last=last)
         flow.store.extend([np.repeat(first, transfer.source_steps)] * transfer.delay)
         flow.unknown = np.repeat(transfer.clip(first), transfer.target_steps)
         flow.received, flow.residual = flow.unknown, np.zeros(transfer.target_steps)
@@ -228,7 +239,7 @@ class Orchestrator:
     def _carried(self, position: int, values: Floats) -> Floats:
         """Return the values of a source in the target's unit, timesteps and bounds."""
         transfer, flow = self._transfers[position], self._flows[position]
-        converted = transfer.convert(values[:, transfer.column])
+        converted = _with_last(transfer.convert(values[:, transfer.column]), flow.last)
         return transfer.clip(transfer.resample(converted, flow.previous))
 
     # Markets
@@ -293,6 +304,7 @@ class Orchestrator:
         done = dict(before)
         sizes = [self._transfers[position].target_steps for position in block.solved]
         cuts = np.cumsum(sizes)[:-1]
+        inner = [t for t in self._transfers if not t.delay and {t.source, t.target} <= set(block.plants)]
 
         def assume(unknowns: Floats) -> None:
             for position, part in zip(block.solved, np.split(unknowns, cuts), strict=True):
@@ -304,6 +316,8 @@ class Orchestrator:
             tried = dict(done)
             for level in block.levels:
                 self._try(level, own, tried)
+            if not all(np.isfinite(tried[t.source].values[:, t.column]).all() for t in inner):
+                return np.full_like(unknowns, np.nan)
             returned = [self._carried(p, tried[self._transfers[p].source].values) for p in block.solved]
             return np.concatenate(returned)
 
@@ -357,43 +371,35 @@ class Orchestrator:
         if solution.is_solved:
             return
         state.unsolved += 1
-        reason = "the plants respond with a jump" if solution.outcome is Outcome.JUMP else "the limit was reached"
+        residual = f"; its residual is {state.error:.3g} times the tolerance" if isfinite(state.error) else ""
         self._warnings.append(
-            f"loop {block.name!r} is not solved in step {self._step} after {solution.trials} trials, since {reason}; "
-            f"its residual is {solution.best.error:.3g} times the tolerance"
+            f"loop {block.name!r} is not solved in step {self._step} after {solution.trials} trials, since "
+            f"{_REASONS[solution.outcome]}{residual}"
         )
 
     # Balances
 
     def _settle(self, transfer: Transfer, flow: _Flow) -> None:
         """Enter the exchange of a step into the balance of a connection."""
-        ledger, values = flow.ledger, self.rows[transfer.source].values
-        converted = transfer.convert(values[:, transfer.column])
-        h_source, h_target = transfer.source_step_s, transfer.target_step_s
+        converted = self._held(transfer, flow)
         current = converted
         if transfer.delay:
             current = flow.store.popleft()
             flow.store.append(converted)
-            for new, old in zip(converted.tolist(), current.tolist(), strict=True):
-                ledger.stored.add(new * h_source)
-                ledger.stored.add(-old * h_source)
         resampled = transfer.resample(current, flow.previous)
         clipped = transfer.clip(resampled)
-        flow.residual = clipped - flow.received
-        for value in converted.tolist():
-            ledger.sent.add(value * h_source)
-            ledger.greatest.add(abs(value) * h_source)
-        for value in current.tolist():
-            ledger.resampled.add(value * h_source)
-        for before, after, received in zip(resampled.tolist(), clipped.tolist(), flow.received.tolist(), strict=True):
-            ledger.resampled.add(-before * h_target)
-            ledger.clipped.add(before * h_target)
-            ledger.clipped.add(-after * h_target)
-            ledger.residual.add(after * h_target)
-            ledger.residual.add(-received * h_target)
-            ledger.received.add(received * h_target)
         flow.previous = float(current[-1])
-        sent, kept, carried, limited, got = map(_mean, (converted, current, resampled, clipped, flow.received))
+        flow.residual = clipped - flow.received
+        if transfer.tolerance is not None and not np.isfinite(flow.unknown).all():
+            flow.unknown = clipped
+        values = (converted, current, resampled, clipped, flow.received)
+        if flow.is_missing or not all(np.isfinite(each).all() for each in values):
+            flow.ledger.missing_steps += 1
+            flow.residual = np.full_like(flow.residual, nan)
+            flow.terms = dict.fromkeys(flow.terms, nan)
+            return
+        flow.ledger.enter(values, transfer.source_step_s, transfer.target_step_s)
+        sent, kept, carried, limited, got = map(_mean, values)
         flow.terms = {
             "sent": sent,
             "clipped": carried - limited,
@@ -402,9 +408,25 @@ class Orchestrator:
             "stored": sent - kept,
         }
 
+    def _held(self, transfer: Transfer, flow: _Flow) -> Floats:
+        """Return the values of a source in the target's unit; where it has none, the last one holds."""
+        own = transfer.convert(self.rows[transfer.source].values[:, transfer.column])
+        is_missing = not np.isfinite(own).all()
+        if is_missing and not flow.is_missing:
+            holds = "the last one holds" if isfinite(flow.last) else "the actuator is relinquished"
+            self._warnings.append(
+                f"connection {transfer.name!r}: its source has no value in step {self._step}; {holds} until it has one"
+            )
+        held = _with_last(own, flow.last)
+        flow.is_missing, flow.last = is_missing, float(held[-1])
+        return held
+
     def _settle_input(self, target: Input, ledger: Ledger) -> None:
         """Enter what an input got in a step: the values of its connections, and what it was commanded to."""
         step_s = self._binding.members[target.plant].step_s
+        if not np.isfinite(self._orders[target.plant][:, target.column]).all():
+            ledger.missing_steps += 1
+            return
         for position in target.transfers:
             for value in self._flows[position].received.tolist():
                 ledger.sent.add(value * step_s)
@@ -453,6 +475,17 @@ def _copied(state: Mapping[str, Any]) -> dict[str, Any]:
         else value
         for name, value in state.items()
     }
+
+
+def _with_last(values: Floats, last: float) -> Floats:
+    """Return values in which the last finite number holds in place of what is none; at first that is `last`."""
+    if np.isfinite(values).all():
+        return values
+    held = []
+    for value in values.tolist():
+        last = value if isfinite(value) else last
+        held.append(last)
+    return np.array(held)
 
 
 def _mean(values: Floats) -> float:

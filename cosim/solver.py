@@ -49,11 +49,13 @@ class Outcome(StrEnum):
 
     `SOLVED`: the residual is within the tolerance. `JUMP`: the residual changes its sign within a tenth of the
     tolerance, but is nowhere within it, so there is no fixed point. `LIMIT`: the limit of trials was reached.
+    `UNDEFINED`: G has no value (NaN or infinity) in a trial.
     """
 
     SOLVED = "solved"
     JUMP = "jump"
     LIMIT = "limit"
+    UNDEFINED = "undefined"
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +65,7 @@ class Trial:
     Attributes:
         x: the unknowns, shape (unknowns,).
         residual: G(x) - x, of the same shape.
-        error: largest ratio of a residual to its tolerance.
+        error: largest ratio of a residual to its tolerance; NaN or infinity where G has no value.
     """
 
     x: Floats
@@ -211,6 +213,8 @@ def solve_in_bracket(problem: Problem, start: Floats, secants: Secants = ()) -> 
     x = float(problem.clip(start)[0])
     for count in range(1, problem.limit + 1):
         trial = problem.evaluate(np.array([x]))
+        if not isfinite(trial.error):
+            return Solution(best or trial, count, Outcome.UNDEFINED)
         residual = float(trial.residual[0])
         if best is None or trial.error < best.error:
             best = trial
@@ -288,9 +292,12 @@ def solve_by_acceleration(
         secants: of the solution of a similar problem.
     """
     history: deque[Trial] = deque(maxlen=depth + 1)
-    x, best = problem.clip(start), None
+    best: Trial | None = None
+    x = problem.clip(start)
     for count in range(1, problem.limit + 1):
         trial = problem.evaluate(x)
+        if not isfinite(trial.error):
+            return Solution(best or trial, count, Outcome.UNDEFINED)
         if trial.error <= 1.0:
             return Solution(trial, count, Outcome.SOLVED, _joined(secants, [*history, trial], depth))
         if best is None or trial.error < best.error:

@@ -73,14 +73,18 @@ def connection_balances(trajectory: Trajectory) -> tuple[ConnectionBalance, ...]
             continue
         places = [place, *(columns[f"balance.{connection}.{term}"] for term in terms)]
         rows = trajectory.fault_free_values[1:, places]
-        rows = rows[~np.isnan(rows).any(axis=1)]
+        is_missing = np.isnan(rows).any(axis=1)
+        rows = rows[~is_missing]
         if not len(rows):
             continue
         received, *means = (fsum(column.tolist()) / len(rows) for column in rows.T)
         by_term = dict.fromkeys(TERMS, 0.0) | dict(zip(terms, means, strict=True))
         greatest = fsum(np.abs(rows[:, 1 + terms.index("sent")]).tolist()) / len(rows)
         unit = trajectory.manifest.sensors[place].unit
-        balances.append(ConnectionBalance(connection, unit, received=received, greatest=greatest, **by_term))
+        missing = int(is_missing.sum())
+        balances.append(
+            ConnectionBalance(connection, unit, received=received, greatest=greatest, missing_steps=missing, **by_term)
+        )
     return tuple(balances)
 
 

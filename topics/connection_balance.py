@@ -24,6 +24,7 @@ class ConnectionBalance:
         residual: what the source of a solved connection had above the value that was accepted.
         stored: increase of what a delay holds.
         greatest: that of the absolute values that were sent, to which the closure is related.
+        missing_steps: number of steps in which the source had no value, which all terms leave out.
     """
 
     name: str
@@ -35,6 +36,12 @@ class ConnectionBalance:
     residual: float
     stored: float
     greatest: float
+    missing_steps: int = 0
+
+    @property
+    def label(self) -> str:
+        """Name of the connection, with the number of steps that are left out, if any."""
+        return f"{self.name} (steps without a value: {self.missing_steps})" if self.missing_steps else self.name
 
     @property
     def closure(self) -> float:

@@ -235,6 +235,88 @@ def mixed(state: list[float], row: list[float]) -> tuple[list[float], list[float
     return [value], [3.0 * value]
 
 
+# Sources without a value
+
+
+def readings(*values: float) -> Step:
+    """A plant whose values are these, one in each timestep."""
+
+    def step(state: list[float], _: list[float]) -> tuple[list[float], list[float]]:
+        return [state[0] + 1.0], [values[int(state[0])]]
+
+    return step
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_step__last_value_holds_where_a_source_has_none(folder: Path, value: float) -> None:
+    plants = {"a": plant(readings(1.0, value, value, 4.0), first=[0.0]), "b": plant(gain(1.0))}
+    orchestrator, binding, _ = orchestrated(file_of(folder, "  - {from: a.x, to: b.u}\n"), plants)
+    (terms,) = [transfer.balance_terms for transfer in binding.transfers]
+    published = []
+    for _ in range(4):
+        orchestrator.step(free(plants))
+        published.append(dict(zip(terms, orchestrator.balance_terms, strict=True))["sent"])
+    assert [row[0] for row in plants["b"].commands] == [1.0, 1.0, 1.0, 4.0]
+    assert np.array_equal(published, [1.0, np.nan, np.nan, 4.0], equal_nan=True)
+    (report,) = orchestrator.drain_warnings()
+    assert report == "connection 'a.x-b.u': its source has no value in step 2; the last one holds until it has one"
+    (balance,) = orchestrator.balances()
+    assert (balance.sent, balance.received, balance.missing_steps) == (4500.0, 4500.0, 2)
+    assert balance.label == "a.x-b.u (steps without a value: 2)"
+
+
+def test_step__actuator_is_relinquished_until_there_is_a_value(folder: Path) -> None:
+    source = plant(readings(np.nan, 3.0), first=[0.0], values=[np.nan])
+    plants = {"a": source, "b": plant(gain(1.0))}
+    for connection in ("", ", resample: interpolate"):
+        file = file_of(folder, f"  - {{from: a.x, to: b.u{connection}}}\n")
+        orchestrator, _, _ = orchestrated(file, plants)
+        for _ in range(2):
+            orchestrator.step(free(plants))
+        assert np.isnan(plants["b"].commands[0][0])
+        assert "the actuator is relinquished" in orchestrator.drain_warnings()[0]
+        assert np.isfinite(orchestrator.balances()[0].sent)
+
+
+def test_step__shorter_timesteps_and_delays_hold_the_last_value_as_well(folder: Path) -> None:
+    """5 and 7 of the three timesteps of a step; then none, which delays hold as 7."""
+    values = (5.0, np.nan, 7.0, np.nan, np.nan, np.nan, 1.0, 1.0, 1.0)
+    plants = {"a": plant(readings(*values), first=[0.0], step_s=300.0, steps=288), "b": plant(gain(1.0))}
+    file = file_of(folder, "  - {from: a.x, to: b.u, delay: 1, initial: 2}\n")
+    orchestrator, _, _ = orchestrated(file, plants)
+    for _ in range(3):
+        orchestrator.step(free(plants))
+    assert [row[0] for row in plants["b"].commands] == pytest.approx([2.0, 17.0 / 3.0, 7.0])
+    (balance,) = orchestrator.balances()
+    assert balance.missing_steps == 2
+    assert abs(balance.closure) <= 1e-9
+
+
+@pytest.mark.parametrize("missing", ["a", "b"])
+def test_loop__without_a_value_is_not_solved_and_goes_on_with_the_next_one(folder: Path, missing: str) -> None:
+    def without(step: Step) -> Step:
+        def wrapped(state: list[float], row: list[float]) -> tuple[list[float], list[float]]:
+            (count,), (value,) = state, step([], row)[1]
+            return [count + 1.0], [np.nan if count == 1.0 else value]
+
+        return wrapped
+
+    steps = {"a": gain(0.5, 1.0), "b": gain(0.5, 2.0)}
+    plants = {name: plant(without(s) if name == missing else s, first=[0.0]) for name, s in steps.items()}
+    orchestrator, _, _ = orchestrated(file_of(folder, LOOP), plants)
+    solved = []
+    for _ in range(3):
+        orchestrator.step(free(plants))
+        solved.append(orchestrator.loops[0].is_solved)
+    assert solved == [True, False, True]
+    commands = [row[0] for row in plants["a"].commands]
+    assert commands == pytest.approx([10.0 / 3.0] * 3)
+    held, unsolved = sorted(orchestrator.drain_warnings())
+    assert "the last one holds" in held
+    assert unsolved == "loop 'a-b' is not solved in step 2 after 1 trials, since a plant has no value"
+    assert all(np.isfinite(balance.sent) for balance in orchestrator.balances())
+
+
 CONNECTION = st.tuples(
     st.sampled_from(["hold", "mean", "interpolate"]),
     st.sampled_from(["", ", delay: 1", ", delay: 3", ", solve: true, tolerance: 0.01"]),

@@ -29,6 +29,18 @@ def test_bracket__linear_function_takes_three_trials(slope: float) -> None:
     assert solution.best.x[0] == pytest.approx(1.0 / (1.0 - slope), rel=1e-9)
 
 
+@pytest.mark.parametrize("unknowns", [1, 2])
+@pytest.mark.parametrize("value", [np.nan, inf])
+def test_solve__ends_where_the_function_has_no_value(unknowns: int, value: float) -> None:
+    """The best trial before is taken, or the first one."""
+    solution = solve(problem(lambda x: x * value, unknowns=unknowns), np.full(unknowns, 2.0))
+    assert (solution.trials, solution.outcome, solution.best.x.tolist()) == (1, Outcome.UNDEFINED, [2.0] * unknowns)
+    tries = iter([0.0, value])
+    solution = solve(problem(lambda x: 0.5 * x + next(tries), unknowns=unknowns), np.full(unknowns, 2.0))
+    assert (solution.trials, solution.outcome, solution.best.x.tolist()) == (2, Outcome.UNDEFINED, [2.0] * unknowns)
+    assert not solution.is_solved
+
+
 def test_bracket__constant_function_takes_two_trials() -> None:
     solution = solve(problem(lambda x: 0.0 * x + 4.0), np.array([0.3]))
     assert (solution.trials, solution.best.x[0]) == (2, 4.0)

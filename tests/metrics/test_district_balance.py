@@ -82,6 +82,9 @@ def test_connection_balances__by_hand() -> None:
         "a.x-b.u", "W", 6.0, pytest.approx(14 / 3), pytest.approx(1 / 3), 0.0, 0.0, 1.0, 6.0
     )
     assert balance.closure == pytest.approx(0.0, abs=1e-15)
+    gap = {name: (unit, [*values[:2], np.nan, values[3]]) for name, (unit, values) in CONNECTION.items()}
+    (partial,) = connection_balances(connected(gap))
+    assert (partial.sent, partial.missing_steps, partial.label) == (4.0, 1, "a.x-b.u (steps without a value: 1)")
     unbalanced = CONNECTION | {"exchange.a.x-b.u": ("W", [0.0, 4.0, 4.0, 9.0])}
     assert connection_balances(connected(unbalanced))[0].closure == pytest.approx(-1 / 6)
     assert connection_balances(district({"shop": SHOP}, {})) == ()

@@ -19,6 +19,7 @@ import zenostat
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.runtime.scratch import sweep
 from zenostat.cosim.verify_recording import verify_district
+from zenostat.evaluation import connection_balances
 from zenostat.recording import load
 from zenostat.topics import codec
 from zenostat.topics.errors import EngineDied, InvalidConfig, InvalidRecording
@@ -161,6 +162,30 @@ connections:
     )
     balance = taken + rows["feeder.losses"] - rows["feeder.roof_power"]
     assert rows["feeder.import"] - rows["feeder.export"] == pytest.approx(balance, abs=1e-3)
+
+
+@pytest.mark.slow
+def test_district__sensor_that_is_lost_holds_its_last_value_and_is_verified(scratch: Path) -> None:
+    """The fault `drop` on a plant's sensor: its reader goes on with the last value, and a verification repeats that."""
+    (scratch / "drop.yaml").write_text(
+        "seed: 1\nfaults:\n  - {name: lost, kind: drop, points: power, when: {probability: 0.5, lasts_steps: 1}}\n"
+    )
+    path = scratch / "drop.mcap"
+    file = district(scratch, PAIR.replace('py:Boiler"', 'py:Boiler", faults: drop.yaml'))
+    with running(scratch, file, record=str(path)) as (_, bus, name), bus.controller(name) as link:
+        values = episode(link)
+        rows = dict(zip(link.manifest.names, np.array([np.frombuffer(row) for row in values]).T, strict=True))
+    power, supply = rows["boiler.power"], rows["exchange.boiler.power-house.supply"]
+    missing = np.isnan(power[1:])
+    assert 0 < missing.sum() < STEPS
+    assert np.isfinite(supply[2:]).all()
+    assert (supply[2:][missing[1:]] == supply[1:-1][missing[1:]]).all()
+    recorded = load(path).episodes[-1]
+    balance = next(each for each in connection_balances(recorded) if each.name == "boiler.power-house.supply")
+    assert balance.missing_steps == missing.sum()
+    assert abs(balance.closure) <= 1e-9
+    result = verify_district(path, file)
+    assert result.passed, str(result)
 
 
 @pytest.mark.slow

@@ -69,7 +69,7 @@ def _balance_row(balance: CarrierBalance) -> list[str]:
 def _connections(run: Run, *, is_single: bool) -> str:
     """Return the table of the connections; empty if there are none."""
     rows = [
-        [each.name, each.unit, *(number(getattr(each, term)) for term in _EXCHANGED), f"{each.closure:.1e}"]
+        [each.label, each.unit, *(number(getattr(each, term)) for term in _EXCHANGED), f"{each.closure:.1e}"]
         for each in connection_balances(run.trajectory)
     ]
     head = ("Connection", "Unit", *(term.capitalize() for term in _EXCHANGED), "Closure")
