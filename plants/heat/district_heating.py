@@ -8,7 +8,7 @@ balance is linear and its solution exact.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import exp, inf, isfinite
+from math import exp, isfinite
 from typing import Any
 
 from zenostat.topics.errors import InvalidConfig
@@ -81,7 +81,6 @@ class DistrictHeating:
         self._capacity_j_k = tank_m3 * 1000.0 * WATER_J_KG_K
         self._tank_loss_w_k, self._pipe_loss_w_k = tank_loss_w_k, pipe_m * pipe_loss_w_m_k
         self._return_c, self._ambient_c, self._ground_c, self._initial_c = return_c, ambient_c, ground_c, initial_c
-        self._tank_c = initial_c
         self.sensors: dict[str, tuple[str | float | None, ...]] = {
             "tank_temperature": ("degC", None, None),
             **{f"{name}_temperature": ("degC", None, None, "mean") for name in ("supply", "return")},
@@ -153,19 +152,19 @@ class DistrictHeating:
         """Return the mass flows, and of the pipes the factor of the supply and the return temperature at the tank.
 
         A pipe with the heat balance m c dT/dx = -k (T - T_ground) has at its end T_ground + (T_0 - T_ground)
-        exp(-k L / (m c)). Flow and supply temperature depend on each other: a few substitutions are enough, as the
-        loss is a small part of the heat.
+        exp(-k L / (m c)). Flow and supply temperature depend on each other: the total flow is the only zero of a
+        function that changes its sign between 0 and the largest flow, and is bisected to the bit.
         """
-        flows, factor = dict.fromkeys(demands, 0.0), 1.0
-        for _ in range(20):
+        capacity_w_k = self._flow_kg_s * WATER_J_KG_K
+        low, high, factor, lift_k = 0.0, capacity_w_k * sum(demand > 0.0 for demand in demands.values()), 0.0, 0.0
+        while low < (total := 0.5 * (low + high)) < high:
+            factor = exp(-self._pipe_loss_w_k / total)
             lift_k = self._ground_c + (self._tank_c - self._ground_c) * factor - self._return_c
-            for name, demand in demands.items():
-                flow = demand / (WATER_J_KG_K * lift_k) if lift_k > 0.0 else (inf if demand else 0.0)
-                flows[name] = min(flow, self._flow_kg_s)
-            total = sum(flows.values()) * WATER_J_KG_K
-            factor = exp(-self._pipe_loss_w_k / total) if total else 0.0
-            if not total or lift_k <= 0.0:
-                return dict.fromkeys(demands, 0.0), 0.0, self._return_c
+            needed = sum(min(demand, capacity_w_k * lift_k) for demand in demands.values())
+            low, high = (total, high) if lift_k <= 0.0 or needed > total * lift_k else (low, total)
+        if lift_k <= 0.0 or self._tank_c <= self._return_c:
+            return dict.fromkeys(demands, 0.0), 0.0, self._return_c
+        flows = {name: min(demand / (WATER_J_KG_K * lift_k), self._flow_kg_s) for name, demand in demands.items()}
         return flows, factor, self._ground_c + (self._return_c - self._ground_c) * factor
 
     def _heat_to(self, setpoint_c: float, gains: float, conductance: float, decay: float) -> float:

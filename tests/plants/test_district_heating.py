@@ -71,6 +71,41 @@ def test_district_heating__flow_is_limited() -> None:
     assert values["north_unmet"] > 15e3
 
 
+@pytest.mark.parametrize("demand", [1.0, 100.0, 3e3, 5.3e3, 5.5e3, 6.5e3, 20e3, 50e3, 90e3])
+@pytest.mark.parametrize("ground_c", [0.0, 10.0, 55.0, 75.0])
+@pytest.mark.parametrize("pipe_m", [0.0, 500.0, 5000.0])
+def test_district_heating__demand_is_delivered_while_the_flow_suffices(
+    demand: float, ground_c: float, pipe_m: float
+) -> None:
+    plant = DistrictHeating(
+        consumers={"a": 0.6 * demand, "b": 0.4 * demand, "c": 0.0}, ground_c=ground_c, pipe_m=pipe_m, power_w=1e6,
+        tank_m3=1e6, flow_kg_s=10.0,
+    )  # fmt: skip
+    plant.reset(0)
+    values = plant.step({name: actuator[3] for name, actuator in plant.actuators.items()})
+    assert (values["a_heat"], values["b_heat"], values["c_heat"]) == (
+        pytest.approx(0.6 * demand, rel=1e-3), pytest.approx(0.4 * demand, rel=1e-3), 0.0
+    )  # fmt: skip
+    used = values["a_heat"] + values["b_heat"] + values["tank_loss"] + values["pipe_loss"]
+    assert values["source_heat"] - values["tank_charge"] == pytest.approx(used, abs=1e-4)
+
+
+def test_district_heating__limit_of_a_substation_leaves_the_demand_of_the_next_one_met() -> None:
+    plant = DistrictHeating(flow_kg_s=0.1, tank_m3=1e6, power_w=1e6)
+    plant.reset(0)
+    values = plant.step({**COMMANDS, "south_demand": 2e3})
+    assert values["flow"] == pytest.approx(0.1 + 2e3 / WATER / (values["supply_temperature"] - 40.0))
+    assert values["south_heat"] == pytest.approx(2e3, rel=1e-3)
+    assert values["north_heat"] == pytest.approx(0.1 * WATER * (values["supply_temperature"] - 40.0))
+
+
+def test_district_heating__supply_that_arrives_colder_than_the_return_delivers_nothing() -> None:
+    plant = DistrictHeating(pipe_m=50e3, flow_kg_s=0.1)
+    plant.reset(0)
+    values = plant.step(COMMANDS)
+    assert (values["north_heat"], values["south_unmet"], values["flow"]) == (0.0, 20e3, 0.0)
+
+
 def test_district_heating__passes_the_check_of_plants() -> None:
     check_plant("zenostat.plants.heat.district_heating:DistrictHeating", {"duration_s": 3000.0})
 
