@@ -17,6 +17,7 @@ from zenostat.topics.keys import check_name
 WATER_J_KG_K = 4186.0
 """Specific heat capacity of water, J/(kg K)."""
 KELVIN = 273.15
+SETPOINT_LIMIT_C = 95.0
 COP_LIMITS = (1.0, 8.0)
 
 
@@ -68,15 +69,16 @@ class DistrictHeating:
         if source not in ("boiler", "heat_pump"):
             raise InvalidConfig(f"source = {source!r}: boiler or heat_pump expected")
         self.step_s, self.duration_s, self.begin, self._source = step_s, duration_s, begin, source
-        positive = {"power_w": power_w, "efficiency": efficiency, "tank_m3": tank_m3, "flow_kg_s": flow_kg_s}
-        losses = {"tank_loss_w_k": tank_loss_w_k, "pipe_m": pipe_m, "pipe_loss_w_m_k": pipe_loss_w_m_k}
-        temperatures = {"return_c": return_c, "ambient_c": ambient_c, "ground_c": ground_c, "initial_c": initial_c}
-        self._demands = {"north": 30e3, "south": 20e3} if consumers is None else dict(consumers)
-        _check(positive, 0.0, exclusive=True)
-        _check({**losses, **{f"consumers[{name!r}]": demand for name, demand in self._demands.items()}}, 0.0)
-        _check(temperatures, -KELVIN, exclusive=True)
-        for name in self._demands:
-            check_name(name, "a consumer's name")
+        consumers = {"north": 30e3, "south": 20e3} if consumers is None else consumers
+        if not isinstance(consumers, Mapping) or "source" in consumers:
+            raise InvalidConfig(f"consumers = {consumers!r}: demands by name expected, of which none is 'source'")
+        self._demands = {check_name(str(name), "a consumer's name"): demand for name, demand in consumers.items()}
+        _check("above", 0.0, power_w=power_w, efficiency=efficiency, tank_m3=tank_m3, flow_kg_s=flow_kg_s)
+        _check("above", -KELVIN, return_c=return_c, ambient_c=ambient_c, ground_c=ground_c, initial_c=initial_c)
+        _check("of at least", 0.0, tank_loss_w_k=tank_loss_w_k, pipe_m=pipe_m, pipe_loss_w_m_k=pipe_loss_w_m_k)
+        _check("of at least", 0.0, **{f"consumers[{name!r}]": demand for name, demand in self._demands.items()})
+        if return_c >= SETPOINT_LIMIT_C:
+            raise InvalidConfig(f"return_c = {return_c!r}: a number below {SETPOINT_LIMIT_C:g} expected")
         self._power_w, self._efficiency, self._flow_kg_s = power_w, efficiency, flow_kg_s
         self._capacity_j_k = tank_m3 * 1000.0 * WATER_J_KG_K
         self._tank_loss_w_k, self._pipe_loss_w_k = tank_loss_w_k, pipe_m * pipe_loss_w_m_k
@@ -94,7 +96,7 @@ class DistrictHeating:
         self._meter = "natural_gas" if source == "boiler" else "electricity"
         self.meters = {self._meter: ("J", 0.0, None)}
         self.actuators: dict[str, tuple[Any, ...]] = {
-            "setpoint": ("degC", return_c, 95.0, min(max(70.0, return_c), 95.0)),
+            "setpoint": ("degC", return_c, SETPOINT_LIMIT_C, max(70.0, return_c)),
             "outdoor_temperature": ("degC", -50.0, 50.0, 0.0),
             **{f"{name}_demand": ("W", 0.0, None, demand) for name, demand in self._demands.items()},
         }
@@ -191,10 +193,8 @@ class DistrictHeating:
         self._tank_c = state
 
 
-def _check(values: Mapping[str, Any], low: float, *, exclusive: bool = False) -> None:
+def _check(relation: str, low: float, **values: Any) -> None:
     for name, value in values.items():
         is_number = isinstance(value, int | float) and isfinite(value)
-        if not is_number or value < low or (exclusive and value == low):
-            raise InvalidConfig(
-                f"{name} = {value!r}: a number {'above' if exclusive else 'of at least'} {low:g} expected"
-            )
+        if not is_number or value < low or (value == low and relation == "above"):
+            raise InvalidConfig(f"{name} = {value!r}: a number {relation} {low:g} expected")

@@ -118,6 +118,9 @@ def test_district_heating__passes_the_check_of_plants() -> None:
         ({"pipe_m": -1.0}, "pipe_m = -1.0: a number of at least 0 expected"),
         ({"consumers": {"a": "much"}}, "a number of at least 0 expected"),
         ({"consumers": {"a b": 1.0}}, "a consumer's name 'a b' is not valid"),
+        ({"consumers": [1]}, r"consumers = \[1\]: demands by name expected"),
+        ({"consumers": {"source": 1.0}}, "consumers = {'source': 1.0}: .* none is 'source'"),
+        ({"return_c": 95.0}, "return_c = 95.0: a number below 95 expected"),
     ],
 )
 def test_district_heating__wrong_argument_is_named(arguments: dict[str, Any], text: str) -> None:
