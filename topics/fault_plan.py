@@ -60,7 +60,8 @@ class When(_Part):
     Attributes:
         from_s, to_s: seconds since the start of the episode.
         from_step, to_step: steps of the episode.
-        from_time, to_time: simulated time, `2017-07-03T08:00`; without a year, that of the start of the run period.
+        from_time, to_time: simulated time, `2017-07-03T08:00`; without a year, the first such time in the run period,
+            and the first one after the start of the window.
         hours: start and end as hours of the day; (22, 6) spans midnight.
         weekdays: days of the week.
         probability: of the fault's onset, at each sample that meets all other conditions while it is not active.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timedelta
 from enum import StrEnum
@@ -75,19 +76,50 @@ class StepGrid:
 
 
 def span(when: When, grid: StepGrid) -> tuple[int, int]:
-    """Return the first step of a window and the first step after it."""
-    year = grid.begin.year
+    """Return the first step of a window and the first step after it.
+
+    Raises:
+        InvalidConfig: a day without a year that no year of the run period has.
+    """
     first = [0, when.from_step or 0, grid.ceil(when.from_s or 0.0)]
     end = [grid.last + 1]
+    opening = grid.begin
     if when.from_time is not None:
-        first.append(grid.ceil((parse_moment(when.from_time, year) - grid.begin).total_seconds()))
+        start = _from_moment(when.from_time, grid)
+        first.append(grid.ceil((start - grid.begin).total_seconds()))
+        opening = max(opening, start)
     if when.to_step is not None:
         end.append(when.to_step)
     if when.to_s is not None:
         end.append(grid.ceil(when.to_s))
     if when.to_time is not None:
-        end.append(grid.ceil((parse_moment(when.to_time, year) - grid.begin).total_seconds()))
+        end.append(grid.ceil((_to_moment(when.to_time, opening, grid) - grid.begin).total_seconds()))
     return max(first), min(end)
+
+
+def _from_moment(text: str, grid: StepGrid) -> datetime:
+    """Return the first such moment within the run period, or else that of the first year that has it."""
+    moments = _moments(text, grid)
+    return next(
+        (moment for moment in moments if grid.begin <= moment and (grid.end is None or moment < grid.end)), moments[0]
+    )
+
+
+def _to_moment(text: str, opening: datetime, grid: StepGrid) -> datetime:
+    """Return the first such moment after the opening of its window, or else that of the first year that has it."""
+    moments = _moments(text, grid)
+    return next((moment for moment in moments if moment > opening), moments[0])
+
+
+def _moments(text: str, grid: StepGrid) -> list[datetime]:
+    """Return a moment in each year of the run period that has it; once, if it has a year of its own."""
+    moments = []
+    for year in range(grid.begin.year, (grid.end or grid.begin).year + 1):
+        with suppress(ValueError):  # 29 February
+            moments.append(parse_moment(text, year))
+    if not moments:
+        raise InvalidConfig(f"{text!r} does not exist in {grid.begin.year}, the year of the run period")
+    return moments
 
 
 def clock(when: When, grid: StepGrid) -> Clock | None:
@@ -113,8 +145,11 @@ def clock(when: When, grid: StepGrid) -> Clock | None:
 
 
 def check(name: str, when: When, grid: StepGrid) -> None:
-    """Raise `InvalidConfig` if no sample meets the conditions."""
-    first, end = span(when, grid)
+    """Raise `InvalidConfig` if no sample meets the conditions, or a day does not exist."""
+    try:
+        first, end = span(when, grid)
+    except InvalidConfig as error:
+        raise InvalidConfig(f"fault {name!r}: {error}") from None
     on = clock(when, grid)
     if first < end and on is not None:
         end = end if on(np.arange(first, min(end, first + grid.cycle))).any() else first

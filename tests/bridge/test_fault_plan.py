@@ -1,14 +1,15 @@
 """Fault plans: what does not fit the node or is no plan is refused, with all its errors."""
 
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from support.point_faults import BEGIN, NAN, plan_of, point_faults, room
 
 from zenostat.bridge.faults import read_plan
-from zenostat.bridge.faults.schedule import StepGrid, clock
+from zenostat.bridge.faults.schedule import StepGrid, clock, span
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.fault_plan import When
 
@@ -78,6 +79,43 @@ def test_point_faults__plan_that_does_not_fit_the_node_is_refused_with_all_its_m
         "fault 'between' is never active: no sample is in its window; samples are every 900 s from 2017-07-03T00:00 to "
         "2017-07-10T00:00",
     ]
+
+
+@pytest.mark.parametrize("bound", ["from_time", "to_time"])
+def test_point_faults__day_that_the_year_of_the_run_period_does_not_have_is_refused(bound: str) -> None:
+    with pytest.raises(InvalidConfig) as error:
+        point_faults(
+            room("bias", name="leap", offset=1.0, when={bound: "02-29T00:00"}),
+            room("bias", name="far", offset=1.0, when={"from_time": "2018-07-03"}),
+            end=BEGIN + timedelta(days=7),
+        )
+    lines = str(error.value).splitlines()
+    assert lines[0] == "fault 'leap': '02-29T00:00' does not exist in 2017, the year of the run period"
+    assert lines[1].startswith("fault 'far' is never active")
+
+
+NEW_YEAR = (datetime(2017, 12, 30), datetime(2018, 1, 6))
+
+
+@pytest.mark.parametrize(
+    ("period", "when", "first", "end"),
+    [
+        (NEW_YEAR, {"from_time": "01-02"}, 3, 8),
+        (NEW_YEAR, {"to_time": "01-02"}, 0, 3),
+        (NEW_YEAR, {"from_time": "12-31", "to_time": "01-02"}, 1, 3),
+        (NEW_YEAR, {"from_time": "12-01", "to_time": "01-02"}, 0, 3),
+        (NEW_YEAR, {"from_time": "01-02", "to_time": "01-20"}, 3, 8),
+        (NEW_YEAR, {"from_time": "2017-12-31", "to_time": "2018-01-02"}, 1, 3),
+        ((datetime(2017, 6, 1), datetime(2019, 6, 1)), {"from_time": "07-01", "to_time": "06-15"}, 30, 379),
+        ((datetime(2017, 1, 1), datetime(2018, 1, 1)), {"from_time": "12-01", "to_time": "01-01"}, 334, 365),
+        ((datetime(2017, 7, 1), datetime(2018, 1, 1)), {"from_time": "01-01", "to_time": "07-03"}, 0, 2),
+        ((datetime(2015, 12, 30), datetime(2016, 3, 3)), {"from_time": "02-29"}, 61, 65),
+    ],
+)
+def test_fault_schedule__day_without_a_year_is_the_first_one_within_the_run_period(
+    period: tuple[datetime, datetime], when: dict[str, Any], first: int, end: int
+) -> None:
+    assert span(When(**when), StepGrid(86_400.0, *period)) == (first, end)
 
 
 @pytest.mark.parametrize("begins", [7, 8, 9, 10])
