@@ -142,6 +142,8 @@ class EpisodeManager:
 
     def _start_episodes(self, slots: list[int], seeds: list[int | None], source: str) -> None:
         server = self._server
+        if server.exchange.state is State.FAILED:  # by an error of this program in between
+            return
         try:
             self._plant.start(slots)
         except SimulatorError as error:

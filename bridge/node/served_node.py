@@ -14,7 +14,6 @@ from zenostat.bridge.node.publications import Publications
 from zenostat.bridge.node.sample_encoding import SampleEncoder
 from zenostat.bridge.node.subscriptions import Subscriptions
 from zenostat.bridge.runtime.timer import Timer
-from zenostat.topics.errors import ZenostatError
 from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import Event, Manifest, Mode, Statistics
 
@@ -114,7 +113,7 @@ class ServedNode(Protocol):
     def publish_events(self, events: list[Event]) -> None:
         """Publish several events."""
 
-    def fail(self, error: ZenostatError) -> None:
+    def fail(self, error: Exception) -> None:
         """End the episode."""
 
     def deliver(self, controller: str, receive: Callable[[], None]) -> bool:

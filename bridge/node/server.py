@@ -8,6 +8,7 @@ that never leaves the process.
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -32,7 +33,7 @@ from zenostat.bridge.recording.channels import SAMPLES
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.topics import codec, errors, keys
 from zenostat.topics.client_protocol import ZENOH
-from zenostat.topics.errors import EpisodeAborted, RequestRejected, SimulatorError, ZenostatError
+from zenostat.topics.errors import EpisodeAborted, RequestRejected, SimulatorError
 from zenostat.topics.fault_plan import FaultPlan
 from zenostat.topics.messages import Event, EventKind, Manifest, Mode, Query, Sample, State, Statistics
 
@@ -115,6 +116,7 @@ class NodeServer:
         self.subscriptions = self._close.enter_context(Subscriptions(self.session, self.manifest.node))
         self.subscriptions.access = self.access
         self.subscriptions.on_denied = lambda text, sender: self.event(self.exchange.rejected(text, sender))
+        self.subscriptions.on_error = self._on_error
         self.requests.declare(status)
         self.trials.declare()
         self.pacing.declare()
@@ -387,8 +389,16 @@ class NodeServer:
         except EpisodeAborted as error:
             self.fail(error)
 
-    def fail(self, error: ZenostatError) -> None:
-        """End the episode after the plant's error or by the fallback policy; a reset begins another one."""
+    def _on_error(self, topic: keys.Topic, sender: str, error: Exception) -> None:
+        """Report an error of this program in a request; a timestep or a start that it has interrupted fails."""
+        traceback.print_exception(error)
+        text = f"{topic.key}: internal error: {type(error).__name__}: {error}"
+        self.event(self.exchange.event(EventKind.WARNING, text, sender))
+        if self.exchange.state in (State.RUNNING, State.STARTING):
+            self.fail(error)
+
+    def fail(self, error: Exception) -> None:
+        """End the episode after an error or by the fallback policy; a reset begins another one."""
         self.pacing.cancel()
         self.exchange.transition(Trigger.FAIL)
         fields = errors.to_wire(error)

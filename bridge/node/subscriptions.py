@@ -15,6 +15,7 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import zenoh
@@ -60,16 +61,6 @@ def _query(payload: bytes, encoding: str) -> Query:
     return codec.decode(Query, payload or _NO_FIELDS, encoding)
 
 
-def _reply(query: zenoh.Query, key: str, kind: type[Message], answer: Callable[[bytes, str], bytes]) -> None:
-    """Reply to a query with what `answer` returns for its payload and encoding, or raises."""
-    with query:
-        try:
-            payload = answer(*_content(query))
-        except ZenostatError as error:
-            kind, payload = ErrorReply, codec.encode(ErrorReply(**errors.to_wire(error)))
-        query.reply(key, payload, encoding=zenoh.Encoding(codec.encoding(kind)))
-
-
 class Request:
     """A request that waits for its reply, which any later task of the server's thread may send.
 
@@ -98,8 +89,10 @@ class Request:
         reply: Message
         try:
             reply = handler()
-        except ZenostatError as error:
+        except Exception as error:  # one of this program shall not end the node
             reply = ErrorReply(**errors.to_wire(error))
+            if not isinstance(error, ZenostatError):
+                self._subscriptions.on_error(self._topic, self.sender, error)
         query, self._query = self._query, None
         if query is None:
             return
@@ -142,6 +135,7 @@ class Subscriptions:
         recorder: records requests with their replies, and the messages of `listen`.
         access: permissions of senders; None without keys.
         on_denied: called in the server's thread with the reason and the sender of each message that is denied.
+        on_error: called in the server's thread with an error of this program in a request or a write, and its sender.
         rate_limited: number of messages dropped and requests rejected because too many were waiting.
     """
 
@@ -151,6 +145,7 @@ class Subscriptions:
         self.recorder: Recorder | None = None
         self.access: Access | None = None
         self.on_denied: Callable[[str, str], None] = lambda _text, _sender: None
+        self.on_error: Callable[[keys.Topic, str, Exception], None] = lambda _topic, _sender, _error: None
         self._tasks: deque[Callable[[], None]] = deque()
         self._queues = [self._tasks]
         self._before_commands: list[deque[Callable[[], None]]] = []
@@ -345,7 +340,10 @@ class Subscriptions:
             if self.recorder is not None:
                 self.recorder.sender(sender, self.proven(sender), via)
                 self.recorder.received(topic, topic.below(name=name, sender=sender), payload, encoding)
-            handler(sender, name, payload, encoding)
+            try:
+                handler(sender, name, payload, encoding)
+            except Exception as error:  # one of this program shall not end the node
+                self.on_error(topic, sender, error)
 
         def on_message(message: zenoh.Sample) -> None:
             if len(waiting) >= MAX_PENDING:
@@ -394,12 +392,11 @@ class Subscriptions:
 
         Queries beyond those that may wait have no answer.
         """
-        key, reply = topic.at(self.node), topic.reply or ErrorReply
         worker, waiting = ThreadPoolExecutor(1, "background"), threading.Semaphore(MAX_PENDING)
 
         def compute(query: zenoh.Query) -> None:
             waiting.release()
-            _reply(query, key, reply, lambda payload, encoding: answer(_query(payload, encoding)))
+            self._reply(query, topic, lambda payload, encoding: answer(_query(payload, encoding)))
 
         def on_query(query: zenoh.Query) -> None:
             if waiting.acquire(blocking=False):
@@ -407,18 +404,32 @@ class Subscriptions:
             else:
                 self.rate_limited += 1
 
-        queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
+        queryable = self._session.declare_queryable(
+            topic.at(self.node), Callback(on_query, indirect=False), complete=True
+        )
         self._close.callback(worker.shutdown, wait=False, cancel_futures=True)
         self._close.callback(queryable.undeclare)
 
     def _answer(self, topic: keys.Topic, answer: Callable[[bytes, str], bytes]) -> None:
-        key, reply = topic.at(self.node), topic.reply or ErrorReply
-
         def on_query(query: zenoh.Query) -> None:
-            _reply(query, key, reply, answer)
+            self._reply(query, topic, answer)
 
-        queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
+        queryable = self._session.declare_queryable(
+            topic.at(self.node), Callback(on_query, indirect=False), complete=True
+        )
         self._close.callback(queryable.undeclare)
+
+    def _reply(self, query: zenoh.Query, topic: keys.Topic, answer: Callable[[bytes, str], bytes]) -> None:
+        """Reply to a query with what `answer` returns for its payload and encoding, or raises."""
+        kind: type[Message] = topic.reply or ErrorReply
+        with query:
+            try:
+                payload = answer(*_content(query))
+            except Exception as error:  # one of this program shall not leave the query without a reply
+                kind, payload = ErrorReply, codec.encode(ErrorReply(**errors.to_wire(error)))
+                if not isinstance(error, ZenostatError):
+                    self.post(partial(self.on_error, topic, "", error))
+            query.reply(topic.at(self.node), payload, encoding=zenoh.Encoding(codec.encoding(kind)))
 
     def request(
         self,

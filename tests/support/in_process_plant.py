@@ -1,4 +1,4 @@
-"""A node whose plant computes in the node's own process: `bench.empty_plant`, and a command at which it fails.
+"""A node whose plant computes in the node's own process: `bench.empty_plant`, and values at which it fails.
 
 If the environment variable `COPIES` names a folder, the plant can be copied; the folder has a file for each open copy.
 """
@@ -11,17 +11,30 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from bench.empty_plant import EmptyPlant, empty_node
-from zenostat.bridge.node.plant import PlantContext, RunningPlant, SlotPlacement
+from zenostat.bridge.node.plant import PlantContext, RunningPlant, SlotPlacement, WeatherTable
 from zenostat.bridge.node.program import main
 from zenostat.topics.errors import PlantFailed
 from zenostat.topics.messages import EngineStart, EpisodeStart
 
 FATAL = 1313.0
+BUG = 1414
 COPIES = "ZENOSTAT_TEST_COPIES"
 
 
 class FragilePlant(EmptyPlant):
-    """Fails at one value of its command."""
+    """Fails at one value of its command, and has an error of its program at one seed and in its weather."""
+
+    def next_episode(
+        self, slots: Sequence[int], seeds: Sequence[int | None], episode: Sequence[int], untouched: Sequence[bool]
+    ) -> list[EpisodeStart]:
+        if BUG in seeds:
+            raise KeyError("next_episode")
+        return super().next_episode(slots, seeds, episode, untouched)
+
+    def weather(self, slot: int, columns: Sequence[str]) -> WeatherTable:
+        if columns == [f"{BUG}"]:
+            raise KeyError("weather")
+        return super().weather(slot, columns)
 
     def step(self, commands: bytes, active_slots: Sequence[int]) -> list[bool]:
         last = super().step(commands, active_slots)

@@ -6,13 +6,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.in_process_plant import COPIES, FATAL
+from support.in_process_plant import BUG, COPIES, FATAL
 from support.nodes import NodeProgram, node_on_bus, until
+from zenoh.handlers import RingChannel
 
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.bridge.client.bus import Bus
-from zenostat.topics.errors import ForkFailed, InvalidConfig, PlantFailed, RequestRejected
-from zenostat.topics.messages import Mode, State
+from zenostat.topics import codec, keys
+from zenostat.topics.errors import ForkFailed, InvalidConfig, PlantFailed, RequestRejected, ZenostatError
+from zenostat.topics.messages import Event, EventKind, Mode, State
 
 TESTS = Path(__file__).parents[1]
 STEPS = 20
@@ -159,3 +161,37 @@ def test_plant__baseline_that_the_plant_lacks_ends_the_start(plain: Path) -> Non
 def test_plant__stop_request_ends_the_node(bus: Bus, node: NodeProgram) -> None:
     bus.stop("plain")
     assert node.process.wait() == 0
+
+
+def test_request__internal_error_is_replied_reported_and_leaves_the_node_alive(env: BuildingEnv) -> None:
+    bus, events = env.link.bus, keys.EVENT.at("plain")
+    env.reset(seed=0)
+    act(env, 4.0)
+    with bus.session.declare_subscriber(events, RingChannel(100)) as subscriber:
+        with pytest.raises(ZenostatError, match=r"^KeyError: 'weather'$"):
+            bus.weather("plain", [f"{BUG}"])
+        sent = until(subscriber.try_recv, "it is reported")
+    event = codec.decode(Event, sent.payload.to_bytes())
+    assert (event.kind, event.text) == (EventKind.WARNING, "rpc/weather: internal error: KeyError: 'weather'")
+    assert act(env, 5.0) == (5.0, False)
+
+
+def test_reset__internal_error_fails_the_episode_and_another_reset_begins_one(env: BuildingEnv) -> None:
+    env.reset(seed=0)
+    with pytest.raises(ZenostatError, match="KeyError: 'next_episode'"):
+        env.reset(seed=BUG)
+    status = env.link.bus.status("plain")
+    assert (status.state, status.failure) == (State.FAILED, "KeyError: 'next_episode'")
+    env.reset(seed=2)
+    assert act(env, 6.0) == (6.0, False)
+
+
+def test_faults__day_that_does_not_exist_is_refused_and_the_present_faults_stay(env: BuildingEnv) -> None:
+    bus = env.link.bus
+    env.reset(seed=0)
+    bus.faults("plain", {"faults": [{"kind": "bias", "name": "stays", "points": "measured", "offset": 1.0}]})
+    leap = {"kind": "bias", "points": "measured", "offset": 1.0, "when": {"from_time": "02-29T00:00"}}
+    with pytest.raises(InvalidConfig, match=r"fault 'bias 1': '02-29T00:00' does not exist in 2001"):
+        bus.faults("plain", {"faults": [leap]})
+    assert bus.fault_plan("plain").names == ("stays",)
+    assert act(env, 5.0) == (6.0, False)
