@@ -45,7 +45,7 @@ def convert(path: Path, target: Path) -> None:
 def convert_text(text: str, target: Path, file: Path) -> None:
     """Write the epJSON of an IDF that was translated from `file` to `target`; errors as of `convert`."""
     source = target.with_name("translated.idf")
-    source.write_text(text, encoding="latin-1", errors="replace")
+    source.write_text(text, encoding="utf-8")
     try:
         convert(source, target)
     except (InvalidConfig, ModelError) as error:

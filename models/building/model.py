@@ -25,7 +25,7 @@ from zenostat.models.building.run_needs import simulation_control
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
-from zenostat.models.input_format.encoding import check_encoding
+from zenostat.models.input_format.encoding import check_encoding, decode_idf
 from zenostat.models.input_format.idf_reader import idf_version
 from zenostat.models.scenario.run_period import Period, year_of
 from zenostat.models.upgrade.files import cached_upgrade
@@ -151,7 +151,7 @@ def read_building(entry: Entry) -> Building:
         translated = openstudio.translate(entry.path)
         translation, content = translated.notes, digest(translated.idf, energyplus.version())
         raw = cached_bytes(
-            f"models/{content}.epJSON", lambda target: idf.convert_text(translated.idf, target, entry.path)
+            f"models/{content}-translated.epJSON", lambda target: idf.convert_text(translated.idf, target, entry.path)
         )
     if suffix == ".idf":
         upgraded = _read_idf(entry.path, raw, content)
@@ -186,7 +186,7 @@ def _read_idf(path: Path, raw: bytes, content: str) -> UpgradedModel:
     EnergyPlus's own converter reads those of its version, unless they have templates, which it refuses.
     """
     check_encoding(raw, path)
-    text = raw.decode("latin-1")
+    text = decode_idf(raw)
     version = idf_version(text)
     is_own = version in (None, "") or short(version) == short(energyplus.version())
     if not is_own or "hvactemplate:" in text.casefold():

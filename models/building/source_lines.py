@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
+from zenostat.models.input_format.encoding import decode_idf
 from zenostat.models.input_format.epjson_reader import read_epjson
 from zenostat.models.input_format.idf_reader import idf_version, parse_idf
 from zenostat.models.input_format.layout import Layout, engine_layout
@@ -15,7 +16,7 @@ from zenostat.models.input_format.source_model import SourceModel, SourceObject
 from zenostat.models.upgrade.versions import STEPS, layout_of, short
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 
-_BOM = codecs.BOM_UTF8.decode("latin-1")
+_BOM = codecs.BOM_UTF8.decode("utf-8")
 _WHOLE_WORD = r"(?<![\w:.-]){}(?![\w:.-])"
 _NOT_FOUND = re.compile(r"(\w+) ?= ?([^=]+?), item not found")
 
@@ -24,7 +25,7 @@ def read_source(path: Path) -> SourceModel:
     """Read an IDF, in the format of its own version, or an epJSON; an unreadable file has no objects."""
     is_idf = path.suffix.lower() == ".idf"
     try:
-        text = path.read_text(encoding="latin-1" if is_idf else "utf-8")
+        text = decode_idf(path.read_bytes()) if is_idf else path.read_text(encoding="utf-8")
         if text.startswith(_BOM):  # EnergyPlus takes it for a part of the first word
             return SourceModel()
         return parse_idf(text, _layout(text, path)) if is_idf else read_epjson(text)

@@ -18,6 +18,7 @@ from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.template_references import templates_of
 from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.input_format.encoding import decode_idf
 from zenostat.models.input_format.idd import dictionary
 from zenostat.models.input_format.idf_reader import read_idf
 from zenostat.models.input_format.idf_writer import write_idf
@@ -25,7 +26,7 @@ from zenostat.models.input_format.layout import engine_layout
 from zenostat.models.input_format.source_model import Objects, SourceModel
 from zenostat.topics.errors import InvalidConfig, ModelError, list_errors
 
-_FORMAT = "1"
+_FORMAT = "2"
 _TIMEOUT_S = 60.0
 _NOT_PASSED = ("energymanagementsystem:", "output", "meter:", "pythonplugin:")
 """Prefixes of types that ExpandObjects does not use; their texts may contain what an IDF cannot."""
@@ -55,7 +56,7 @@ def expand(objects: Objects, *, file: str) -> tuple[Objects, tuple[str, ...]]:
     passed |= {kind: _with_words(kind, items) for kind, items in templates.items()}
     text = write_idf(passed, engine_layout(), all_fields=True)
     name = f"models/{digest(text, energyplus.version())}-expanded-{_FORMAT}.idf"
-    result_text = cached_bytes(name, lambda target: _run(text, target, file)).decode("latin-1")
+    result_text = decode_idf(cached_bytes(name, lambda target: _run(text, target, file)))
     expanded = read_idf(result_text, engine_layout(), name=f"{file}, with its templates expanded,")
     messages = list(_messages(expanded))
     if fatal := [message for severity, message in messages if severity in ("severe", "fatal")]:
@@ -97,7 +98,7 @@ def _run(text: str, target: Path, file: str) -> None:
         program = shutil.copyfile(source, scratch / "ExpandObjects")
         program.chmod(0o700)
         (scratch / "Energy+.idd").write_bytes(dictionary())
-        (scratch / "in.idf").write_text(text, encoding="latin-1", errors="replace")
+        (scratch / "in.idf").write_text(text, encoding="utf-8")
         try:
             finished = subprocess.run(
                 [program], cwd=scratch, stdin=subprocess.DEVNULL, capture_output=True, check=False, timeout=_TIMEOUT_S

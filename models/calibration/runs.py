@@ -158,7 +158,7 @@ class ModelRuns:
         else:
             text = json.dumps(building.objects, indent=1)
         with atomic_file(path) as temporary:
-            temporary.write_text(text, encoding="latin-1" if path.suffix.lower() == ".idf" else "utf-8")
+            temporary.write_text(text, encoding="utf-8")
 
 
 @lru_cache(maxsize=4)
@@ -186,7 +186,7 @@ def _reports(targets: Sequence[Target]) -> dict[str, Any]:
 
 def _read_hours(path: Path, targets: Sequence[Target], hours: int) -> NDArray[np.float64]:
     """Read the hourly reports of an ESO file: a dictionary of series, then blocks of a clock and `id,value` lines."""
-    with path.open(encoding="latin-1") as file:
+    with path.open(encoding="utf-8", errors="replace") as file:
         ids = _series(file)
         wanted = [
             [ids[target.key.casefold(), target.variable.casefold()]]

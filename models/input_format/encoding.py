@@ -1,4 +1,4 @@
-"""Check the bytes of an IDF: EnergyPlus needs UTF-8 without a byte-order mark, and lines that end with LF."""
+"""Check and decode the bytes of an IDF: EnergyPlus needs UTF-8 without a byte-order mark, and lines that end in LF."""
 
 from __future__ import annotations
 
@@ -43,3 +43,11 @@ def check_encoding(raw: bytes, path: Path) -> None:
             byte = line[error.start]
             reason = f"the byte 0x{byte:02X} is not UTF-8"
             raise InvalidConfig(f"{path}, line {number}: {reason}: save the file as UTF-8") from None
+
+
+def decode_idf(raw: bytes) -> str:
+    """Return the text of an IDF, with LF at the end of each line.
+
+    Bytes that are not UTF-8 are replaced; if the file has passed `check_encoding`, these are in comments only.
+    """
+    return raw.decode("utf-8", errors="replace").replace("\r\n", "\n")

@@ -23,7 +23,7 @@ def dictionary() -> bytes:
     """Return the dictionary of the installed engine, made once per version."""
 
     def make(target: Path) -> None:
-        target.write_text(idd_text(engine_layout()), encoding="latin-1", errors="replace")
+        target.write_text(idd_text(engine_layout()), encoding="utf-8")
 
     return cached_bytes(f"schema/{energyplus.version()}-{_FORMAT}.idd", make)
 

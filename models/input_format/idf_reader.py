@@ -35,6 +35,7 @@ _INTEGER = re.compile(r"[+-]?\d+")
 _TYPE_FIELD = re.compile("type|class|key|name|field|line")  # fields that may hold the name of an object type
 _SIZES = frozenset(("autosize", "autocalculate"))
 _LARGEST_INTEGER = 2**31 - 1
+_BLANKS = " \t\r"  # no others, as in EnergyPlus: a no-break space or a form feed belongs to a name
 
 
 class _Value(NamedTuple):
@@ -60,7 +61,7 @@ def parse_idf(text: str, layout: Layout) -> SourceModel:
     """Read an IDF of the layout's version; the result has the errors of its syntax."""
     conflict = _MERGE_CONFLICT.search(text)
     text = _CONFLICT_MARK.sub("", text) if conflict else text
-    reader = _Reader(layout, text.splitlines())
+    reader = _Reader(layout, text.split("\n"))
     for values, is_ended in _objects(text):
         reader.add(values, is_ended=is_ended)
     issues = sorted([*reader.issues, *repeated_objects(reader.known)])
@@ -99,10 +100,10 @@ def _objects(text: str) -> Iterator[tuple[list[_Value], bool]]:
     """Yield the values of each object, its type first, and whether it ends with a semicolon."""
     values: list[_Value] = []
     value, begin, is_split = "", 0, False
-    for number, line in enumerate(text.splitlines(), 1):
+    for number, line in enumerate(text.split("\n"), 1):
         for part in _SEPARATOR.split(line.partition("!")[0]):
             if part not in (",", ";"):
-                if part := part.strip():
+                if part := part.strip(_BLANKS):
                     is_split = is_split or bool(value)
                     begin = begin if value else number
                     value = f"{value} {part}" if value else part

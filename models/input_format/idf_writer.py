@@ -22,7 +22,8 @@ def write_idf(
         all_fields: whether to write the empty fields after an object's last one, too.
 
     Raises:
-        InvalidConfig: a type or a field is unknown, or a text has a character that separates fields in an IDF.
+        InvalidConfig: a type or a field is unknown, or a text has a character that separates fields in an IDF, or half
+            of a surrogate pair, which is no character.
     """
     lines: list[str] = []
     for kind, items in objects.items():
@@ -61,4 +62,6 @@ def _text(label: str, field: str, value: Any) -> str:
         raise InvalidConfig(
             f"{label}: {field} is {text!r}, which an IDF cannot have: it contains a separator of fields"
         )
+    if any("\ud800" <= character <= "\udfff" for character in text):
+        raise InvalidConfig(f"{label}: {field} is {text!r}, which a file cannot have: it has half of a surrogate pair")
     return text

@@ -12,6 +12,7 @@ from typing import Any
 from zenostat.models import energyplus
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import MODEL_SUFFIXES
+from zenostat.models.input_format.encoding import check_encoding, decode_idf
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
 from zenostat.models.input_format.source_model import Objects
@@ -43,10 +44,13 @@ def upgrade_file(path: Path, programs: Path | None = None) -> UpgradedModel:
         raise InvalidConfig(f"{path.name} is not a model file: its suffix should be {' or '.join(MODEL_SUFFIXES)}")
     with user_file(path):
         raw = path.read_bytes()
+    is_idf = path.suffix.lower() == ".idf"
+    if is_idf:
+        check_encoding(raw, path)
     if programs is not None:
         return _with_programs(path, programs)
-    if path.suffix.lower() == ".idf":
-        return upgrade_idf(raw.decode("latin-1"), name=path.name)
+    if is_idf:
+        return upgrade_idf(decode_idf(raw), name=path.name)
     try:
         objects: Any = json.loads(raw)
     except (ValueError, RecursionError) as error:
@@ -94,6 +98,6 @@ def write_model(objects: Objects, path: Path) -> None:
     text = write_idf(objects, engine_layout()) if is_idf else json.dumps(objects, indent=2) + "\n"
     try:
         with atomic_file(path) as temporary:
-            temporary.write_text(text, encoding="latin-1" if is_idf else "utf-8", errors="replace")
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InvalidConfig(f"cannot write {path.absolute()}: {error.strerror or error}") from None

@@ -13,6 +13,7 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
+from zenostat.models.input_format.encoding import decode_idf
 from zenostat.models.input_format.idf_reader import idf_version
 from zenostat.models.upgrade.versions import short
 from zenostat.topics.errors import InvalidConfig, ModelError
@@ -62,7 +63,7 @@ def run_programs(source: Path, folder: Path, target: str) -> TransitionResult:
         ModelError: a program failed, or did not write the next version.
     """
     programs = find_programs(folder)
-    text = source.read_text(encoding="latin-1")
+    text = decode_idf(source.read_bytes())
     version = short(idf_version(text) or "")
     if source.suffix.lower() != ".idf" or not version:
         raise InvalidConfig(
@@ -75,12 +76,12 @@ def run_programs(source: Path, folder: Path, target: str) -> TransitionResult:
         for path in folder.iterdir():
             (Path(scratch) / path.name).symlink_to(path.resolve())
         model = Path(scratch) / "model.idf"
-        model.write_text(text, encoding="latin-1")
+        model.write_text(text, encoding="utf-8")
         while version != target and version in programs:
             version, program = programs[version]
             _run(Path(scratch) / program.name, model, version, source)
             versions.append(version)
-        return TransitionResult(model.read_text(encoding="latin-1"), tuple(versions))
+        return TransitionResult(decode_idf(model.read_bytes()), tuple(versions))
 
 
 def _run(program: Path, model: Path, after: str, source: Path) -> None:
@@ -95,7 +96,7 @@ def _run(program: Path, model: Path, after: str, source: Path) -> None:
         )
     except (OSError, subprocess.TimeoutExpired) as error:
         raise ModelError(f"{program.name} could not upgrade {source}: {error}") from None
-    written = short(idf_version(model.read_text(encoding="latin-1")) or "")
+    written = short(idf_version(decode_idf(model.read_bytes())) or "")
     if finished.returncode or written != after:
         output = (finished.stdout + finished.stderr).decode(errors="replace").strip().splitlines()[-_LINES:]
         head = f"{program.name} could not upgrade {source}: it exited with code {finished.returncode}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from datetime import date
 from pathlib import Path
 from typing import Any
@@ -148,6 +149,18 @@ def test_simulate__values_are_those_of_a_node_and_repeat_to_the_bit(folder: Path
     assert hours[:, 0] == pytest.approx(of["electricity"].sum(axis=1), rel=1e-12)
     assert hours[:, 2] == pytest.approx(of["room"].mean(axis=1), rel=1e-12)
     assert hours[:, 3] == pytest.approx(of["hvac"].sum(axis=1), rel=1e-12)
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_simulate__keys_and_the_written_model_keep_their_characters(tmp_path: Path) -> None:
+    office, idf, weather = tmp_path / "office.epJSON", tmp_path / "calibrated.idf", find_weather("USA_IL_Chicago").path
+    office.write_text(json.dumps(read_building(find_building("ref-small-office")).objects).replace("Core_ZN", "Å 室"))
+    variable = {"variable": "Zone Mean Air Temperature", "key": "Å 室"}
+    targets = (TargetFinder(read_building(find_building(str(office))), weather).find("a column", variable),)
+    model = runs(model=str(office), targets=targets)
+    model.write_model({}, idf)
+    assert np.array_equal(runs(model=str(idf), targets=targets).simulate({}, DAYS), model.simulate({}, DAYS))
 
 
 @pytest.mark.slow

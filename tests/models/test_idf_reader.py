@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from zenostat.models import catalog
+from zenostat.models import catalog, energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.model import read_building
+from zenostat.models.input_format.encoding import decode_idf
 from zenostat.models.input_format.idd import idd_text
 from zenostat.models.input_format.idf_reader import idf_version, read_idf
 from zenostat.models.input_format.idf_writer import write_idf
@@ -83,9 +85,22 @@ def test_idf_reader__finds_the_version() -> None:
     assert idf_version("Zone,Core;") is None
 
 
+@pytest.mark.parametrize("text", ["Ålesund", "Voilà", "цех", "会议室", "\x85A\u2028", "A\x0b", "\xa0A\u3000", "A\x1cB"])
+def test_idf_reader__names_and_comments_are_those_of_energyplus(text: str, tmp_path: Path) -> None:
+    path, target = tmp_path / "model.idf", tmp_path / "model.epJSON"
+    idf = f"! {text}; Zone, B\nVersion,25.2;\r\n! {text}\r, or not\r\nZone, {text} ; ! a\rb\n"
+    path.write_bytes(idf.encode())
+    energyplus.call("convert", path, target)
+    model = read_idf(decode_idf(path.read_bytes()), engine_layout(), name="model.idf")
+    assert list(model.objects["Zone"]) == list(json.loads(target.read_bytes())["Zone"]) == [text]
+    assert model.line("Zone", text) == 4
+
+
 def test_idf_writer__refuses_a_text_that_would_be_two_fields() -> None:
     with pytest.raises(InvalidConfig, match="contains a separator"):
         write_idf({"ZoneList": {"All": {"zones": [{"zone_name": "a, b"}]}}}, engine_layout())
+    with pytest.raises(InvalidConfig, match="half of a surrogate pair"):
+        write_idf({"ZoneList": {"All": {"zones": [{"zone_name": "\ud800"}]}}}, engine_layout())
 
 
 def test_idd__has_each_type_and_each_field_of_the_schema() -> None:

@@ -187,6 +187,16 @@ def test_templates__note_tells_how_many_objects_were_made(tmp_path: Path) -> Non
     assert building.notes == (f"6 HVACTemplate objects expanded to {added} objects by ExpandObjects",)
 
 
+def test_templates__names_keep_their_characters() -> None:
+    objects = THERMOSTAT | zone_templates("IdealLoadsAirSystem")
+    names = dict(zip(ZONES, ("Büro", "Voilà", "Ålesund", "会议室", "цех"), strict=True))
+    text = json.dumps(objects | {"Zone": {zone: {} for zone in ZONES}})
+    for zone, name in names.items():
+        text = text.replace(zone, name)
+    expanded, _ = templates.expand(json.loads(text), file="office.epJSON")
+    assert {each["zone_name"] for each in expanded["ZoneHVAC:EquipmentConnections"].values()} == {*names.values()}
+
+
 def test_templates__model_without_templates_is_the_same_object() -> None:
     objects = envelope()
     assert templates.expand(objects, file="office.idf") == (objects, ())

@@ -60,6 +60,23 @@ def test_read_building__upgrades_and_says_so(office: dict[str, dict[str, dict[st
     assert building.file == str(path)
 
 
+NAMES = {"Büro", "Voilà", "Ålesund", "会议室"}
+"""Names with characters that Latin-1 has, with bytes that it takes for a blank or a line end, and that it lacks."""
+
+
+def test_read_building__characters_of_an_earlier_version_are_kept(tmp_path: Path) -> None:
+    pytest.importorskip("idfkit")
+    path = tmp_path / "old.idf"
+    zones = "\n".join(f"Zone,{name};" for name in NAMES)
+    path.write_text(f"! Å, or; not\nVersion,22.2;\nBuilding,B;\n{zones}\n", encoding="utf-8")
+    assert read_building(find_building(str(path))).objects["Zone"].keys() == NAMES
+    programs = transition_programs(tmp_path / "programs", "22.2", "23.1")
+    assert upgrade_file(path, programs).objects["Zone"].keys() == NAMES
+    path.write_bytes(path.read_text(encoding="utf-8").encode("gb18030"))
+    with pytest.raises(InvalidConfig, match="is not UTF-8: save the file as UTF-8"):
+        upgrade_file(path)
+
+
 @pytest.mark.parametrize("suffix", [".idf", ".epJSON"])
 def test_read_building__dangling_reference_of_an_earlier_version_has_its_line(
     office: dict[str, dict[str, dict[str, object]]], suffix: str, tmp_path: Path
@@ -93,6 +110,19 @@ def test_models_upgrade__writes_an_idf(office: dict[str, dict[str, dict[str, obj
     assert run_in_process("models", "upgrade", str(path), "--output", str(output)).returncode == 0
     assert idf_version(output.read_text()) == "25.2"
     assert read_building(find_building(str(output))).objects["Zone"] == office["Zone"]
+
+
+def test_models_upgrade__idf_has_the_characters_of_the_model(tmp_path: Path) -> None:
+    path, output = tmp_path / "old.epJSON", tmp_path / "new.idf"
+    objects = {
+        "Version": {"V": {"version_identifier": "24.1"}},
+        "Building": {"B": {}},
+        "Zone": {name: {} for name in NAMES},
+    }
+    path.write_text(json.dumps(objects))
+    result = run_in_process("models", "upgrade", str(path), "--output", str(output))
+    assert result.returncode == 0, result.stderr
+    assert upgrade_file(output).objects["Zone"].keys() == NAMES
 
 
 def test_models_upgrade__never_replaces_a_file(tmp_path: Path) -> None:
