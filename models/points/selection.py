@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
 from typing import TypeVar
@@ -103,7 +103,8 @@ def select_points(
 
     Raises:
         UnknownName: the model lacks some of the points; the text lists all of them, with similar names.
-        InvalidConfig: a name is used twice or not allowed in a topic, or an aggregation or bounds are invalid.
+        InvalidConfig: a name is used twice or not allowed in a topic, an actuator has two names, or an aggregation or
+            bounds are invalid.
     """
     errors = ErrorCollector()
     wanted_sensors = default_sensors(available) if sensors is None else sensors
@@ -116,6 +117,7 @@ def select_points(
     selected_sensors = _each(wanted_sensors, lambda n, s: _sensor(available, n, s), errors)
     selected_meters = _each(wanted_meters, lambda n, s: _meter(available, n, s), errors)
     selected_actuators = _each(wanted_actuators, lambda n, s: _actuator(building, available, n, s), errors)
+    errors.errors += _repeated_actuators(selected_actuators)
     errors.raise_if_any()
     return Points(
         sensors=tuple(s for s, _ in selected_sensors),
@@ -135,6 +137,18 @@ def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], errors: ErrorCol
         except UsageError as error:
             errors.errors.append(error)
     return points
+
+
+def _repeated_actuators(actuators: Sequence[Actuator]) -> Iterator[InvalidConfig]:
+    """Yield an error for each actuator of EnergyPlus that has several names; the last of them would set it."""
+    names: dict[tuple[str, str, str], list[str]] = {}
+    for actuator in actuators:
+        names.setdefault((actuator.component_type, actuator.control_type, actuator.key), []).append(actuator.name)
+    for point, same in names.items():
+        if len(same) > 1:
+            yield InvalidConfig(
+                f"actuators {', '.join(map(repr, same))} are one actuator of EnergyPlus ({', '.join(point)}); keep one"
+            )
 
 
 def _sensor(available: PointCatalog, name: str, spec: Sequence[object]) -> tuple[Sensor, Variable]:

@@ -309,6 +309,15 @@ def test_point_selection__one_name_is_one_point() -> None:
     assert "sensor and a meter: a, b" in message
 
 
+def test_select_points__actuator_has_one_name() -> None:
+    heating = (THERMOSTAT, "Heating Setpoint", "CORE ZN")
+    in_another_case = tuple(part.casefold() for part in heating)
+    message = refused(
+        actuators={"a": heating, "lights": ("Schedule:Compact", "Schedule Value", "LIGHTS"), "b": in_another_case}
+    )
+    assert message == f"actuators 'a', 'b' are one actuator of EnergyPlus ({', '.join(heating)}); keep one"
+
+
 @pytest.mark.parametrize("kind", ["sensors", "meters", "actuators"])
 def test_point_selection__name_that_cannot_stand_in_a_topic_is_refused(kind: str) -> None:
     spec = {
