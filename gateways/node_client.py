@@ -78,6 +78,7 @@ class NodeClient:
         via: the protocol of its clients, which recordings show as the way in.
 
     Raises:
+        InvalidConfig: the node's name is not valid.
         NodeNotFound: on entering the context, no node of that name is on the bus.
 
     Attributes:
@@ -97,7 +98,7 @@ class NodeClient:
         self, session: zenoh.Session, name: str, *, source: str = "gateway", identity: str = "", via: str = ""
     ) -> None:
         self._identity, self._via = identity, via
-        self.name, self.source = name, keys.own_name(identity, source)
+        self.name, self.source = keys.check_name(name, "the node's name"), keys.own_name(identity, source)
         self.sample: SampleView | None = None
         self.is_online = self.has_failed = False
         self.listeners, self.counts = Listeners(), Counts()

@@ -150,7 +150,7 @@ class Connection:
 
         Raises:
             NodeNotFound: No such node, or it does not know the topic.
-            InvalidConfig: The roles of this connection may not query the topic.
+            InvalidConfig: The node's name is not valid, or the roles of this connection may not query the topic.
             BusError: This connection is closed.
             ZenostatError: The error that the node replied with.
         """
@@ -207,7 +207,8 @@ class Connection:
         """Return the names of all nodes on the bus, sorted."""
         # Not through liveliness tokens: one time in ten, Zenoh 1.10 omits those that this session is subscribed to.
         replies = self.session.get(keys.MANIFEST.at("*"), target=QueryTarget.ALL)
-        return sorted({keys.node_of(str(r.ok.key_expr)) for r in replies if r.ok})
+        names = {keys.node_of(str(r.ok.key_expr)) for r in replies if r.ok}
+        return sorted(filter(keys.is_name, names))  # a stranger's may have another form
 
     def controllers(self) -> list[tuple[str, str]]:
         """Return pairs (node, controller) of all controllers on the bus, sorted."""

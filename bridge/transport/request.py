@@ -91,9 +91,11 @@ def send_request(
         timeout_s: time after which a node that is present but does not answer raises an error.
 
     Raises:
+        InvalidConfig: the node's name is not valid, such as a wildcard, which would name several nodes.
         BadMessage: the request is too large and was not sent.
         zenoh.ZError: the session is closed.
     """
+    keys.check_name(node, "the node's name")
     payload = codec.encode(request) if request else None
     if payload is not None and len(payload) > codec.MAX_BYTES:  # Zenoh would drop it, if it is much larger
         raise BadMessage(

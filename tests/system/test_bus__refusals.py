@@ -1,6 +1,8 @@
 """Refusals reach the one who asked: by the source of a write, by the reply of a query."""
 
 import math
+import re
+from collections.abc import Callable
 
 import msgpack
 import pytest
@@ -10,6 +12,7 @@ from zenoh.handlers import RingChannel
 
 import zenostat
 from zenostat.topics import codec, keys
+from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Topic
 from zenostat.topics.messages import (
     Acknowledge,
@@ -37,6 +40,25 @@ BAD_WRITES = {
     "foreign version": ({"value": 26.0}, "application/msgpack;zenostat/9.Write", "expected encoding"),
     "plain text": ({"value": 26.0}, "text/plain", "expected encoding"),
 }
+
+
+def test_bus__wildcards_and_other_invalid_names_are_no_nodes(episode_bus: zenostat.Bus) -> None:
+    requests: tuple[Callable[[str], object], ...] = (
+        lambda name: episode_bus.pause(name, source="ada"),
+        episode_bus.read,
+        episode_bus.controller,
+        lambda name: episode_bus.listen(name).__enter__(),
+    )
+    for name in ("*", "**", "offic*", "office/rpc", "off#ce", "$*", "a b", ""):
+        for request in requests:
+            with pytest.raises(InvalidConfig, match=re.escape(f"the node's name {name!r} is not valid")):
+                request(name)
+    assert not episode_bus.status("office").paused
+
+
+def test_bus__names_of_strangers_that_are_not_valid_are_not_listed(episode_bus: zenostat.Bus) -> None:
+    with episode_bus.session.declare_queryable(keys.MANIFEST.at("a b"), lambda query: query.reply(query.key_expr, b"")):
+        assert episode_bus.nodes() == ["office"]
 
 
 @pytest.mark.slow

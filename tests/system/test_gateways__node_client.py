@@ -1,6 +1,7 @@
 """One node in a gateway's asyncio program: real nodes, which end, return and are asked too much."""
 
 import asyncio
+import re
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from pathlib import Path
@@ -13,7 +14,7 @@ from zenostat import Bus
 from zenostat.bridge.transport.session import open_session
 from zenostat.gateways import node_client
 from zenostat.gateways.node_client import NodeClient
-from zenostat.topics.errors import InvalidAction, NodeLost, NodeNotFound, RequestRejected, UnknownName
+from zenostat.topics.errors import InvalidAction, InvalidConfig, NodeLost, NodeNotFound, RequestRejected, UnknownName
 from zenostat.topics.messages import Event, EventKind
 
 COOLING = "core_zn_cooling_setpoint"
@@ -61,6 +62,13 @@ async def test_gateways__paused_node_steps_on_command_and_a_write_takes_effect(e
         with pytest.raises(RequestRejected, match="not paused"):
             await node.step()
     assert [event.source for event in events if event.kind is EventKind.WRITTEN] == ["device-7"] * 2
+
+
+@pytest.mark.parametrize("name", ["*", "**", "offic*", "off#ce"])
+def test_gateways__wildcard_is_no_node(name: str) -> None:
+    session: Any = None  # not used
+    with pytest.raises(InvalidConfig, match=re.escape(f"the node's name {name!r} is not valid")):
+        NodeClient(session, name)
 
 
 async def test_gateways__commands_are_relinquished_although_one_of_them_cannot_be(episode_bus: Bus) -> None:

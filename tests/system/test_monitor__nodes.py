@@ -14,6 +14,7 @@ from zenostat.bridge.transport.session import open_session
 from zenostat.cli.monitor_stream import open_stream, reward_terms
 from zenostat.metrics.reward_comfort import display_comfort
 from zenostat.topics import codec, keys
+from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Sample
 from zenostat.views.live.stream import RerunStream
 
@@ -107,6 +108,11 @@ def test_monitor__node_of_an_older_schema_is_named_and_not_shown(scratch, shared
     assert "'veteran'" in notice
     assert "v1" in notice
     assert f"v{codec.SCHEMA_VERSION}" in notice
+
+
+def test_monitor__wildcard_within_a_name_is_no_node():
+    with pytest.raises(InvalidConfig, match=r"the node's name 'offic\*' is not valid"):
+        RerunStream(None, "offic*", [])
 
 
 @pytest.mark.slow

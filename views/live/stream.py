@@ -104,6 +104,8 @@ class RerunStream:
         self._comfort, self._reward, self._notify = comfort, reward, notify
         self._nodes: dict[str, NodeStream] = {}
         self._all = node == "*"
+        if not self._all:
+            keys.check_name(node, "the node's name")
         self._pending_nodes: dict[str, float] = {}  # nodes without a sample yet, and when they connected
         self._ignored: set[str] = set()  # branches, of which there may be hundreds, unless one is named
         self._notified: set[str] = set()
