@@ -5,12 +5,13 @@ from datetime import datetime
 
 import numpy as np
 import pytest
+from support.builders import actuator
 from support.trajectories import J_PER_KWH, SHARES, office, office_comparison, run
 
 from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.views.report.figures import actuators, carpets, comfort, energy, months, reward, weather
 from zenostat.views.report.figures.base import Curve
-from zenostat.views.report.quantities import by_hour, by_period, load_duration
+from zenostat.views.report.quantities import Quantities, by_hour, by_period, load_duration
 
 pytest.importorskip("matplotlib")
 
@@ -172,6 +173,35 @@ def test_timeline__has_setpoints_and_their_sources() -> None:
     assert set(figure.data["rbc: Cooling set-points, mean (°C)"]) == {24.0}
     assert {name: share.mean() for name, share in actuators.source_shares(curves[1]).items()} == {"rbc": 1.0}
     assert {name: share.mean() for name, share in actuators.source_shares(curves[0]).items()} == {"": 1.0}
+
+
+@pytest.mark.parametrize("days", [1, 30])
+def test_timeline__has_actuators_whose_values_are_known_only_while_they_are_commanded(days: int) -> None:
+    steps = 96 * days
+    alike = [actuator(name, 0.0, 1.0) for name in ("fan", "valve", "pump")]
+    kinds = tuple(each.model_copy(update={"control_type": each.name}) for each in alike)
+    of = office(steps=steps).model_copy(update={"actuators": kinds})
+    part = run("rbc", of, [10.0] * steps, [[24.0] * steps] * 2, [[0.0] * steps] * 2).trajectory
+    part.effective[:, 0] = 0.5
+    part.effective[1 : steps // 2, 0] = np.nan
+    part.effective[:, 1] = np.nan
+    never = replace(part, effective=np.full_like(part.effective, np.nan))
+    figure = actuators.timeline([Curve("rbc", 0, Quantities(part)), Curve("baseline", 1, Quantities(never))])
+    fan = np.array(figure.data["rbc: Fan (°C)"])
+    assert np.isnan(fan[: steps // 2 - 1]).all()
+    assert set(fan[steps // 2 - 1 :]) == {0.5}
+    assert set(figure.data) == {"begin", "rbc: Fan (°C)", "rbc: Pump (°C)"}
+    assert "Left out where no value is known: Fan, Valve, Pump." in figure.caption
+    assert "Left out" not in actuators.timeline(office_comparison().curves).caption
+
+
+def test_timeline__range_is_that_of_the_known_values() -> None:
+    of = office(("a", "b", "c"), steps=2)
+    part = run("rbc", of, [10.0] * 2, [[24.0] * 2] * 3, [[0.0] * 2] * 3).trajectory
+    part.effective[1:] = [[20.0, 24.0, np.nan], [np.nan, np.nan, np.nan]]
+    data = actuators.timeline([Curve("rbc", 0, Quantities(part))]).data
+    values = [data[f"rbc: Cooling set-points, {kind} (°C)"] for kind in ("lowest", "mean", "highest")]
+    np.testing.assert_array_equal(np.transpose(values), [[20.0, 22.0, 24.0], [np.nan] * 3])
 
 
 def test_report__rewards_add_up() -> None:

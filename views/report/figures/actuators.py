@@ -22,7 +22,8 @@ _Groups = dict[tuple[str, str], Floats]
 
 def timeline(curves: Sequence[Curve]) -> Figure | None:
     """Set-points and actuators over time, with the source of their values; None if there are none."""
-    groups = [_groups(curve) for curve in curves]
+    tables = [_groups(curve) for curve in curves]
+    groups = [_known(table) for table in tables]
     titles = list(dict.fromkeys(title for group in groups for title in group))
     if not titles:
         return None
@@ -49,16 +50,17 @@ def timeline(curves: Sequence[Curve]) -> Figure | None:
         mark_days(axes[-1], first, days)
 
     return Figure(
-        "actuators", "Set-points and actuators", _caption(titles, is_long=is_long),
+        "actuators", "Set-points and actuators", _caption(titles, _incomplete(tables), is_long=is_long),
         f"Lines over time of {', '.join(title for title, _ in shown)}, and who set them.",
         draw("actuators", 1.05 + 1.12 * len(shown) + strips_in, fill), _columns(curves, groups),
     )  # fmt: skip
 
 
-def _caption(titles: Sequence[tuple[str, str]], *, is_long: bool) -> str:
+def _caption(titles: Sequence[tuple[str, str]], incomplete: Sequence[str], *, is_long: bool) -> str:
     line = "Line: daily mean" if is_long else "Line: mean"
     rest = ", ".join(title for title, _ in titles[_MAX_PANELS:])
     hidden = f" Not drawn: {rest}." if rest else ""
+    hidden += f" Left out where no value is known: {', '.join(incomplete)}." if incomplete else ""
     period = " and of the day" if is_long else ""
     return f"{line}; the shaded range is that of all zones or actuators{period}. Below: who set the actuators.{hidden}"
 
@@ -69,7 +71,7 @@ def _columns(curves: Sequence[Curve], groups: Sequence[_Groups]) -> dict[str, Se
     data: dict[str, Sequence[Any]] = {"begin": [str(time) for time in longest]}
     for curve, group in zip(curves, groups, strict=True):
         for (title, unit), values in group.items():
-            kinds = {"lowest": values.min(axis=1), "mean": values.mean(axis=1), "highest": values.max(axis=1)}
+            kinds = dict(zip(("lowest", "mean", "highest"), _range(values), strict=True))
             if values.shape[1] == 1:
                 kinds = {"": values[:, 0]}
             for kind, column in kinds.items():
@@ -80,7 +82,7 @@ def _columns(curves: Sequence[Curve], groups: Sequence[_Groups]) -> dict[str, Se
 
 
 def _groups(curve: Curve) -> _Groups:
-    """Return the values of set-points and of the other actuators, which are grouped by their kind."""
+    """Return the values of set-points and of the other actuators, which are grouped by their kind; NaN: not known."""
     trajectory, roles = curve.quantities.trajectory, curve.quantities.roles
     groups: _Groups = {}
     thermostats = set()
@@ -95,7 +97,7 @@ def _groups(curve: Curve) -> _Groups:
             elif actuator is not None:
                 columns.append(trajectory.effective[1:, actuator])
         if columns:
-            groups[title, "degC"] = _known(columns)
+            groups[title, "degC"] = np.column_stack(columns)
     others: dict[tuple[str, str], list[Floats]] = {}
     for place, actuator in enumerate(trajectory.manifest.actuators):
         if place in thermostats:
@@ -104,14 +106,27 @@ def _groups(curve: Curve) -> _Groups:
         alike = [a for a in trajectory.manifest.actuators if a.control_type == actuator.control_type]
         title = label(actuator.control_type) if is_kind and len(alike) > 1 else label(actuator.name)
         others.setdefault((title, actuator.unit), []).append(trajectory.effective[1:, place])
-    groups |= {key: _known(columns) for key, columns in others.items()}
-    return {key: values for key, values in groups.items() if values.size}
+    return groups | {key: np.column_stack(columns) for key, columns in others.items()}
 
 
-def _known(columns: list[Floats]) -> Floats:
-    """Return the columns in which all values are known."""
-    table = np.column_stack(columns)
-    return table[:, np.isfinite(table).all(axis=0)]
+def _known(groups: _Groups) -> _Groups:
+    """Return the points of which some value is known; of an actuator, it may be known only while it is commanded."""
+    known = {key: values[:, np.isfinite(values).any(axis=0)] for key, values in groups.items()}
+    return {key: values for key, values in known.items() if values.size}
+
+
+def _incomplete(tables: Sequence[_Groups]) -> list[str]:
+    """Return the titles of groups with values that are not known."""
+    return list(dict.fromkeys(key[0] for table in tables for key in table if not np.isfinite(table[key]).all()))
+
+
+def _range(values: Floats) -> tuple[Floats, Floats, Floats]:
+    """Return the lowest, mean and highest known value of each timestep; NaN where there is none."""
+    known = np.isfinite(values)
+    counts = known.sum(axis=1)
+    sums = np.where(known, values, 0.0).sum(axis=1)
+    mean = np.divide(sums, counts, out=np.full(len(values), np.nan), where=counts > 0)
+    return np.fmin.reduce(values, axis=1), mean, np.fmax.reduce(values, axis=1)
 
 
 def _edges(curve: Curve, first: np.datetime64) -> Floats:
@@ -121,18 +136,19 @@ def _edges(curve: Curve, first: np.datetime64) -> Floats:
 
 
 def _line(axis: Any, curve: Curve, values: Floats, edges: Floats, *, is_long: bool) -> None:
+    lowest, means, highest = _range(values)
     if is_long:
-        _, low, _, _ = daily(values.min(axis=1), edges[:-1])
-        middle, _, mean, _ = daily(values.mean(axis=1), edges[:-1])
-        _, _, _, high = daily(values.max(axis=1), edges[:-1])
+        _, low, _, _ = daily(lowest, edges[:-1])
+        middle, _, mean, _ = daily(means, edges[:-1])
+        _, _, _, high = daily(highest, edges[:-1])
         axis.plot(middle, mean, color=curve.color, linestyle=curve.dashes, label=curve.name)
         axis.fill_between(middle, low, high, color=curve.color, alpha=0.16, linewidth=0)
         return
-    where, mean = _runs(edges, values.mean(axis=1))
+    where, mean = _runs(edges, means)
     axis.plot(
         where, mean, color=curve.color, linestyle=curve.dashes, drawstyle="steps-post", linewidth=1.3, label=curve.name
     )  # fmt: skip
-    where, low, high = _runs(edges, values.min(axis=1), values.max(axis=1))
+    where, low, high = _runs(edges, lowest, highest)
     if (high > low).any():
         axis.fill_between(where, low, high, step="post", color=curve.color, alpha=0.16, linewidth=0)
 
