@@ -144,9 +144,18 @@ export class BuilderPage {
       h("button", { type: "button", onclick: () => copyText(this.yaml) }, "Copy"),
       h("button", { type: "button", onclick: () => this.download() }, "Download"),
       this.form.can_start && h("button", { type: "button", onclick: () => this.save() }, "Save"),
-      h("button", { type: "button", onclick: () => { this.fields = { ...EXAMPLE }; this.set("building", EXAMPLE.building); this.build(this.name.value); } }, "New")];
+      h("button", { type: "button", onclick: () => this.startAnew() }, "New")];
     return panel("Scenario", { "aria-busy": "false" }, h("div", { class: "stack" },
       h("div", {}, h("label", { for: "scenario-name" }, "Name of the file, without .yaml"), this.name), this.status, this.errors, this.yaml, h("div", { class: "row wrap end" }, buttons)));
+  }
+
+  /** Show the example, which belongs to no file yet. */
+  startAnew() {
+    this.fields = { ...EXAMPLE };
+    this.set("building", EXAMPLE.building);
+    this.opened = null;
+    change({ scenario: null });
+    this.build("scenario");
   }
 
   async check() {

@@ -1,0 +1,148 @@
+"""Pages of the control room in a real browser: what they keep of files, samples, events and streams."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from support.control_room import CHROMIUM, Visitor, chromium, control_room
+from support.nodes import NodeProgram, until
+
+import zenostat
+from zenostat.topics import yaml12
+
+pytest.importorskip("starlette")
+pytest.importorskip("uvicorn")
+pytest.importorskip("playwright.sync_api", reason="pip install playwright")
+
+from zenostat.views.room.app import RoomSettings
+
+pytestmark = [
+    pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium"),
+    pytest.mark.process,
+    pytest.mark.slow,
+]
+
+TANK = '''
+class Tank:
+    """A tank of one level, which rises by what its valve lets in."""
+    step_s = 3600.0
+    begin = "2026-01-12T00:00"
+    duration_s = 864000.0
+    sensors = {"level": ("m", 0.0, None)}
+    actuators = {"valve": ("kg/s", 0.0, 0.05, 0.0123)}
+
+    def reset(self, seed):
+        self.level = 0.0
+        return {"level": self.level}
+
+    def step(self, commands):
+        self.level += commands["valve"]
+        return {"level": self.level}
+
+
+class Pair(Tank):
+    """The valve is the third of all points, and the second actuator."""
+    actuators = {"pump": ("kg/s", 0.0, 1.0, 0.5), "valve": ("kg/s", 0.0, 0.05, 0.01)}
+
+
+class Twin(Tank):
+    """The valve is the third of all points as well, but the first actuator."""
+    sensors = {"level": ("m", 0.0, None), "other": ("m", 0.0, None)}
+    actuators = {"valve": ("kg/s", 0.0, 0.05, 0.01), "pump": ("kg/s", 0.0, 1.0, 0.5)}
+
+    def reset(self, seed):
+        return super().reset(seed) | {"other": 0.0}
+
+    def step(self, commands):
+        return super().step(commands) | {"other": 0.0}
+'''
+ALARMS = "alarms: [{name: empty, points: [level], low: -1.0, high: 30.0, unit: m, priority: high}]\n"
+SCENARIO = """
+building: ref-small-office
+weather: [USA_CO_Denver]
+begin: 07-03
+end: 07-04
+sensors:
+  core: {key: CORE_ZN, variable: Zone Air Temperature}
+  later: {lead_h: 1.0, key: BLDG_OCC_SCH, variable: Schedule Value}
+actuators:
+  cool: {component_type: Zone Temperature Control, control_type: Cooling Setpoint, key: CORE_ZN, high: 30.0}
+"""
+
+
+def training(folder: Path) -> None:
+    folder.mkdir(parents=True)
+    (folder / "training.yaml").write_text("algorithm: ppo\nscenario: tank\nsteps: 400\nseed: 3\n")
+    (folder / "versions.json").write_text('{"format": 1}')
+    (folder / "evaluations.csv").write_text("step,seed,reward\n100,1,-4\n200,1,-2\n")
+
+
+@pytest.fixture(scope="module")
+def tank(module_folder: Path) -> Iterator[NodeProgram]:
+    (module_folder / "tank.py").write_text(TANK)
+    (module_folder / "alarms.yaml").write_text(ALARMS)
+    settings = {"plant": f"{module_folder}/tank.py:Tank", "alarms": str(module_folder / "alarms.yaml")}
+    with NodeProgram(module_folder / "node", name="tank", **settings) as node:
+        yield node
+
+
+@pytest.fixture(scope="module")
+def bus(tank: NodeProgram) -> Iterator[zenostat.Bus]:
+    """The bus of the tank, which is paused."""
+    with zenostat.connect(tank.endpoint, affinity="off") as connected:
+        connected.pause("tank")
+        connected.pace("tank", mode="free")
+        connected.step("tank")
+        until(lambda: connected.status("tank").step == [1], "a timestep is simulated")
+        yield connected
+
+
+@pytest.fixture(scope="module")
+def room(module_folder: Path, tank: NodeProgram, bus: zenostat.Bus) -> Iterator[Any]:
+    (module_folder / "scenarios").mkdir()
+    for name in ("ppo", "lr=1,seed=2", "50%2C"):
+        training(module_folder / "runs" / name)
+    settings = RoomSettings(scenarios=module_folder / "scenarios", trainings=module_folder / "runs")
+    with control_room(tank.endpoint, settings=settings) as server:
+        server.folder = module_folder
+        yield server
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    with chromium() as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def ada(browser: Any, room: Any) -> Iterator[Visitor]:
+    visitor = Visitor(browser)
+    visitor.open(room.link).locator(".card").wait_for()
+    yield visitor
+    assert [text for text in visitor.complaints if "Failed to load resource" not in text] == []  # refusals
+    visitor.close()
+
+
+@pytest.fixture
+def mine(room: Any) -> Path:
+    """A saved scenario `mine`, whose points are mappings."""
+    file: Path = room.folder / "scenarios" / "mine.yaml"
+    file.write_text(SCENARIO)
+    return file
+
+
+def test_builder__new_scenario_is_not_the_one_that_was_opened(ada: Visitor, room: Any, mine: Path) -> None:
+    page = ada.open(f"{room.url}/?page=builder&scenario=mine")
+    page.locator("pre", has_text="BLDG_OCC_SCH").wait_for()
+    page.get_by_role("button", name="New", exact=True).click()
+    page.locator("pre", has_text="office-small").wait_for()
+    assert "scenario=" not in page.url
+    assert page.locator("#scenario-name").input_value() == "scenario"
+    page.locator("#scenario-name").fill("mine")
+    page.get_by_role("button", name="Save", exact=True).click()
+    page.get_by_label("Replace the scenario").get_by_role("button", name="Cancel").click()
+    assert mine.read_text() == SCENARIO
+    page.go_back()
+    page.locator("pre", has_text="BLDG_OCC_SCH").wait_for()
+    assert page.locator("#scenario-name").input_value() == "mine"
