@@ -146,3 +146,48 @@ def test_builder__new_scenario_is_not_the_one_that_was_opened(ada: Visitor, room
     page.go_back()
     page.locator("pre", has_text="BLDG_OCC_SCH").wait_for()
     assert page.locator("#scenario-name").input_value() == "mine"
+
+
+def test_builder__points_keep_their_fields_whatever_their_order(ada: Visitor, room: Any, mine: Path) -> None:
+    page = ada.open(f"{room.url}/?page=builder&scenario=mine")
+    page.locator(".chosen-point", has_text="Zone Air Temperature · CORE_ZN").wait_for()
+    assert page.get_by_label("low of cool").input_value() == ""
+    assert page.get_by_label("high of cool").input_value() == "30"
+    page.get_by_label("low of cool").fill("22")
+    page.get_by_label("Aggregation of core").select_option("sum")
+    page.get_by_label("Aggregation of later").select_option("instant")
+    page.get_by_label("high of cool").fill("")
+    page.get_by_label("high of cool").blur()
+    page.get_by_label("Name of Schedule Value, BLDG_OCC_SCH").fill("people")
+    page.get_by_label("Name of Schedule Value, BLDG_OCC_SCH").blur()
+    page.locator("pre", has_text="people").wait_for()
+    page.get_by_role("button", name="Save", exact=True).click()
+    page.locator(".toast", has_text="saved as mine.yaml").wait_for()
+    saved = yaml12.read_mapping(mine)
+    assert saved["sensors"] == {
+        "core": {"variable": "Zone Air Temperature", "key": "CORE_ZN", "aggregation": "sum"},
+        "people": {"variable": "Schedule Value", "key": "BLDG_OCC_SCH", "lead_h": 1.0, "aggregation": "instant"},
+    }
+    cooling = {"component_type": "Zone Temperature Control", "control_type": "Cooling Setpoint", "key": "CORE_ZN"}
+    assert saved["actuators"] == {"cool": cooling | {"low": 22}}
+
+
+def test_builder__points_of_lists_keep_their_fields(ada: Visitor, room: Any, mine: Path) -> None:
+    actuator = ["Zone Temperature Control", "Cooling Setpoint", "CORE_ZN"]
+    sensor = ["Schedule Value", "BLDG_OCC_SCH"]
+    mine.write_text(
+        SCENARIO.partition("sensors:")[0]
+        + f"sensors: {{later: {[*sensor, 'mean', 1.0]}}}\nactuators: {{cool: {[*actuator, 18, 30]}}}\n"
+    )
+    page = ada.open(f"{room.url}/?page=builder&scenario=mine")
+    page.get_by_label("Aggregation of later").select_option("instant")
+    page.get_by_label("high of cool").fill("")
+    page.get_by_label("high of cool").blur()
+    page.get_by_label("Name of Zone Temperature Control, Cooling Setpoint, CORE_ZN").fill("cold")
+    page.get_by_label("Name of Zone Temperature Control, Cooling Setpoint, CORE_ZN").blur()
+    page.locator("pre", has_text="cold").wait_for()
+    page.get_by_role("button", name="Save", exact=True).click()
+    page.locator(".toast", has_text="saved as mine.yaml").wait_for()
+    saved = yaml12.read_mapping(mine)
+    assert saved["sensors"] == {"later": [*sensor, "instant", 1.0]}
+    assert saved["actuators"] == {"cold": [*actuator, 18]}

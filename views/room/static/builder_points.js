@@ -6,6 +6,9 @@ import { counted } from "./format.js";
 
 const KINDS = { sensors: "sensor", meters: "meter", actuators: "actuator" };
 const AGGREGATIONS = ["mean", "instant", "sum"];
+/** Fields of a point in the order of a list; the first ones say which point it is. */
+const FIELDS = { sensors: ["variable", "key", "aggregation", "lead_h"], meters: ["variable"], actuators: ["component_type", "control_type", "key", "low", "high"] };
+const IDENTITY = { sensors: 2, meters: 1, actuators: 3 };
 
 /** A name on the bus for a point: of its object and its variable. */
 function busName(point, taken) {
@@ -65,7 +68,7 @@ export class BuilderPoints {
     const kinds = Object.keys(KINDS).find((each) => KINDS[each] === point.kind);
     const points = { ...(this.read(kinds) ?? {}) };
     const spec = point.kind === "meter" ? point.name : point.kind === "sensor" ? [point.name, point.key] : [...split(point.name), point.key];
-    if (!name && Object.values(points).some((each) => JSON.stringify(specOf(each, spec.length)) === JSON.stringify(spec))) { toast(`${point.name} ${point.key} is chosen already.`, true); return; }
+    if (!name && Object.values(points).some((each) => JSON.stringify(identity(kinds, each)) === JSON.stringify(identity(kinds, spec)))) { toast(`${point.name} ${point.key} is chosen already.`, true); return; }
     points[name ?? busName(point, points)] = spec;
     this.set(kinds, points);
     this.show();
@@ -97,8 +100,9 @@ export class BuilderPoints {
   }
 
   row(kinds, name, spec) {
-    const list = Array.isArray(spec) ? spec : typeof spec === "object" ? Object.values(spec) : [spec];
+    const fields = fieldsOf(kinds, spec), object = identity(kinds, spec);
     const change = (next, value) => {
+      spec = value;
       const points = Object.entries(this.read(kinds)).map(([each, old]) => (each === name ? [next, value] : [each, old]));
       this.set(kinds, Object.fromEntries(points));
     };
@@ -108,14 +112,14 @@ export class BuilderPoints {
       change(next, spec);
       this.show();
     };
-    const bound = (place, label) => h("input", { type: "number", step: "any", class: "bound", "aria-label": `${label} of ${name}`, placeholder: label, value: list[place] ?? "",
-      onchange: (event) => { const next = [...list.slice(0, 3), list[3] ?? null, list[4] ?? null]; next[place] = event.target.value === "" ? null : Number(event.target.value); while (next.length > 3 && next.at(-1) === null) next.pop(); list.splice(0, list.length, ...next); change(name, next); } });
-    const aggregation = () => h("select", { "aria-label": `Aggregation of ${name}`, onchange: (event) => { const next = list.slice(0, 2); if (event.target.value) next.push(event.target.value); change(name, next); } },
-      ["", ...AGGREGATIONS].map((each) => h("option", { value: each, selected: each === (list[2] ?? "") }, each || "default")));
+    const bound = (field) => h("input", { type: "number", step: "any", class: "bound", "aria-label": `${field} of ${name}`, placeholder: field, value: fields[field] ?? "",
+      onchange: (event) => change(name, withField(kinds, spec, field, event.target.value === "" ? null : Number(event.target.value))) });
+    const aggregation = () => h("select", { "aria-label": `Aggregation of ${name}`, onchange: (event) => change(name, withField(kinds, spec, "aggregation", event.target.value || null)) },
+      ["", ...AGGREGATIONS].map((each) => h("option", { value: each, selected: each === (fields.aggregation ?? "") }, each || "default")));
     return h("div", { class: "chosen-point" },
-      h("input", { "aria-label": `Name of ${list.filter((each) => typeof each === "string").join(", ")}`, value: name, maxlength: 128, spellcheck: "false", onchange: rename }),
-      h("span", { class: "muted grow" }, list.slice(0, kinds === "actuators" ? 3 : 2).join(" · ")),
-      kinds === "sensors" && aggregation(), kinds === "actuators" && [bound(3, "low"), bound(4, "high")],
+      h("input", { "aria-label": `Name of ${object.join(", ")}`, value: name, maxlength: 128, spellcheck: "false", onchange: rename }),
+      h("span", { class: "muted grow" }, object.join(" · ")),
+      kinds === "sensors" && aggregation(), kinds === "actuators" && [bound("low"), bound("high")],
       h("button", { type: "button", class: "quiet small", "aria-label": `Remove ${name}`, onclick: () => { const { [name]: _, ...others } = this.read(kinds); this.set(kinds, others); this.show(); } }, "×"));
   }
 }
@@ -126,4 +130,21 @@ function split(name) {
   return [name.slice(0, at), name.slice(at + 3)];
 }
 
-const specOf = (spec, length) => (Array.isArray(spec) ? spec.slice(0, length) : typeof spec === "string" ? spec : Object.values(spec).slice(0, length));
+const isMapping = (spec) => typeof spec === "object" && spec !== null && !Array.isArray(spec);
+
+/** Fields of a point by their names; a file has them as a mapping in any order, as a list, or as a name alone. */
+const fieldsOf = (kinds, spec) => (isMapping(spec) ? spec : Object.fromEntries([spec].flat().map((value, place) => [FIELDS[kinds][place], value])));
+
+const identity = (kinds, spec) => FIELDS[kinds].slice(0, IDENTITY[kinds]).map((field) => fieldsOf(kinds, spec)[field] ?? "");
+
+/** A point with another value of a field, null for its default, in the form that it has. */
+function withField(kinds, spec, field, value) {
+  if (isMapping(spec)) {
+    const { [field]: _, ...others } = spec;
+    return value === null ? others : { ...spec, [field]: value };
+  }
+  const fields = { ...fieldsOf(kinds, spec), [field]: value };
+  const list = FIELDS[kinds].map((each) => fields[each] ?? null);
+  while (list.at(-1) === null) list.pop();
+  return list;
+}
