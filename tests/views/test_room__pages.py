@@ -191,3 +191,25 @@ def test_builder__points_of_lists_keep_their_fields(ada: Visitor, room: Any, min
     saved = yaml12.read_mapping(mine)
     assert saved["sensors"] == {"later": [*sensor, "instant", 1.0]}
     assert saved["actuators"] == {"cold": [*actuator, 18]}
+
+
+def test_pages__hidden_page_has_no_stream_and_follows_again_when_it_is_shown(
+    ada: Visitor, room: Any, bus: zenostat.Bus
+) -> None:
+    page = ada.open(f"{room.url}/?node=tank")
+    page.locator(".clock").wait_for()
+    until(lambda: room.room.updates.followers == 1, "only this page follows")
+    hide = "hidden => { Object.defineProperty(document, 'hidden', {get: () => hidden, configurable: true}); "
+    hide += "document.dispatchEvent(new Event('visibilitychange')); }"
+    page.evaluate(hide, True)
+    until(lambda: room.room.updates.followers == 0, "it does not follow")
+    bus.step("tank")
+    page.evaluate(hide, False)
+    page.get_by_text(f"step {bus.status('tank').step[0]} of ").wait_for()
+    assert page.get_by_text("no connection").is_hidden()
+    page.evaluate(hide, True)
+    until(lambda: room.room.updates.followers == 0, "it does not follow")
+    page.get_by_role("link", name="Control room").click()  # another page in the same tab
+    page.evaluate(hide, False)
+    page.locator(".card").wait_for()
+    assert room.room.updates.followers == 1

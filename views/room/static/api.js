@@ -60,8 +60,22 @@ export async function operate(node, operation, content = {}) {
   }
 }
 
-/** Follow the list of nodes and one node, or what a page shows; returns a function that ends it. */
+/**
+ * Follow the list of nodes and one node, or what a page shows; returns a function that ends it. A page that is hidden
+ * does not follow, since a browser has few connections to a server; when it is shown, it begins with the latest state.
+ */
 export function follow(shown, handlers, onConnection) {
+  let source = null;
+  const show = () => {
+    source?.close();
+    source = document.hidden ? null : stream(shown, handlers, onConnection);
+  };
+  document.addEventListener("visibilitychange", show);
+  show();
+  return () => { document.removeEventListener("visibilitychange", show); source?.close(); };
+}
+
+function stream(shown, handlers, onConnection) {
   const query = new URLSearchParams(Object.entries(shown).filter(([, value]) => value));
   const source = new EventSource(`/api/stream?${query}`);
   for (const [kind, handle] of Object.entries(handlers)) {
@@ -75,5 +89,5 @@ export function follow(shown, handlers, onConnection) {
       setTimeout(() => get("/api/session").then((me) => !me.operator && location.reload()).catch(() => {}), 2000);
     }
   });
-  return () => source.close();
+  return source;
 }
