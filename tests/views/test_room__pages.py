@@ -213,3 +213,10 @@ def test_pages__hidden_page_has_no_stream_and_follows_again_when_it_is_shown(
     page.evaluate(hide, False)
     page.locator(".card").wait_for()
     assert room.room.updates.followers == 1
+
+
+def test_pages__unknown_name_shows_the_nodes(ada: Visitor, room: Any) -> None:
+    for name in ("constructor", "toString", "nothing"):
+        page = ada.open(f"{room.url}/?page={name}")
+        page.locator(".card").first.wait_for()
+        assert page.title() == "Control room"

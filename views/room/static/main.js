@@ -109,7 +109,7 @@ function showPages(name, node) {
 
 function show() {
   const node = view().node ?? null;
-  const name = !node && view().page in PAGES ? view().page : "";
+  const name = !node && Object.hasOwn(PAGES, view().page ?? "") ? view().page : "";
   const key = node ? `node ${node}` : `page ${name}`;
   if (page && key === shown) { page.onView(); return; }
   shown = key;

@@ -164,7 +164,7 @@ export class Trends {
       const { facility, hvac, outdoor } = this.description;
       return known([name(facility?.point), name(hvac?.point), name(outdoor)]);
     }
-    const selected = zones[zone];
+    const selected = zones[Number(zone)];
     if (selected) {
       return known([name(selected.temperature), name(selected.heating_actuator ?? selected.heating_setpoint),
         name(selected.cooling_actuator ?? selected.cooling_setpoint), name(selected.occupants), name(this.description.outdoor)]);
@@ -279,7 +279,7 @@ export class Trends {
   band() {
     const { zone } = view();
     const zones = this.state?.zones ?? [];
-    const now = zones[zone] ?? zones[0];
+    const selected = zones[Number(zone)], now = selected ?? zones[0];
     const isCommon = zones.every((each) => each.low === now.low && each.high === now.high);
     return now && (zones[zone] || isCommon) ? { unit: "°C", low: now.low, high: now.high } : null;
   }
