@@ -132,6 +132,20 @@ def mine(room: Any) -> Path:
     return file
 
 
+def step_and_show(page: Any, bus: zenostat.Bus, node: str) -> None:
+    """Simulate a timestep, and wait until the page shows it."""
+    step = bus.status(node).step[0] + 1
+    bus.step(node)
+    page.get_by_text(f"step {step} of ").wait_for()
+
+
+def time_at(page: Any, share: float) -> str:
+    """Time of the sample of the trends at a share of their width, as the page shows it below the pointer."""
+    box = page.locator(".trend-panel .u-over").bounding_box()
+    page.mouse.move(box["x"] + 2 + share * (box["width"] - 4), box["y"] + 60)
+    return str(page.locator(".trend-panel .when").inner_text())
+
+
 def test_builder__new_scenario_is_not_the_one_that_was_opened(ada: Visitor, room: Any, mine: Path) -> None:
     page = ada.open(f"{room.url}/?page=builder&scenario=mine")
     page.locator("pre", has_text="BLDG_OCC_SCH").wait_for()
@@ -213,6 +227,48 @@ def test_pages__hidden_page_has_no_stream_and_follows_again_when_it_is_shown(
     page.evaluate(hide, False)
     page.locator(".card").wait_for()
     assert room.room.updates.followers == 1
+
+
+@pytest.fixture
+def bare(bus: zenostat.Bus, tank: NodeProgram, module_folder: Path) -> Iterator[NodeProgram]:
+    """A second node of the bus, paused and without a history."""
+    plant = f"{module_folder}/tank.py:Tank"
+    with NodeProgram(module_folder / "bare", plant=plant, name="bare", connect=[tank.endpoint], history_mb=0.0) as node:
+        until(lambda: "bare" in bus.nodes(), "it is on the bus")
+        bus.pause("bare")
+        bus.pace("bare", mode="free")
+        yield node
+
+
+def test_trends__samples_of_a_node_without_history_are_zoomed(
+    ada: Visitor, room: Any, bus: zenostat.Bus, bare: NodeProgram
+) -> None:
+    page = ada.open(f"{room.url}/?node=bare&range=6")
+    page.locator(".clock").wait_for()
+    for _ in range(9):
+        step_and_show(page, bus, "bare")
+    until(lambda: time_at(page, 0.0).endswith("03:00"), "the last six hours are shown")
+    box = page.locator(".trend-panel .u-over").bounding_box()
+    page.mouse.move(box["x"] + 0.3 * box["width"], box["y"] + 60)
+    page.mouse.down()
+    page.mouse.move(box["x"] + 0.7 * box["width"], box["y"] + 60, steps=4)
+    page.mouse.up()
+    page.get_by_text("follow again").wait_for()
+    until(lambda: time_at(page, 0.0).endswith("05:00"), "the chart begins with the first sample of the choice")
+    step_and_show(page, bus, "bare")
+    assert time_at(page, 1.0).endswith("07:00")
+    page.get_by_role("button", name="all", exact=True).click()
+    until(lambda: time_at(page, 0.0) and not time_at(page, 0.0).endswith("05:00"), "all samples are shown")
+    assert time_at(page, 1.0).endswith("10:00")
+
+
+def test_trends__range_drops_samples_that_are_older(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    page = ada.open(f"{room.url}/?node=tank&range=6")
+    page.locator(".trend-panel .u-over").wait_for()
+    for _ in range(9):
+        step_and_show(page, bus, "tank")
+    before = bus.status("tank").step[0] - 6
+    until(lambda: time_at(page, 0.0).endswith(f"{before % 24:02}:00"), "the chart begins six hours ago")
 
 
 def test_pages__unknown_name_shows_the_nodes(ada: Visitor, room: Any) -> None:

@@ -192,7 +192,8 @@ export class Trends {
     const preset = trend && trend !== "power" && trend !== "zones" ? "" : trend ?? "zones";
     for (const button of this.presets.children) button.setAttribute("aria-pressed", String(button.dataset.preset === preset));
     this.live.hidden = !(from && to);
-    const key = JSON.stringify([this.names(), range, from, to, view().zone, this.episode]);
+    const wanted = this.hasHistory ? [range, from, to] : [];  // else what is kept is drawn
+    const key = JSON.stringify([this.names(), ...wanted, view().zone, this.episode]);
     if (key !== this.key) { this.key = key; this.data = null; this.load(); } else this.draw();
   }
 
@@ -206,11 +207,16 @@ export class Trends {
     const newer = state.sample_step - data.last;
     if (newer <= 0) return;
     if (newer === 1 && data.stride === 1) {
-      data.last = state.sample_step;
-      data.time.push(seconds(state.time));
-      data.names.forEach((name, column) => data.values[column].push(state.values[this.byName.get(name).place] ?? null));
+      this.append(data, state);
+      this.data = between(data, this.span());
       this.draw();
     } else this.later();
+  }
+
+  append(data, state) {
+    data.last = state.sample_step;
+    data.time.push(seconds(state.time));
+    data.names.forEach((name, column) => data.values[column].push(state.values[this.byName.get(name).place] ?? null));
   }
 
   /** Add a sample of a node that keeps no history, such as a replay or a branch; the lines begin when they are chosen. */
@@ -219,9 +225,7 @@ export class Trends {
     this.data ??= { names, stride: 1, last: -1, time: [], values: names.map(() => []) };
     const { data } = this;
     if (!names.length || state.sample_step <= data.last) return;
-    data.last = state.sample_step;
-    data.time.push(seconds(state.time));
-    data.names.forEach((name, column) => data.values[column].push(state.values[this.byName.get(name).place] ?? null));
+    this.append(data, state);
     for (const list of [data.time, ...data.values]) if (list.length > MAX_SAMPLES) list.shift();
     this.draw();
   }
@@ -261,8 +265,8 @@ export class Trends {
     if (!this.isClosed) this.draw();
   }
 
-  series() {
-    const { data, description } = this;
+  series(data) {
+    const { description } = this;
     const zoneOf = new Map(description.zones.map((zone) => [description.points[zone.temperature]?.name, zone]));
     const isZones = data.names.every((name) => zoneOf.has(name));
     return data.names.map((name, column) => {
@@ -281,20 +285,26 @@ export class Trends {
     const zones = this.state?.zones ?? [];
     const selected = zones[Number(zone)], now = selected ?? zones[0];
     const isCommon = zones.every((each) => each.low === now.low && each.high === now.high);
-    return now && (zones[zone] || isCommon) ? { unit: "°C", low: now.low, high: now.high } : null;
+    return now && (selected || isCommon) ? { unit: "°C", low: now.low, high: now.high } : null;
+  }
+
+  /** Why nothing is drawn. */
+  emptyText() {
+    if (!this.hasHistory) return this.data?.time.length ? "No sample of this time has come since the points were chosen." : "This node keeps no history; its next samples are drawn.";
+    return this.problem || (this.names().length ? "…" : "Choose points in the table to draw them.");
   }
 
   draw() {
-    const { data } = this;
+    const data = this.data && !this.hasHistory ? between(this.data, this.span()) : this.data;
     if (!data || !data.time.length || !this.canvas.clientWidth) {
       this.plot?.destroy();
       this.plot = null;
-      const text = this.hasHistory ? this.problem || (this.names().length ? "…" : "Choose points in the table to draw them.") : "This node keeps no history; its next samples are drawn.";
+      const text = this.emptyText();
       fill(this.canvas, h("p", { class: "empty" }, text));
       fill(this.legend);
       return;
     }
-    const next = this.series();
+    const next = this.series(data);
     const shape = JSON.stringify([this.canvas.clientWidth, css("--grid"), next.map((each) => [each.name, each.unit])]);
     if (this.plot && shape === this.shape) {
       next.forEach((each, column) => Object.assign(this.lines[column], each));
@@ -323,13 +333,21 @@ export class Trends {
   }
 
   tip(plot, series) {
-    const { idx } = plot.cursor;
+    const idx = plot.data[0][plot.cursor.idx] === undefined ? null : plot.cursor.idx;  // the data may have been cut
     for (const cell of this.legend.querySelectorAll(".legend-value")) {
       const each = series[cell.dataset.column];
-      cell.textContent = withUnit(idx === null || idx === undefined ? last(each.values) : each.values[idx], each.unit);
+      cell.textContent = withUnit(idx === null ? last(each.values) : each.values[idx], each.unit);
     }
-    this.when.textContent = idx === null || idx === undefined ? "" : `${DAYS[new Date(plot.data[0][idx] * 1000).getUTCDay()]} ${new Date(plot.data[0][idx] * 1000).toISOString().slice(0, 16).replace("T", " ")}`;
+    this.when.textContent = idx === null ? "" : `${DAYS[new Date(plot.data[0][idx] * 1000).getUTCDay()]} ${new Date(plot.data[0][idx] * 1000).toISOString().slice(0, 16).replace("T", " ")}`;
   }
+}
+
+/** The samples from one simulated time to another; null stands for no limit. */
+function between(data, [from, to]) {
+  const begin = from === null ? -Infinity : seconds(from), end = to === null ? Infinity : seconds(to);
+  const isWithin = data.time.map((time) => time >= begin && time <= end);
+  const cut = (list) => list && list.filter((_, place) => isWithin[place]);
+  return { ...data, time: cut(data.time), values: data.values.map(cut), lows: data.lows?.map(cut), highs: data.highs?.map(cut) };
 }
 
 export function swatch(each) {
