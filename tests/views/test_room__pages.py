@@ -271,6 +271,20 @@ def test_trends__range_drops_samples_that_are_older(ada: Visitor, room: Any, bus
     until(lambda: time_at(page, 0.0).endswith(f"{before % 24:02}:00"), "the chart begins six hours ago")
 
 
+def test_point__forms_begin_with_the_whole_value(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    bus.write("tank", "valve", 0.0012345, source="bob")
+    step_and_show(ada.open(f"{room.url}/?node=tank"), bus, "tank")
+    page = ada.open(f"{room.url}/?node=tank&point=valve")
+    page.locator(".drawer").get_by_text("Set by bob").wait_for()
+    assert float(page.locator("#override").input_value()) == pytest.approx(0.0012345, rel=1e-6)
+    page = ada.open(f"{room.url}/?node=tank&tab=what-if")
+    page.locator(".clock", has_text="2026").wait_for()
+    page.locator("#what-if-point").fill("valve")
+    page.get_by_role("button", name="Add", exact=True).click()
+    assert float(page.locator(".what-if-row input").input_value()) == pytest.approx(0.0012345, rel=1e-6)
+    bus.write("tank", "valve", None, source="bob")
+
+
 def test_pages__unknown_name_shows_the_nodes(ada: Visitor, room: Any) -> None:
     for name in ("constructor", "toString", "nothing"):
         page = ada.open(f"{room.url}/?page={name}")

@@ -137,7 +137,7 @@ export class PointPanel {
       const source = state.sources?.[state.source?.[actuator]];
       const command = state.commanded?.[actuator];
       setText(this.note, source ? `Set by ${source}${command === null ? "" : ` to ${withUnit(command, point.unit)}`}` : "Under baseline control");
-      if (this.input && !this.isFilled && value !== null) { this.input.value = Number(value.toFixed(2)); this.isFilled = true; }
+      if (this.input && !this.isFilled && value !== null) { this.input.value = value; this.isFilled = true; }
     } else setText(this.note, words(point.kind));
     if (isFirst) this.trend();
     else if (isNew && !this.timer) this.timer = setTimeout(() => { this.timer = null; if (view().point === point.name) this.load(); }, 1500);

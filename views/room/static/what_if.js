@@ -199,8 +199,8 @@ class Setpoints {
     if (this.changes.has(label)) return;
     const place = this.panel.description.points.findIndex((point) => point.name === names[0]);
     const point = this.panel.description.points[place];
-    const now = this.panel.state?.values?.[place];
-    const input = h("input", { type: "number", step: "any", required: true, "aria-label": label, value: now === null || now === undefined ? "" : Number(now.toFixed(2)), min: point.low ?? undefined, max: point.high ?? undefined });
+    const now = shown(point, this.panel.state?.values?.[place]);
+    const input = h("input", { type: "number", step: "any", required: true, "aria-label": label, value: now ?? "", min: point.low ?? undefined, max: point.high ?? undefined });
     const row = h("div", { class: "row what-if-row" }, h("span", { class: "grow" }, label), input, h("span", { class: "muted unit" }, point.unit),
       h("button", { type: "button", class: "quiet small", "aria-label": `Remove ${label}`, onclick: () => { this.changes.delete(label); row.remove(); } }, "×"));
     this.changes.set(label, { names, input });
