@@ -285,6 +285,29 @@ def test_point__forms_begin_with_the_whole_value(ada: Visitor, room: Any, bus: z
     bus.write("tank", "valve", None, source="bob")
 
 
+def test_point__panel_follows_a_node_that_restarts_with_others(
+    ada: Visitor, room: Any, bus: zenostat.Bus, tank: NodeProgram, module_folder: Path
+) -> None:
+    def node(plant: str) -> NodeProgram:
+        settings = {"plant": f"{module_folder}/tank.py:{plant}", "name": "pair", "connect": [tank.endpoint]}
+        return NodeProgram(module_folder / plant, **settings)
+
+    with node("Pair"):
+        until(lambda: "pair" in bus.nodes(), "it is on the bus")
+        page = ada.open(f"{room.url}/?node=pair&point=valve")
+        page.locator(".drawer").get_by_text("Under baseline control").wait_for()
+        bus.stop("pair")
+        page.get_by_text("The node has ended.").wait_for()
+    with node("Twin"):
+        until(lambda: "pair" in bus.nodes(), "it is on the bus")
+        bus.pause("pair")
+        bus.pace("pair", mode="free")
+        bus.write("pair", "valve", 0.02, source="bob")
+        bus.step("pair")
+        page.locator(".drawer").get_by_text("Set by bob to 0.02").wait_for()
+        bus.stop("pair")
+
+
 def test_pages__unknown_name_shows_the_nodes(ada: Visitor, room: Any) -> None:
     for name in ("constructor", "toString", "nothing"):
         page = ada.open(f"{room.url}/?page={name}")

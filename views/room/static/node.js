@@ -130,6 +130,8 @@ export class NodePage {
     const pointsBody = h("div", { class: "scroll", role: "tabpanel", tabindex: "0", "aria-label": "All points" });
     this.tableTabs = this.tabs("table", description.zones.length ? [["zones", "Zones", zonesBody], ["points", "All points", pointsBody]] : [["points", "All points", pointsBody]]);
     tables.append(this.tableTabs.element, zonesBody, pointsBody);
+    this.drawer?.close();
+    this.drawer = null;
     grid.append(tables);
     this.zoneTable = description.zones.length ? new ZoneTable(zonesBody, description, select) : null;
     this.pointTable = new PointTable(pointsBody, description, (name) => this.trends.toggle(name));
