@@ -99,7 +99,7 @@ def street(module_folder: Path) -> Iterator[NodeProgram]:
 @pytest.mark.process
 @pytest.mark.slow
 @pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium")
-def test_room__district_shows_its_grid_members_market_and_loop(street: NodeProgram) -> None:
+def test_room__district_shows_its_grid_members_market_and_loop(street: NodeProgram, module_folder: Path) -> None:
     pytest.importorskip("playwright.sync_api", reason="pip install playwright")
     pytest.importorskip("power_grid_model")
     with (
@@ -124,6 +124,15 @@ def test_room__district_shows_its_grid_members_market_and_loop(street: NodeProgr
         rows = page.locator("table.members tbody tr").all_inner_texts()
         assert [row.split("\t")[0].strip() for row in rows] == ["market", "shop", "house", "feeder"]
         assert all("available" in row for row in rows)
+        house = page.locator("table.members tr", has_text="house")
+        with NodeProgram(
+            module_folder / "house", plant=f"{module_folder}/house.py:House", name="street.house",
+            connect=[street.endpoint],
+        ):  # fmt: skip
+            house.get_by_role("link").wait_for()
+            bus.stop("street.house")
+            house.get_by_role("link").wait_for(state="hidden")  # though the list of nodes still has it
+            assert house.get_by_role("button").is_visible()
         loop = page.locator("table.solved tr", has_text="loop")
         assert "solved" in loop.inner_text()
         assert "0.2" in page.locator(".district-panel dl").inner_text()  # the lowest price, without congestion

@@ -308,6 +308,16 @@ def test_point__panel_follows_a_node_that_restarts_with_others(
         bus.stop("pair")
 
 
+def test_audit__training_is_not_a_link_to_a_node(ada: Visitor, room: Any) -> None:
+    page = ada.open(f"{room.url}/?page=trainings")
+    page.get_by_role("button", name="Make a report of ppo").click()
+    page.locator(".toast").wait_for()
+    page = ada.open(f"{room.url}/?page=audit")
+    row = page.locator("tbody tr", has_text="make report")
+    row.get_by_text("ppo", exact=True).wait_for()
+    assert row.locator("a").count() == 0
+
+
 def test_pages__unknown_name_shows_the_nodes(ada: Visitor, room: Any) -> None:
     for name in ("constructor", "toString", "nothing"):
         page = ada.open(f"{room.url}/?page={name}")

@@ -21,7 +21,7 @@ export class AuditPage {
     this.empty.hidden = entries.length > 0;
     fill(this.rows, [...entries].reverse().map((entry) => h("tr", {},
       h("td", {}, h("time", { datetime: entry.time }, `${entry.time.slice(0, 19).replace("T", " ")} UTC`)), h("td", {}, entry.operator), h("td", {}, words(entry.operation)),
-      h("td", {}, entry.operation in { invite: 1, "save scenario": 1 } || !entry.target ? entry.target : h("a", { href: address({ node: entry.target }, false), onclick: (event) => link(event, { node: entry.target }) }, entry.target)),
+      h("td", {}, ["invite", "save scenario", "make report"].includes(entry.operation) || !entry.target ? entry.target : h("a", { href: address({ node: entry.target }, false), onclick: (event) => link(event, { node: entry.target }) }, entry.target)),
       h("td", { class: entry.accepted ? null : "worse" }, entry.outcome))));
   }
 }

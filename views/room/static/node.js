@@ -72,7 +72,7 @@ export class NodePage {
 
   onOverview(nodes) {
     this.entry = nodes.find((entry) => entry.node === this.node) ?? null;
-    this.names = new Set(nodes.map((entry) => entry.node));
+    this.names = new Set(nodes.filter((entry) => entry.online).map((entry) => entry.node));
     this.district?.onOverview(this.names);
     if (this.state && this.description) this.showEntry();
     if (!this.entry && !this.description) fill(this.root, h("p", { class: "empty", role: "status" }, `No node ${this.node} is on this bus.`));

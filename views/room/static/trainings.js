@@ -18,7 +18,7 @@ export class TrainingsPage {
     this.content = { runs: [], studies: [], recordings: [], reports: {} };
     this.online = new Set();
     this.started = [];
-    this.handlers = { overview: (content) => { this.online = new Set(content.nodes.map((each) => each.node)); this.showWatched(); }, started: (content) => { this.started = content.nodes; this.showWatched(); } };
+    this.handlers = { overview: (content) => { this.online = new Set(content.nodes.filter((each) => each.online).map((each) => each.node)); this.showWatched(); }, started: (content) => { this.started = content.nodes; this.showWatched(); } };
     this.empty = h("p", { class: "empty", role: "status" }, "…");
     this.metric = h("select", { id: "metric", onchange: () => change({ metric: this.metric.value }, { replace: true }) });
     this.canvas = h("div", { class: "chart" });
