@@ -10,6 +10,7 @@ from support.nodes import NodeProgram, until
 
 import zenostat
 from zenostat.topics import yaml12
+from zenostat.topics.messages import Event, EventKind
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
@@ -283,6 +284,18 @@ def test_point__forms_begin_with_the_whole_value(ada: Visitor, room: Any, bus: z
     page.get_by_role("button", name="Add", exact=True).click()
     assert float(page.locator(".what-if-row input").input_value()) == pytest.approx(0.0012345, rel=1e-6)
     bus.write("tank", "valve", None, source="bob")
+
+
+def test_events__page_has_those_that_the_stream_leaves_out(ada: Visitor, room: Any) -> None:
+    page = ada.open(f"{room.url}/?node=tank&tab=events")
+    watch = room.room.watch.find("tank")
+    watch.add_event(Event(kind=EventKind.WARNING, text="the first"))
+    page.locator(".tab-panel .log", has_text="the first").wait_for()
+    for number in range(150):  # many more than a message of the stream has
+        watch.add_event(Event(kind=EventKind.WARNING, text=f"number {number}"))
+    until(lambda: page.locator(".tab-panel .log li", has_text="number ").count() == 150, "all are shown")
+    numbers = page.locator(".tab-panel .log li").evaluate_all("rows => rows.map(row => Number(row.dataset.number))")
+    assert numbers == [*range(numbers[0], numbers[0] - len(numbers), -1)]
 
 
 def test_point__panel_follows_a_node_that_restarts_with_others(

@@ -62,8 +62,6 @@ export class NodePage {
       this.description = description;
       showsReplay(description.replay);
       this.build();
-      const log = await get(nodePath(this.node, "events"));
-      this.onEvents(log.events);
     } catch (error) {
       this.describing = null;
       if (!this.description) fill(this.root, h("p", { class: "empty problem", role: "alert" }, error.message));
@@ -97,12 +95,33 @@ export class NodePage {
     if (this.description.instance === state.instance) this.update();
   }
 
+  /** Take the latest events from the stream; if they do not follow those that are known, request all. */
   onEvents(events) {
-    const known = new Map(this.events.map((event) => [event.number, event]));
-    const isNewServer = events.length && this.events.length && events.at(-1).number < this.events.at(-1).number;
-    if (isNewServer) known.clear();
-    for (const event of events) known.set(event.number, event);
+    if (!events.length) return;
+    if (events.at(-1).number < this.events.at(-1)?.number) this.events = [];  // of an earlier server
+    this.lacksEvents ||= events[0].number > (this.events.at(-1)?.number ?? 0) + 1;
+    this.addEvents(events);
+    if (this.lacksEvents) this.loadEvents();
+  }
+
+  async loadEvents() {
+    if (this.isLoadingEvents) return;
+    this.isLoadingEvents = true;
+    try {
+      while (this.lacksEvents && !this.isClosed) {
+        this.lacksEvents = false;
+        this.addEvents((await get(nodePath(this.node, "events"))).events);
+      }
+    } catch { this.lacksEvents = true; } finally { this.isLoadingEvents = false; }  // again with the next event
+  }
+
+  addEvents(events) {
+    const known = new Map([...this.events, ...events].map((event) => [event.number, event]));
     this.events = [...known.values()].sort((a, b) => a.number - b.number).slice(-500);
+    this.showEvents();
+  }
+
+  showEvents() {
     this.eventPanel?.show(this.events);
     this.drawer?.showEvents(this.events);
   }
@@ -111,6 +130,8 @@ export class NodePage {
     const { description } = this;
     this.trends?.close();
     this.schematic?.close();
+    this.drawer?.close();
+    this.drawer = null;
     const select = (zone) => change({ zone, trend: null }, { replace: true });
     this.problem = h("p", { class: "banner problem", role: "alert", hidden: true });
     this.warnings = description.warnings.length ? h("details", { class: "banner" }, h("summary", {}, `${counted(description.warnings.length, "warning")} of the node`), h("ul", {}, description.warnings.slice(0, 50).map((text) => h("li", {}, text)))) : null;
@@ -130,8 +151,6 @@ export class NodePage {
     const pointsBody = h("div", { class: "scroll", role: "tabpanel", tabindex: "0", "aria-label": "All points" });
     this.tableTabs = this.tabs("table", description.zones.length ? [["zones", "Zones", zonesBody], ["points", "All points", pointsBody]] : [["points", "All points", pointsBody]]);
     tables.append(this.tableTabs.element, zonesBody, pointsBody);
-    this.drawer?.close();
-    this.drawer = null;
     grid.append(tables);
     this.zoneTable = description.zones.length ? new ZoneTable(zonesBody, description, select) : null;
     this.pointTable = new PointTable(pointsBody, description, (name) => this.trends.toggle(name));
@@ -162,6 +181,7 @@ export class NodePage {
       this.schematic = new Schematic(body, description);
     }
     this.onView();
+    this.showEvents();
     if (this.state) this.update();
   }
 

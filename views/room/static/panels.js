@@ -71,9 +71,11 @@ export class EventPanel {
 
   show(events) {
     this.empty.hidden = events.length > 0;
-    const known = this.list.firstElementChild?.dataset.number;
-    if (events.length && String(events.at(-1).number) === known) return;
-    fill(this.list, [...events].reverse().slice(0, 200).map((event) => h("li", { "data-number": event.number },
+    const latest = events.slice(-200).reverse();
+    const numbers = latest.map((event) => event.number).join();
+    if (numbers === this.numbers) return;
+    this.numbers = numbers;
+    fill(this.list, latest.map((event) => h("li", { "data-number": event.number },
       h("time", {}, shortTime(event.time)), " ",
       h("span", { class: `kind ${event.kind}` }, words(event.kind)), " ", event.text, event.source && h("em", {}, ` ${event.source}`))));
   }
