@@ -298,6 +298,18 @@ def test_events__page_has_those_that_the_stream_leaves_out(ada: Visitor, room: A
     assert numbers == [*range(numbers[0], numbers[0] - len(numbers), -1)]
 
 
+def test_alarms__missing_value_is_named(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
+    bus.faults("tank", {"faults": [{"kind": "drop", "points": ["level"]}]})
+    bus.step("tank")
+    page = ada.open(f"{room.url}/?node=tank")
+    shown = page.locator(".alarms li", has_text="empty")
+    shown.get_by_text("value is missing").wait_for()
+    assert "30" not in shown.locator("p").first.inner_text()
+    bus.faults("tank", {"faults": []})
+    bus.step("tank")
+    shown.get_by_text("normal again").wait_for()
+
+
 def test_point__panel_follows_a_node_that_restarts_with_others(
     ada: Visitor, room: Any, bus: zenostat.Bus, tank: NodeProgram, module_folder: Path
 ) -> None:

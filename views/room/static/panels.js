@@ -29,6 +29,8 @@ export class AlarmPanel {
 
   item(alarm) {
     const limit = alarm.event_state === "low_limit" ? alarm.low : alarm.high;
+    const value = withUnit(alarm.value, alarm.unit === "degC" ? "°C" : alarm.unit);
+    const text = { normal: `${value}, normal again`, fault: "value is missing" }[alarm.event_state] ?? `${value}, ${words(alarm.event_state)} ${num(limit, "°C")}`;
     const set = async (operation, content = {}) => { await operate(this.node, operation, { alarm: alarm.alarm, ...content }); };
     const longest = Math.min(14400, alarm.max_shelve_s);
     return h("li", { class: alarm.is_open ? "open" : null },
@@ -37,7 +39,7 @@ export class AlarmPanel {
         h("button", { class: "plain", onclick: () => change({ point: alarm.point }) }, alarm.alarm),
         h("span", { class: "grow" }),
         h("span", { class: "muted" }, alarm.priority)),
-      h("p", {}, `${withUnit(alarm.value, alarm.unit === "degC" ? "°C" : alarm.unit)}`, alarm.event_state === "normal" ? ", normal again" : `, ${words(alarm.event_state)} ${num(limit, "°C")}`,
+      h("p", {}, text,
         alarm.raised && ` · since ${shortTime(alarm.raised)}`, alarm.acknowledged_by && ` · acknowledged by ${alarm.acknowledged_by}`,
         alarm.set_aside_by && ` · ${words(alarm.state)} by ${alarm.set_aside_by}`, alarm.set_aside_until && ` until ${shortTime(alarm.set_aside_until)}`),
       alarm.text && h("p", { class: "muted" }, alarm.text),
