@@ -184,6 +184,15 @@ def cookies(page: Any) -> dict[str, str]:
     return {cookie["name"]: cookie["value"] for cookie in page.context.cookies()}
 
 
+def test_room__key_searches_where_the_zones_are_shown(ada: Visitor, room: Any) -> None:
+    page = ada.open(f"{room.url}/?node=office")
+    page.locator(".zone[fill]").first.wait_for()
+    page.keyboard.press("/")
+    page.keyboard.type("core cooling")
+    assert page.locator("input[type=search]").input_value() == "core cooling"
+    assert page.get_by_role("tab", name="All points").get_attribute("aria-selected") == "true"
+
+
 def test_room__override_is_written_with_its_source_and_relinquished(ada: Visitor, room: Any, bus: zenostat.Bus) -> None:
     page = ada.open(f"{room.url}/?node=office&table=points")
     page.locator("input[type=search]").fill("core cooling")

@@ -143,7 +143,10 @@ addEventListener("keydown", (event) => {
   if (isTyping || event.ctrlKey || event.metaKey || event.altKey) return;
   if (event.key === "/") {
     const search = document.querySelector("input[type=search]");
-    if (search) { event.preventDefault(); search.focus(); }
+    if (!search) return;
+    event.preventDefault();
+    if (search.closest("[hidden]")) change({ table: "points" }, { replace: true });
+    search.focus();
   } else if (event.key === "Escape" && view().point) change({ point: null });
   else page?.onKey?.(event);
 });
