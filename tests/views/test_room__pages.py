@@ -348,3 +348,13 @@ def test_pages__unknown_name_shows_the_nodes(ada: Visitor, room: Any) -> None:
         page = ada.open(f"{room.url}/?page={name}")
         page.locator(".card").first.wait_for()
         assert page.title() == "Control room"
+
+
+def test_pages__used_link_leaves_a_browser_signed_in(browser: Any, room: Any) -> None:
+    visitor = Visitor(browser)
+    link = room.room.link("eve")
+    visitor.open(link).locator(".card").first.wait_for()
+    page = visitor.open(link)
+    page.locator(".card").first.wait_for()
+    assert "token" not in page.url
+    visitor.close()

@@ -33,7 +33,13 @@ async function signIn() {
   const token = new URLSearchParams(location.hash.slice(1)).get("token");
   if (token) {
     history.replaceState(null, "", location.pathname + location.search);
-    return (await post("/api/session", { token })).operator;
+    try {
+      return (await post("/api/session", { token })).operator;
+    } catch (error) {  // a link that was used, maybe by this browser
+      const { operator: user } = await get("/api/session");
+      if (!user) throw error;
+      return user;
+    }
   }
   return (await get("/api/session")).operator;
 }
