@@ -333,6 +333,19 @@ def test_point__panel_follows_a_node_that_restarts_with_others(
         bus.stop("pair")
 
 
+def test_trainings__names_with_commas_are_chosen(ada: Visitor, room: Any) -> None:
+    page = ada.open(f"{room.url}/?page=trainings")
+    page.get_by_role("checkbox", name="Draw ppo", exact=True).uncheck()
+    page.locator(".legend li", has_text="ppo").wait_for(state="detached")
+    for _ in range(2):
+        for name in ("lr=1,seed=2", "50%2C"):
+            assert page.get_by_role("checkbox", name=f"Draw {name}", exact=True).is_checked()
+            page.locator(".legend li", has_text=name).wait_for()
+        assert not page.get_by_role("checkbox", name="Draw ppo", exact=True).is_checked()
+        page = ada.open(page.url)  # the address has the choice
+        page.locator(".legend li").first.wait_for()
+
+
 def test_audit__training_is_not_a_link_to_a_node(ada: Visitor, room: Any) -> None:
     page = ada.open(f"{room.url}/?page=trainings")
     page.get_by_role("button", name="Make a report of ppo").click()

@@ -71,13 +71,13 @@ export class TrainingsPage {
   /** Names of the trainings whose curves the address asks for; by default the first ones. */
   chosen() {
     const { runs } = view();
-    const names = runs === undefined ? this.content.runs.slice(0, CHOSEN).map((each) => each.name) : runs === "none" ? [] : runs.split(",");
+    const names = runs === undefined ? this.content.runs.slice(0, CHOSEN).map((each) => each.name) : runs === "none" ? [] : runs.split(",").map(unescaped);
     return names.filter((name) => this.content.runs.some((each) => each.name === name));
   }
 
   choose(name, isChosen) {
     const names = isChosen ? [...this.chosen(), name] : this.chosen().filter((each) => each !== name);
-    change({ runs: names.length ? names.join(",") : "none" }, { replace: true });
+    change({ runs: names.length ? names.map(escaped).join(",") : "none" }, { replace: true });
   }
 
   metrics() {
@@ -262,6 +262,10 @@ export class TrainingsPage {
           study.varied.map((name) => h("td", {}, parameterText(trial.parameters[name])))))))));
   }
 }
+
+/** A name as part of a list that is separated by commas. */
+const escaped = (name) => name.replaceAll("%", "%25").replaceAll(",", "%2C");
+const unescaped = (text) => text.replaceAll("%2C", ",").replaceAll("%25", "%");
 
 /** The head of a column; one without a text has a name for readers of the screen. */
 const heading = ([text, hidden, kind]) => h("th", { scope: "col", class: kind || null }, text || h("span", { class: "visually-hidden" }, hidden));
