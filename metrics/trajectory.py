@@ -130,7 +130,7 @@ class Trajectory:
     @property
     def begin(self) -> datetime:
         """Time of the first row, naive local standard time."""
-        return datetime.fromisoformat(self.manifest.begin) + int(self.step[0]) * self.manifest.timestep
+        return self.manifest.time_at(int(self.step[0]))
 
     @property
     def end(self) -> datetime:

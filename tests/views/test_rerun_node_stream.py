@@ -13,7 +13,7 @@ from support import builders
 from support.monitor import BEGIN, STEP, logged, office, rows, samples, static, times, two_storeys
 
 from zenostat.metrics.comfort import default_comfort
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import BadMessage, InvalidConfig
 from zenostat.topics.messages import (
     AlarmChange,
     AlarmPriority,
@@ -104,6 +104,15 @@ def test_rerun_node_stream__events_have_the_simulated_time_of_their_step(scratch
     assert times(path, events) == {step: BEGIN + step * STEP for step in (10, 12, 20)}
     assert logged(path, "TextLog:level")[events] == {10: ["WARN"], 12: ["INFO"], 20: ["WARN"]}
     assert logged(path, "TextLog:text")[events][12] == ["1 Jul 03:00  connected: rbc controls (rbc)"]
+
+
+def test_rerun_node_stream__event_of_a_step_after_the_year_9999_is_unreadable(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office()
+    with _node(path, manifest) as node:
+        _add(node, manifest, rows(1))
+        with pytest.raises(BadMessage, match="after the year 9999"):
+            node.add_event(Event(kind=EventKind.FAULT, text="forged begins", step=2**40))
+        assert node.numbers().faults == ()
 
 
 def test_rerun_node_stream__events_are_those_of_their_episode(scratch: Path) -> None:

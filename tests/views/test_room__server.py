@@ -10,6 +10,8 @@ from support.control_room import control_room
 from support.nodes import NodeProgram, until
 
 import zenostat
+from zenostat.topics import codec, keys
+from zenostat.topics.messages import Event, EventKind
 
 httpx = pytest.importorskip("httpx")
 pytest.importorskip("starlette")
@@ -130,6 +132,23 @@ def test_room__write_is_streamed_with_its_source_and_its_end(client: Any) -> Non
     assert history["points"][0]["values"] == pytest.approx([0.0, 0.2, 0.4, 0.45])
     kinds = [event["kind"] for event in client.get("/api/nodes/tank/events").json()["events"]]
     assert [kind for kind in kinds if kind in ("written", "expired")] == ["written", "expired"]
+
+
+def test_room__event_of_a_step_after_the_year_9999_is_left_out(
+    client: Any, tank: NodeProgram, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def latest() -> list[tuple[str, int]]:
+        events = client.get("/api/nodes/tank/events").json()["events"]
+        return [(event["text"], event["number"]) for event in events[-2:]]
+
+    with zenostat.connect(tank.endpoint, affinity="off") as bus:
+        for text, step in (("before", 1), ("forged", 2**40), ("after", 1)):
+            event = Event(kind=EventKind.WARNING, text=text, step=step)
+            bus.session.put(keys.EVENT.at("tank"), codec.encode(event), encoding=codec.encoding(Event))
+        until(lambda: latest()[-1][0] == "after", "the last event is kept")
+    (before, first), (after, second) = latest()
+    assert (before, after, second - first) == ("before", "after", 1)
+    assert "OverflowError" not in capfd.readouterr().err
 
 
 def test_room__streams_of_a_session_end_when_it_signs_out(client: Any) -> None:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from datetime import timedelta
+from datetime import datetime, timedelta
 from typing import Annotated, Any
 
 from pydantic import Field
 
+from zenostat.topics.errors import BadMessage
 from zenostat.topics.messages.base import SCHEMA_VERSION, Count, Lines, Message, SafeName
 from zenostat.topics.messages.enums import Aggregation, Mode, Policy, TimeField
 from zenostat.topics.messages.status import Statistics
@@ -189,6 +190,17 @@ class Manifest(Message):
     def timestep(self) -> timedelta:
         """Length of a timestep."""
         return timedelta(seconds=self.step_s)
+
+    def time_at(self, step: int) -> datetime:
+        """Return the simulated time of the sample of a step, naive local standard time.
+
+        Raises:
+            BadMessage: It is after the year 9999, so the step is none of this node's.
+        """
+        try:
+            return datetime.fromisoformat(self.begin) + step * self.timestep
+        except OverflowError:
+            raise BadMessage(f"step {step} is after the year 9999") from None
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable
-from datetime import datetime, timedelta
 
 import numpy as np
 import rerun as rr
@@ -198,7 +197,9 @@ class NodeStream:
         return is_changed
 
     def add_event(self, event: Event) -> None:
-        """Log an event in its episode, at its step and simulated time."""
+        """Log an event in its episode, at its step and simulated time; `BadMessage` if there is no such time."""
+        manifest = self.model.manifest
+        moment = manifest.time_at(event.step)
         if event.kind == EventKind.STARTED:
             self._first_steps = {event.episode: event.step}
         elif event.kind == EventKind.FAULT:
@@ -210,8 +211,6 @@ class NodeStream:
         is_alarm = event.alarm is not None and event.alarm.state is AlarmState.ACTIVE
         level = "WARN" if is_alarm or event.kind in _WARNINGS else "INFO"
         text = f"{event.kind.replace('_', ' ')}: {event.text}" + (f" ({event.source})" if event.source else "")
-        manifest = self.model.manifest
-        moment = datetime.fromisoformat(manifest.begin) + event.step * timedelta(seconds=manifest.step_s)
         text = f"{moment.day} {moment:%b %H:%M}  {text}"
         log = EpisodeLog(self._recording, episode_path(manifest.node, event.episode), manifest.begin)
         times = np.array([moment], "M8[ns]")

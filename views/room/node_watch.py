@@ -6,7 +6,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from datetime import datetime, timedelta
 from typing import Any, TypeVar
 
 from zenostat.bridge.client.bus import Bus
@@ -104,11 +103,11 @@ class NodeWatch:
             return [*self._events]
 
     def add_event(self, event: Event) -> None:
-        """Keep an event and have it sent; from any thread."""
+        """Keep an event and have it sent; from any thread. `BadMessage` if its step has no simulated time."""
         with self._lock:
+            entry = event.model_dump(mode="json", exclude={"alarm"}) | {"time": self._time(event.step)}
             self._event_number += 1
-            entry = event.model_dump(mode="json", exclude={"alarm"})
-            entry |= {"number": self._event_number, "time": self._time(event.step)}
+            entry["number"] = self._event_number
             self._events.append(entry)
             self._is_stopped = event.kind is EventKind.STOPPED
         self._wake.set()
@@ -117,8 +116,7 @@ class NodeWatch:
         """Return the simulated time of a step; empty before the first poll."""
         if self.description is None:
             return ""
-        manifest = self.description.manifest
-        return (datetime.fromisoformat(manifest.begin) + timedelta(seconds=step * manifest.step_s)).isoformat()
+        return self.description.manifest.time_at(step).isoformat()
 
     # In the thread
 
