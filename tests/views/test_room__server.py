@@ -134,6 +134,14 @@ def test_room__write_is_streamed_with_its_source_and_its_end(client: Any) -> Non
     assert [kind for kind in kinds if kind in ("written", "expired")] == ["written", "expired"]
 
 
+@pytest.mark.parametrize("duration_s", [1e12, 1e300])
+def test_room__value_that_expires_after_the_year_9999_has_no_expiry(client: Any, duration_s: float) -> None:
+    assert change(client, "write", point="pump", value=20, priority=9, duration_s=duration_s).status_code == 200
+    array = client.get("/api/nodes/tank/priorities", params={"point": "pump"})
+    assert (array.status_code, array.json()["entries"][8]["expires"]) == (200, None)
+    assert change(client, "write", point="pump", value=None, priority=9).status_code == 200
+
+
 def test_room__event_of_a_step_after_the_year_9999_is_left_out(
     client: Any, tank: NodeProgram, capfd: pytest.CaptureFixture[str]
 ) -> None:
