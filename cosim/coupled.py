@@ -142,6 +142,7 @@ class GuardedPlant:
         self._tried: Sequence[Floats] = ()
         self._trial_error: Exception | None = None
         self._warnings: list[str] = []
+        self._latest_warning = ""
 
     def reset(self, seed: int) -> Rows:
         """Begin an episode; `EngineDied` if the plant cannot."""
@@ -278,12 +279,19 @@ class GuardedPlant:
         if self.plant.is_reachable():
             try:
                 rows = self._replay()
-            except LOST:
+            except LOST as error:
+                self._warn_once(f"plant {self.name!r} cannot come back, and its last values hold: {error}")
                 return self._held(timesteps)
-            self.is_available = True
+            self.is_available, self._latest_warning = True, ""
             self._warnings.append(f"plant {self.name!r} is back at step {len(self._history)}")
             return rows
         return self._held(timesteps)
+
+    def _warn_once(self, text: str) -> None:
+        """Add a warning that is not that of the step before."""
+        if text != self._latest_warning:
+            self._warnings.append(text)
+        self._latest_warning = text
 
     def _replay(self) -> Rows:
         """Begin the episode again, with the same seed and commands up to the present step."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack, suppress
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ from zenostat.bridge.client.trials import PendingTrial, trial_message
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import certificate_file
 from zenostat.cosim.coupled import Floats, Rows
-from zenostat.topics.errors import BusError, RequestRejected, ZenostatError
+from zenostat.topics.errors import BusError, NodeLost, RequestRejected, ZenostatError
 from zenostat.topics.messages import CommandOp, CreateBranch, Manifest, Mode
 
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
@@ -31,13 +32,14 @@ class NodePlant:
         node: name of the node.
 
     Attributes:
-        manifest: its manifest, which a node that replaces it has to fit.
+        manifest: its manifest at the start, which a node that replaces it has to fit.
     """
 
     def __init__(self, node: str) -> None:
         self._node = node
         self._bus: Bus | None = None
         self._link: ControllerLink | None = None
+        self._accepted: Manifest | None = None  # of the link, compared with that of the plant
         self._pending: Floats | None = None
         self._sample: SampleView | None = None
         self._trial: PendingTrial | None = None
@@ -69,10 +71,16 @@ class NodePlant:
 
     @property
     def link(self) -> ControllerLink:
-        """The orchestrator's claim on all actuators."""
+        """The orchestrator's claim on all actuators; `NodeLost` if another node has replaced the plant's."""
         if self._link is None:
             self._link = self.bus.controller(self._node, name=_CONTROLLER)
-        return self._link
+        link = self._link
+        if link.manifest is not self._accepted:
+            if difference := _difference(link.manifest, self.manifest):
+                self._disconnect()
+                raise NodeLost(f"node {self._node!r} was replaced by one that does not fit: {difference}")
+            self._accepted = link.manifest
+        return link
 
     # The plant
 
@@ -212,7 +220,9 @@ class StartedPlant(NodePlant):
         self._local: LocalNode | None = None
         self._process: LocalNode | None = None  # exists before the node is ready
         self._is_ending = False
-        self.start()
+        manifest = self.start().manifest
+        assert manifest is not None
+        self.manifest = manifest
 
     def start(self) -> LocalNode:
         """Start the node, unless it runs.
@@ -224,8 +234,6 @@ class StartedPlant(NodePlant):
             self._end()
         if self._local is None:
             self._local = LocalNode(self._settings, Affinity.OFF, self._on_start)
-            assert self._local.manifest is not None
-            self.manifest = self._local.manifest
         return self._local
 
     def _on_start(self, process: LocalNode) -> None:
@@ -327,6 +335,25 @@ class FoundPlant(NodePlant):
         if self.link.manifest.mode is not Mode.LOCKSTEP:
             self.bus.pace(self._node, mode=Mode.LOCKSTEP, source=_CONTROLLER)
         return super()._reset(seed)
+
+
+def _difference(manifest: Manifest, previous: Manifest) -> str:
+    """Return in what a node that replaces another one differs for a district; empty if it fits."""
+    for kind in ("sensors", "meters", "actuators"):
+        for new, old in zip_longest(getattr(manifest, kind), getattr(previous, kind)):
+            if new != old:
+                names = ["none" if point is None else repr(point.name) for point in (new, old)]
+                of_new = (
+                    f"{names[0]} with other fields" if names[0] == names[1] else f"{names[0]} in place of {names[1]}"
+                )
+                return f"{kind}: {of_new}"
+    if manifest.slots != previous.slots:
+        return f"{manifest.slots} slots in place of {previous.slots}"
+    if manifest.step_s != previous.step_s:
+        return f"a timestep of {manifest.step_s:g} s in place of {previous.step_s:g} s"
+    if manifest.steps != previous.steps:
+        return f"an episode of {manifest.steps} timesteps in place of {previous.steps}"
+    return ""
 
 
 def _command(row: Floats) -> tuple[NDArray[np.float64], bytes | None]:

@@ -3,8 +3,9 @@
 import importlib.util
 import shutil
 import signal
+import threading
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,9 @@ from support.run_cli import run_python
 import zenostat
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.runtime.scratch import sweep
+from zenostat.cosim.coupled import GuardedPlant
+from zenostat.cosim.file import OnLost
+from zenostat.cosim.node_plant import FoundPlant
 from zenostat.cosim.verify_recording import verify_district
 from zenostat.evaluation import connection_balances
 from zenostat.recording import load
@@ -335,6 +339,51 @@ connections:
             assert values == expected
         with zenostat.connect(second.endpoint, affinity="off") as home_bus:
             assert home_bus.status("home").state is State.ENDED  # the district has left it as it was
+
+
+@pytest.mark.slow
+def test_district__plant_on_a_bus_that_another_one_replaces(scratch: Path) -> None:
+    """A node with other points does not get the commands of the one before; one that fits does."""
+    home = {"name": "home"}
+    (scratch / "plants.py").write_text(PLANTS)
+    swapped = PLANTS.replace("class House:", "class Swapped:").replace(
+        """{"supply": ("kW", 0.0, 20.0, 0.0), "outdoor": ("degC", -30.0, 40.0, 0.0)}""",
+        """{"outdoor": ("degC", -30.0, 40.0, 0.0), "supply": ("kW", 0.0, 20.0, 0.0)}""",
+    )
+    (scratch / "swapped.py").write_text(swapped)
+    with ExitStack() as stack:
+        first = stack.enter_context(NodeProgram(scratch / "home", plant=f"{scratch}/plants.py:House", **home))
+        with closing(FoundPlant("home", first.endpoint, None)) as plant:
+            guarded = GuardedPlant("house", plant, OnLost.GO_ON, timeout_s=60.0, stop=threading.Event())
+            guarded.reset(3)
+            commands = np.array([[5.0, -4.0]])
+
+            def step() -> bool:
+                guarded.begin(commands)
+                guarded.finish()
+                return guarded.is_available
+
+            assert step()
+            first.kill()
+            assert not step()
+            second = stack.enter_context(NodeProgram(scratch / "home", plant=f"{scratch}/swapped.py:Swapped", **home))
+            warnings: list[str] = []
+
+            def refused() -> bool:
+                assert not step()
+                warnings.extend(guarded.drain_warnings())
+                return any("does not fit" in text for text in warnings)
+
+            until(refused, "the other node is refused")
+            assert not step()
+            (refusal,) = [text for text in [*warnings, *guarded.drain_warnings()] if "does not fit" in text]
+            expected = "plant 'house' cannot come back, and its last values hold: node 'home' was replaced by one that "
+            assert refusal == f"{expected}does not fit: actuators: 'outdoor' in place of 'supply'"
+            with zenostat.connect(second.endpoint, affinity="off") as bus:
+                until(lambda: bus.controllers() == [], "the orchestrator has left it")
+            second.close()
+            stack.enter_context(NodeProgram(scratch / "home", plant=f"{scratch}/plants.py:House", **home))
+            until(step, "the plant is back")
 
 
 @pytest.mark.slow
