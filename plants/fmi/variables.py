@@ -19,7 +19,8 @@ NUMERIC = {
 _FLOATING = {"Real", "Float32", "Float64"}
 _UNBOUNDED = 1e60
 """Modelica's infinity, which its tools export as a bound."""
-_UNIT_NAMES = {"": "1", "-": "1", "%": "percent"}
+UNIT_NAMES = {"": "1", "-": "1", "%": "percent"}
+"""Names on the bus of units that have another one in FMUs."""
 _VALUE, _ACTIVATION = "_u", "_activate"
 
 
@@ -206,4 +207,4 @@ def unit(variable: Any) -> str:
     if variable.type == "Boolean":
         return "on_off"
     name = variable.unit or getattr(variable.declaredType, "unit", None) or ""
-    return _UNIT_NAMES.get(name, name)
+    return UNIT_NAMES.get(name, name)

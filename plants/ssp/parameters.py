@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
 from zenostat.plants.ssp.archive import NAMESPACES, STRUCTURE, Archive
+from zenostat.plants.ssp.units import Definition, Unit, bus_name, defined, definitions
 
 Path = tuple[str, ...]
 """Names of the elements from the outermost system to an element, without that system's own name."""
@@ -19,14 +20,17 @@ class Parameter(NamedTuple):
     Attributes:
         name: path of the component and name of the variable, separated by dots.
         value: a number, a Boolean, a text, or the name of an item of an enumeration.
-        unit: of a number; empty: that of the variable.
+        unit: of a number; without a name: that of the variable.
         is_item: whether it is the name of an item.
+        factor, offset: applied to a number once it has the unit of the variable.
     """
 
     name: str
     value: float | bool | str
-    unit: str
+    unit: Unit
     is_item: bool
+    factor: float = 1.0
+    offset: float = 0.0
 
 
 def parameters(archive: Archive, element: Any, path: Path) -> Iterator[Parameter]:
@@ -50,21 +54,20 @@ def parameters(archive: Archive, element: Any, path: Path) -> Iterator[Parameter
         if mapping is not None:
             mapped, root = _part(archive, mapping, "ssm:ParameterMapping", mapping.get("source"), "ssm")
             entries = [] if root is None else root.findall("ssm:MappingEntry", NAMESPACES)
+        units = {} if values is None else definitions(values, "ssv")
         for item in [] if values is None else values.findall("ssv:Parameters/ssv:Parameter", NAMESPACES):
-            parameter = _parameter(archive, item, document)
+            parameter = _parameter(archive, item, document, units)
             if entries is None:
                 yield parameter._replace(name=prefix + parameter.name)
                 continue
             for entry in entries:
                 if entry.get("source") == parameter.name:
                     factor, offset = transformation(archive, entry, "ssc", mapped)
-                    value = parameter.value
-                    if (factor, offset) != (1.0, 0.0):
-                        if isinstance(value, str):
-                            raise archive.error(f"{parameter.name} is a text; it has no factor", entry, mapped)
-                        value = factor * value + offset
-                    unit = "" if is_true(entry, "suppressUnitConversion") else parameter.unit
-                    yield parameter._replace(name=prefix + entry.get("target"), value=value, unit=unit)
+                    if (factor, offset) != (1.0, 0.0) and isinstance(parameter.value, str):
+                        raise archive.error(f"{parameter.name} is a text; it has no factor", entry, mapped)
+                    unit = Unit("") if is_true(entry, "suppressUnitConversion") else parameter.unit
+                    name = prefix + entry.get("target")
+                    yield parameter._replace(name=name, unit=unit, factor=factor, offset=offset)
 
 
 def _part(archive: Archive, element: Any, inline: str, source: str | None, kind: str) -> tuple[str, Any]:
@@ -79,18 +82,18 @@ def _part(archive: Archive, element: Any, inline: str, source: str | None, kind:
     return STRUCTURE, part
 
 
-def _parameter(archive: Archive, item: Any, document: str) -> Parameter:
+def _parameter(archive: Archive, item: Any, document: str, units: Mapping[str, Definition]) -> Parameter:
     name = item.get("name")
     for kind in ("Real", "Integer", "Boolean", "String", "Enumeration"):
         value = item.find(f"ssv:{kind}", NAMESPACES)
         if value is not None:
             text = value.get("value")
             if kind in ("String", "Enumeration"):
-                return Parameter(name, text, "", kind == "Enumeration")
+                return Parameter(name, text, Unit(""), kind == "Enumeration")
             if kind == "Boolean":
-                return Parameter(name, text in ("true", "1"), "", is_item=False)
+                return Parameter(name, text in ("true", "1"), Unit(""), is_item=False)
             number = float(text) if kind == "Real" else int(text)
-            return Parameter(name, number, value.get("unit", ""), is_item=False)
+            return Parameter(name, number, defined(bus_name(value.get("unit", "")), units), is_item=False)
     raise archive.error(f"the parameter {name!r} is binary; numbers and texts are supported", item, document)
 
 

@@ -6,6 +6,7 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from math import isclose
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from zenostat.plants.fmi.model import check_starts, read_model
 from zenostat.plants.fmi.variables import PointNames, Variable, inputs, outputs, unit
 from zenostat.plants.ssp import parameters
 from zenostat.plants.ssp.archive import NAMESPACES, Archive, open_archive
+from zenostat.plants.ssp.units import Definition, Unit, bus_name, convert, defined, definitions, fmu_definitions
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.units import conversion
 
@@ -101,6 +103,8 @@ class _Reader:
         self._archive, self._folder, self._reserved = archive, folder, reserved
         self._kinds: dict[Connector, str] = {}
         self._units: dict[Connector, str] = {}
+        self._defined: dict[str, Definition] = {}
+        self._fmu_defined: dict[parameters.Path, dict[str, Definition]] = {}
         self._fmus: dict[parameters.Path, Any] = {}
         self._systems: set[parameters.Path] = set()
         self._drivers: dict[Connector, tuple[Connector, Any]] = {}
@@ -109,6 +113,7 @@ class _Reader:
 
     def read(self) -> Structure:
         root = self._archive.document("SystemStructure.ssd", "ssd")
+        self._defined = definitions(root, "ssd")
         system = root.find("ssd:System", NAMESPACES)
         self._read_system(system, ())
         self._values += parameters.parameters(self._archive, system, ())
@@ -121,6 +126,7 @@ class _Reader:
             file = self._archive.unpack(element.get("source"), self._folder)
             interface = element.get("implementation", "any").replace("any", "")
             description = read_model(file, interface or None).description
+            self._fmu_defined[path] = fmu_definitions(description)
             values = _start_values(description, starts.get(path, {}), ".".join(path))
             components.append(Component(names[path], file, interface, values))
             used = PointNames()
@@ -222,31 +228,39 @@ class _Reader:
         """Return the unit, factor and offset of a link, through nested systems.
 
         Each connection converts the unit, unless it is suppressed or one of its ends has none, then it transforms. Of a
-        chain the product is one conversion from the first unit to the last one, where one takes place, and the rest.
+        chain the product is one conversion from the first unit to the last one, where one takes place that a district
+        knows, and the rest.
         """
         units = [self._unit(legs[-1][0], points), *(self._unit(end, points) for _, end, _ in reversed(legs))]
         factor, offset, is_converted = 1.0, 0.0, False
         for (before, after), (_, _, connection) in zip(pairwise(units), reversed(legs), strict=True):
-            converted = None
-            if not parameters.is_true(connection, "suppressUnitConversion") and before and after:
-                converted = conversion(before, after)
-            is_converted = is_converted or (converted is not None and before != after)
-            scale, shift = converted or (1.0, 0.0)
             own, more = parameters.transformation(self._archive, connection, "ssc")
+            scale, shift = 1.0, 0.0
+            if not parameters.is_true(connection, "suppressUnitConversion") and before.name and after.name:
+                scale, shift = self._converted(before, after, connection)
+                is_converted = is_converted or before.name != after.name
             factor, offset = own * scale * factor, own * (scale * offset + shift) + more
         first, last = (points[end].unit for end in (legs[-1][0], legs[0][1]))
         whole = conversion(first, last) if is_converted else None
         if whole is None or first == last:
             return "" if first == last else first, factor, offset
-        if len(legs) == 1:  # without a rounding error
+        if len(legs) == 1 and isclose(scale, whole[0]) and isclose(shift, whole[1]):  # without a rounding error
             return "", own, more
         return "", factor / whole[0], offset - factor / whole[0] * whole[1]
 
-    def _unit(self, connector: Connector, points: Mapping[Connector, Variable]) -> str:
-        """Return the unit of a connector, or of its FMU's variable; empty if it has none."""
-        variable = points.get(connector)
-        own = self._units.get(connector, "") or ("" if variable is None else variable.unit)
-        return "" if own == "1" else own
+    def _converted(self, before: Unit, after: Unit, connection: Any) -> tuple[float, float]:
+        factors = convert(before, after)
+        if factors is None:
+            text = f"{before.name} is not converted to {after.name}: they are unlike, or one of them is not defined; "
+            raise self._archive.error(f"{text}define both in Units, or set suppressUnitConversion", connection)
+        return factors
+
+    def _unit(self, connector: Connector, points: Mapping[Connector, Variable]) -> Unit:
+        """Return the unit of a connector, or of its FMU's variable; without a name if it has none."""
+        own, fmu = self._units.get(connector, ""), self._fmu_defined.get(connector[0], {})
+        if own or connector not in points:
+            return defined(bus_name(own), self._defined, fmu)
+        return defined(bus_name(points[connector].unit), fmu, self._defined)
 
     def _point(self, connector: Connector, points: Mapping[Connector, Variable], connection: Any) -> Variable:
         variable = points.get(connector)
@@ -298,15 +312,18 @@ def _start_values(description: Any, values: Mapping[str, parameters.Parameter], 
         InvalidConfig: the FMU has no such variable, or it cannot have this value.
     """
     by_name = {variable.name: variable for variable in description.modelVariables}
-    starts: dict[str, Any] = {}
+    units, starts = fmu_definitions(description), dict[str, Any]()
     for name, parameter in values.items():
         value, variable = parameter.value, by_name.get(name)
-        if variable is not None and parameter.unit and isinstance(value, float):
-            own = unit(variable)
-            factors = (1.0, 0.0) if own == "1" else conversion(parameter.unit, own)
+        if variable is not None and parameter.unit.name and isinstance(value, float):
+            own = defined(bus_name(unit(variable)), units)
+            source = parameter.unit if parameter.unit.definition else defined(parameter.unit.name, units)
+            factors = convert(source, own) if own.name else (1.0, 0.0)
             if factors is None:
-                raise InvalidConfig(f"{component}: {name} is in {parameter.unit}; the FMU has it in {own}")
+                raise InvalidConfig(f"{component}: {name} is in {source.name}; the FMU has it in {own.name}")
             value = factors[0] * value + factors[1]
+        if not isinstance(value, str) and (parameter.factor, parameter.offset) != (1.0, 0.0):
+            value = parameter.factor * value + parameter.offset
         if variable is not None and parameter.is_item:
             items = {item.name: item.value for item in getattr(variable.declaredType, "items", None) or ()}
             if value not in items:

@@ -95,6 +95,82 @@ def test_convert__temperatures_through_kelvin(tank: Path, tmp_path: Path) -> Non
     assert connection["factor"] * 20.0 + connection["offset"] == pytest.approx(-10.2465)
 
 
+UNITS = ssp.units(
+    "ssd", deg='rad="1" factor="0.017453292519943295"', rad='rad="1"',
+    km_per_h='m="1" s="-1" factor="0.2777777777777778"',
+    m_per_s='m="1" s="-1"', mW='kg="1" m="2" s="-3" factor="0.001"', W='kg="1" m="2" s="-3"',
+    degF='K="1" factor="0.5555555555555556" offset="255.3722222222222"', K='K="1"', Mm='m="1" factor="1e6"',
+)  # fmt: skip
+
+
+def driven(source: str, target: str, attributes: str = "") -> str:
+    """A system in which a tank's output with a unit drives another one's input with a unit."""
+    a = ssp.component("a", connectors=ssp.connector("power", "output", source))
+    b = ssp.component("b", connectors=ssp.connector("heat", "input", target))
+    return ssp.system("s", a + b, ssp.connection("a:power", "b:heat", ssp.linear(2.0, 1.0), attributes))
+
+
+@pytest.mark.parametrize(
+    ("source", "target", "factor", "offset"),
+    [
+        ("deg", "rad", 2.0 * np.pi / 180.0, 1.0),
+        ("km/h", "m/s", 2.0 / 3.6, 1.0),
+        ("mW", "W", 2e-3, 1.0),
+        ("W", "mW", 2e3, 1.0),
+        ("degF", "K", 2.0 / 1.8, 1.0 + 2.0 * 459.67 / 1.8),
+        ("Mm", "Mm", 2.0, 1.0),
+        ("rpm", "rpm", 2.0, 1.0),
+        ("%", "fraction", 2e-2, 1.0),  # not in the file, but known
+        ("-", "rad", 2.0, 1.0),
+    ],
+)
+def test_convert__units_are_converted_by_their_definitions(
+    source: str, target: str, factor: float, offset: float, tank: Path, tmp_path: Path
+) -> None:
+    (connection,) = converted(tmp_path, tank, driven(source, target), units=UNITS)["connections"]
+    assert connection["factor"] == pytest.approx(factor, rel=1e-12)
+    assert connection["offset"] == pytest.approx(offset, rel=1e-12)
+
+
+@pytest.mark.parametrize(("source", "target"), [("deg", "m/s"), ("rpm", "rad"), ("kW", "K"), ("W", "furlong")])
+def test_convert__units_that_are_unlike_or_not_defined_are_refused(
+    source: str, target: str, tank: Path, tmp_path: Path
+) -> None:
+    with pytest.raises(InvalidConfig, match=rf"line 3: {source} is not converted to {target}: they are unlike"):
+        converted(tmp_path, tank, driven(source, target), units=UNITS)
+    (connection,) = converted(tmp_path, tank, driven(source, target, SUPPRESSED), units=UNITS)["connections"]
+    assert (connection["factor"], connection["offset"]) == (2.0, 1.0)
+
+
+def test_convert__units_of_an_fmu_are_converted_by_its_own_definitions(tank: Path, tmp_path: Path) -> None:
+    own = tmp_path / "own"
+    own.mkdir()
+    with zipfile.ZipFile(tank) as source, zipfile.ZipFile(own / "tank.fmu", "w") as target:
+        for name in source.namelist():
+            text = source.read(name)
+            for unit, base in (("K/s", 'K="1" s="-1"'), ("W/K", 'kg="1" m="2" s="-3" K="-1" factor="1000"')):
+                defined = f'<Unit name="{unit}"><BaseUnit {base}/></Unit>'.encode()
+                text = text.replace(f'<Unit name="{unit}"/>'.encode(), defined)
+            target.writestr(name, text)
+    units = ssp.units("ssv", small='kg="1" m="2" s="-3" K="-1"')
+    values = ssp.parameter_set(ssp.real(ssp.LOSS, 3000.0, "small"), units=units)
+    root = ssp.system("s", ssp.component("a", ssp.bindings(ssp.inline(values))))
+    content = converted(tmp_path, own / "tank.fmu", root)
+    assert content["plants"]["a"]["plant_arguments"]["set"] == {ssp.LOSS: pytest.approx(3.0)}
+
+
+def test_convert__mapped_parameters_are_converted_before_they_are_transformed(tank: Path, tmp_path: Path) -> None:
+    """50 degF are 10 degC, of which 2 T - 3 is 17; 2 * 50 - 3 would be 36.1 degC."""
+    entry = f'<ssm:MappingEntry source="k" target="a.T">{ssp.linear(2.0, -3.0)}</ssm:MappingEntry>'
+    mapping = (
+        f'<ssd:ParameterMapping><ssm:ParameterMapping{ssp.SPACES} version="1.0">{entry}</ssm:ParameterMapping>'
+        "</ssd:ParameterMapping>"
+    )
+    values = ssp.parameter_set(ssp.real("k", 50.0, "degF"))
+    root = ssp.system("s", A, inside=ssp.bindings(ssp.inline(values, mapping=mapping)))
+    assert converted(tmp_path, tank, root)["plants"]["a"]["plant_arguments"]["set"] == {"T": pytest.approx(17.0)}
+
+
 def test_convert__loops_are_delayed_on_request(tank: Path, tmp_path: Path) -> None:
     content = converted(tmp_path, tank, ssp.TWO_TANKS, Loops.DELAY, files=ssp.VALUES)
     assert [each.get("delay") for each in content["connections"]] == [None, 1]

@@ -54,9 +54,17 @@ def system(name: str, elements: str, connections: str = "", connectors: str = ""
     )
 
 
-def parameter_set(*values: str) -> str:
-    """Return a set of parameters, each such as `<ssv:Parameter …>`."""
-    inside = f"<ssv:Parameters>{''.join(values)}</ssv:Parameters>"
+def units(space: str, **bases: str) -> str:
+    """Return definitions of units by the attributes of their base units; `_per_` is a slash."""
+    each = (
+        f'<ssc:Unit name="{n.replace("_per_", "/")}"><ssc:BaseUnit {base}/></ssc:Unit>' for n, base in bases.items()
+    )
+    return f"<{space}:Units>{''.join(each)}</{space}:Units>"
+
+
+def parameter_set(*values: str, units: str = "") -> str:
+    """Return a set of parameters, each such as `<ssv:Parameter …>`, and the definitions of their units."""
+    inside = f"<ssv:Parameters>{''.join(values)}</ssv:Parameters>{units}"
     return f'<ssv:ParameterSet{SPACES} version="1.0" name="s">{inside}</ssv:ParameterSet>'
 
 
@@ -79,7 +87,9 @@ def inline(values: str, attributes: str = "", mapping: str = "") -> str:
     )
 
 
-def write_ssp(path: Path, tank: Path, root: str, stop_s: float = 1200, files: dict[str, str] | None = None) -> Path:
+def write_ssp(
+    path: Path, tank: Path, root: str, stop_s: float = 1200, files: dict[str, str] | None = None, units: str = ""
+) -> Path:
     """Write an SSP file and return its path.
 
     Args:
@@ -88,12 +98,14 @@ def write_ssp(path: Path, tank: Path, root: str, stop_s: float = 1200, files: di
         root: the system.
         stop_s: end of the default experiment, in s.
         files: further documents by their path.
+        units: definitions of units.
     """
     annotation = (
         '<ssc:Annotation type="org.tool"><o:FixedStepMaster xmlns:o="urn:tool" stepSize="60.0"/></ssc:Annotation>'
     )
     text = (
         f'<?xml version="1.0"?>\n<ssd:SystemStructureDescription{SPACES} version="1.0" name="two tanks">\n{root}\n'
+        f"{units}"
         f'<ssd:DefaultExperiment startTime="0" stopTime="{stop_s}"><ssd:Annotations>{annotation}</ssd:Annotations>'
         "</ssd:DefaultExperiment></ssd:SystemStructureDescription>"
     )
