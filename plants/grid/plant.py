@@ -43,7 +43,7 @@ class GridPlant:
         self.model_name = grid.name
         self.step_s, self.duration_s, self.begin = grid.step_s, grid.duration_s, grid.begin
         self._loads = {name: Means.read(load.power_w, folder) for name, load in grid.loads.items()}
-        self._pv = {name: Means.read(pv.power_w, folder) for name, pv in grid.pv.items()}
+        self._pv = {name: Means.read(pv.power_w, folder, low=0.0) for name, pv in grid.pv.items()}
         self._price = Means.read(grid.price.price, folder) if grid.price is not None else None
         self._batteries = {name: BatteryState(battery) for name, battery in grid.batteries.items()}
         self._chargers = {n: ChargerState(n, part, folder, grid.duration_s) for n, part in grid.chargers.items()}

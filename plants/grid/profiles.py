@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
-from math import floor, isfinite
+from math import floor, inf, isfinite
 from pathlib import Path
 
 import numpy as np
@@ -40,20 +40,22 @@ class Table:
                 raise InvalidConfig(f"{self.path}:{number}: no value of {column!r}")
         return [row[place].strip() for _, row in self._numbered()]
 
-    def numbers(self, column: str) -> NDArray[np.float64]:
-        """Return the numbers of a column.
+    def numbers(self, column: str, factor: float = 1.0, low: float = -inf) -> NDArray[np.float64]:
+        """Return the numbers of a column, times a factor.
 
         Raises:
-            InvalidConfig: as of `texts`; or a value is not a finite number.
+            InvalidConfig: as of `texts`; or a value is not a finite number, or with the factor less than `low`.
         """
         values = []
         for (number, _), text in zip(self._numbered(), self.texts(column), strict=True):
             try:
-                value = float(text)
+                value = float(text) * factor
             except ValueError:
                 value = np.nan
-            if not isfinite(value):
-                raise InvalidConfig(f"{self.path}:{number}: {column} = {text!r}; a finite number expected")
+            if not isfinite(value) or value < low:
+                expected = "a finite number" if low == -inf else f"a number of at least {low:g}"
+                times = "" if factor == 1.0 else f" with the factor {factor:g}"
+                raise InvalidConfig(f"{self.path}:{number}: {column} = {text!r}{times}; {expected} expected")
             values.append(value)
         return np.array(values)
 
@@ -74,11 +76,11 @@ class Means:
         self._sums = np.concatenate(([0.0], np.cumsum(values)))
 
     @classmethod
-    def read(cls, source: float | Profile, folder: Path) -> Means:
-        """Return a constant, or the profile in a file relative to `folder`."""
+    def read(cls, source: float | Profile, folder: Path, low: float = -inf) -> Means:
+        """Return a constant, or the profile in a file relative to `folder`, whose values are at least `low`."""
         if not isinstance(source, Profile):
             return cls(np.array([source]), 1.0)
-        return cls(Table(folder / source.file).numbers(source.column) * source.factor, source.step_s)
+        return cls(Table(folder / source.file).numbers(source.column, source.factor, low), source.step_s)
 
     def mean(self, begin_s: float, end_s: float) -> float:
         """Return the mean from one time to a later one."""

@@ -171,6 +171,22 @@ def test_grid__profiles_and_sessions_are_read_from_csv_files(tmp_path: Path) -> 
     assert set(plant.files) == {"grid", "profile houses.csv", "profile cars.csv"}
 
 
+@pytest.mark.parametrize(
+    ("values", "factor", "text"),
+    [
+        ("10\n-5\n", 1.0, "pv.csv:3: one = '-5'; a number of at least 0 expected"),
+        ("10\n", -2.0, "pv.csv:2: one = '10' with the factor -2; a number of at least 0 expected"),
+    ],
+)
+def test_grid__negative_profile_of_pv_is_refused(tmp_path: Path, values: str, factor: float, text: str) -> None:
+    (tmp_path / "pv.csv").write_text(f"one\n{values}")
+    profile = {"file": "pv.csv", "column": "one", "factor": factor}
+    with pytest.raises(InvalidConfig, match=text):
+        grid(tmp_path, FEEDER | {"pv": {"roof": {"bus": "a", "power_w": profile}}})
+    plant = grid(tmp_path, FEEDER | {"loads": {"house": {"bus": "a", "power_w": profile}}})
+    assert plant.reset(0)["house_power"] == 10.0 * factor
+
+
 # A power flow that does not converge
 
 
