@@ -87,6 +87,8 @@ def describe_violation(point: BoundedPoint, value: object) -> str:
 class PointIndex(dict[str, int]):
     """The index of each point by its name; an unknown name raises an error that suggests similar ones.
 
+    An actuator whose name a sensor or a meter before it has is `actuator/{name}`.
+
     Args:
         names: the points' names, in order.
         kind: the kind of point, for the error.
@@ -94,7 +96,9 @@ class PointIndex(dict[str, int]):
     """
 
     def __init__(self, names: Iterable[str], kind: str, error: type[ZenostatError] = UnknownName) -> None:
-        super().__init__((name, index) for index, name in enumerate(names))
+        super().__init__()
+        for index, name in enumerate(names):
+            self[f"actuator/{name}" if name in self else name] = index
         self._kind, self._error = kind, error
 
     def __missing__(self, name: str) -> int:

@@ -1,5 +1,6 @@
 """The history of a node: a ring of samples gives what a list of all samples gives, as far back as it reaches."""
 
+from dataclasses import replace
 from datetime import datetime
 
 import numpy as np
@@ -44,6 +45,13 @@ def test_values__are_those_of_the_named_points_in_their_order() -> None:
     reply = filled(3).answer(HistoryQuery(points=["setpoint", "air"]))
     assert table(reply).tolist() == [[1000.0, 0.0], [1001.0, 1.0], [1002.0, 2.0]]
     assert (reply.units, reply.first_step, reply.stride, reply.remaining) == (["K", "degC"], 0, 1, 0)
+
+
+def test_values__a_name_of_a_sensor_and_an_actuator_is_the_sensors() -> None:
+    history = History(replace(plant(), actuators=(Actuator(name="air", unit="K"),)), 1, 4000)
+    history.add(np.array([21.0, 0.0]).tobytes(), np.array([15.0]).tobytes(), [0], [0])
+    reply = history.answer(HistoryQuery(points=["air", "actuator/air"]))
+    assert (table(reply).tolist(), reply.units) == ([[21.0, 15.0]], ["degC", "K"])
 
 
 def test_history__plant_without_actuators_has_a_history() -> None:

@@ -113,6 +113,11 @@ def test_point_index__has_the_position_of_each_name(names: list[str]) -> None:
     assert [index[name] for name in names] == [*range(len(names))]
 
 
+def test_point_index__actuator_with_the_name_of_a_sensor_has_a_prefix() -> None:
+    index = PointIndex(["heating", "power", "heating", "cooling"], "point")
+    assert dict(index) == {"heating": 0, "power": 1, "actuator/heating": 2, "cooling": 3}
+
+
 @pytest.mark.parametrize("error", [UnknownName, InvalidAction])
 def test_point_index__an_unknown_name_raises_the_error_with_similar_names(error: type[ZenostatError]) -> None:
     index = PointIndex(["heating", "cooling"], "actuator", error)

@@ -15,7 +15,8 @@ MAX_HISTORY_POINTS = 1000
 class HistoryQuery(Message):
     """Request the values of some points in the present episode of a slot, as far as the node keeps them.
 
-    `points`: names of sensors, meters and actuators (their effective values). `from_step`, `to_step`: first and last
+    `points`: names of sensors, meters and actuators (their effective values); an actuator that has the name of a sensor
+    is `actuator/{name}`. `from_step`, `to_step`: first and last
     step; by default all that are kept. `max_samples`: with more samples than that, only every `stride`-th is sent.
     `extremes`: also send the smallest and the largest value of the samples between those that are sent.
     """

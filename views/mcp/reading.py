@@ -89,10 +89,12 @@ class FindPoints(Tool):
             for each in desk.semantic_model(manifest).find(self.pattern):
                 places.setdefault(each.name, []).append(each.place)
             points = [point for point in points if point["name"] in places]
-        sources = {point.name: point for point in (*manifest.points, *manifest.actuators)}
+        measured = {point.name: point for point in manifest.points}
+        actuators = {point.name: point for point in manifest.actuators}
         chosen = []
         for point in points:
-            source = sources[point["name"]]
+            is_actuator = point["kind"] == "actuator"
+            source = actuators[point["name"]] if is_actuator else measured[point["name"]]
             zone = "" if point["zone"] is None else zones[point["zone"]]
             variable = getattr(source, "variable", "") or getattr(source, "meter", "")
             variable = variable or getattr(source, "control_type", "")
@@ -102,7 +104,7 @@ class FindPoints(Tool):
                 continue
             entry = {name: point[name] for name in ("name", "label", "kind")}
             entry |= {"unit": source.unit, "zone": zone, "variable": variable}
-            if point["kind"] == "actuator":
+            if is_actuator:
                 entry |= {"low": number(source.low), "high": number(source.high)}
             chosen.append(entry | ({"places": places[point["name"]]} if places else {}))
         return Content({"node": self.node, "number": len(chosen), "points": chosen[: self.limit]})
@@ -112,7 +114,8 @@ class ReadPoints(Tool):
     """Read the present values of points.
 
     Of an actuator: the value in effect, the command, and who set it (empty: the building's own baseline control). A
-    value of null is missing. Values of sensors are as published: a sensor may be wrong.
+    value of null is missing. Values of sensors are as published: a sensor may be wrong. An actuator that has the name
+    of a sensor is actuator/{name}.
     """
 
     name: ClassVar[str] = "read_points"
@@ -135,8 +138,8 @@ class ReadPoints(Tool):
         for name, index in zip(self.points, places, strict=True):
             entry: dict[str, Any] = {"name": name, "value": values[index], "unit": units[index]}
             if index >= width:
-                entry |= {"commanded": commanded[index - width], "source": sources[name]}
                 actuator = manifest.actuators[index - width]
+                entry |= {"commanded": commanded[index - width], "source": sources[actuator.name]}
                 permitted = None if desk.writer is None else desk.writer.describe(actuator)
                 entry |= {} if permitted is None else {"may_be_written": permitted}
             entries.append(entry)
