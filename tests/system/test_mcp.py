@@ -227,6 +227,19 @@ async def test_mcp__what_if_compares_energy_and_comfort_on_copies(fake_node: Nod
         assert not bus.status("office").snapshots
 
 
+@pytest.mark.slow
+async def test_mcp__future_of_a_plant_with_short_timesteps_is_the_longest_by_default(scratch: Path) -> None:
+    (scratch / "pump.py").write_text(PUMP.replace("step_s, steps = 60.0, 10", "step_s, duration_s = 60.0, 172800.0"))
+    with (
+        node_on_bus(scratch / "node", plant=f"{scratch}/pump.py:Pump", name="pump") as (node, _),
+        tool_server(node.endpoint, scratch / "calls.jsonl") as tools,
+    ):
+        async with Client(tools.sdk) as client:
+            for name in ("what_if", "compare_with_baseline"):
+                answer = await ask(client, name, node="pump")
+                assert answer["totals"]["as_is"]["hours"] == pytest.approx(1009 / 60)
+
+
 async def test_mcp__one_simulation_on_copies_runs_at_a_time(fake_node: NodeProgram, audit: Path) -> None:
     with tool_server(fake_node.endpoint, audit) as tools:
         async with Client(tools.sdk) as client:

@@ -37,6 +37,10 @@ _UNKNOWN_SOURCE = "not in the history"
 Series = Annotated[
     list[Point], Field(max_length=12, description="Points whose values are returned for each future as well.")
 ]
+FutureHours = Annotated[
+    Hours | None,
+    Field(description="Simulated hours to look ahead, at most 168; null: 24, or the most that can be simulated."),
+]
 Priority = Annotated[int, Field(ge=1, le=16, description="Priority of the values: 1 is the highest, 8 is manual.")]
 
 
@@ -55,7 +59,7 @@ class WhatIf(Tool):
         dict[Point, float | None],
         Field(max_length=200, description="Values by actuator, in its unit; null relinquishes it at the priority."),
     ] = Field(default_factory=dict)
-    hours: Hours = 24.0
+    hours: FutureHours = None
     priority: Priority = 8
     points: Series = Field(default_factory=list)
 
@@ -79,7 +83,7 @@ class CompareWithBaseline(Tool):
     name: ClassVar[str] = "compare_with_baseline"
 
     node: Node
-    hours: Hours = 24.0
+    hours: FutureHours = None
     points: Series = Field(default_factory=list)
 
     @override
@@ -130,7 +134,7 @@ class MakeReport(Tool):
 
 
 def _simulate(
-    desk: Desk, description: NodeDescription, futures: Mapping[str, Future], hours: float
+    desk: Desk, description: NodeDescription, futures: Mapping[str, Future], hours: float | None
 ) -> dict[str, list[Sample]]:
     """Simulate futures, one question at a time; errors as of `simulate_futures`."""
     if not desk.simulating.acquire(blocking=False):
@@ -142,7 +146,7 @@ def _simulate(
 
 
 def _compare(
-    desk: Desk, description: NodeDescription, futures: Mapping[str, Future], hours: float, points: list[str]
+    desk: Desk, description: NodeDescription, futures: Mapping[str, Future], hours: float | None, points: list[str]
 ) -> Content:
     places = require_points(description, points)
     content = futures_content(description, _simulate(desk, description, futures, hours))

@@ -107,13 +107,12 @@ def what_if(
         create(description.manifest)  # its errors come before anything is simulated
         changed = Future(priority=request.priority, controller=create)
     with errors:
-        hours = min(24.0, longest_future_h(description.manifest.step_s)) if request.hours is None else request.hours
-        samples = simulate_futures(bus, description, {"as_is": Future(), "changed": changed}, hours, operator)
+        samples = simulate_futures(bus, description, {"as_is": Future(), "changed": changed}, request.hours, operator)
     return futures_content(description, samples)
 
 
 def simulate_futures(
-    bus: Bus, description: NodeDescription, futures: Mapping[str, Future], hours: float, operator: str
+    bus: Bus, description: NodeDescription, futures: Mapping[str, Future], hours: float | None, operator: str
 ) -> dict[str, list[Sample]]:
     """Return the samples of the next hours under several commands, equally many for each.
 
@@ -121,7 +120,7 @@ def simulate_futures(
         bus: connection to the bus.
         description: of the node.
         futures: commands by the name of the future.
-        hours: length, in simulated hours.
+        hours: length, in simulated hours; None: a day, or the longest that can be simulated.
         operator: name of who asks.
 
     Raises:
@@ -131,6 +130,8 @@ def simulate_futures(
         BadMessage: the node named a node that is none of its branches.
     """
     manifest = description.manifest
+    if hours is None:
+        hours = min(24.0, longest_future_h(manifest.step_s))
     steps, step_h = int(hours * 3600 / manifest.step_s + 1e-6), manifest.step_s / 3600
     if steps < 1:
         raise InvalidConfig(f"hours: at least a timestep of {step_h:g} h expected")
