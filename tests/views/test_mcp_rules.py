@@ -18,7 +18,15 @@ from support.examples import examples
 
 from zenostat.bridge.client.priorities import PriorityValue
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import AccessDenied, BadMessage, InvalidConfig, PlantFailed, RequestRejected, UnknownName
+from zenostat.topics.errors import (
+    AccessDenied,
+    BadMessage,
+    InvalidConfig,
+    PeerError,
+    PlantFailed,
+    RequestRejected,
+    UnknownName,
+)
 from zenostat.topics.messages import Event, EventKind
 from zenostat.views.mcp.call_log import CallLog
 from zenostat.views.mcp.content import CLOSE, MAX_TEXT, NOTICE, OPEN, read_data, render
@@ -312,6 +320,22 @@ def test_call__invalid_arguments_are_named_before_anything_is_asked(
     content, is_error = call(SimpleNamespace(), tool, arguments)  # type: ignore[arg-type]
     assert is_error
     assert text in content.data["message"]
+
+
+@pytest.mark.parametrize(("others", "not_listed"), [(1, 0), (120, 22)])
+def test_list_nodes__branches_neither_displace_nodes_nor_count(others: int, not_listed: int) -> None:
+    manifests = dict.fromkeys(("a", "a.north", *(f"z{number:03}" for number in range(others))), MANIFEST)
+    manifests |= {f"a.b{number:03}": MANIFEST.model_copy(update={"branch_of": "a"}) for number in range(150)}
+
+    def description(node: str) -> Any:
+        raise PeerError(f"{node} does not answer")
+
+    bus = SimpleNamespace(nodes=lambda: sorted(manifests), manifest=manifests.__getitem__)
+    content, is_error = call(SimpleNamespace(bus=bus, description=description), "list_nodes", {})  # type: ignore[arg-type]
+    assert not is_error
+    listed = [node["node"] for node in content.data["nodes"]]
+    assert listed[:3] == ["a", "a.north", "z000"]
+    assert (len(listed), content.data["not_listed"]) == (others + 2 - not_listed, not_listed)
 
 
 def test_event_log__branches_do_not_displace_their_building() -> None:

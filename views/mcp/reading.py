@@ -39,9 +39,23 @@ class ListNodes(Tool):
 
     @override
     def run(self, desk: Desk) -> Content:
-        names = desk.bus.nodes()
+        names = _names(desk)
         entries = [entry for name in names[:_MAX_NODES] if (entry := _entry(desk, name)) is not None]
         return Content({"nodes": entries, "not_listed": max(0, len(names) - _MAX_NODES)})
+
+
+def _names(desk: Desk) -> list[str]:
+    """Return the names of all nodes but the branches of others."""
+    names = desk.bus.nodes()
+    known = {*names}
+    return [name for name in names if name.rpartition(".")[0] not in known or not _is_branch(desk, name)]
+
+
+def _is_branch(desk: Desk, node: str) -> bool:
+    try:
+        return bool(desk.bus.manifest(node).branch_of)
+    except ZenostatError:  # if it is still there, its entry has the reason
+        return False
 
 
 def _entry(desk: Desk, node: str) -> dict[str, Any] | None:
