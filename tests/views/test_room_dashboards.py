@@ -1,11 +1,15 @@
 """The dashboard files for Grafana: each query in them is answered by the control room's endpoints."""
 
 import json
+import os
 import re
 import shutil
+import signal
 import subprocess
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from queue import SimpleQueue
 from typing import Any
 
 import pytest
@@ -47,13 +51,18 @@ def panels(name: str) -> list[dict[str, Any]]:
 
 
 @pytest.fixture(scope="module")
-def client(module_folder: Path) -> Iterator[httpx.Client]:
-    """A program with the token; the node of a room has a controller, an alarm, a fault and ten timesteps."""
+def node(module_folder: Path) -> Iterator[NodeProgram]:
     (module_folder / "room.py").write_text(ROOM)
     (module_folder / "alarms.yaml").write_text(ALARMS)
     settings = {"plant": f"{module_folder}/room.py:Room", "name": "room", "alarms": f"{module_folder}/alarms.yaml"}
+    with NodeProgram(module_folder / "node", **settings) as started:
+        yield started
+
+
+@pytest.fixture(scope="module")
+def client(node: NodeProgram) -> Iterator[httpx.Client]:
+    """A program with the token; the node of a room has a controller, an alarm, a fault and ten timesteps."""
     with (
-        NodeProgram(module_folder / "node", **settings) as node,
         zenostat.connect(node.endpoint, affinity="off") as bus,
         control_room(node.endpoint, api_token=TOKEN) as server,
         bus.controller("room", name="rule") as link,
@@ -209,6 +218,56 @@ def test_grafana_variable__unknown_target_is_an_error(client: httpx.Client) -> N
     answer = client.post("/grafana/variable", json={"payload": {"target": "zones"}})
     assert (answer.status_code, "nodes or points" in answer.json()["message"]) == (400, True)
     assert client.post("/grafana/variable", json={"payload": {"target": "points", "node": "none"}}).json() == []
+
+
+def query(client: httpx.Client, *targets: str | None, **fields: Any) -> httpx.Response:
+    span = {"from": "2026-01-12T00:00:00.000Z", "to": "2026-01-12T01:00:00.000Z"}
+    content = {"range": span, "targets": [{"target": target} for target in targets], **fields}
+    return client.post("/grafana/query", json=content)
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_grafana_query__targets_that_cannot_be_read_are_left_out_if_others_can(client: httpx.Client) -> None:
+    bad = ("room/nope", "gone/x", "room", None, "")
+    answer = query(client, *bad, "room/heater", "room/temperature")
+    assert [series["target"] for series in answer.json()] == ["room/heater", "room/temperature"]
+    assert query(client, None, "").json() == []
+    for target, status, text in (
+        ("room/nope", 400, "nope"),
+        ("gone/x", 404, "no node 'gone'"),
+        ("room", 400, "NODE/POINT expected"),
+    ):
+        answer = query(client, target)
+        assert (answer.status_code, text in answer.json()["message"]) == (status, True)
+    late = {"from": "2027-01-12T00:00:00.000Z", "to": "2027-01-12T01:00:00.000Z"}
+    assert query(client, "room/nope", "room/heater", range=late).json() == []
+
+
+@pytest.mark.slow
+@pytest.mark.process
+@pytest.mark.parametrize(("number", "samples"), [(1, 2), (812.5, 11), (1e9, 11), (None, 11)])
+def test_grafana_query__number_of_samples_is_clamped(client: httpx.Client, number: float | None, samples: int) -> None:
+    (series,) = query(client, "room/heater", maxDataPoints=number).json()
+    assert len(series["datapoints"]) == samples
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_grafana_query__those_of_a_frozen_node_do_not_take_all_threads(client: httpx.Client, node: NodeProgram) -> None:
+    answers: SimpleQueue[httpx.Response] = SimpleQueue()
+    with ThreadPoolExecutor(70) as threads, httpx.Client(limits=httpx.Limits(), timeout=60) as many:
+        many.base_url, many.headers = client.base_url, client.headers
+        os.kill(node.pid, signal.SIGSTOP)
+        try:
+            for _ in range(70):
+                threads.submit(lambda: answers.put(query(many, "room/heater", maxDataPoints=5)))
+            rejected = [answers.get(timeout=30) for _ in range(62)]
+        finally:
+            os.kill(node.pid, signal.SIGCONT)
+        assert {answer.status_code for answer in rejected} == {409}
+        assert all("8 requests to node 'room' wait" in answer.json()["message"] for answer in rejected)
+        assert {answers.get(timeout=30).status_code for _ in range(8)} == {200}
 
 
 @pytest.mark.parametrize("name", ["grafana-prometheus.json", "grafana-history.json"])

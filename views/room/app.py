@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
@@ -38,7 +39,9 @@ from zenostat.views.room.bus_watch import BusWatch
 from zenostat.views.room.dashboards import (
     METRICS_TYPE,
     GrafanaQuery,
+    GrafanaSeries,
     GrafanaVariableQuery,
+    grafana_answer,
     grafana_series,
     grafana_targets,
     grafana_variable,
@@ -61,6 +64,8 @@ from zenostat.views.room.what_if import WhatIf, what_if
 _STATIC = Path(__file__).with_name("static")
 _MAX_PENDING = 8
 """Largest number of requests of pages that wait for one node: one that is frozen must not stop the others."""
+_TURN_S = 2.0
+"""Time that a query of a dashboard, which has many panels, waits until less than so many requests are pending."""
 _THREADS = 64
 """Threads for requests that wait: for several frozen nodes at a time."""
 
@@ -342,7 +347,14 @@ class Room:
 
     async def _grafana_query(self, request: Request) -> Response:
         query = read_body(GrafanaQuery, await request.body())
-        return _json(await asyncio.to_thread(grafana_series, self.watch, self._histories, query))
+
+        async def series(node: str, points: list[str]) -> GrafanaSeries:
+            watch, end_s = self.watch.find(node), time.monotonic() + _TURN_S
+            while self._pending[node] >= _MAX_PENDING and time.monotonic() < end_s:
+                await asyncio.sleep(0.02)
+            return await self._call(watch, lambda: grafana_series(watch, self._histories, points, query))
+
+        return _json(await grafana_answer(query, series))
 
     def _node(self, request: Request) -> NodeWatch:
         return self.watch.find(request.path_params["node"])

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Awaitable, Callable, Iterator, Sequence
 from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from zenostat.topics.errors import InvalidConfig, ZenostatError
+from zenostat.topics.errors import InvalidConfig, UsageError, ZenostatError
 from zenostat.views.room.bus_watch import BusWatch
 from zenostat.views.room.node_watch import NodeWatch
 from zenostat.views.room.numbers import numbers
-from zenostat.views.room.series import MAX_POINTS, HistoryCache, simulated_time, times_ms
+from zenostat.views.room.series import MAX_POINTS, MAX_SAMPLES, HistoryCache, simulated_time, times_ms
 
 METRICS_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 
@@ -103,6 +104,10 @@ def _labels(**labels: str) -> str:
     return "{" + ",".join(texts) + "}"
 
 
+GrafanaSeries = dict[str, dict[str, Any]]
+"""Series as Grafana's JSON data source has them, by target."""
+
+
 class _Part(BaseModel):
     model_config = ConfigDict(extra="ignore", populate_by_name=True)
 
@@ -113,7 +118,7 @@ class _Range(_Part):
 
 
 class _Target(_Part):
-    target: str = ""
+    target: str | None = None  # of a query that is being edited
 
 
 class GrafanaQuery(_Part):
@@ -121,7 +126,28 @@ class GrafanaQuery(_Part):
 
     range: _Range | None = None
     targets: Annotated[list[_Target], Field(max_length=64)] = Field(default_factory=list)
-    max_samples: Annotated[int, Field(ge=2, le=20_000, alias="maxDataPoints")] = 1000
+    max_data_points: Annotated[float | None, Field(alias="maxDataPoints")] = None
+
+    @property
+    def max_samples(self) -> int:
+        """Largest number of samples of a series, within the limits of histories."""
+        return 1000 if self.max_data_points is None else int(min(max(2, self.max_data_points), MAX_SAMPLES))
+
+    def names(self) -> list[str]:
+        """Return the names `NODE/POINT`, each once; others are left out.
+
+        Raises:
+            InvalidConfig: there are only others, or too many.
+        """
+        every = dict.fromkeys(name for target in self.targets for name in target_names(target.target or ""))
+        if len(every) > MAX_POINTS:
+            raise InvalidConfig(f"targets: at most {MAX_POINTS} points expected, not {len(every)}")
+        names = [name for name in every if name.partition("/")[2]]
+        if every and not names:
+            raise InvalidConfig(
+                f"target {next(iter(every))!r}: NODE/POINT expected, such as office/electricity_facility"
+            )
+        return names
 
 
 class GrafanaVariable(_Part):
@@ -188,35 +214,70 @@ def grafana_targets(watch: BusWatch) -> list[dict[str, str]]:
     return targets
 
 
-def grafana_series(watch: BusWatch, cache: HistoryCache, query: GrafanaQuery) -> list[dict[str, Any]]:
-    """Return for each point its values with their simulated times in ms, which stand for UTC.
+async def grafana_answer(
+    query: GrafanaQuery, read: Callable[[str, list[str]], Awaitable[GrafanaSeries]]
+) -> list[dict[str, Any]]:
+    """Return the series of a query's targets, without those that cannot be read if others can.
+
+    Args:
+        query: the query.
+        read: returns the series of points of a node; see `grafana_series`.
 
     Raises:
-        ZenostatError: no such node or point, too many of them, or the node keeps no history.
+        ZenostatError: none of the targets can be read.
     """
-    names = [name for target in query.targets for name in target_names(target.target)]
-    if len(names) > MAX_POINTS:
-        raise InvalidConfig(f"targets: at most {MAX_POINTS} points expected, not {len(names)}")
-    result = []
-    for name in dict.fromkeys(names):
+    names, points = query.names(), dict[str, list[str]]()
+    for name in names:
         node, _, point = name.partition("/")
-        if not point:
-            raise InvalidConfig(f"target {name!r}: NODE/POINT expected, such as office/electricity_facility")
-        history = _history(watch, cache, node, [point], query)
+        points.setdefault(node, []).append(point)
+    errors: list[ZenostatError] = []
+
+    async def series_of(node: str) -> GrafanaSeries:
+        try:
+            return await read(node, points[node])
+        except ZenostatError as error:
+            errors.append(error)
+            return {}
+
+    series = {name: each for part in await asyncio.gather(*map(series_of, points)) for name, each in part.items()}
+    if errors and len(errors) == len(points):
+        raise errors[0]
+    return [series[name] for name in names if name in series]
+
+
+def grafana_series(watch: NodeWatch, cache: HistoryCache, points: Sequence[str], query: GrafanaQuery) -> GrafanaSeries:
+    """Return the values of a node's points by `NODE/POINT`, with their simulated times in ms, which stand for UTC.
+
+    Points without samples in the range are left out, and so are those that do not exist if others do.
+
+    Raises:
+        ZenostatError: none of the points can be read, or the node keeps no history.
+    """
+    result: GrafanaSeries = {}
+    errors: list[ZenostatError] = []
+    for point in points:
+        try:
+            history = _history(watch, cache, point, query)
+        except UsageError as error:
+            errors.append(error)
+            continue
         if history is not None:
             times, values = history
-            result.append({"target": name, "datapoints": [[v, t] for v, t in zip(values, times, strict=True)]})
+            target = f"{watch.node}/{point}"
+            result[target] = {"target": target, "datapoints": [[v, t] for v, t in zip(values, times, strict=True)]}
+    if len(errors) == len(points):
+        raise errors[0]
     return result
 
 
 def _history(
-    watch: BusWatch, cache: HistoryCache, node: str, points: Sequence[str], query: GrafanaQuery
+    watch: NodeWatch, cache: HistoryCache, point: str, query: GrafanaQuery
 ) -> tuple[list[int], list[float | None]] | None:
     """Return times and values; None if the range has no samples."""
     span = query.range
     start, end = (None, None) if span is None else (simulated_time(span.begin), simulated_time(span.end))
     try:
-        history = cache.history(watch.find(node), points, start, end, query.max_samples)
+        history = cache.history(watch, [point], start, end, query.max_samples)
     except ZenostatError as error:
         if "no samples in that range" in str(error) or "before the episode" in str(error):
             return None
