@@ -91,7 +91,7 @@ class CoupledPlant(Protocol):
         """Make `finish_trial` raise soon, although the copies may still be simulated; thread-safe."""
 
     def is_reachable(self) -> bool:
-        """Return whether its node is there, perhaps as a new one; quick."""
+        """Return whether its node is there, perhaps as a new one; does not wait for the answer."""
 
     def drain_warnings(self) -> list[str]:
         """Return texts about the plant since the last call."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, suppress
 from itertools import zip_longest
 from typing import Any
@@ -316,6 +317,8 @@ class FoundPlant(NodePlant):
     def __init__(self, node: str, endpoint: str, keys: Any) -> None:
         super().__init__(node)
         self._endpoint, self._keys = endpoint, keys
+        self._threads = ThreadPoolExecutor(1)
+        self._search: Future[bool] | None = None
         self.manifest = self.bus.manifest(node)
 
     def open_bus(self) -> Bus:
@@ -323,13 +326,27 @@ class FoundPlant(NodePlant):
         return connect(self._endpoint, affinity=Affinity.OFF, keys=certificate_file(self._keys))
 
     def is_reachable(self) -> bool:
-        """Return whether the node answers."""
-        try:
-            self.bus.manifest(self._node)
-        except ZenostatError:
+        """Return whether the node answers; it is looked for in another thread, which may take seconds."""
+        if self._search is None:
             self._disconnect()
+            self._search = self._threads.submit(self._answers)
+        if not self._search.done():
+            return False
+        search, self._search = self._search, None
+        return search.result()
+
+    def _answers(self) -> bool:
+        try:
+            with self.open_bus() as bus:
+                bus.manifest(self._node)
+        except ZenostatError:
             return False
         return True
+
+    def close(self) -> None:
+        """Disconnect from the node; idempotent."""
+        super().close()
+        self._threads.shutdown()
 
     def _reset(self, seed: int) -> Rows:
         if self.link.manifest.mode is not Mode.LOCKSTEP:

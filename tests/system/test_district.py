@@ -74,6 +74,8 @@ connections:
 """
 SOLVED = PAIR.replace("delay: 1", "solve: true, tolerance: 0.001")
 STEPS = 10
+LONG = PLANTS.replace("9000.0", "9e6")
+"""The plants with an episode that outlasts a wait for a node."""
 
 
 def district(folder: Path, text: str = PAIR) -> Path:
@@ -342,11 +344,46 @@ connections:
 
 
 @pytest.mark.slow
+def test_district__search_for_a_lost_node_does_not_delay_steps(scratch: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A search that does not end, as where a machine does not answer; the plant is back after one that does."""
+    (scratch / "plants.py").write_text(LONG)
+    home: dict[str, Any] = {"plant": f"{scratch}/plants.py:House", "name": "home"}
+    searching, answers = threading.Event(), threading.Event()
+    open_bus = FoundPlant.open_bus
+
+    def slow(plant: FoundPlant) -> zenostat.Bus:
+        if threading.current_thread() is not threading.main_thread():
+            searching.set()
+            answers.wait()
+        return open_bus(plant)
+
+    with ExitStack() as stack:
+        first = stack.enter_context(NodeProgram(scratch / "home", **home))
+        plant = stack.enter_context(closing(FoundPlant("home", first.endpoint, None)))
+        stack.callback(answers.set)
+        monkeypatch.setattr(FoundPlant, "open_bus", slow)
+        guarded = GuardedPlant("house", plant, OnLost.GO_ON, timeout_s=60.0, stop=threading.Event())
+        guarded.reset(3)
+
+        def step() -> bool:
+            guarded.begin(np.array([[5.0, -4.0]]))
+            guarded.finish()
+            return guarded.is_available
+
+        first.kill()
+        assert not any(step() for _ in range(20))
+        assert searching.wait(60.0)
+        stack.enter_context(NodeProgram(scratch / "home", **home))
+        answers.set()
+        until(step, "the plant is back")
+
+
+@pytest.mark.slow
 def test_district__plant_on_a_bus_that_another_one_replaces(scratch: Path) -> None:
     """A node with other points does not get the commands of the one before; one that fits does."""
     home = {"name": "home"}
-    (scratch / "plants.py").write_text(PLANTS)
-    swapped = PLANTS.replace("class House:", "class Swapped:").replace(
+    (scratch / "plants.py").write_text(LONG)
+    swapped = LONG.replace("class House:", "class Swapped:").replace(
         """{"supply": ("kW", 0.0, 20.0, 0.0), "outdoor": ("degC", -30.0, 40.0, 0.0)}""",
         """{"outdoor": ("degC", -30.0, 40.0, 0.0), "supply": ("kW", 0.0, 20.0, 0.0)}""",
     )
