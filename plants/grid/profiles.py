@@ -22,7 +22,7 @@ class Table:
         self.path = path
         with user_file(path, expected="a CSV file"), path.open(newline="", encoding="utf-8-sig") as file:
             self._rows = list(csv.reader(file))
-        if len(self._rows) < 2:
+        if not any(self._rows[1:]):
             raise InvalidConfig(f"{path}: a header and at least one row expected")
         self.header = [name.strip() for name in self._rows[0]]
 
