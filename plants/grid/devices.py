@@ -12,7 +12,7 @@ import numpy as np
 
 from zenostat.plants.grid.profiles import Table
 from zenostat.plants.grid.schema import Battery, Charger, Draw, DrawnSessions, Session, SessionFile
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 J_PER_KWH = 3.6e6
 _DAY_S = 86400.0
@@ -134,8 +134,10 @@ def _read_sessions(name: str, path: Path) -> list[Session]:
     table = Table(path)
     columns = [table.numbers(column) for column in ("arrival_h", "departure_h", "energy_kwh")]
     chargers = table.texts("charger") if "charger" in table.header else [name] * len(columns[0])
+    if name not in chargers:
+        raise InvalidConfig(f"{path}: no row has the charger {name!r}; {did_you_mean(name, sorted(set(chargers)))}")
     sessions = []
-    for number, (charger, arrival, departure, energy) in enumerate(zip(chargers, *columns, strict=True), start=2):
+    for number, charger, arrival, departure, energy in zip(table.lines(), chargers, *columns, strict=True):
         if not 0.0 <= arrival < departure or energy < 0.0:
             raise InvalidConfig(f"{path}:{number}: a departure after the arrival, and an energy of at least 0 expected")
         if charger == name:

@@ -26,6 +26,10 @@ class Table:
             raise InvalidConfig(f"{path}: a header and at least one row expected")
         self.header = [name.strip() for name in self._rows[0]]
 
+    def lines(self) -> list[int]:
+        """Return the line of each row that is not blank."""
+        return [number for number, _ in self._numbered()]
+
     def texts(self, column: str) -> list[str]:
         """Return the texts of a column.
 

@@ -187,6 +187,19 @@ def test_grid__negative_profile_of_pv_is_refused(tmp_path: Path, values: str, fa
     assert plant.reset(0)["house_power"] == 10.0 * factor
 
 
+@pytest.mark.parametrize(
+    ("rows", "text"),
+    [
+        ("bocks,0,1,1\n", "cars.csv: no row has the charger 'box'; did you mean 'bocks'"),
+        ("box,0,1,1\n\nbox,3,2,1\n", "cars.csv:4: a departure after the arrival"),
+    ],
+)
+def test_grid__wrong_sessions_in_a_file_are_named(tmp_path: Path, rows: str, text: str) -> None:
+    (tmp_path / "cars.csv").write_text(f"charger,arrival_h,departure_h,energy_kwh\n{rows}")
+    with pytest.raises(InvalidConfig, match=text):
+        grid(tmp_path, FEEDER | {"chargers": {"box": {"bus": "a", "power_kw": 4, "sessions": {"file": "cars.csv"}}}})
+
+
 # A power flow that does not converge
 
 
