@@ -7,6 +7,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -214,6 +215,8 @@ def _number_error(variable: Any, value: Any) -> str:
             numeric = number(part)
         except (TypeError, ValueError):
             return "a number expected"
+        if not isfinite(numeric):
+            return "a finite number expected"
         if not (low is None or low <= numeric) or not (high is None or numeric <= high):
             limits = [f"at least {low:g}"] if low is not None else []
             limits += [f"at most {high:g}"] if high is not None else []

@@ -54,6 +54,7 @@ class FmuPlant:
         tolerance: float | None = None,
         interface: str | None = None,
     ) -> None:
+        _check_arguments(set, observe, tolerance)
         path = Path(file).absolute()
         self._model = read_model(path, interface)
         self.model_name, self.files = str(self._model.description.modelName), {"fmu": str(path)}
@@ -102,7 +103,7 @@ class FmuPlant:
             raise InvalidConfig(f"step_s = {step:g}: a number of seconds above 0 expected")
         if duration_s is None:
             length_s = max(1, floor(length_s / step + 1e-9)) * step
-        own = tolerance if tolerance is not None else numbers["tolerance"]
+        own = float(tolerance) if tolerance is not None else numbers["tolerance"]
         return Experiment(first_s, step, first_s + length_s, own, check_starts(description, starts))
 
     def _own_step_s(self, default_s: float | None) -> float | None:
@@ -145,13 +146,24 @@ def _actuators(variable: Variable) -> list[tuple[str, float | None, float | None
     return [(*bounds, start) for start in variable.start]
 
 
-def _number(name: str, value: Any) -> float:
+def _check_arguments(starts: Any, observe: Any, tolerance: Any) -> None:
+    if starts is not None and not isinstance(starts, Mapping):
+        raise InvalidConfig(f"set = {starts!r}: values by name expected, such as {{'tank.T0': 293.15}}")
+    if not isinstance(observe, str) and not (
+        isinstance(observe, Sequence) and all(isinstance(name, str) for name in observe)
+    ):
+        raise InvalidConfig(f"observe = {observe!r}: a list of names expected")
+    if tolerance is not None and (isinstance(tolerance, bool) or _number("tolerance", tolerance, "a number") <= 0.0):
+        raise InvalidConfig(f"tolerance = {tolerance!r}: a number above 0 expected")
+
+
+def _number(name: str, value: Any, expected: str = "a number of seconds") -> float:
     try:
         number = float(value)
     except (TypeError, ValueError):
-        raise InvalidConfig(f"{name} = {value!r}: a number of seconds expected") from None
+        raise InvalidConfig(f"{name} = {value!r}: {expected} expected") from None
     if not isfinite(number):
-        raise InvalidConfig(f"{name} = {value!r}: a finite number of seconds expected")
+        raise InvalidConfig(f"{name} = {value!r}: {expected.replace('number', 'finite number')} expected")
     return number
 
 
