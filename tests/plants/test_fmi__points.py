@@ -121,6 +121,15 @@ def test_fmu__without_a_step_size_states_which_one_it_gets(module_scratch: Path)
     assert FmuPlant(str(plant.files["fmu"]), step_s=7.0).duration_s == 5999.0, "rounded down to whole timesteps"
 
 
+@pytest.mark.parametrize(("preferred", "step_s"), [("60", 60.0), ("", 10.0)])
+def test_fmu__preferred_step_size_precedes_the_fixed_internal_one(
+    module_scratch: Path, preferred: str, step_s: float
+) -> None:
+    fields = {"fixedInternalStepSize": "10"}
+    path = build_tank(module_scratch, f"fixed{preferred}.fmu", 3, step_s=preferred, fields=fields)
+    assert FmuPlant(str(path)).step_s == step_s
+
+
 # What is refused, and what is stated once
 
 
