@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from zenostat.plants.ssp.archive import NAMESPACES, STRUCTURE, Archive
 from zenostat.plants.ssp.units import Definition, Unit, bus_name, defined, definitions
+from zenostat.topics.errors import did_you_mean
 
 Path = tuple[str, ...]
 """Names of the elements from the outermost system to an element, without that system's own name."""
@@ -33,13 +34,14 @@ class Parameter(NamedTuple):
     offset: float = 0.0
 
 
-def parameters(archive: Archive, element: Any, path: Path) -> Iterator[Parameter]:
+def parameters(archive: Archive, element: Any, path: Path, notes: list[str]) -> Iterator[Parameter]:
     """Yield the parameters that the bindings of a component or a system set, in the order of the file.
 
     Args:
         archive: the file.
         element: the component or system.
         path: its path.
+        notes: for what is not used, a sentence each.
 
     Raises:
         InvalidConfig: a binding cannot be read or is not supported.
@@ -50,12 +52,20 @@ def parameters(archive: Archive, element: Any, path: Path) -> Iterator[Parameter
         document, values = _part(archive, binding, "ParameterValues/ssv:ParameterSet", binding.get("source"), "ssv")
         mapping = binding.find("ssd:ParameterMapping", NAMESPACES)
         prefix = ".".join([*path, ""]) + binding.get("prefix", "")
-        entries = None
+        entries, mapped = None, ""
         if mapping is not None:
             mapped, root = _part(archive, mapping, "ssm:ParameterMapping", mapping.get("source"), "ssm")
             entries = [] if root is None else root.findall("ssm:MappingEntry", NAMESPACES)
         units = {} if values is None else definitions(values, "ssv")
-        for item in [] if values is None else values.findall("ssv:Parameters/ssv:Parameter", NAMESPACES):
+        items = [] if values is None else values.findall("ssv:Parameters/ssv:Parameter", NAMESPACES)
+        names = [item.get("name") for item in items]
+        notes += [
+            f"{mapped} line {entry.sourceline}: {prefix}{entry.get('target')} is not set, as there is no parameter "
+            f"{entry.get('source')!r}; {did_you_mean(entry.get('source'), names)}"
+            for entry in entries or ()
+            if entry.get("source") not in names
+        ]
+        for item in items:
             parameter = _parameter(archive, item, document, units)
             if entries is None:
                 yield parameter._replace(name=prefix + parameter.name)

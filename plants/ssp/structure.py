@@ -116,7 +116,7 @@ class _Reader:
         self._defined = definitions(root, "ssd")
         system = root.find("ssd:System", NAMESPACES)
         self._read_system(system, ())
-        self._values += parameters.parameters(self._archive, system, ())
+        self._values += parameters.parameters(self._archive, system, (), self._notes)
         if not self._fmus:
             raise self._archive.error("the system has no components", system)
         names = _plant_names(self._fmus, self._reserved)
@@ -161,7 +161,8 @@ class _Reader:
                 self._read_connectors(element, child)
             else:
                 raise self._archive.error(f"{kind} {element.get('name')!r} is not supported", element)
-            self._values += parameters.parameters(self._archive, element, child)  # those of outer systems come later
+            # those of outer systems come later
+            self._values += parameters.parameters(self._archive, element, child, self._notes)
         for connection in system.iterfind("ssd:Connections/ssd:Connection", NAMESPACES):
             self._read_connection(connection, path)
 

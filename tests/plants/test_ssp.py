@@ -161,11 +161,7 @@ def test_convert__units_of_an_fmu_are_converted_by_its_own_definitions(tank: Pat
 
 def test_convert__mapped_parameters_are_converted_before_they_are_transformed(tank: Path, tmp_path: Path) -> None:
     """50 degF are 10 degC, of which 2 T - 3 is 17; 2 * 50 - 3 would be 36.1 degC."""
-    entry = f'<ssm:MappingEntry source="k" target="a.T">{ssp.linear(2.0, -3.0)}</ssm:MappingEntry>'
-    mapping = (
-        f'<ssd:ParameterMapping><ssm:ParameterMapping{ssp.SPACES} version="1.0">{entry}</ssm:ParameterMapping>'
-        "</ssd:ParameterMapping>"
-    )
+    mapping = ssp.mapping(f'<ssm:MappingEntry source="k" target="a.T">{ssp.linear(2.0, -3.0)}</ssm:MappingEntry>')
     values = ssp.parameter_set(ssp.real("k", 50.0, "degF"))
     root = ssp.system("s", A, inside=ssp.bindings(ssp.inline(values, mapping=mapping)))
     assert converted(tmp_path, tank, root)["plants"]["a"]["plant_arguments"]["set"] == {"T": pytest.approx(17.0)}
@@ -178,10 +174,7 @@ def test_convert__loops_are_delayed_on_request(tank: Path, tmp_path: Path) -> No
 
 def test_convert__outer_parameters_replace_inner_ones_and_are_mapped(tank: Path, tmp_path: Path) -> None:
     entry = f'<ssm:MappingEntry source="k" target="b.{ssp.LOSS}">{ssp.linear(2.0, 1.0)}</ssm:MappingEntry>'
-    mapping = (
-        f'<ssd:ParameterMapping><ssm:ParameterMapping{ssp.SPACES} version="1.0">{entry}</ssm:ParameterMapping>'
-        "</ssd:ParameterMapping>"
-    )
+    mapping = ssp.mapping(entry)
     values = ssp.parameter_set(ssp.real("k", 3.0), ssp.real(f"b.{ssp.LOSS}", 9.0))
     inner = ssp.bindings(ssp.inline(ssp.parameter_set(ssp.real(ssp.LOSS, 5.0))))
     root = ssp.system(
@@ -191,6 +184,18 @@ def test_convert__outer_parameters_replace_inner_ones_and_are_mapped(tank: Path,
     )
     plants = converted(tmp_path, tank, root)["plants"]
     assert [plants[name]["plant_arguments"]["set"] for name in "ab"] == [{ssp.LOSS: 5.0}, {ssp.LOSS: 7.0}]
+
+
+def test_convert__mapping_of_a_parameter_that_is_missing_is_noted(
+    tank: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    values = ssp.parameter_set(ssp.real("losses", 3.0))
+    mapping = ssp.mapping(f'<ssm:MappingEntry source="loses" target="{ssp.LOSS}"/>')
+    root = ssp.system("s", ssp.component("a", ssp.bindings(ssp.inline(values, mapping=mapping))))
+    assert "set" not in converted(tmp_path, tank, root)["plants"]["a"]["plant_arguments"]
+    error = capsys.readouterr().err
+    assert f"SystemStructure.ssd line 3: a.{ssp.LOSS} is not set, as there is no parameter 'loses'" in error
+    assert "did you mean 'losses'" in error
 
 
 def test_convert__inputs_of_the_system_remain_actuators(

@@ -79,6 +79,12 @@ def bindings(*each: str) -> str:
     return f"<ssd:ParameterBindings>{''.join(each)}</ssd:ParameterBindings>"
 
 
+def mapping(*entries: str) -> str:
+    """Return a mapping of parameters, each entry such as `<ssm:MappingEntry …>`."""
+    inside = f'<ssm:ParameterMapping{SPACES} version="1.0">{"".join(entries)}</ssm:ParameterMapping>'
+    return f"<ssd:ParameterMapping>{inside}</ssd:ParameterMapping>"
+
+
 def inline(values: str, attributes: str = "", mapping: str = "") -> str:
     """Return a binding of a set that is in the description itself."""
     return (
