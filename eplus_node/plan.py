@@ -93,6 +93,7 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
     _check_weather(valid_sources, period, errors)
     if period is not None:
         errors.collect(lambda: _check_noise_start(scenario, model, period))
+    errors.collect(lambda: design_days.check_edits(scenario.edits, [source.site for source in valid_sources]))
     if model is not None:
         errors.collect(lambda: _check_sizing(model, valid_sources))
     if model is not None and valid_sources:

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from zenostat.models import energyplus
+from zenostat.models.building import schema
 from zenostat.models.building.model import Objects
 from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.cache import cached_bytes, digest
@@ -74,6 +75,30 @@ def apply(objects: Mapping[str, Objects], site: Site) -> dict[str, Objects]:
     if site.design_days and (objects.get(_DAY) or lacks_design_days(objects)):
         new[_DAY] = site.design_days
     return new
+
+
+def check_edits(edits: Mapping[str, Any], sites: Sequence[Site | None]) -> None:
+    """Check that a scenario's edits have an effect on a model that gets location and design days of its weather files.
+
+    Args:
+        edits: of the scenario.
+        sites: of its weather files; None where the model keeps its own.
+
+    Raises:
+        InvalidConfig: lists the edits of objects that are replaced.
+    """
+    replaced = [_LOCATION] if sites and None not in sites else []
+    if replaced and all(site is not None and site.design_days for site in sites):
+        replaced.append(_DAY)
+    kinds = {schema.canonical_type(kind) or kind: by_name for kind, by_name in edits.items()}
+    errors = [
+        f"edits: {kind} {', '.join(map(repr, changed))} has no effect, because location and design days are those of "
+        "the weather file; `sizing: model` keeps those of the model"
+        for kind in replaced
+        if (changed := [name for name, fields in dict(kinds.get(kind) or {}).items() if fields is not None])
+    ]
+    if errors:
+        raise InvalidConfig("\n".join(errors))
 
 
 def ddy_of(epw: Path) -> Path | None:

@@ -14,7 +14,7 @@ from zenostat.models.building.model import for_episode, read_building, write
 from zenostat.models.catalog import find_building, find_weather
 from zenostat.models.err_file import severe_messages
 from zenostat.models.scenario.run_period import Period
-from zenostat.models.weather.design_days import Site, apply, from_header, site, standard_pressure
+from zenostat.models.weather.design_days import Site, apply, check_edits, from_header, site, standard_pressure
 from zenostat.models.weather.header import DesignConditions, Header, read_header
 from zenostat.topics.errors import InvalidConfig
 
@@ -242,6 +242,27 @@ def test_design_days__models_days_stay_where_there_are_no_others() -> None:
 def test_design_days__model_without_design_days_gets_none() -> None:
     bare = {kind: items for kind, items in MODEL.items() if kind != "SizingPeriod:DesignDay"}
     assert apply(bare, Site(PLACE, DAYS)) == bare | {"Site:Location": PLACE}
+
+
+@pytest.mark.parametrize(
+    ("edits", "sites", "kinds"),
+    [
+        ({"site:location": {"*": {"latitude": 10.0}}}, [Site(PLACE)], ["Site:Location"]),
+        ({"SizingPeriod:DesignDay": {"cold": {"month": 1}}}, [Site(PLACE, DAYS)], ["SizingPeriod:DesignDay"]),
+        ({"SizingPeriod:DesignDay": {"cold": {"month": 1}}}, [Site(PLACE, DAYS), Site(PLACE)], []),
+        ({"Site:Location": {"*": {"latitude": 10.0}}}, [None], []),
+        ({"Site:Location": {"*": {"latitude": 10.0}}}, [], []),
+        ({"SizingPeriod:DesignDay": {"*": None}, "Zone": {"*": {}}}, [Site(PLACE, DAYS)], []),
+    ],
+)
+def test_check_edits__edits_of_what_is_replaced_are_refused(
+    edits: dict[str, Any], sites: list[Site | None], kinds: list[str]
+) -> None:
+    if not kinds:
+        check_edits(edits, sites)
+        return
+    with pytest.raises(InvalidConfig, match=rf"^edits: {kinds[0]} '.*' has no effect, .*`sizing: model` keeps"):
+        check_edits(edits, sites)
 
 
 @pytest.mark.slow

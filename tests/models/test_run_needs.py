@@ -177,6 +177,16 @@ def test_plan__model_without_design_days_and_weather_without_them_is_refused(
 
 
 @pytest.mark.process
+def test_plan__edit_of_the_location_needs_the_models_own() -> None:
+    settings = {"building": "ref-small-office", "weather": "USA_CO_Denver", "begin": "07-01", "end": "07-01"}
+    settings |= {"edits": {"Site:Location": {"*": {"latitude": 10.0}}}}
+    with pytest.raises(InvalidConfig, match="Site:Location '\\*' has no effect"):
+        plan(read_config(settings))
+    own = plan(read_config({**settings, "sizing": "model"})).building.objects["Site:Location"]
+    assert [place["latitude"] for place in own.values()] == [10.0]
+
+
+@pytest.mark.process
 def test_plan__weather_file_in_which_an_hour_is_missing_is_refused(tmp_path: Path) -> None:
     path = weather(tmp_path, _move_hours)
     with pytest.raises(InvalidConfig, match=r"changed\.epw, line 86: the record is for 01-04, hour 10"):
