@@ -6,6 +6,7 @@ import copy
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass
+from datetime import datetime
 from typing import Any, NoReturn
 
 import numpy as np
@@ -96,6 +97,7 @@ class BranchVectorEnv(BuildingVectorEnv):
         if self._state.limits is not None:
             self._state.limits.adopt(state["limits"])
         self._state.context = [dict(state["context"]) for _ in range(count)]
+        self._state.programs = state["programs"]
         self._sample = VectorSample(link.set_current(_repeated(sample, count)))
         episode_start = EpisodeStart(
             engine_start=start["engine_start"], weather=start["weather"], noise_parameters=start["weather_noise"]
@@ -232,8 +234,10 @@ class BranchVectorEnv(BuildingVectorEnv):
             points: points at the sample of each timestep; empty if no action is relative to them.
         """
         assert self._sample is not None
+        begin = self._begin()
         values, codes = [], []
         for number in range(sequences.shape[1]):
+            self._state.apply_programs(begin + number * self._timestep, self.set_context)
             values.append(self._actions.rows(sequences[:, number], self.num_envs))
             at = points[number] if points else self._sample.fault_free_values
             codes.append(self._actions.complete(values[-1], at, self._state.context))
@@ -242,6 +246,15 @@ class BranchVectorEnv(BuildingVectorEnv):
         every = bytes([CommandOp.SET]) * values[0].size
         joined = b"".join(every if code is None else code for code in codes)
         return np.stack(values), np.frombuffer(joined, np.uint8).reshape(len(codes), *values[0].shape)
+
+    def _command(self, actions: ArrayLike, unread: Sequence[int]) -> tuple[NDArray[np.float64], bytes | None]:
+        self._state.apply_programs(self._begin(), self.set_context)
+        return super()._command(actions, unread)
+
+    def _begin(self) -> datetime:
+        """Return the time at which the next timestep begins; the running slots have the same."""
+        assert self._sample is not None
+        return self._sample.times[int((~self._done).argmax())]
 
     def _simulate(self, values: NDArray[np.float64], operations: NDArray[np.uint8] | None) -> list[VectorSample]:
         link = self._branch_link

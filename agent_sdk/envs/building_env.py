@@ -318,7 +318,15 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             Of each alternative, a sample for each timestep, at most until the end of the run period.
         """
         link, sample = self._forkable_link(), self._running_sample()
-        return link.trial(trial_of_actions(self._actions, actions, sample, self._state.context))
+        pending, programs = self._state.context, self._state.context_programs()
+
+        def context_at(timestep: int) -> dict[int, float | None]:
+            context = {} if timestep else dict(pending)
+            for program in programs:
+                context |= self._actions.context(program(sample.time + timestep * self._timestep))
+            return context
+
+        return link.trial(trial_of_actions(self._actions, actions, sample, context_at))
 
     @classmethod
     def _continue_at(
@@ -330,6 +338,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         env._sample = link.set_current(sample.message)
         env._infos.episode_start = start
         env._state.restore(state)
+        env._state.programs = copy.deepcopy(state["programs"])
         env._connection.push_exit(undo.pop_all())
         return env
 
@@ -373,6 +382,8 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         if previous is None or self._ended or self._connection.closed:
             self._connection.check_open()
             raise EpisodeChanged("the episode is over; call reset()" if previous else "call reset() before step()")
+        if self._state.programs:
+            self._state.apply_programs(previous.time, self.set_context)
         values, operations = self._actions.command(action, previous.fault_free_values, self._state.context)
         self.link.send(values, operations)
         self._pending = action, self._actions.commanded(values, operations)

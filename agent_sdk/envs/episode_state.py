@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
 from typing import Any, Generic, TypeVar
 from weakref import WeakKeyDictionary, WeakSet
 
@@ -17,6 +18,9 @@ from zenostat.agent_sdk.rewards import BoundReward
 from zenostat.agent_sdk.rewards.base import Begin
 
 C = TypeVar("C")
+Context = Mapping[str, float | None]
+ContextProgram = Callable[[datetime], Context]
+"""Returns changes of the context at the beginning of each timestep, in order; can be copied with its state."""
 
 
 def _nan_like(numbers: Mapping[str, Any]) -> dict[str, Any]:
@@ -39,12 +43,14 @@ class EpisodeState(Generic[C]):
         reward, limits: Those of the task; None if it has none.
         context: Values of actuators outside the actions for the next command.
         wrappers: The SDK's wrappers around the environment that have a state.
+        programs: What sets the context of a branch, in place of its parent's wrappers.
     """
 
     reward: BoundReward | None
     limits: TerminationLimits | None
     context: C
     wrappers: WeakSet[Any] = field(default_factory=WeakSet)
+    programs: list[ContextProgram] = field(default_factory=list)
     _reset_entries: dict[str, Any] | None = None
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
@@ -69,16 +75,28 @@ class EpisodeState(Generic[C]):
         return copy.deepcopy(self._reset_entries)
 
     def capture(self) -> dict[str, Any]:
-        """Return an independent copy of the state of reward, limits and context."""
+        """Return an independent copy of the state of reward, limits and context, and what will set the context."""
         reward = self.reward.state() if self.reward is not None else {}
-        return copy.deepcopy({"reward": reward, "limits": self.limits, "context": self.context})
+        state = copy.deepcopy({"reward": reward, "limits": self.limits, "context": self.context})
+        return state | {"programs": self.context_programs()}
+
+    def context_programs(self) -> list[ContextProgram]:
+        """Return copies of what will set the context; the innermost wrapper is the last one."""
+        wrappers = sorted(self.wrappers, key=lambda wrapper: wrapper.depth, reverse=True)
+        programs = (wrapper.context_program() for wrapper in wrappers)
+        return copy.deepcopy(self.programs) + [program for program in programs if program is not None]
+
+    def apply_programs(self, begin: datetime, set_context: Callable[[Context], None]) -> None:
+        """Set the context of the timestep of a branch that begins at that time."""
+        for program in self.programs:
+            set_context(program(begin))
 
     def wrapper_states(self) -> WeakKeyDictionary[Any, Any]:
         """Return the state of each wrapper."""
         return WeakKeyDictionary({wrapper: wrapper.snapshot_state() for wrapper in self.wrappers})
 
     def restore(self, state: Mapping[str, Any]) -> None:
-        """Restore a captured state."""
+        """Restore a captured state; wrappers restore what sets the context."""
         state = copy.deepcopy(dict(state))
         if self.reward is not None:
             self.reward.restore(state["reward"])

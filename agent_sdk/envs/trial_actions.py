@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,7 @@ from zenostat.topics.messages import CommandOp, TrySteps
 
 
 def trial_of_actions(
-    actions: Actions, alternatives: ArrayLike, sample: SampleView, context: Mapping[int, float | None]
+    actions: Actions, alternatives: ArrayLike, sample: SampleView, context_at: Callable[[int], dict[int, float | None]]
 ) -> TrySteps:
     """Return the request for a trial of actions.
 
@@ -24,7 +24,7 @@ def trial_of_actions(
         actions: Of the environment.
         alternatives: Elements of the action space, shape (alternatives, timesteps, *action shape).
         sample: The present sample.
-        context: Values of further actuators in the next timestep, by position.
+        context_at: Returns the values of further actuators in a timestep, by position; called for each in order.
 
     Raises:
         InvalidAction: Wrong shape, out of bounds, not finite, or no such choice; the text names alternative and
@@ -40,12 +40,12 @@ def trial_of_actions(
         raise InvalidConfig(
             "relative actions can be tried for one timestep at a time; branch(slots=...).rollout() simulates several"
         )
+    contexts = [context_at(timestep) for timestep in range(timesteps)]
     values, codes = [], []
     for number, sequence in enumerate(sequences):
-        remaining = dict(context)
-        for timestep, action in enumerate(sequence):
+        for timestep, (action, context) in enumerate(zip(sequence, contexts, strict=True)):
             try:
-                row, operations = actions.command(action, sample.fault_free_values, remaining)
+                row, operations = actions.command(action, sample.fault_free_values, dict(context))
             except InvalidAction as error:
                 raise InvalidAction(f"alternative {number}, timestep {timestep}: {error}") from None
             values.append(row)

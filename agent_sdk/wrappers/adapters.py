@@ -18,10 +18,11 @@ from gymnasium.vector.utils import batch_space
 from gymnasium.wrappers.utils import create_zero_array
 from numpy.typing import ArrayLike, NDArray
 
+from zenostat.agent_sdk.envs.episode_state import ContextProgram
 from zenostat.agent_sdk.envs.snapshot import Snapshot
 from zenostat.agent_sdk.envs.space_names import SpaceNames, by_name
 from zenostat.agent_sdk.wrappers.base import EnvView, Infos, ResetBatch, StepBatch, Values, WrapperLogic
-from zenostat.agent_sdk.wrappers.names import action_names_of, inside, names_of
+from zenostat.agent_sdk.wrappers.names import action_names_of, inside, layers, names_of
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.typing_compat import override
 
@@ -97,6 +98,15 @@ class BuildingWrapper(RecordConstructorArgs, _EnvOrVectorEnv):  # type: ignore[m
             InvalidConfig: the observation has another shape, such as that of another layer.
         """
         return by_name(self.observation_names, observation, f"{type(self).__name__}.observation_dict")
+
+    @property
+    def depth(self) -> int:
+        """Number of layers from this one to the unwrapped environment."""
+        return sum(1 for _ in layers(self))
+
+    def context_program(self) -> ContextProgram | None:
+        """Return what sets the context of a branch in place of this wrapper; None if it does not set any."""
+        return self._logic.context_program()
 
     def release(self) -> None:
         """Close the wrapper but not the environment. Idempotent."""

@@ -11,6 +11,7 @@ from gymnasium.spaces import Box, Space
 from gymnasium.vector import VectorEnv
 from numpy.typing import NDArray
 
+from zenostat.agent_sdk.envs.episode_state import ContextProgram
 from zenostat.agent_sdk.wrappers import names
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
@@ -197,6 +198,10 @@ class WrapperLogic:
     def convert_infos(self, infos: dict[str, Any]) -> dict[str, Any]:
         """Return the infos as this wrapper shows them: those of a single environment, or of a vector."""
         return infos
+
+    def context_program(self) -> ContextProgram | None:
+        """Return an independent copy of what sets the context of this environment; None if this does not set any."""
+        return None
 
     def get_state(self) -> list[dict[str, Any]]:
         """Return the state of each slot as plain values."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
 from datetime import datetime
@@ -41,17 +43,40 @@ class _TimeTable:
             raise InvalidConfig(f"{label}: the times of a table should all be like '07:30', or all like '07-01 07:30'")
         self._daily = len(self._keys[0]) == 2
 
-    def at(self, time: datetime) -> Context:
+    def __call__(self, time: datetime, random: np.random.Generator) -> Context:  # noqa: ARG002  # as a `Schedule`
         """Return the value that is valid at that time."""
         key = (time.hour, time.minute) if self._daily else (time.month, time.day, time.hour, time.minute)
         return self._values[bisect_right(self._keys, key) - 1]
 
 
+class _Program:
+    """Changes of the context of one slot.
+
+    Args:
+        schedule: gives the values at a time.
+        random: generator of the schedule.
+        values: values that were set so far; a call adds to them.
+    """
+
+    def __init__(self, schedule: Schedule, random: np.random.Generator, values: dict[str, float | None]) -> None:
+        self._schedule, self._random, self._values = schedule, random, values
+
+    def __call__(self, time: datetime) -> Context:
+        """Return the changes for the timestep that begins at that time, which follows that of the previous call."""
+        changes = self.changes(time)
+        self._values |= changes
+        return changes
+
+    def changes(self, time: datetime) -> Context:
+        """Return the values at that time that were not set already."""
+        context, values = self._schedule(time, self._random), self._values
+        return {name: value for name, value in context.items() if name not in values or values[name] != value}
+
+
 class _Logic(WrapperLogic):
     def __init__(self, view: EnvView, schedule: Mapping[str, Context] | Schedule) -> None:
         super().__init__(view)
-        self._table = None if callable(schedule) else _TimeTable(schedule, view.wrapper_name)
-        self._schedule = schedule if callable(schedule) else None
+        self._schedule = schedule if callable(schedule) else _TimeTable(schedule, view.wrapper_name)
         self._randoms = SlotRandomStreams(view.env, view.wrapper_name, view.slots)
         self._now: dict[int, datetime] = {}
         self._set: list[dict[str, float | None]] = [{} for _ in range(view.slots)]
@@ -62,7 +87,7 @@ class _Logic(WrapperLogic):
             self._now[slot], self._set[slot] = start.infos.time(row), {}
         # A caller's own context after the reset replaces that of a table. A function draws once for each timestep,
         # and at a snapshot only after its random generator has been restored.
-        if self._table is not None:
+        if isinstance(self._schedule, _TimeTable):
             self._apply(start.slots)
         return start.observations
 
@@ -71,25 +96,27 @@ class _Logic(WrapperLogic):
         return actions
 
     def _apply(self, slots: list[int]) -> None:
-        contexts = [self._context(slot) for slot in slots]
-        changes = [
-            {
-                name: value
-                for name, value in context.items()
-                if name not in self._set[slot] or self._set[slot][name] != value
-            }
-            for slot, context in zip(slots, contexts, strict=True)
-        ]
+        changes = [self._program(slot).changes(self._now[slot]) for slot in slots]
         if any(changes):
             self.view.call_each(slots, "set_context", changes)
         for slot, values in zip(slots, changes, strict=True):
             self._set[slot] |= values
 
-    def _context(self, slot: int) -> Context:
-        if self._table is not None:
-            return self._table.at(self._now[slot])
-        assert self._schedule is not None
-        return self._schedule(self._now[slot], self._randoms[slot])
+    def _program(self, slot: int) -> _Program:
+        return _Program(self._schedule, self._randoms[slot], self._set[slot])
+
+    def context_program(self) -> _Program | None:
+        """Return what sets the context of a branch: a copy of the schedule, with the state of its generator."""
+        if self.view.vector or not self._now:
+            return None
+        try:
+            return copy.deepcopy(self._program(0))
+        except Exception as error:
+            warnings.warn(
+                f"{self.view.wrapper_name}: branches keep the present context, because the schedule cannot be copied: "
+                f"{error}", stacklevel=2,
+            )  # fmt: skip
+            return None
 
     def step(self, step: StepBatch) -> tuple[Values, Values]:
         for row, slot in enumerate(step.slots):
@@ -112,7 +139,7 @@ class ChangingContext(BuildingWrapper):
             `"07-01 07:00"`), in which each entry is valid until the next one; or a function of the time and of a
             random generator that `reset(seed=)` seeds. The value None relinquishes an actuator. An actuator that is
             not named keeps its value. A `set_context` after the reset or a step replaces a table's value until the
-            table changes it.
+            table changes it. Branches of the building continue with a copy of the schedule and its generator.
 
     Raises:
         InvalidConfig: the table is invalid. `InvalidAction` at a reset or step: the node does not have the actuator, an

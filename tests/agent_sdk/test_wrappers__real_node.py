@@ -2,6 +2,7 @@
 
 import csv
 from collections.abc import Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Any
 
@@ -129,3 +130,35 @@ def test_wrappers__chain_as_data_around_a_scenario(building: gym.Env[Any, Any]) 
     assert observation.shape == reward.shape == (2,)
     assert reward.tolist() == [info["reward_terms"]["comfort"], info["reward_terms"]["energy"]]
     assert set(info["dropped"]) >= {"outdoor", "power", f"{DRY}_in_2h"}
+
+
+def draw_context(_: datetime, random: np.random.Generator) -> dict[str, float | None]:
+    return {"side_cooling": float(random.uniform(23.0, 29.0))}
+
+
+HOURS = {f"{hour:02}:00": {"side_cooling": 23.0 if hour % 2 else 29.0} for hour in range(24)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("schedule", [HOURS, draw_context], ids=["table", "function"])
+def test_branches__continue_the_schedule_of_the_context(building: gym.Env[Any, Any], schedule: Any) -> None:
+    outer = {f"{hour:02}:00": {"side_cooling": 24.0 + hour / 24.0} for hour in range(24)}
+    env, base = w.ChangingContext(w.ChangingContext(building, schedule), outer), building.unwrapped
+    action = np.array([26.0], np.float32)
+    env.reset(seed=1)
+    for _ in range(3):
+        env.step(action)
+    plan = np.tile(action, (2, 8, 1))
+    with base.snapshot() as snapshot:  # type: ignore[attr-defined]
+        planned, tried = base.plan(plan)[1], base.try_steps(plan)[1]  # type: ignore[attr-defined]
+        with base.branch() as branch, base.branch(slots=2) as branches:  # type: ignore[attr-defined]
+            single = [branch.step(action)[4]["effective"].tolist() for _ in range(8)]
+            stepped = [branches.step(plan[:, 0])[4]["effective"][1].tolist() for _ in range(8)]
+        steps = [env.step(action) for _ in range(8)]
+        effective = [info["effective"].tolist() for *_, info in steps]
+        assert len({side for _, side in effective}) > 1
+        assert single == stepped == effective
+        assert [sample.effective.tolist() for sample in tried] == effective
+        assert planned.tolist() == [reward for _, reward, *_ in steps]
+        for _ in range(2):  # a branch of a snapshot leaves its schedule as it was
+            assert base.plan(plan, snapshot=snapshot)[1].tolist() == planned.tolist()  # type: ignore[attr-defined]
