@@ -141,14 +141,18 @@ class BusWatch:
         for name, watch in [*self._nodes.items()]:
             description = watch.description
             if watch.state is None and description is not None and description.manifest.branch_of:
-                watch.close()
-                del self._nodes[name]
+                self._forget(name)
 
     def _forget_absent_node(self) -> None:
         """Forget a node that is not on the bus, one that has never answered before others."""
         absent = [(watch.description is not None, name) for name, watch in self._nodes.items() if watch.is_absent]
         if absent:
-            self._nodes.pop(min(absent)[1]).close()
+            self._forget(min(absent)[1])
+
+    def _forget(self, node: str) -> None:
+        watch = self._nodes.pop(node)
+        watch.close()
+        self.updates.remove(watch.topics)
 
     def _on_event(self, sample: zenoh.Sample) -> None:
         with self._lock:

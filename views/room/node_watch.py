@@ -71,13 +71,19 @@ class NodeWatch:
         self._wake.set()
 
     def close(self) -> None:
-        """End the thread, after the poll that is running."""
-        self._is_closed = True
+        """End the thread, after the poll that is running; nothing is published any more."""
+        with self._lock:
+            self._is_closed = True
         self._wake.set()
 
     def join(self, timeout_s: float) -> None:
         """Wait for the end of the thread."""
         self._thread.join(timeout_s)
+
+    @property
+    def topics(self) -> tuple[str, str]:
+        """The topics of its state and of its latest events."""
+        return f"node:{self.node}", f"events:{self.node}"
 
     @property
     def is_absent(self) -> bool:
@@ -191,12 +197,14 @@ class NodeWatch:
     def _publish(self) -> None:
         gone = {"node": self.node, "online": False, "problem": self.problem, "has_ended": self.has_ended}
         state = self.state or gone
-        self._updates.publish(f"node:{self.node}", to_json(state))
+        content, (state_topic, events_topic) = to_json(state), self.topics
         with self._lock:
-            latest, number = [*self._events][-_EVENTS_SENT:], self._event_number
-        if number != self._sent_number:
-            self._sent_number = number
-            self._updates.publish(f"events:{self.node}", to_json({"node": self.node, "events": latest}))
+            if self._is_closed:
+                return
+            self._updates.publish(state_topic, content)
+            if self._event_number != self._sent_number:
+                self._sent_number, latest = self._event_number, [*self._events][-_EVENTS_SENT:]
+                self._updates.publish(events_topic, to_json({"node": self.node, "events": latest}))
         self._on_change()
 
     def _rate(self) -> float | None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import AsyncGenerator, Iterable
+from collections.abc import AsyncGenerator, Callable, Iterable
 from contextlib import suppress
 
 _KEEP_ALIVE_S = 15.0
@@ -13,7 +13,7 @@ MAX_STREAMS = 200
 
 
 class Updates:
-    """The latest message of each topic; publishing is thread-safe, everything else is for the loop's thread.
+    """The latest message of each topic; `publish` and `remove` are thread-safe, all else is for the loop's thread.
 
     A page that is slow misses messages, since a newer one replaces one that is not sent yet: neither memory nor other
     pages depend on it.
@@ -36,12 +36,20 @@ class Updates:
 
     def publish(self, topic: str, message: bytes) -> None:
         """Replace the latest message of a topic, JSON without line breaks."""
-        loop = self._loop
-        if loop is None:
-            self._latest[topic] = message
+        self._in_loop(self._set, topic, message)
+
+    def remove(self, topics: Iterable[str]) -> None:
+        """Forget the latest messages of some topics; thread-safe."""
+        for topic in topics:
+            self._in_loop(self._latest.pop, topic, None)
+
+    def _in_loop(self, function: Callable[..., object], *arguments: object) -> None:
+        """Call a function in the loop's thread, or at once before there is a loop."""
+        if self._loop is None:
+            function(*arguments)
             return
         with suppress(RuntimeError):  # the loop is closed
-            loop.call_soon_threadsafe(self._set, topic, message)
+            self._loop.call_soon_threadsafe(function, *arguments)
 
     def _set(self, topic: str, message: bytes) -> None:
         self._latest[topic] = message
