@@ -1,5 +1,6 @@
 """The nodes of a bus as the control room follows them, on a bus that is none."""
 
+import json
 from collections.abc import Iterator
 from types import SimpleNamespace
 from typing import Any
@@ -14,6 +15,7 @@ pytest.importorskip("starlette")
 from zenostat.topics import keys
 from zenostat.topics.errors import NodeLost, RequestRejected
 from zenostat.topics.messages import Manifest
+from zenostat.views.room import bus_watch
 from zenostat.views.room.bus_watch import BusWatch
 from zenostat.views.room.updates import Updates
 
@@ -46,8 +48,7 @@ def updates() -> Updates:
 
 @pytest.fixture
 def watch(updates: Updates) -> Iterator[BusWatch]:
-    bus: Any = EndedNodesBus()
-    started = BusWatch(bus, updates)
+    started = BusWatch(EndedNodesBus(), updates)  # type: ignore[arg-type]
     yield started
     started.close()
 
@@ -63,3 +64,36 @@ def test_bus_watch__messages_of_branches_that_have_ended_are_forgotten(watch: Bu
         until(lambda node=node: f"node:{node}" in updates._latest, f"{node} is polled")
     assert [each.node for each in watch.watches()] == ["tank", "tank.b2"]
     assert {topic for topic in updates._latest if topic != "overview"} == {"node:tank", "node:tank.b2"}
+
+
+class CountingUpdates(Updates):
+    """Keeps the names of each list of all nodes that is published."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.overviews: list[list[str]] = []
+
+    def publish(self, topic: str, message: bytes) -> None:
+        super().publish(topic, message)
+        if topic == "overview":
+            self.overviews.append([entry["node"] for entry in json.loads(message)["nodes"]])
+
+
+@pytest.mark.parametrize("period_s", [1e6, 0.0])
+def test_bus_watch__changes_within_a_period_are_one_message(monkeypatch: pytest.MonkeyPatch, period_s: float) -> None:
+    monkeypatch.setattr(bus_watch, "OVERVIEW_S", period_s)
+    updates = CountingUpdates()
+    watch = BusWatch(EndedNodesBus(), updates)  # type: ignore[arg-type]
+    try:
+        until(lambda: updates.overviews == [[]], "the list without nodes is published")
+        nodes = [f"tank{number:02}" for number in range(20)]
+        for node in nodes:
+            connect(watch, node)
+        until(lambda: all(each.polls for each in watch.watches()), "all nodes are polled")
+        assert [entry["node"] for entry in watch.overview()] == nodes
+        if period_s:
+            assert updates.overviews == [[]]
+        else:
+            until(lambda: updates.overviews[-1] == nodes, "the list with all nodes is published")
+    finally:
+        watch.close()

@@ -24,6 +24,9 @@ from zenostat.views.room.updates import Updates
 MAX_NODES = 500
 """Largest number of nodes that are followed; names on the bus cost nothing to invent."""
 
+OVERVIEW_S = 0.5
+"""Least time between two messages with the entries of all nodes, however many nodes change."""
+
 _JOIN_S = 2.0
 
 
@@ -41,7 +44,8 @@ class BusWatch:
         self._lock = threading.Lock()
         self._quiet: Counter[str] = Counter()
         self._not_followed: set[str] = set()
-        self._is_closed = False
+        self._is_changed, self._closed = threading.Event(), threading.Event()
+        self._publisher = threading.Thread(target=self._publish, name="room-overview", daemon=True)
         with ExitStack() as undo:
             session = bus.session
             tokens: Any = session.liveliness().declare_subscriber(
@@ -51,11 +55,13 @@ class BusWatch:
             events: Any = session.declare_subscriber(keys.EVENT.at("*"), Callback(self._on_event, indirect=False))
             undo.callback(undeclare, events)
             self._close = undo.pop_all()
-        self._publish()
+        self._is_changed.set()
+        self._publisher.start()
 
     def close(self) -> None:
         """Stop following; wait a moment for requests that are running."""
-        self._is_closed = True
+        self._closed.set()
+        self._is_changed.set()
         self._close.close()
         with self._lock:
             watches = [*self._nodes.values()]
@@ -64,6 +70,7 @@ class BusWatch:
         deadline = time.monotonic() + _JOIN_S
         for watch in watches:
             watch.join(max(0.0, deadline - time.monotonic()))
+        self._publisher.join(max(0.0, deadline - time.monotonic()))
 
     def find(self, node: str) -> NodeWatch:
         """Return a node that is, or was, on the bus.
@@ -128,13 +135,13 @@ class BusWatch:
 
     def _follow(self, node: str) -> None:
         """Follow a node from now on; with the lock."""
-        if self._is_closed:
+        if self._closed.is_set():
             return
         self._forget_ended_branches()
         if len(self._nodes) >= MAX_NODES:
             self._forget_absent_node()
         if len(self._nodes) < MAX_NODES:
-            self._nodes[node] = NodeWatch(self.bus, node, self.updates, self._publish)
+            self._nodes[node] = NodeWatch(self.bus, node, self.updates, self._is_changed.set)
 
     def _forget_ended_branches(self) -> None:
         """Forget the branches that have ended; planning controllers make many of them."""
@@ -164,8 +171,11 @@ class BusWatch:
         except BadMessage:  # of a stranger
             return
 
-    # In threads of the nodes
+    # In a thread
 
     def _publish(self) -> None:
-        if not self._is_closed:
+        """Publish the entries of all nodes after changes, several of them at once."""
+        while self._is_changed.wait() and not self._closed.is_set():
+            self._is_changed.clear()
             self.updates.publish("overview", to_json({"nodes": self.overview()}))
+            self._closed.wait(OVERVIEW_S)

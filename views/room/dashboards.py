@@ -64,7 +64,7 @@ def _node_metrics(node: NodeWatch) -> Iterator[_Metric]:
         return
     entry, state = node.summary, node.state
     yield "zenostat_node_up", {}, state is not None
-    if entry is None or state is None:
+    if entry is None or state is None or not entry["online"]:
         return
     prefix = "zenostat_node_"
     simple = {

@@ -47,6 +47,7 @@ class NodeWatch:
         problem: why it is not reachable; empty while it is.
         has_ended: whether it was stopped, or is a replay that has ended.
         polls: number of polls.
+        summary: its entry in the list of nodes, of the latest poll; None before the first one.
     """
 
     def __init__(self, bus: Bus, node: str, updates: Updates, on_change: Callable[[], None]) -> None:
@@ -56,6 +57,7 @@ class NodeWatch:
         self.problem = "not polled yet"
         self.has_ended = self._is_stopped = False
         self.polls = 0
+        self.summary: dict[str, Any] | None = None
         self._bus, self._updates, self._on_change = bus, updates, on_change
         self._events: deque[dict[str, Any]] = deque(maxlen=_EVENTS)
         self._event_number = self._sent_number = 0
@@ -95,14 +97,6 @@ class NodeWatch:
         """Whether it is a branch of another node."""
         return self.description is not None and bool(self.description.manifest.branch_of)
 
-    @property
-    def summary(self) -> dict[str, Any] | None:
-        """Its entry in the list of nodes; None before the first poll."""
-        if self.description is None:
-            return None
-        entry = summary(self.description, self.state, self._rate(), self.problem)
-        return entry | {"has_ended": self.has_ended}
-
     def events(self) -> list[dict[str, Any]]:
         """Return the latest events, the newest one last."""
         with self._lock:
@@ -131,6 +125,9 @@ class NodeWatch:
         while not self._is_closed:
             self._wake.clear()
             self._poll()
+            if self.description is not None:
+                entry = summary(self.description, self.state, self._rate(), self.problem)
+                self.summary = entry | {"has_ended": self.has_ended}
             self.polls += 1
             if self._is_closed:
                 return
