@@ -36,9 +36,13 @@ def is_short(timesteps: int, step_s: float, plants: Mapping[str, GuardedPlant]) 
 
 
 class _Requests:
-    """The steps that the slots of a trial have begun: one request to each plant has those of all slots."""
+    """The steps that the slots of a trial have begun: one request to each plant has those of all slots.
+
+    Each plant is for one thread; loops that are solved at the same time have plants of their own.
+    """
 
     def __init__(self) -> None:
+        self._lock = threading.Lock()
         self._begun: dict[str, tuple[CoupledPlant, list[tuple[TriedPlant, Floats]]]] = {}
         self._sent: dict[str, tuple[CoupledPlant, list[TriedPlant]]] = {}
         self._results: dict[TriedPlant, Rows] = {}
@@ -46,18 +50,23 @@ class _Requests:
 
     def add(self, name: str, plant: CoupledPlant, tried: TriedPlant, commands: Floats) -> None:
         """Add the commands of a slot, from the present sample on."""
-        self._begun.setdefault(name, (plant, []))[1].append((tried, commands))
+        with self._lock:
+            self._begun.setdefault(name, (plant, []))[1].append((tried, commands))
 
     def result(self, name: str, tried: TriedPlant) -> Rows:
         """Return the samples of a slot; the requests to all plants are sent before the first one is waited for."""
-        if tried not in self._results:
+        with self._lock:
+            if tried in self._results:
+                return self._results.pop(tried)
             if name not in self._sent:
                 self._send()
             if name in self._errors:
                 raise self._errors[name]
             plant, slots = self._sent.pop(name)
-            self._results |= dict(zip(slots, plant.finish_trial(), strict=True))
-        return self._results.pop(tried)
+        rows = dict(zip(slots, plant.finish_trial(), strict=True))
+        with self._lock:
+            self._results |= rows
+            return self._results.pop(tried)
 
     def _send(self) -> None:
         begun, self._begun = self._begun, {}

@@ -12,6 +12,7 @@ from support.coupled_plants import FakeCoupled, district_file, manifest_of, orch
 
 from zenostat.bridge.node.plant import Provenance, TryingPlant
 from zenostat.cosim.copies import DistrictCopy, PlantSnapshots
+from zenostat.cosim.coupled import GuardedPlant
 from zenostat.cosim.file import OnLost
 from zenostat.cosim.market_plant import MarketPlant, market_manifest
 from zenostat.cosim.plant import DistrictPlant, describe
@@ -103,6 +104,37 @@ def test_district_trials__equal_the_steps_and_leave_no_trace(
             copy.close()
         assert taken(plant, steps[number]) == expected[number]
     assert [len(plants[name].commands) for name in "abc"] == [4, 8, 4]
+
+
+def test_district_trials__plants_of_two_threads_have_one_request_each(tmp_path: Path) -> None:
+    """Loops that are solved at the same time: a thread asks for its samples while another one sends all requests."""
+    _, plants = district(tmp_path, ACYCLIC)
+    guarded = {
+        name: GuardedPlant(name, plants[name], OnLost.STOP, timeout_s=0.0, stop=threading.Event()) for name in "ac"
+    }
+    tried = PlantTrials(guarded).branches(threading.Event(), None)  # type: ignore[arg-type]
+    results: list[Any] = []
+    begin = plants["a"].begin_trial
+
+    def finish_c() -> None:
+        try:
+            results.append(tried["c"].finish())
+        except Exception as error:
+            results.append(error)
+
+    other = threading.Thread(target=finish_c)
+
+    def send(commands: Any) -> None:
+        other.start()
+        other.join(0.1)  # it ends only if it does not wait for this request
+        begin(commands)
+
+    plants["a"].begin_trial = send
+    for name in "ac":
+        tried[name].begin(np.zeros((1, 2)))
+    samples = tried["a"].finish()
+    other.join()
+    assert [type(result) for result in results] == [type(samples)], results
 
 
 def test_district_trials__plants_of_a_level_try_side_by_side(tmp_path: Path) -> None:
