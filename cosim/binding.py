@@ -13,7 +13,7 @@ from zenostat.bridge.node.plant import RunPeriod
 from zenostat.cosim.file import BUILDING_KINDS, Connection, DistrictFile, Resample, kind_of
 from zenostat.cosim.market_plant import Market
 from zenostat.cosim.resampling import Floats, Resampler
-from zenostat.cosim.topology import Topology, plant_of
+from zenostat.cosim.topology import MAX_POINT_NAME, Topology, plant_of
 from zenostat.topics.calendar import format_duration, parse_day
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor
@@ -173,6 +173,7 @@ def bind(file: DistrictFile, topology: Topology, manifests: Mapping[str, Manifes
     for name, manifest in manifests.items():
         if manifest.slots != 1:
             errors.add(("plants", name), f"plant {name!r} has {manifest.slots} slots; a plant of a district has one")
+        _check_point_names(name, manifest, errors)
     step_s = _timestep(file, manifests, errors)
     errors.raise_if_any()
     members = {name: Member(name, m, round(step_s / m.step_s)) for name, m in manifests.items()}
@@ -183,6 +184,16 @@ def bind(file: DistrictFile, topology: Topology, manifests: Mapping[str, Manifes
     markets = _markets(file, members, errors)
     errors.raise_if_any()
     return Binding(members, bound, _inputs(bound, members), topology, run_period, tuple(warnings), markets)
+
+
+def _check_point_names(plant: str, manifest: Manifest, errors: FileErrors) -> None:
+    """Report points that have too long a name together with that of their plant."""
+    points = (*manifest.points, *manifest.actuators, *manifest.task.actions)
+    for name in dict.fromkeys(point.name for point in points):
+        length = len(f"{plant}.{name}")
+        if length > MAX_POINT_NAME:
+            text = f"its point {plant}.{name} would have a name of {length} characters, of which there are at most "
+            errors.add(("plants", plant), f"{text}{MAX_POINT_NAME}; give plant {plant!r} a shorter name")
 
 
 def _markets(file: DistrictFile, members: Mapping[str, Member], errors: FileErrors) -> dict[str, Market]:

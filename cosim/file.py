@@ -82,6 +82,16 @@ Duration = Annotated[
 ]
 """Seconds, or a text such as `15min`."""
 
+
+def _whole_microseconds(value: float | str) -> float | str:
+    if isinstance(value, float) and (value < 1e-6 or round(value, 6) != value):
+        raise ValueError("a whole number of microseconds expected, at least 1")
+    return value
+
+
+Timestep = Annotated[Duration, AfterValidator(_whole_microseconds)]
+"""A duration that can be a timestep."""
+
 PlantName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_\-]{0,63}$")]
 """A name without dots: `office.zone_temperature` is the point `zone_temperature` of the plant `office`."""
 
@@ -171,7 +181,7 @@ class DistrictSpec(_Part):
 
     name: SafeName = Field("district", description="Name of the orchestrator's node.")
     about: str = Field("", description="Description for users.")
-    timestep: Duration | None = Field(
+    timestep: Timestep | None = Field(
         None, description="Seconds, or a text such as 15min; by default the longest timestep of the plants."
     )
     start: str | None = Field(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,8 +11,10 @@ from zenostat.cosim.graph import Graph, components, find_cycle, graph_of, is_loo
 from zenostat.topics.errors import did_you_mean
 from zenostat.topics.model_file import FileErrors
 
+MAX_POINT_NAME = 128
+"""Longest name of a point; see `zenostat.topics.messages.base.SafeName`."""
 MAX_NAME = 100
-"""Longest name of a connection or a loop: the names of points have 128 characters at most."""
+"""Longest name of a connection or a loop, which are parts of the names of points."""
 
 _KINDS = "`building` with `weather`, `scenario`, `plant`, `fmu`, `grid`, `district`, `market` or `node`"
 
@@ -216,10 +218,14 @@ def _order(file: DistrictFile, errors: FileErrors) -> Topology:
     graph = graph_of(file.spec.plants, edges(direct))
     order = components(graph)
     blocks: dict[tuple[str, ...], Block] = {}
+    names = set[str]()
     for component in order:
-        blocks[tuple(component)] = (
-            _block(component, connections, direct, torn) if is_loop(component, graph) else Block((tuple(component),))
-        )
+        if is_loop(component, graph):
+            name = _loop_name(component, names)
+            names.add(name)
+            blocks[tuple(component)] = _block(component, name, connections, direct, torn)
+        else:
+            blocks[tuple(component)] = Block((tuple(component),))
     in_loops = {connections[index].entry for block in blocks.values() for index in block.solved}
     for connection in connections:
         if connection.spec.solve and connection.entry not in in_loops:
@@ -233,8 +239,19 @@ def _order(file: DistrictFile, errors: FileErrors) -> Topology:
     return Topology(tuple(tuple(blocks[tuple(c)] for c in group) for group in groups))
 
 
+def _loop_name(component: Sequence[str], used: Collection[str]) -> str:
+    """Return the names of a loop's plants as one; a number follows where another loop has it."""
+    base = "-".join(component)
+    if len(base) > MAX_NAME:
+        base = f"{component[0]}-and-{len(component) - 1}-more"
+    name, number = base, 2
+    while name in used:
+        name, number = f"{base}-{number}", number + 1
+    return name
+
+
 def _block(
-    component: Sequence[str], connections: Sequence[Connection], direct: Sequence[int], torn: Graph[str]
+    component: Sequence[str], name: str, connections: Sequence[Connection], direct: Sequence[int], torn: Graph[str]
 ) -> Block:
     members = set(component)
     solved = [
@@ -246,9 +263,6 @@ def _block(
     ]
     entries = [connections[index].entry for index in solved]
     solved = [index for position, index in enumerate(solved) if entries.index(entries[position]) == position]
-    name = "-".join(component)
-    if len(name) > MAX_NAME:
-        name = f"{component[0]}-and-{len(component) - 1}-more"
     inner = {plant: [successor for successor in torn[plant] if successor in members] for plant in component}
     groups = levels(components(inner), inner)
     return Block(tuple(tuple(plant for (plant,) in group) for group in groups), tuple(solved), name)

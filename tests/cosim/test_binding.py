@@ -31,7 +31,7 @@ def bound(folder: Path, text: str, *, head: str = "", a: Any = None, b: Any = No
     file = district_file(folder, head + TEXT + (text or "  []\n"))
     manifests = {
         "a": manifest_of(POINTS, {}, meters={"heat": "J"}, **(a or {})),
-        "b": manifest_of({"x": "1"}, ACTUATORS, **(b or {})),
+        "b": manifest_of({"x": "1"}, **{"actuators": ACTUATORS, **(b or {})}),
     }
     return bind(file, check_file(file), manifests)
 
@@ -154,6 +154,15 @@ def test_timestep__what_does_not_divide_is_an_error(
 def test_run_period__begins_with_the_first_plant_or_on_the_day_of_the_file(folder: Path) -> None:
     assert bound(folder, "").run_period.begin == datetime(2001, 1, 1)
     assert bound(folder, "", head="start: 2026-07-03\n").run_period.begin == datetime(2026, 7, 3)
+
+
+def test_binding__points_names_are_not_too_long_with_that_of_their_plant(folder: Path) -> None:
+    long = "x" * 127
+    text = error_of(folder, "", b={"actuators": {long: ("1", None, None)}})
+    assert text == (
+        f"FILE:3: its point b.{long} would have a name of 129 characters, of which there are at most 128; give plant "
+        "'b' a shorter name"
+    )
 
 
 def test_binding__plant_with_several_slots_is_refused(folder: Path) -> None:

@@ -146,6 +146,16 @@ def test_file__solved_loop_is_one_block_in_the_order_of_a_trial(folder: Path) ->
     assert topology.groups == ((Block((("b",), ("a",)), (1,), "a-b"),), (Block((("c",),)),))
 
 
+def test_file__loops_have_names_of_their_own(folder: Path) -> None:
+    """Plants may have hyphens, so names of several may be equal when joined."""
+    text = "plants:\n" + "".join(f"  {name}: {{plant: 'p.py:P'}}\n" for name in ("a-b", "c", "a", "b-c"))
+    text += "connections:\n"
+    for one, back in (("a-b", "c"), ("a", "b-c")):
+        text += f"  - {{from: {one}.x, to: {back}.u}}\n"
+        text += f"  - {{from: {back}.x, to: {one}.u, solve: true, tolerance: 0.1}}\n"
+    assert sorted(block.name for block in check_file(district_file(folder, text)).loops) == ["a-b-c", "a-b-c-2"]
+
+
 def test_schema__accepts_what_the_file_accepts() -> None:
     schema = json_schema()
     jsonschema.Draft202012Validator.check_schema(schema)
@@ -168,7 +178,13 @@ def test_yaml_lines__each_value_has_its_line() -> None:
 
 
 @pytest.mark.parametrize(
-    ("timestep", "error"), [("0", "Input should be greater than 0, got 0"), ("[1]", "Input should be a valid number")]
+    ("timestep", "error"),
+    [
+        ("0", "Input should be greater than 0, got 0"),
+        ("[1]", "Input should be a valid number"),
+        ("1.0e-7", "a whole number of microseconds expected, at least 1"),
+        ("0.33333333333", "a whole number of microseconds expected, at least 1"),
+    ],
 )
 def test_file__duration_has_one_error(folder: Path, timestep: str, error: str) -> None:
     text = f"timestep: {timestep}\nplants:\n  a: {{plant: 'p.py:P'}}\n"
