@@ -10,6 +10,7 @@ from math import gcd, inf
 import numpy as np
 
 from zenostat.bridge.node.plant import RunPeriod
+from zenostat.bridge.python_plant.description import BEGIN
 from zenostat.cosim.file import BUILDING_KINDS, Connection, DistrictFile, Resample, kind_of
 from zenostat.cosim.market_plant import Market
 from zenostat.cosim.resampling import Floats, Resampler
@@ -294,8 +295,15 @@ def _begin(file: DistrictFile, members: Mapping[str, Member], errors: FileErrors
             text = f"plant {reference!r} begins on {begin:%m-%d}, not on {day:%m-%d}; leave out one of the two"
             errors.add(("start",), text)
         begin = datetime(day.year, day.month, day.day) if not buildings else begin
+    for name, own in begins.items():
+        is_building, is_market = name in buildings, file.spec.plants[name].market is not None
+        if not is_building and not is_market and own != BEGIN and _time_of_year(own) != _time_of_year(begin):
+            warnings.append(
+                f"{file.path}:{file.lines.at(('plants', name))}: plant {name!r} begins at {own:%Y-%m-%d %H:%M}, the "
+                f"district at {begin:%Y-%m-%d %H:%M}"
+            )
     for name in buildings:
-        if begins[name].replace(year=begin.year) != begin:
+        if _time_of_year(begins[name]) != _time_of_year(begin):
             errors.add(
                 ("plants", name),
                 f"plant {name!r} begins at {begins[name]:%m-%d %H:%M}, {reference!r} at {begin:%m-%d %H:%M}",
@@ -306,6 +314,10 @@ def _begin(file: DistrictFile, members: Mapping[str, Member], errors: FileErrors
                 f"{reference!r} on a {begin:%A}"
             )
     return begin
+
+
+def _time_of_year(time: datetime) -> tuple[int, ...]:
+    return time.month, time.day, time.hour, time.minute, time.second, time.microsecond
 
 
 def _transfer(

@@ -156,6 +156,16 @@ def test_run_period__begins_with_the_first_plant_or_on_the_day_of_the_file(folde
     assert bound(folder, "", head="start: 2026-07-03\n").run_period.begin == datetime(2026, 7, 3)
 
 
+@pytest.mark.parametrize("begin", ["2026-07-01T12:00:00", "2001-01-01T06:00:00", "2024-02-29T00:00:00"])
+def test_run_period__plant_that_begins_at_another_time_of_the_year_is_a_warning(folder: Path, begin: str) -> None:
+    (warning,) = bound(folder, "", b={"begin": begin}).warnings
+    expected = f":3: plant 'b' begins at {begin[:10]} {begin[11:16]}, the district at 2001-01-01 00:00"
+    assert warning.endswith(expected)
+    assert len(bound(folder, "", head="start: 2026-07-03\n", b={"begin": begin}).warnings) == 1
+    assert bound(folder, "", head="start: 2026-07-03\n", b={"begin": "2025-07-03T00:00:00"}).warnings == ()
+    assert bound(folder, "", head="start: 2026-07-03\n").warnings == ()  # a class without a calendar
+
+
 def test_binding__points_names_are_not_too_long_with_that_of_their_plant(folder: Path) -> None:
     long = "x" * 127
     text = error_of(folder, "", b={"actuators": {long: ("1", None, None)}})
