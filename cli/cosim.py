@@ -22,6 +22,7 @@ from zenostat.topics.messages import Mode, OnFull, Policy, State
 if TYPE_CHECKING:
     from zenostat.bridge.node.server import NodeServer
     from zenostat.cosim.plant import DistrictPlant
+    from zenostat.topics.messages import Manifest
 
 
 def cosim(
@@ -116,13 +117,13 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) ->
     config = read_settings(settings)
     if config.check:
         with err.status(f"checking {config.district}"):
-            district_node(config).check()
+            district_node(config, check_reward=check_reward).check()
         out.print(f"{config.district}: plants, connections, units and timesteps fit", markup=False, soft_wrap=True)
         return
     with progress() as bars, ExitStack() as stack:
         watch = _Watch(ProgressBar(bars, config.name or config.district.stem), once=once)
         print_line = partial(bars.console.print, markup=False, soft_wrap=True)
-        create = partial(district_node, observer=watch, program=True)
+        create = partial(district_node, observer=watch, program=True, check_reward=check_reward)
         node = start(stack, config, create, is_endpoint_explicit=is_endpoint_explicit, print_line=print_line)
         bars.console.print(greeting(node, ", ".join(node.settings.listen or node.settings.connect)))
         exposed = exposure(node.settings.listen, config.keys)
@@ -135,6 +136,14 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) ->
     if failure:
         err.print(failure, markup=False, soft_wrap=True)
         raise typer.Exit(1)
+
+
+def check_reward(manifest: Manifest) -> None:
+    """Bind the reward of a district to its points, as an environment does; `InvalidConfig` if it does not fit."""
+    from zenostat.agent_sdk.rewards import read_reward
+
+    assert manifest.task.reward is not None
+    read_reward(manifest.task.reward).bind(manifest)
 
 
 class _Watch:

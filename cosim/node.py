@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from zenostat.bridge.alarms.rules import point_alarms, read_rules
 from zenostat.bridge.faults import read_plan
 from zenostat.bridge.node.fault_injection import FaultInjection
 from zenostat.bridge.node.node import Node
-from zenostat.bridge.node.plant import PlantContext, PlantFactory, Provenance
+from zenostat.bridge.node.plant import PlantContext, PlantDescription, PlantFactory, Provenance
 from zenostat.bridge.node.server import Observer
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.bridge.runtime.affinity import Affinity
@@ -21,7 +21,10 @@ from zenostat.cosim.launch import PlantSet, input_files
 from zenostat.cosim.plant import DistrictPlant, describe
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.messages import Manifest
 from zenostat.topics.yaml12 import read_text
+
+CheckReward = Callable[[Manifest], None]
 
 _FINISH_S = 6.0
 """Time that the nodes of the plants may take to end."""
@@ -68,14 +71,21 @@ class DistrictNode(Node):
         settings: of the node.
         file: the district's file.
         observer, program: see `zenostat.bridge.node.node.Node`.
+        check_reward: see `district_node`.
     """
 
     plant: DistrictPlant
 
     def __init__(
-        self, settings: DistrictSettings, file: DistrictFile, observer: Observer | None = None, *, program: bool = False
+        self,
+        settings: DistrictSettings,
+        file: DistrictFile,
+        observer: Observer | None = None,
+        *,
+        program: bool = False,
+        check_reward: CheckReward | None = None,
     ) -> None:
-        self._plants, self._file = PlantSet(file), file
+        self._plants, self._file, self._check_reward = PlantSet(file), file, check_reward
         super().__init__(settings, self._open, observer, program=program, finish_s=_FINISH_S)
 
     def _open(self) -> PlantFactory:
@@ -85,6 +95,7 @@ class DistrictNode(Node):
         description = describe(
             binding, settings.name, read_text(file.path), provenance, file.spec.reward, self._plants.systems()
         )
+        self._bind_reward(description)
         if settings.faults is not None:  # so that its errors are reported before the episode begins
             FaultInjection(read_plan(settings.faults), description, settings.slots)
         if settings.alarms is not None:
@@ -94,6 +105,18 @@ class DistrictNode(Node):
             return DistrictPlant(binding, description, self._plants.guarded(), file.spec.solver, self._plants.stop)
 
         return create
+
+    def _bind_reward(self, description: PlantDescription) -> None:
+        """Report a reward that does not fit the points, at its line."""
+        if self._check_reward is None or description.task.reward is None:
+            return
+        try:
+            self._check_reward(_manifest(self.settings, description))
+        except InvalidConfig as error:
+            errors = self._file.errors()
+            for line in str(error).splitlines():
+                errors.add(("reward",), line)
+            errors.raise_if_any()
 
     def check(self) -> None:
         """Check the settings and the file against the plants' points; the nodes that this needs are ended."""
@@ -108,10 +131,41 @@ class DistrictNode(Node):
         self._plants.close()
 
 
+def _manifest(settings: NodeSettings, description: PlantDescription) -> Manifest:
+    """Return what the node will publish, as far as a reward depends on it."""
+    period = description.run_period
+    return Manifest(
+        node=settings.name,
+        instance="",
+        building=description.name,
+        begin=period.begin.isoformat(),
+        end=period.end.isoformat(),
+        step_s=period.step_s,
+        steps=period.steps,
+        mode=settings.mode,
+        policy=settings.policy,
+        sensors=description.sensors,
+        meters=description.meters,
+        actuators=description.actuators,
+        task=description.task,
+        versions=description.versions,
+    )
+
+
 def district_node(
-    settings: DistrictSettings, observer: Observer | None = None, *, program: bool = False
+    settings: DistrictSettings,
+    observer: Observer | None = None,
+    *,
+    program: bool = False,
+    check_reward: CheckReward | None = None,
 ) -> DistrictNode:
-    """Return a node that is not started yet; see `zenostat.bridge.node.node.Node` for the arguments.
+    """Return a node that is not started yet; see `zenostat.bridge.node.node.Node` for the other arguments.
+
+    Args:
+        settings: of the node.
+        observer: see there.
+        program: see there.
+        check_reward: called with the district's manifest if it has a reward; raises `InvalidConfig` if it does not fit.
 
     Raises:
         InvalidConfig: the file cannot be read, or does not have the form of a district.
@@ -121,4 +175,4 @@ def district_node(
     """
     file = read_district(settings.district)
     named = settings.model_copy(update={"name": settings.name or file.spec.name})
-    return DistrictNode(named, file, observer, program=program)
+    return DistrictNode(named, file, observer, program=program, check_reward=check_reward)

@@ -1,6 +1,7 @@
 """Districts in real processes: exact, recorded, killed, and with plants that are lost."""
 
 import importlib.util
+import re
 import shutil
 import signal
 import threading
@@ -450,6 +451,21 @@ def test_district__errors_of_plants_have_their_line_and_leave_nothing(
 ) -> None:
     with pytest.raises(error, match=expected):
         NodeProgram(scratch / "node", module="zenostat.cosim", district=str(district(scratch, text)), check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("reward", "expected"),
+    [
+        ("{kind: nonsense, foo: 1}", "district.yaml:2: .*nonsense"),
+        ("{kind: district, consumption: house.powr}", "district.yaml:2: .*house.powr"),
+    ],
+)
+def test_district__reward_is_checked_with_the_points(scratch: Path, reward: str, expected: str) -> None:
+    file = district(scratch, PAIR.replace("name: pair\n", f"name: pair\nreward: {reward}\n"))
+    done = run_python("-P", "-m", "zenostat.cli.main", "cosim", str(file), "--check")
+    assert done.returncode != 0
+    assert re.search(expected, done.stderr), done.stderr
 
 
 @pytest.mark.slow
