@@ -116,8 +116,11 @@ def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool, once: bool) ->
 
     config = read_settings(settings)
     if config.check:
+        checked = district_node(config, check_reward=check_reward)
         with err.status(f"checking {config.district}"):
-            district_node(config, check_reward=check_reward).check()
+            checked.check()
+        for warning in checked.warnings:
+            out.print(f"warning: {warning}", style="yellow", markup=False, soft_wrap=True)
         out.print(f"{config.district}: plants, connections, units and timesteps fit", markup=False, soft_wrap=True)
         return
     with progress() as bars, ExitStack() as stack:

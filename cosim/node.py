@@ -72,6 +72,9 @@ class DistrictNode(Node):
         file: the district's file.
         observer, program: see `zenostat.bridge.node.node.Node`.
         check_reward: see `district_node`.
+
+    Attributes:
+        warnings: on the district, known as soon as its plants are open.
     """
 
     plant: DistrictPlant
@@ -86,6 +89,7 @@ class DistrictNode(Node):
         check_reward: CheckReward | None = None,
     ) -> None:
         self._plants, self._file, self._check_reward = PlantSet(file), file, check_reward
+        self.warnings: tuple[str, ...] = ()
         super().__init__(settings, self._open, observer, program=program, finish_s=_FINISH_S)
 
     def _open(self) -> PlantFactory:
@@ -95,6 +99,7 @@ class DistrictNode(Node):
         description = describe(
             binding, settings.name, read_text(file.path), provenance, file.spec.reward, self._plants.systems()
         )
+        self.warnings = description.warnings
         self._bind_reward(description)
         if settings.faults is not None:  # so that its errors are reported before the episode begins
             FaultInjection(read_plan(settings.faults), description, settings.slots)

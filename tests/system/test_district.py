@@ -469,6 +469,16 @@ def test_district__reward_is_checked_with_the_points(scratch: Path, reward: str,
 
 
 @pytest.mark.slow
+def test_district__check_prints_warnings(scratch: Path) -> None:
+    file = district(scratch)
+    summer = PLANTS.replace("class House:", 'class House:\n    begin = "2026-07-01T12:00"')
+    (scratch / "plants.py").write_text(summer)
+    done = run_python("-P", "-m", "zenostat.cli.main", "cosim", str(file), "--check")
+    assert done.returncode == 0, done.stderr
+    assert "district.yaml:4: plant 'house' begins at 2026-07-01 12:00, the district at 2001-01-01 00:00" in done.stdout
+
+
+@pytest.mark.slow
 def test_district__unsolved_step_is_an_event(scratch: Path) -> None:
     """Staged equipment: full power below 5 kW of its own power, none above."""
     staged = """
