@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
+from urllib.parse import unquote
 
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
@@ -50,7 +51,7 @@ class Archive:
         """Return the root element of a document, which has the form that its schema requires.
 
         Args:
-            name: its path in the archive.
+            name: its URI in the archive.
             kind: `ssd`, `ssm` or `ssv`.
 
         Raises:
@@ -103,11 +104,12 @@ class Archive:
         return target
 
     def _find(self, name: str) -> str:
-        """Return the name of an entry; a path that leads outside of the archive is none."""
-        entry = str(PurePosixPath(name.removeprefix("./")))
-        if entry not in self._names:
-            raise InvalidConfig(f"{self.path} has no {name!r}; an SSP file contains all that it names")
-        return entry
+        """Return the name of the entry that a URI names; a path that leads outside of the archive is none."""
+        for text in (unquote(name), name):  # some tools do not encode it
+            entry = str(PurePosixPath(text.removeprefix("./")))
+            if entry in self._names:
+                return entry
+        raise InvalidConfig(f"{self.path} has no {name!r}; an SSP file contains all that it names")
 
 
 @contextmanager

@@ -237,6 +237,9 @@ CASES = {
     "outside of the file": (
         ssp.system("s", A.replace("resources/tank.fmu", "../tank.fmu")),
         "has no '../tank.fmu'; an SSP file contains all"),
+    "encoded path outside of the file": (
+        ssp.system("s", A.replace("resources/tank.fmu", "%2e%2e%2Ftank.fmu")),
+        "has no '%2e%2e%2Ftank.fmu'; an SSP file contains all"),
     "unknown parameter": (
         ssp.system("s", ssp.component("a", ssp.bindings(ssp.inline(ssp.parameter_set(ssp.real("loss", 1.0)))))),
         "a: set: the FMU has no variable 'loss'"),
@@ -312,6 +315,16 @@ def test_convert__different_fmus_with_similar_paths_have_a_copy_each(tank: Path,
     assert {name: plant["fmu"] for name, plant in plants.items()} == {
         "a": "district/tank.fmu", "b": "district/2_tank.fmu", "c": "district/tank.fmu"
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("entry", ["my tänk.fmu", "my%20t%C3%A4nk.fmu"])
+def test_convert__source_is_a_uri(entry: str, tank: Path, tmp_path: Path) -> None:
+    elements = A.replace("resources/tank.fmu", "resources/my%20t%C3%A4nk.fmu")
+    source = ssp.write_ssp(tmp_path / "system.ssp", tank, ssp.system("s", elements))
+    with zipfile.ZipFile(source, "a") as archive:
+        archive.write(tank, f"resources/{entry}")
+    convert(source, tmp_path / "district.yaml", Loops.SOLVE, overwrite=False)
+    assert [path.name for path in (tmp_path / "district").iterdir()] == [entry]
 
 
 @pytest.mark.slow
