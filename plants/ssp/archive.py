@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
@@ -63,7 +64,7 @@ class Archive:
         etree = import_extra("lxml.etree", "fmi", "an SSP file")
         parser = etree.XMLParser(resolve_entities=False, no_network=True, load_dtd=False)
         try:
-            root = etree.fromstring(self._content.read(name), parser)
+            root = etree.fromstring(self._read(name), parser)
         except etree.XMLSyntaxError as error:
             raise self.error(f"not XML: {error}", document=name) from None
         self.check(root, kind, name)
@@ -100,8 +101,15 @@ class Archive:
         while self._copies.setdefault(target, entry) != entry:
             target, number = folder / f"{number}_{base}", number + 1
         folder.mkdir(parents=True, exist_ok=True)
-        target.write_bytes(self._content.read(entry))
+        target.write_bytes(self._read(entry))
         return target
+
+    def _read(self, entry: str) -> bytes:
+        """Return the content of an entry, which may be damaged, encrypted or compressed in a way that is not known."""
+        try:
+            return self._content.read(entry)
+        except (zipfile.BadZipFile, RuntimeError, EOFError, zlib.error) as error:
+            raise InvalidConfig(f"{self.path}: {entry} cannot be read: {error}") from None
 
     def _find(self, name: str) -> str:
         """Return the name of the entry that a URI names; a path that leads outside of the archive is none."""

@@ -317,6 +317,27 @@ def test_convert__different_fmus_with_similar_paths_have_a_copy_each(tank: Path,
     }  # fmt: skip
 
 
+@pytest.mark.parametrize(
+    ("place", "value", "text"),
+    [
+        (8, 1, "resources/tank.fmu cannot be read: File 'resources/tank.fmu' is encrypted"),
+        (10, 99, "resources/tank.fmu cannot be read: That compression method is not supported"),
+        (16, None, "resources/tank.fmu cannot be read: Bad CRC-32"),
+    ],
+)
+def test_convert__entry_that_cannot_be_read_is_named(
+    place: int, value: int | None, text: str, tank: Path, tmp_path: Path
+) -> None:
+    """Flags, compression and checksum are at these places of the central directory, whose last entry is the FMU."""
+    source = ssp.write_ssp(tmp_path / "system.ssp", tank, ssp.system("s", A))
+    content = bytearray(source.read_bytes())
+    index = content.rindex(b"PK\x01\x02") + place
+    content[index] = content[index] ^ 0xFF if value is None else value
+    source.write_bytes(content)
+    with pytest.raises(InvalidConfig, match=text):
+        convert(source, tmp_path / "district.yaml", Loops.SOLVE, overwrite=False)
+
+
 @pytest.mark.parametrize("entry", ["my tänk.fmu", "my%20t%C3%A4nk.fmu"])
 def test_convert__source_is_a_uri(entry: str, tank: Path, tmp_path: Path) -> None:
     elements = A.replace("resources/tank.fmu", "resources/my%20t%C3%A4nk.fmu")
