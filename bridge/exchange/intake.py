@@ -15,6 +15,9 @@ from zenostat.topics.messages import ANONYMOUS, Command, ControllerState, Event,
 MAX_MESSAGES_PER_STEP = 100
 """Largest number of messages of one controller that are processed in one step, apart from fast-path commands."""
 
+RATE_LIMITED = f"more than {MAX_MESSAGES_PER_STEP} messages in one step; this one was not processed"
+"""Text of the rejection of each further one."""
+
 _UNKNOWN_CONTROLLERS = ""  # no controller can have this name
 
 _COMMAND_ENCODING = codec.encoding(Command)

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 EVENTS_A_STEP = 20
 """Refusals per step that are published as events: for each controller with a claim, and for all other senders together;
-further ones are only counted."""
+further ones are only counted and recorded."""
 
 WRITTEN_A_STEP = 1000
 """Accepted writes per step that are published as events; the queues of subscribers are bounded."""
@@ -38,7 +38,7 @@ class Publications:
     It publishes the manifest when it is created.
 
     Attributes:
-        recorder: records the manifests and the events that are published.
+        recorder: records the manifests that are published, and all events.
     """
 
     def __init__(self, session: zenoh.Session, manifest: Manifest, timer: Timer) -> None:
@@ -118,23 +118,29 @@ class Publications:
             publisher.put(codec.encode(point))
 
     def event(self, event: Event, claimant: str = "") -> None:
-        """Publish an event, unless it is one of too many refusals or writes within a step.
+        """Record an event, and publish it unless it is one of too many refusals or writes within a step.
 
         Args:
             event: the event.
             claimant: the controller that it refers to, if that has a claim.
         """
+        is_published = self._is_published(event, claimant)
+        if not is_published and self.recorder is None:
+            return
+        payload = codec.encode(event)
+        if is_published:
+            self._put_event(payload)
+        if self.recorder is not None:  # the outcome of each recorded message follows it
+            self.recorder.add(EVENTS, payload)
+        if is_published and self._batches.has_listeners:
+            self._batches.add(_EVENT, payload)
+
+    def _is_published(self, event: Event, claimant: str) -> bool:
+        """Count a refusal or a write; return whether its event is not one of too many."""
         if event.kind in REJECTIONS:
             self._refused[claimant] += 1
-            if self._refused[claimant] > EVENTS_A_STEP:
-                return
-        elif event.kind is EventKind.WRITTEN:
+            return self._refused[claimant] <= EVENTS_A_STEP
+        if event.kind is EventKind.WRITTEN:
             self._written_left -= 1
-            if self._written_left < 0:
-                return
-        payload = codec.encode(event)
-        self._put_event(payload)
-        if self.recorder is not None:
-            self.recorder.add(EVENTS, payload)
-        if self._batches.has_listeners:
-            self._batches.add(_EVENT, payload)
+            return self._written_left >= 0
+        return True

@@ -15,6 +15,7 @@ import msgpack
 import numpy as np
 
 from zenostat.bridge.exchange.revocation import revoke
+from zenostat.bridge.exchange.state import MAX_SOURCE_NAME
 from zenostat.bridge.exchange.step_exchange import IllegalTransition, Trigger
 from zenostat.bridge.node.branches import Snapshot
 from zenostat.bridge.node.fault_injection import NO_FAULTS
@@ -358,11 +359,15 @@ def _is_rejected(sender: str, following: list[RecordedItem]) -> bool:
     if not following or following[0].schema != "Event":
         return False
     event = codec.decode(Event, following[0].payload)
-    if event.kind is not EventKind.REJECTED or event.source != sender:
+    if event.kind is not EventKind.REJECTED or event.source != sender[:MAX_SOURCE_NAME]:
         return False
     request = following[1] if len(following) > 1 else None
-    is_of_request = request is not None and request.schema == "RecordedRequest" and sender in request.topic.split("/")
-    return not is_of_request
+    if request is None or request.schema != "RecordedRequest" or sender not in request.topic.split("/"):
+        return True
+    record = codec.decode(RecordedRequest, request.payload)
+    if record.reply_encoding != _ERROR:
+        return True
+    return not event.text.endswith(codec.decode(ErrorReply, record.reply).message)
 
 
 def _is_same_order(left: bytes, right: bytes) -> bool:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import psutil
 
-from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP
+from zenostat.bridge.exchange.intake import RATE_LIMITED
 from zenostat.bridge.node.manifest import located_geometry
 from zenostat.bridge.node.planning import PlanSimulation
 from zenostat.bridge.node.served_node import ServedNode
@@ -115,9 +115,7 @@ class RequestHandlers:
             server.subscriptions.deny(keys.COMMAND_REQUEST, controller, reason)
         if not exchange.intake.accept_fast(controller, request.payload, now_s, request.encoding):
             if exchange.intake.is_rate_limited(controller):
-                raise RequestRejected(
-                    f"more than {MAX_MESSAGES_PER_STEP} messages in one step; this one was not processed"
-                )
+                raise RequestRejected(RATE_LIMITED)
             try:
                 command = codec.decode(Command, request.payload, request.encoding)
             except BadMessage as error:

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 
 import zenoh
 
+from zenostat.bridge.exchange.intake import RATE_LIMITED
 from zenostat.bridge.exchange.latency import LatencyWindow
 from zenostat.bridge.exchange.revocation import revoke
 from zenostat.bridge.exchange.step_exchange import StepExchange, Trigger
@@ -188,11 +189,13 @@ class NodeServer:
         return True
 
     def _receive_command(self, controller: str, payload: bytes, encoding: str) -> None:
+        exchange, limited = self.exchange, self.exchange.counts.rate_limited
         if self.access is not None and (reason := self.access.denial(keys.COMMAND, controller)):
-            if not self.exchange.intake.is_rate_limited(controller):
-                self.event(self.exchange.rejected(reason, controller))
-            return
-        event = self.exchange.intake.receive_command(controller, payload, monotonic(), encoding)
+            event = None if exchange.intake.is_rate_limited(controller) else exchange.rejected(reason, controller)
+        else:
+            event = exchange.intake.receive_command(controller, payload, monotonic(), encoding)
+        if exchange.counts.rate_limited > limited and self._recorder is not None:
+            event = exchange.event(EventKind.REJECTED, RATE_LIMITED, controller)  # after too many to be published
         if event is not None:
             self.event(event)
 

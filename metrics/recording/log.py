@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import msgpack
 
+from zenostat.bridge.exchange.state import MAX_SOURCE_NAME
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage
 from zenostat.topics.messages import REJECTIONS, AlarmTransition, ErrorReply, Event, EventKind
@@ -93,7 +94,11 @@ class LogBuilder:
             self._entries.append(LogEntry(_utc(time_ns), alarm.time, "", _ALARM, event.text, str(alarm.state)))
             return
         entry, self._awaiting = self._awaiting, None
-        if entry is None or event.kind not in _OUTCOMES or (event.source and event.source != entry.source):
+        if (
+            entry is None
+            or event.kind not in _OUTCOMES
+            or (event.source and event.source != entry.source[:MAX_SOURCE_NAME])
+        ):
             return
         if entry.kind == "command":
             entry = self._separate(entry)

@@ -5,17 +5,23 @@ import pytest
 from zenostat.bridge.node.repetition import _is_rejected
 from zenostat.bridge.recording.reader import RecordedItem
 from zenostat.topics import codec
-from zenostat.topics.messages import Event, EventKind
+from zenostat.topics.messages import Ack, ErrorReply, Event, EventKind, Message
+from zenostat.topics.recording import RecordedRequest
 
 
 def event(kind: EventKind, source: str) -> RecordedItem:
     return RecordedItem("event", "Event", 0, codec.encode(Event(kind=kind, text="…", source=source)))
 
 
-def request(sender: str) -> RecordedItem:
-    return RecordedItem(f"rpc/claim/{sender}", "RecordedRequest", 0, b"")
+def request(sender: str, reply: Message) -> RecordedItem:
+    record = RecordedRequest(
+        payload=b"", encoding="", reply=codec.encode(reply), reply_encoding=codec.encoding(type(reply))
+    )
+    return RecordedItem(f"rpc/write/{sender}/damper", "RecordedRequest", 0, codec.encode(record))
 
 
+ACCEPTED = Ack(episode=[1])
+DENIED, UNKNOWN = (ErrorReply(error="RequestRejected", message=text) for text in ("…", "no point"))
 ORDER = RecordedItem("orders", "RecordedOrder", 0, b"")
 
 
@@ -26,8 +32,10 @@ ORDER = RecordedItem("orders", "RecordedOrder", 0, b"")
         ([ORDER, event(EventKind.REJECTED, "mpc")], False),
         ([event(EventKind.REJECTED, "mpc")], True),
         ([event(EventKind.REJECTED, "mpc"), ORDER], True),
-        ([event(EventKind.REJECTED, "mpc"), request("other")], True),
-        ([event(EventKind.REJECTED, "mpc"), request("mpc")], False),  # of that request
+        ([event(EventKind.REJECTED, "mpc"), request("other", DENIED)], True),
+        ([event(EventKind.REJECTED, "mpc"), request("mpc", DENIED)], False),  # of that request
+        ([event(EventKind.REJECTED, "mpc"), request("mpc", ACCEPTED)], True),
+        ([event(EventKind.REJECTED, "mpc"), request("mpc", UNKNOWN)], True),
         ([event(EventKind.REJECTED, "other"), ORDER], False),
         ([event(EventKind.LATE, "mpc"), ORDER], False),  # the exchange finds that itself
         ([event(EventKind.CONNECTED, "mpc"), ORDER], False),

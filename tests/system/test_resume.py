@@ -18,15 +18,15 @@ from support.run_cli import ZENOSTAT
 from support.run_cli import run_in_process as run
 
 import zenostat
-from zenostat import ControllerLink
+from zenostat import ControllerLink, recording
 from zenostat.bridge.recording.continuation import MAX_DROPPED
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.eplus_node.verify_recording import verify
 from zenostat.models.catalog import find_building
-from zenostat.topics import yaml12
+from zenostat.topics import codec, keys, yaml12
 from zenostat.topics.errors import InvalidConfig, InvalidRecording, PlantFailed, RequestRejected
-from zenostat.topics.messages import Claim, ControllerState, EventKind, State
+from zenostat.topics.messages import Claim, Command, ControllerState, EventKind, State, Write
 
 pytestmark = pytest.mark.process
 
@@ -299,6 +299,48 @@ def test_resume__python_class_goes_on(scratch: Path, tank: dict[str, Any]) -> No
     moved = {**tank, "plant": f"{scratch}/elsewhere/tank.py:Tank"}
     with node_on_bus(scratch / "third", **moved, resume=str(path)) as (_, bus):
         assert bus.status("tank").step == [60]
+
+
+@pytest.mark.slow
+def test_resume__rejected_messages_beyond_those_with_published_events_have_no_effect(
+    scratch: Path, tank: dict[str, Any]
+) -> None:
+    path, expected = scratch / "tank.mcap", {"ü": 25, "p" * 999: 1, "ann": 1, "stranger": 130}
+    with node_on_bus(scratch / "first", **tank, record=str(path)) as (node, bus):
+        with bus.controller("tank", name="filler") as link:
+            link.current()
+            for _ in range(3):
+                link.send({"pump": 10.0})
+                link.receive()
+            expected[link.name] = 101
+            for sender, count in (("ü", 25), ("p" * 999, 1)):
+                for number in range(count):
+                    _write(bus, sender, 20.0 + number)
+            _write(bus, "ann", 90.0, source="somebody")
+            bus.write("tank", "pump", 30.0, priority=16, source="ann")
+            for number in range(130):
+                wrong = Command(episode=[0], step=[3], values=np.array([999.0 if number < 100 else 50.0]).tobytes())
+                masked = wrong.model_copy(update={"operations": b"\1"})  # not on the fast path
+                bus.session.put(keys.COMMAND.at("tank", sender="stranger"), codec.encode(masked))
+                if number <= 100:
+                    bus.session.put(keys.COMMAND.at("tank", sender=link.name), codec.encode(masked))
+            statistics = until(
+                lambda: (s := bus.status("tank").statistics).rejected + s.rate_limited >= sum(expected.values()) and s,
+                "all are rejected",
+            )
+            assert statistics.rate_limited == 31
+            link.send(np.array([12.0]))  # on the fast path, which has no limit
+            until(lambda: (0, 4) in samples(path), "the recorder has written step 4")
+        node.kill()
+    with node_on_bus(scratch / "second", **tank, resume=str(path)) as (_, bus):
+        assert bus.status("tank").step == [4]
+    rejected = [entry.source for entry in recording.load(path).log if not entry.is_accepted]
+    assert {sender: rejected.count(sender) for sender in expected} == expected
+
+
+def _write(bus: zenostat.Bus, sender: str, value: float, source: str = "") -> None:
+    payload = codec.encode(Write(value=value, source=source))
+    bus.session.put(keys.ACTUATOR.at("tank", name="pump", sender=sender), payload)
 
 
 @pytest.mark.slow
