@@ -68,6 +68,7 @@ _MEDIA = "application/msgpack"
 RELINQUISHED = np.array(np.nan, FLOAT).tobytes()
 """The command of a relinquished actuator."""
 
+_NO_FIELDS = b"\x80"  # an empty map
 _SCHEMA_MARK = ";zenostat/"
 _UNNAMED = frozenset(("", "zenoh/bytes", "application/octet-stream", _MEDIA, "application/x-msgpack"))
 """Encodings without a message class: Zenoh's default encodings and plain msgpack."""
@@ -130,6 +131,8 @@ def decode(message: type[M], payload: bytes, declared: str = "") -> M:
     """
     if not encoding_matches(message, declared):
         raise BadMessage(f"expected encoding {encoding(message)!r}, got {declared!r}")
+    if not payload:
+        raise BadMessage(f"there is no payload; a {message.__name__} expected")
     if len(payload) > MAX_BYTES:
         raise BadMessage(f"{len(payload)} bytes; a {message.__name__} has at most {MAX_BYTES}")
     try:
@@ -142,6 +145,11 @@ def decode(message: type[M], payload: bytes, declared: str = "") -> M:
         return message.__pydantic_validator__.validate_python(fields)  # type: ignore[no-any-return]
     except ValidationError as error:
         raise BadMessage(replace_controls(f"{message.__name__}: {describe_validation_errors(error)}")) from None
+
+
+def decode_request(message: type[M], payload: bytes, declared: str = "") -> M:
+    """Decode and validate a request as `decode` does; one without a payload has no fields."""
+    return decode(message, payload or _NO_FIELDS, declared)
 
 
 def _unpacked(payload: bytes, limit: int) -> Any:

@@ -278,7 +278,7 @@ class Repetition:
         elif name == _name(keys.WRITE_REQUEST):
             self._write(sender, point, request.payload, request.encoding)
         elif (kind := _APPLIED.get(name)) is not None:
-            message, sender_field = codec.decode(kind, request.payload or b"\x80"), keys.sender_field(kind)
+            message, sender_field = codec.decode_request(kind, request.payload), keys.sender_field(kind)
             self._apply(message.model_copy(update={sender_field: sender}) if sender_field else message)
 
     def _apply(self, message: Message) -> None:

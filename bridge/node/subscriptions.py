@@ -43,7 +43,6 @@ _TASKS_PER_TURN = 8
 """Tasks to run before the next command is received."""
 
 _WAKE = "-"  # not a valid name of a controller
-_NO_FIELDS = b"\x80"  # an empty map
 
 
 def _no_op() -> None:
@@ -54,11 +53,6 @@ def _content(query: zenoh.Query) -> tuple[bytes, str]:
     """Return payload and encoding of a query; empty where it has none."""
     payload, encoding = query.payload, query.encoding
     return payload.to_bytes() if payload is not None else b"", str(encoding) if encoding is not None else ""
-
-
-def _query(payload: bytes, encoding: str) -> Query:
-    """Decode a query; one without a payload has no fields."""
-    return codec.decode(Query, payload or _NO_FIELDS, encoding)
 
 
 class Request:
@@ -312,7 +306,7 @@ class Subscriptions:
     def _is_accepted(self, topic: keys.Topic, kind: type[Any], request: Request) -> bool:
         """Return whether a request is valid and its sender may send it; for any thread."""
         try:
-            message = codec.decode(kind, request.payload, request.encoding)
+            message = codec.decode_request(kind, request.payload, request.encoding)
         except BadMessage:
             return False
         field = keys.sender_field(kind)
@@ -385,7 +379,7 @@ class Subscriptions:
 
     def answer(self, topic: keys.Topic, answer: Callable[[Query], bytes]) -> None:
         """Answer queries, with or without a payload, in the thread that receives them; `answer` only reads."""
-        self._answer(topic, lambda payload, encoding: answer(_query(payload, encoding)))
+        self._answer(topic, lambda payload, encoding: answer(codec.decode_request(Query, payload, encoding)))
 
     def answer_in_background(self, topic: keys.Topic, answer: Callable[[Query], bytes]) -> None:
         """Answer queries in a thread of its own, one after another; `answer` may take a while, and only reads.
@@ -396,7 +390,7 @@ class Subscriptions:
 
         def compute(query: zenoh.Query) -> None:
             waiting.release()
-            self._reply(query, topic, lambda payload, encoding: answer(_query(payload, encoding)))
+            self._reply(query, topic, lambda payload, encoding: answer(codec.decode_request(Query, payload, encoding)))
 
         def on_query(query: zenoh.Query) -> None:
             if waiting.acquire(blocking=False):
@@ -451,7 +445,7 @@ class Subscriptions:
         def on_request(request: Request) -> None:
             request.answer(
                 lambda: handler(
-                    self.checked(topic, request.sender, codec.decode(kind, request.payload, request.encoding))
+                    self.checked(topic, request.sender, codec.decode_request(kind, request.payload, request.encoding))
                 )
             )
 

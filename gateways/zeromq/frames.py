@@ -108,11 +108,9 @@ def _checked(name: str, what: str) -> str:
 
 
 def _message(row: Topic, payload: bytes) -> Message:
-    # Queries of published topics (manifest, sample) have no message, and an empty query message may be omitted.
+    # Queries of published topics (manifest, sample) have no message.
     kind = row.message if row.message is not None and row.sender is not Role.NODE else Query
-    if kind is Query and not payload:
-        return Query()
-    return codec.decode(kind, payload)
+    return codec.decode_request(kind, payload)
 
 
 def _short(text: bytes) -> str:

@@ -144,6 +144,30 @@ def test_bus__put_for_all_nodes_is_under_the_name_of_its_sender(episode_bus: zen
         assert bus.status("office").controllers[0].rejected == before.controllers[0].rejected
 
 
+@pytest.mark.parametrize(
+    ("topic", "expected"),
+    [
+        (keys.PRIORITIES, ""),
+        (keys.ALARMS, ""),
+        (keys.RESET, ""),
+        (keys.FAULTS, ""),
+        (keys.STOP_RECORDING, "the node is not recording"),
+        (keys.CLAIM, "Claim: controller: it is missing"),
+        (keys.COMMAND_REQUEST, "there is no payload; a Command expected"),
+        (keys.WRITE_REQUEST, "there is no payload; a Write expected"),
+    ],
+    ids=lambda part: getattr(part, "key", ""),
+)
+def test_bus__request_without_a_payload_has_no_fields(episode_bus: zenostat.Bus, topic: Topic, expected: str) -> None:
+    key = topic.at("office", name=POINT, sender="panel")
+    (reply,) = episode_bus.session.get(key, timeout=60)
+    if not expected:
+        assert topic.reply is not None
+        codec.decode(topic.reply, reply.ok.payload.to_bytes(), str(reply.ok.encoding))
+    else:
+        assert expected in codec.decode(ErrorReply, reply.ok.payload.to_bytes()).message
+
+
 BIG = msgpack.packb({"memory": b"\0" * (codec.MAX_BYTES + 1)})
 
 
