@@ -177,7 +177,10 @@ def read(path: Path) -> Weather:
     rows = lines[HEADER_LINES:last]
     table = _parse_rows(rows)
     errors = [] if table is not None else _cell_errors(rows)
-    errors = _day_errors(_row_days(rows, table), header, _data_periods(path, lines[7])) + errors
+    try:
+        errors = _day_errors(_row_days(rows, table), header, _data_periods(path, lines[7])) + errors
+    except ValueError as error:
+        raise InvalidConfig(f"{path}, line 8: DATA PERIODS has a day that its year lacks: {error}") from None
     if errors or table is None:
         raise InvalidConfig(_report(path, errors))
     table.setflags(write=False)

@@ -9,10 +9,20 @@ from datetime import date, timedelta
 from pathlib import Path
 
 from zenostat.models.scenario.run_period import Period
-from zenostat.topics.calendar import format_month_day
+from zenostat.topics.calendar import format_month_day, is_month_day
 from zenostat.topics.errors import InvalidConfig
 
 HEADER_LINES = 8
+
+MonthDay = tuple[int, int]
+
+_PLACE_LIMITS = (
+    ("latitude", -90.0, 90.0),
+    ("longitude", -180.0, 180.0),
+    ("time zone", -12.0, 14.0),
+    ("elevation", -1000.0, 9999.9),
+)
+"""Limits of the EPW data dictionary, and EnergyPlus's for time zones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +66,8 @@ class Header:
     """Place and covered days of a weather file; the days have no year in a typical-year file.
 
     Attributes:
-        first, last: first and last day as (month, day).
+        first, last: first and last day of the data period, of the first of several, as (month, day).
+        more: first and last days of the other data periods.
         leap: whether the file has 29 February ("leap year observed").
         start_weekday: the weekday of `first`, in English.
         wmo: the station's WMO number.
@@ -68,8 +79,9 @@ class Header:
     longitude_deg: float
     time_zone_h: float
     elevation_m: float
-    first: tuple[int, int]
-    last: tuple[int, int]
+    first: MonthDay
+    last: MonthDay
+    more: tuple[tuple[MonthDay, MonthDay], ...] = ()
     leap: bool = False
     records_per_hour: int = 1
     start_weekday: str = ""
@@ -77,16 +89,16 @@ class Header:
     design: DesignConditions | None = None
 
     @property
-    def whole_year(self) -> bool:
-        """Whether the file covers 1 January to 31 December."""
-        return (self.first, self.last) == ((1, 1), (12, 31))
+    def periods(self) -> tuple[tuple[MonthDay, MonthDay], ...]:
+        """First and last day of each data period."""
+        return ((self.first, self.last), *self.more)
 
 
 def read_header(path: Path) -> Header:
     """Read the header of `path`.
 
     Raises:
-        InvalidConfig: the file does not begin like an EPW file, or has no DATA PERIODS line.
+        InvalidConfig: the file does not begin like an EPW file, has no DATA PERIODS line, or a number that cannot be.
     """
     with path.open(encoding="latin-1") as file:
         return parse_header(path, [file.readline() for _ in range(HEADER_LINES)])
@@ -97,27 +109,46 @@ def parse_header(path: Path, lines: Sequence[str]) -> Header:
     cells = [[cell.strip() for cell in line.split(",")] for line in lines]
     if len(cells) < HEADER_LINES or cells[0][0].upper() != "LOCATION" or cells[7][0].upper() != "DATA PERIODS":
         raise InvalidConfig(f"{path} is not an EPW file: it should begin with LOCATION and have DATA PERIODS in line 8")
-    location, periods = cells[0], cells[7]
+    location, data = cells[0], cells[7]
     try:
-        return Header(
+        latitude, longitude, time_zone, elevation = map(float, location[6:10])
+        periods = [(_month_day(data[5 + 4 * k]), _month_day(data[6 + 4 * k])) for k in range(int(data[1]))]
+        header = Header(
             place=", ".join(part for part in location[1:4] if part.strip("-")),
-            latitude_deg=float(location[6]),
-            longitude_deg=float(location[7]),
-            time_zone_h=float(location[8]),
-            elevation_m=float(location[9]),
-            first=_month_day(periods[5]),
-            last=_month_day(periods[6]),
+            latitude_deg=latitude,
+            longitude_deg=longitude,
+            time_zone_h=time_zone,
+            elevation_m=elevation,
+            first=periods[0][0],
+            last=periods[0][1],
+            more=tuple(periods[1:]),
             leap=cells[4][1].casefold() == "yes",
-            records_per_hour=int(periods[2]),
-            start_weekday=periods[4],
+            records_per_hour=int(data[2]),
+            start_weekday=data[4],
             wmo=location[5],
             design=_design(cells[1]),
         )
     except (IndexError, ValueError) as error:
         raise InvalidConfig(f"{path}: the header cannot be read: {error}") from None
+    if reason := next(_header_errors(header), ""):
+        raise InvalidConfig(f"{path}, {reason}")
+    return header
 
 
-def _month_day(text: str) -> tuple[int, int]:
+def _header_errors(header: Header) -> Iterator[str]:
+    """Yield an error, with its line, for each number of the header that cannot be."""
+    place = (header.latitude_deg, header.longitude_deg, header.time_zone_h, header.elevation_m)
+    for (name, low, high), value in zip(_PLACE_LIMITS, place, strict=True):
+        if not low <= value <= high:
+            yield f"line 1: LOCATION has {name} {value:g}, expected {low:g} to {high:g}"
+    if not 1 <= header.records_per_hour <= 60 or 60 % header.records_per_hour:
+        yield f"line 8: DATA PERIODS has {header.records_per_hour} records per hour, which does not divide the hour"
+    for day in (day for period in header.periods for day in period):
+        if not is_month_day(*day):
+            yield f"line 8: DATA PERIODS has {day[0]}/{day[1]}, which is no day"
+
+
+def _month_day(text: str) -> MonthDay:
     parts = text.split("/")
     return int(parts[0]), int(parts[1])
 
@@ -151,8 +182,9 @@ def check_complete(header: Header, path: Path) -> None:
         InvalidConfig: lines are missing, or the last one is cut off; EnergyPlus would end in the middle of an episode.
     """
     lines = [line for line in path.read_bytes().splitlines()[HEADER_LINES:] if line.strip()]
-    days = (date(2001 + 3 * header.leap, *header.last) - date(2001 + 3 * header.leap, *header.first)).days
-    expected = (days % (365 + header.leap) + 1) * 24 * header.records_per_hour
+    year, length = 2001 + 3 * header.leap, 365 + header.leap
+    days = sum((_day(year, last) - _day(year, first)).days % length + 1 for first, last in header.periods)
+    expected = days * 24 * header.records_per_hour
     if len(lines) < expected:
         raise InvalidConfig(
             f"{path} is incomplete: it has {len(lines):,} records, but {_span(header)} has {expected:,}; get the whole "
@@ -165,26 +197,32 @@ def check_complete(header: Header, path: Path) -> None:
 def check_covers(header: Header, period: Period, name: str) -> None:
     """Check that the weather file has data for every day of a run period.
 
-    When a run period continues past 31 December, EnergyPlus reads the file again from its beginning, and the number of
-    timesteps is correct. If a run period contains a 29 February that the file lacks, EnergyPlus 25.2 skips that day
-    silently: the episode is a day too short or, if it should end on that day, ends on 1 March, and the weekdays after
-    it are off by one. A run period that begins on that day is a fatal error. All of these are rejected here. (A 29
-    February that is in the file but not in the run period is skipped, as it should be.)
+    EnergyPlus takes no account of the years: it begins with the first record of that month and day, and goes on from
+    there. The run period must be within one of the file's data periods. When it continues past the end of a file of
+    whole years, EnergyPlus reads the file again from its beginning, and the number of timesteps is correct. If a run
+    period contains a 29 February that the file lacks, EnergyPlus 25.2 skips that day silently: the episode is a day too
+    short or, if it should end on that day, ends on 1 March, and the weekdays after it are off by one. A run period that
+    begins on that day is a fatal error. All of these are rejected here. (A 29 February that is in the file but not in
+    the run period is skipped, as it should be.)
 
     Raises:
         InvalidConfig: the file has no data for some days.
     """
-    if period.begin.year != period.end.year and not header.whole_year:
-        raise InvalidConfig(
-            f"the run period crosses a year boundary ({period.begin} to {period.end}), which requires a weather file "
-            f"of a whole year; {name} covers {_span(header)}"
-        )
-    for day, verb in ((period.begin, "begins"), (period.end, "ends")):
-        if not header.first <= (day.month, day.day) <= header.last:
+    if not any(_covers(data, period.begin, period.end) for data in header.periods):
+        if period.begin.year != period.end.year:
             raise InvalidConfig(
-                f"the run period {verb} on {day:%m-%d}, outside the weather file {name}, which covers {_span(header)}"
+                f"the run period crosses a year boundary ({period.begin} to {period.end}), which requires a weather "
+                f"file of a whole year; {name} covers {_span(header)}"
             )
-    for leap_day in _leap_days(period):
+        for day, verb in ((period.begin, "begins"), (period.end, "ends")):
+            if not any(_covers(data, day, day) for data in header.periods):
+                covered = f"outside the weather file {name}, which covers {_span(header)}"
+                raise InvalidConfig(f"the run period {verb} on {day:%m-%d}, {covered}")
+        raise InvalidConfig(
+            f"the run period {period.begin} to {period.end} is not within one of the data periods of the weather file "
+            f"{name}: {_span(header)}"
+        )
+    for leap_day in _leap_days(period.begin, period.end):
         if not header.leap:
             raise InvalidConfig(
                 f"the run period {period.begin} to {period.end} contains {leap_day}, but the weather file {name} has "
@@ -193,11 +231,30 @@ def check_covers(header: Header, period: Period, name: str) -> None:
             )
 
 
+def _covers(data: tuple[MonthDay, MonthDay], begin: date, end: date) -> bool:
+    """Return whether all days but 29 February are in a data period, which may go over New Year."""
+    first, last = (_ordinal(*day) for day in data)
+    days = (last - first) % 365 + 1
+    offset = (_ordinal(begin.month, begin.day) - first) % 365
+    length = (end - begin).days + 1 - sum(1 for _ in _leap_days(begin, end))
+    return days == 365 or offset + length <= days
+
+
+def _ordinal(month: int, day: int) -> int:
+    """Return the number of a day in a common year; 29 February has that of the day before."""
+    return date(2000, month, day).timetuple().tm_yday - ((month, day) > (2, 28))
+
+
+def _day(year: int, day: MonthDay) -> date:
+    """Return a day of a year; 28 February for a 29 February that the year lacks."""
+    return date(year, *day) if day != (2, 29) or calendar.isleap(year) else date(year, 2, 28)
+
+
 def _span(header: Header) -> str:
-    return f"{format_month_day(*header.first)} to {format_month_day(*header.last)}"
+    return ", ".join(f"{format_month_day(*first)} to {format_month_day(*last)}" for first, last in header.periods)
 
 
-def _leap_days(period: Period) -> Iterator[date]:
-    for year in range(period.begin.year, period.end.year + 1):
-        if calendar.isleap(year) and period.begin <= (day := date(year, 2, 29)) <= period.end:
+def _leap_days(begin: date, end: date) -> Iterator[date]:
+    for year in range(begin.year, end.year + 1):
+        if calendar.isleap(year) and begin <= (day := date(year, 2, 29)) <= end:
             yield day

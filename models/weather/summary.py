@@ -60,7 +60,7 @@ def weather_summary(path: Path) -> WeatherSummary:
         mean_humidity_pct=float(np.nanmean(humidity)),
         years=_years(year[:, 0]),
         first=header.first,
-        last=header.last,
+        last=header.periods[-1][1],
     )
 
 

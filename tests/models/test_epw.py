@@ -11,7 +11,7 @@ from support.weather_files import STEPS_PER_HOUR, run
 from zenostat.models.catalog import find_weather, weathers
 from zenostat.models.scenario.run_period import Period
 from zenostat.models.weather.epw import COLUMNS, find_column, read, write
-from zenostat.models.weather.header import DesignConditions, Header, check_covers, read_header
+from zenostat.models.weather.header import DesignConditions, Header, check_complete, check_covers, read_header
 from zenostat.topics.errors import InvalidConfig, UnknownName
 
 DENVER = find_weather("USA_CO_Denver").path
@@ -350,6 +350,89 @@ def test_epw__run_period_that_the_file_has_is_taken(header: Header, begin: date,
 def test_epw__run_period_that_the_file_has_not_is_refused(header: Header, begin: date, end: date, words: str) -> None:
     with pytest.raises(InvalidConfig, match=words):
         check_covers(header, Period(begin, end, 4), "x")
+
+
+SUMMER_TO_SUMMER = Header("", 0.0, 0.0, 0.0, 0.0, first=(7, 1), last=(6, 30))
+WINTER = Header("", 0.0, 0.0, 0.0, 0.0, first=(10, 1), last=(3, 31))
+HALVES = Header("", 0.0, 0.0, 0.0, 0.0, first=(1, 1), last=(6, 30), more=(((7, 1), (12, 31)),))
+
+
+def in_periods(header: Header, lines: list[str]) -> list[str]:
+    """Denver's rows in the days of a header."""
+    rows = lines[8:-1]
+    ordered = [row for period in header.periods for row in _of_days(rows, *period)]
+    dates = ",".join(f"Data,Sunday,{a}/{b},{c}/{d}" for (a, b), (c, d) in header.periods)
+    return [*lines[:7], f"DATA PERIODS,{len(header.periods)},1,{dates}", *ordered, ""]
+
+
+def _of_days(rows: list[str], first: tuple[int, int], last: tuple[int, int]) -> list[str]:
+    days = [tuple(map(int, row.split(",")[1:3])) for row in rows]
+    begin, end = days.index(first), len(days) - days[::-1].index(last)
+    return rows[begin:end] if begin < end else rows[begin:] + rows[:end]
+
+
+@pytest.mark.parametrize(
+    ("header", "begin", "end", "is_covered"),
+    [
+        (SUMMER_TO_SUMMER, date(2017, 7, 3), date(2017, 7, 4), True),
+        (SUMMER_TO_SUMMER, date(2018, 1, 3), date(2018, 1, 4), True),
+        (SUMMER_TO_SUMMER, date(2017, 12, 30), date(2018, 1, 2), True),
+        (SUMMER_TO_SUMMER, date(2017, 6, 28), date(2017, 7, 3), True),
+        (WINTER, date(2017, 12, 30), date(2018, 1, 2), True),
+        (WINTER, date(2018, 1, 3), date(2018, 1, 4), True),
+        (WINTER, date(2018, 3, 30), date(2018, 4, 2), False),
+        (WINTER, date(2018, 3, 30), date(2018, 10, 3), False),
+        (WINTER, date(2018, 6, 1), date(2018, 6, 3), False),
+        (HALVES, date(2017, 7, 3), date(2017, 7, 4), True),
+        (HALVES, date(2017, 2, 3), date(2017, 6, 30), True),
+        (HALVES, date(2017, 6, 29), date(2017, 7, 2), False),
+        (HALVES, date(2017, 12, 30), date(2018, 1, 2), False),
+    ],
+)
+def test_check_covers__is_what_energyplus_simulates(
+    header: Header, begin: date, end: date, is_covered: bool, folder: Path
+) -> None:
+    path = edited(folder, lambda lines: in_periods(header, lines))
+    own = read_header(path)
+    assert own.periods == header.periods
+    check_complete(own, path)
+    assert run(folder / "run", path, begin, end).code == (0 if is_covered else 1)
+    if is_covered:
+        check_covers(own, Period(begin, end, 4), "x")
+    else:
+        with pytest.raises(InvalidConfig, match=r"year boundary|outside the weather file|not within one of the data"):
+            check_covers(own, Period(begin, end, 4), "x")
+
+
+@pytest.mark.parametrize(
+    ("line", "column", "value", "words"),
+    [
+        (8, 2, "0", "line 8: DATA PERIODS has 0 records per hour"),
+        (8, 2, "-1", "line 8: DATA PERIODS has -1 records"),
+        (8, 2, "7", "which does not divide the hour"),
+        (8, 5, "2/30", "line 8: DATA PERIODS has 2/30, which is no day"),
+        (8, 6, "13/31", "line 8: DATA PERIODS has 13/31, which is no day"),
+        (8, 1, "0", "the header cannot be read"),
+        (1, 9, "inf", "line 1: LOCATION has elevation inf, expected -1000 to"),
+        (1, 6, "nan", "line 1: LOCATION has latitude nan"),
+        (1, 7, "999", "line 1: LOCATION has longitude 999, expected -180 to 180"),
+    ],
+)
+def test_read_header__number_that_cannot_be_is_named_with_its_line(
+    line: int, column: int, value: str, words: str, folder: Path
+) -> None:
+    def change(lines: list[str]) -> list[str]:
+        cells = lines[line - 1].split(",")
+        return [*lines[: line - 1], ",".join([*cells[:column], value, *cells[column + 1 :]]), *lines[line:]]
+
+    with pytest.raises(InvalidConfig, match=rf"edited\.epw.* {words}"):
+        read_header(edited(folder, change))
+
+
+def test_epw__day_that_its_year_lacks_is_refused(folder: Path) -> None:
+    days = "DATA PERIODS,1,1,Data,Sunday,2/29/2017,12/31/2017"
+    with pytest.raises(InvalidConfig, match="line 8: DATA PERIODS has a day that its year lacks"):
+        read(edited(folder, lambda lines: [*lines[:7], days, *lines[8:]]))
 
 
 # What EnergyPlus does with them: the reasons for the above
