@@ -152,7 +152,7 @@ def load_network(path: str | Path) -> NetworkPolicy:
             arrays: Arrays = {name: file[name] for name in file.files}
         header = json.loads(arrays.pop(_HEADER).tobytes())
         policy = _read(header, arrays)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, BadZipFile) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, RecursionError, BadZipFile) as error:
         raise InvalidConfig(f"{path} is not a policy that Zenostat exported: {type(error).__name__}: {error}") from None
     check_wrappers(policy.wrappers)
     return policy

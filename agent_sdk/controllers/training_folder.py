@@ -42,7 +42,7 @@ def read_versions(folder: Path) -> dict[str, Any]:
     """Return the versions with which a folder was written; empty if they cannot be read."""
     try:
         saved = json.loads((folder / VERSIONS).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return {}
     return saved if isinstance(saved, dict) else {}
 

@@ -20,6 +20,7 @@ from zenostat.lab.benchmark.recipes import (
     rule_of,
     seed_of,
 )
+from zenostat.topics.errors import InvalidConfig
 
 VERSION = 2
 
@@ -277,6 +278,21 @@ def is_learning(controller: str) -> bool:
 def is_prepared(controller: str) -> bool:
     """Return whether the benchmark trains or tunes a controller for each building and season."""
     return is_learning(controller) or controller == TUNED
+
+
+def training_key(name: str, set_name: str) -> tuple[str, str, str, int | None]:
+    """Return controller, building, season and number of a training of a set; the number is None of a tuning.
+
+    Raises:
+        InvalidConfig: the set has no such training or tuning.
+    """
+    controller, building, season, number = [*name.split("/"), "", "", ""][:4]
+    of_set, is_tuning = SETS[set_name], controller == TUNED
+    is_numbered = number in map(str, range(1000))
+    is_known = is_prepared(controller) and building in of_set.buildings and season in of_set.seasons
+    if not is_known or name.count("/") != 2 + is_numbered or is_tuning == is_numbered:
+        raise InvalidConfig(f"{name!r} is no training or tuning of the set {set_name!r}")
+    return controller, building, season, None if is_tuning else int(number)
 
 
 _FULL_SEEDS = tuple(range(LOWEST_SCORED_SEED, LOWEST_SCORED_SEED + 5))

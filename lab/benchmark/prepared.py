@@ -165,7 +165,7 @@ def read_record(file: Path) -> dict[str, Any]:
     if file.suffix == ".json":
         try:
             record = json.loads(file.read_text(encoding="utf-8"))
-        except ValueError as error:
+        except (ValueError, RecursionError) as error:
             raise InvalidConfig(f"{file} has no tuned parameters: {error}") from None
     else:
         from zenostat.agent_sdk.controllers.network_policy import load_network
@@ -174,6 +174,8 @@ def read_record(file: Path) -> dict[str, Any]:
         record = {**policy.record, "weights": policy.digest()}
     if not isinstance(record, dict) or "configuration" not in record:
         raise InvalidConfig(f"{file} was not made by the benchmark: it has no configuration")
+    if file.suffix == ".json" and not isinstance(record.get("parameters"), dict):
+        raise InvalidConfig(f"{file} was not made by the benchmark: it has no parameters")
     return record
 
 

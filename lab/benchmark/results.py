@@ -13,8 +13,8 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from zenostat.lab.benchmark.definition import SETS, VERSION, Episode, Task
-from zenostat.lab.benchmark.results_file import TITLE, ResultsFile, Row, rows_digest
+from zenostat.lab.benchmark.definition import SETS, VERSION, Episode, Task, training_key
+from zenostat.lab.benchmark.results_file import SHOWN_METRICS, TITLE, ResultsFile, Row, rows_digest
 from zenostat.topics import VERSION as PRODUCT_VERSION
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.codec import describe_validation_errors
@@ -101,14 +101,15 @@ def load_results(path: str | Path) -> Results:
 
     Raises:
         UnknownName: there is no such file, or it cannot be read.
-        InvalidConfig: it has no results, those of another version of the benchmark, or edited rows.
+        InvalidConfig: it has no results, those of another version of the benchmark, edited or incomplete rows, or
+            trainings that the set does not have.
     """
     path = Path(path)
     with user_file(path, UnknownName):
         text = path.read_text(encoding="utf-8")
     try:
         content = json.loads(text)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise InvalidConfig(f"{path} has no results of a benchmark: {error}") from None
     if not isinstance(content, dict) or content.get("format") != TITLE:
         raise InvalidConfig(f"{path} has no results of a benchmark: a file that `zenostat benchmark` wrote expected")
@@ -127,7 +128,19 @@ def load_results(path: str | Path) -> Results:
         versions=file.versions,
     )  # fmt: skip
     results.add(file.rows)
+    _check_content(results, path)
     return results
+
+
+def _check_content(results: Results, path: Path) -> None:
+    for name in results.trainings:
+        try:
+            training_key(name, results.set)
+        except InvalidConfig as error:
+            raise InvalidConfig(f"{path}: {error}") from None
+    for row in results.rows.values():
+        if absent := [name for name in SHOWN_METRICS if name not in row.metrics]:
+            raise InvalidConfig(f"{path}: the row {episode_of(row)} has no metric {absent[0]}")
 
 
 def _check_version(content: Mapping[str, Any], path: Path) -> None:

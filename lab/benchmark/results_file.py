@@ -11,6 +11,8 @@ from pydantic.dataclasses import dataclass
 from zenostat.lab.benchmark.definition import VERSION, digest_of
 
 TITLE: Literal["zenostat benchmark"] = "zenostat benchmark"
+SHOWN_METRICS = ("occupied_outside_kh",)
+"""Metrics that each row needs, because the tables show them."""
 _NOT_HASHED = "processor_s"
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 

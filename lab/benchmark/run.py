@@ -8,7 +8,16 @@ from typing import Any
 
 from zenostat.agent_sdk.controllers.base import BaselineController
 from zenostat.bridge.recording.file import file_digest
-from zenostat.lab.benchmark.definition import BASELINE, BASELINES, SETS, TUNED, Episode, digest_of, is_prepared
+from zenostat.lab.benchmark.definition import (
+    BASELINE,
+    BASELINES,
+    SETS,
+    TUNED,
+    Episode,
+    digest_of,
+    is_prepared,
+    training_key,
+)
 from zenostat.lab.benchmark.episodes import jobs, run_job
 from zenostat.lab.benchmark.prepared import Preparation, ensure_prepared, preparation_of
 from zenostat.lab.benchmark.recipes import FORMS
@@ -187,8 +196,7 @@ def stale_trainings(results: Results) -> list[str]:
     """Return the names of trainings and tunings whose configuration is not that of this version."""
     stale = []
     for name, record in results.trainings.items():
-        controller, building, season, *seed = name.split("/")
-        now = Preparation(Path(), results.set, controller, building, season, int(seed[0]) if seed else None)
+        now = Preparation(Path(), results.set, *training_key(name, results.set))
         if record["configuration"] != now.configuration:
             stale.append(name)
     return stale

@@ -120,6 +120,9 @@ def test_network_policy__other_files_are_refused(tmp_path: Path) -> None:
     np.savez(path, header=np.frombuffer(header, np.uint8))
     with pytest.raises(InvalidConfig, match="format 99, expected 1"):
         load_network(path)
+    np.savez(path, header=np.frombuffer(b"[" * 200_000, np.uint8))
+    with pytest.raises(InvalidConfig, match="RecursionError"):
+        load_network(path)
 
 
 @pytest.mark.slow

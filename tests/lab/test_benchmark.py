@@ -32,6 +32,7 @@ from zenostat.lab.benchmark import (
 )
 from zenostat.lab.benchmark.episodes import Job
 from zenostat.lab.benchmark.page import write_page
+from zenostat.lab.benchmark.results_file import rows_digest
 from zenostat.lab.benchmark.run import stale_trainings
 from zenostat.lab.benchmark.scores import bootstrap_interval, relative_linear
 from zenostat.lab.benchmark.tables import tables
@@ -41,6 +42,7 @@ from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError
 from zenostat.topics.file_lock import locked
 
 OFFICE, WAREHOUSE = SETS["smoke"].buildings
+TRAINING = {"configuration": "00"}
 
 
 def row(
@@ -211,20 +213,28 @@ def test_benchmark__order_of_runs_does_not_matter(saved: Path, tmp_path: Path) -
 
 def test_benchmark__edited_or_foreign_results_are_refused(saved: Path, tmp_path: Path) -> None:
     content = json.loads(saved.read_text())
+    bare = {**content["rows"][0], "metrics": {}}
     for change, text in (
         ({"rows": [*content["rows"][:-1]]}, "their hash differs"),
         ({"version": 99}, "results of version 99 of the benchmark; this is version 2"),
         ({"definition": "00"}, "another definition of the set 'smoke'"),
         ({"rows": [{**content["rows"][0], "reward": "much"}]}, "does not have the form of results: rows.0.reward"),
         ({"extra": 1}, "does not have the form of results: extra"),
+        ({"trainings": {"foo": TRAINING}}, r"'foo' is no training or tuning of the set 'smoke'"),
+        ({"trainings": {"ppo/nobuilding/summer/0": TRAINING}}, "'ppo/nobuilding/summer/0' is no training"),
+        ({"trainings": {f"ppo/{OFFICE}/summer/first": TRAINING}}, "summer/first' is no training"),
+        ({"trainings": {f"ppo/{OFFICE}/summer": TRAINING}}, "summer' is no training"),
+        ({"trainings": {f"tuned/{OFFICE}/summer/0": TRAINING}}, "summer/0' is no training"),
+        ({"rows": [bare], "rows_hash": rows_digest([bare])}, "baseline/.* has no metric occupied_outside_kh"),
         ({"format": "else"}, "a file that `zenostat benchmark` wrote expected"),
     ):
         saved.write_text(json.dumps(content | change))
         with pytest.raises(InvalidConfig, match=text):
             load_results(saved)
-    saved.write_text("{")
-    with pytest.raises(InvalidConfig, match="has no results of a benchmark"):
-        load_results(saved)
+    for text in ("{", "[" * 200_000):
+        saved.write_text(text)
+        with pytest.raises(InvalidConfig, match="has no results of a benchmark"):
+            load_results(saved)
     with pytest.raises(UnknownName, match="there is no file"):
         load_results(tmp_path / "none.json")
 

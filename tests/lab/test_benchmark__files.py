@@ -212,6 +212,21 @@ def test_benchmark_files__finished_tunings_are_taken_from_the_folder_of_policies
         ensure_prepared(dataclasses.replace(preparation, cache=tmp_path / "empty"))
 
 
+@pytest.mark.parametrize(
+    ("content", "text"),
+    [
+        ("[" * 200_000, "has no tuned parameters"),
+        ('{"configuration": "ab"}', "it has no parameters"),
+        ('{"parameters": {}}', "it has no configuration"),
+    ],
+)
+def test_benchmark_files__damaged_tunings_are_refused(content: str, text: str, tmp_path: Path) -> None:
+    path = tmp_path / "tuned.json"
+    path.write_text(content)
+    with pytest.raises(InvalidConfig, match=text):
+        prepared.read_record(path)
+
+
 def test_benchmark_files__curve_has_the_means_of_equal_parts_of_a_training(tmp_path: Path) -> None:
     """25 parts of 40 steps: rewards of the episodes that end in steps 1 to 40, 41 to 80, and so on."""
     file = tmp_path / "curve.csv"
