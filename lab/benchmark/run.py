@@ -151,7 +151,13 @@ def check_extras(names: Sequence[str]) -> None:
 
 
 def _controller_digest(name: str) -> str:
-    """Return the sha256 of a controller's file or of a training's model; "" of a module or a bundled controller."""
+    """Return the sha256 of a controller's file or of a training's model; "" of a module or a bundled controller.
+
+    That of `CONTROLLER@FILE.yaml` is of both.
+    """
+    controller, at, parameters = name.rpartition("@")
+    if at and parameters.casefold().endswith((".yaml", ".yml")):
+        return digest_of([_controller_digest(controller), file_digest(Path(parameters).expanduser())])
     algorithm_or_file, _, rest = name.rpartition(":")
     for candidate in (name, rest, algorithm_or_file):
         path = Path(candidate).expanduser()

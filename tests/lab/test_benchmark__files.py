@@ -289,6 +289,19 @@ def test_benchmark_files__own_training_keeps_its_form_of_actions(tmp_path: Path)
     assert [[episode.controller for episode in job.episodes] for job in of_task] == [names[:1], names[1:3], names[3:]]
 
 
+def test_benchmark_files__hash_of_a_controller_has_its_code_and_its_parameters(tmp_path: Path) -> None:
+    code, parameters = tmp_path / "mine.py", tmp_path / "best.yaml"
+    code.write_text("from zenostat.controllers import RuleBasedController as Mine\n")
+    parameters.write_text("controller: rbc\nparameters: {margin: 0.3}\n")
+    names = [f"{code}:Mine@{parameters}", f"rbc@{parameters}", f"{code}:Mine"]
+    before = run.check_controllers(names)
+    parameters.write_text("controller: rbc\nparameters: {margin: 2.3}\n")
+    changed = run.check_controllers(names)
+    assert [changed[name] != before[name] for name in names] == [True, True, False]
+    code.write_text(code.read_text() + "# changed\n")
+    assert [run.check_controllers(names)[name] != changed[name] for name in names] == [True, False, True]
+
+
 # Submissions
 
 
