@@ -34,7 +34,7 @@ def check_submission(
 
     Args:
         path: the results.
-        reference: published results of the same set; None: those in `docs/benchmark` of the working directory.
+        reference: published results of the same set; None: those in `docs/benchmark` of the working directory, if any.
         hashes: sha256 of the models and weather files by name.
         sample: number of rows to run again; 0: none.
         sample_seed: seed with which they are drawn.
@@ -51,16 +51,11 @@ def check_submission(
         UnknownName, InvalidConfig: see `load_results`.
     """
     results = load_results(path)
-    published = load_results(reference or _published(results.set))
-    if published.set != results.set:
-        raise InvalidConfig(f"{path} has results of the set {results.set!r}, the reference those of {published.set!r}")
     errors = [f"{name}: not the file of the benchmark" for name in hashes if results.hashes.get(name) != hashes[name]]
     errors += [f"{name}: trained or tuned for another definition" for name in stale_trainings(results)]
     errors += _incomplete(results) + _implausible(results)
-    notes = [f"version of {change}" for change in changed_versions(results, published.versions)]
-    errors += [] if notes else _other_baseline(results, published)
-    if notes:
-        notes.append("the rows of the baseline control were not compared: they were made with other versions")
+    different, notes = _compare_baseline(results, path, reference)
+    errors += different
     if sample:
         drawn, skipped = _draw(results, sample, sample_seed, controllers)
         notes += skipped
@@ -72,11 +67,23 @@ def check_submission(
     return errors, notes
 
 
-def _published(set_name: str) -> Path:
-    path = Path("docs", "benchmark", f"{set_name}-{VERSION}.json")
-    if not path.is_file():
-        raise InvalidConfig(f"there are no published results {path} here: name them with --reference")
-    return path
+def _compare_baseline(results: Results, path: Path, reference: Path | None) -> tuple[list[str], list[str]]:
+    """Return the errors of a comparison with the published rows of the baseline control, and why it was not possible.
+
+    Raises:
+        UnknownName, InvalidConfig: the reference cannot be read, or is one of another set.
+    """
+    not_compared = "the rows of the baseline control were not compared"
+    published_path = reference or Path("docs", "benchmark", f"{results.set}-{VERSION}.json")
+    if reference is None and not published_path.is_file():
+        return [], [f"{not_compared}: no published rows are in {published_path}; --reference names others"]
+    published = load_results(published_path)
+    if published.set != results.set:
+        raise InvalidConfig(f"{path} has results of the set {results.set!r}, the reference those of {published.set!r}")
+    if changes := changed_versions(results, published.versions):
+        notes = [f"version of {change}" for change in changes]
+        return [], [*notes, f"{not_compared}: they were made with other versions"]
+    return _other_baseline(results, published), []
 
 
 def _incomplete(results: Results) -> list[str]:

@@ -29,7 +29,7 @@ from zenostat.lab.benchmark.run import stale_trainings
 from zenostat.lab.benchmark.submission import check_submission
 from zenostat.topics import VERSION as PRODUCT_VERSION
 from zenostat.topics import yaml12
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, UnknownName
 
 SMOKE = SETS["smoke"]
 OFFICE = SMOKE.buildings[0]
@@ -353,6 +353,18 @@ def test_benchmark_files__other_versions_are_noted_instead_of_compared(
     errors, notes = check_submission(complete, reference, {})
     assert errors == []
     assert notes[-1].startswith("the rows of the baseline control were not compared")
+
+
+def test_benchmark_files__submission_is_checked_without_published_rows(
+    complete: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    errors, notes = check_submission(complete, None, {OFFICE: "cd"})
+    assert errors == [f"{OFFICE}: not the file of the benchmark"]
+    assert len(notes) == 1
+    assert f"not compared: no published rows are in {Path('docs', 'benchmark')}" in notes[0]
+    with pytest.raises(UnknownName, match="there is no file"):
+        check_submission(complete, tmp_path / "none.json", {})
 
 
 def test_benchmark_files__sample_is_drawn_from_the_seed_and_runs_no_unnamed_code(
