@@ -34,6 +34,7 @@ def merge_results(paths: Sequence[Path]) -> Results:
         for key in merged.rows.keys() & results.rows:
             if not merged.rows[key].same(results.rows[key]):
                 raise InvalidConfig(f"{what} have different rows of {episode_of(results.rows[key])}")
+        merged.versions = results.versions | merged.versions
         merged.hashes |= results.hashes
         merged.controllers |= results.controllers
         merged.trainings = results.trainings | merged.trainings

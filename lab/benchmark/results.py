@@ -168,11 +168,12 @@ def changed_versions(results: Results, now: Mapping[str, str] | None = None) -> 
 
     Args:
         results: the results.
-        now: the versions to compare with; None: the current ones.
+        now: the versions of other results, which are compared as far as both have them; None: the current ones.
     """
-    now = dict(current_versions() if now is None else now)
+    known = current_versions() if now is None else now
+    compared = known.keys() | (_LIBRARIES if now is None else ())
     return [
-        f"{name} {version}, now {now.get(name, 'missing')}"
+        f"{name} {version}, now {known.get(name, 'missing')}"
         for name, version in results.versions.items()
-        if name in now | dict.fromkeys(_LIBRARIES) and version != now.get(name)
+        if name in compared and version != known.get(name)
     ]

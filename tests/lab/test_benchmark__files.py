@@ -125,6 +125,17 @@ def test_benchmark_files__parts_are_merged(rows: list[Row], complete: Path, tmp_
     assert len(load_results(rules).missing(["ppo"])) == 2
 
 
+def test_benchmark_files__parts_of_machines_with_other_libraries_are_merged_in_any_order(
+    rows: list[Row], tmp_path: Path
+) -> None:
+    versions = {"numpy": "2.4.0", "torch": "2.13.0"}
+    learned = [one for one in rows if one.controller != "rbc"]
+    rules = written(tmp_path / "rules.json", rows[:2], versions={"numpy": "2.4.0"})
+    trained = written(tmp_path / "trained.json", learned, versions=versions, trainings=TRAININGS)
+    for parts in ([rules, trained], [trained, rules]):
+        assert merge_results(parts).versions == versions
+
+
 def test_benchmark_files__contradicting_parts_are_refused(rows: list[Row], complete: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.json"
     first = rows[0]
