@@ -17,7 +17,7 @@ from zenostat.cosim.file import OWN_FIELDS, DistrictFile, OnLost, kind_of
 from zenostat.cosim.market import Bids
 from zenostat.cosim.market_plant import MarketPlant, market_manifest
 from zenostat.cosim.node_plant import FoundPlant, NodePlant, StartedPlant
-from zenostat.cosim.topology import Topology, check_file
+from zenostat.cosim.topology import Topology, check_file, resolve
 from zenostat.topics.calendar import parse_day
 from zenostat.topics.errors import (
     BusError,
@@ -36,6 +36,11 @@ _YEAR = 2017
 """For days without a year: one without 29 February, as most are."""
 _PATHS = ("scenario", "config", "building", "weather", "faults", "alarms", "plant", "fmu", "grid")
 """Settings that may be paths, which are relative to the district's file."""
+_SUFFIXES = {
+    *(".epjson", ".idf", ".osm", ".gbxml", ".xml", ".epw", ".csv"),
+    *(".yaml", ".yml", ".json", ".fmu", ".py"),
+}
+"""Suffixes of files, which names of buildings, weather files, scenarios and modules do not have."""
 
 
 class PlantSet:
@@ -117,7 +122,7 @@ class PlantSet:
     def _open(self, name: str, settings: dict[str, Any]) -> NodePlant:
         spec = self.file.spec.plants[name]
         if spec.node is not None:
-            keys = None if spec.keys is None else self.file.path.parent / spec.keys
+            keys = None if spec.keys is None else resolve(self.file, spec.keys)
             assert spec.connect is not None  # as `check_file` has checked
             return FoundPlant(spec.node, spec.connect, keys)
         plant = StartedPlant(f"{self.file.spec.name}.{name}", settings, self._on_process)
@@ -149,7 +154,7 @@ class PlantSet:
             if key in settings:
                 settings[key] = _absolute(self.file.path.parent, settings[key])
         if raw.get("district") is not None:
-            settings["district"] = str((self.file.path.parent / raw["district"]).absolute())
+            settings["district"] = str(resolve(self.file, Path(raw["district"])).absolute())
         if is_building(raw) and spec.start is not None and not {"begin", "end"} & set(settings):
             settings |= self._days(name)
         return settings
@@ -219,7 +224,7 @@ class PlantSet:
 
 
 def _absolute(folder: Path, value: Any) -> Any:
-    """Return a path of an existing file as an absolute one; names and other values are unchanged."""
+    """Return a path as an absolute one; names, such as those of bundled buildings, and other values are unchanged."""
     if isinstance(value, list):
         return [_absolute(folder, item) for item in value]
     if not isinstance(value, str):
@@ -228,7 +233,8 @@ def _absolute(folder: Path, value: Any) -> Any:
     if not colon:
         place, name = value, ""
     path = folder / Path(place).expanduser()
-    return f"{path.absolute()}{colon}{name}" if path.is_file() else value
+    is_path = path.suffix.lower() in _SUFFIXES or path.is_file()
+    return f"{path.absolute()}{colon}{name}" if is_path else value
 
 
 def input_files(file: DistrictFile) -> dict[str, Path]:

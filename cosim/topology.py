@@ -96,6 +96,10 @@ def _check_plants(file: DistrictFile, errors: FileErrors) -> None:
             )
         elif kinds == ("node",) and (extra := sorted(_settings(file, name))):
             errors.add(location, f"plant {name!r} runs already, with settings of its own; leave out {', '.join(extra)}")
+        elif plant.keys is not None and plant.node is None and plant.market is None:
+            errors.add(
+                (*location, "keys"), f"plant {name!r} is started on a bus of its own, without keys; leave them out"
+            )
 
 
 def _settings(file: DistrictFile, plant: str) -> set[str]:

@@ -99,6 +99,10 @@ def test_file__each_mistake_of_a_connection_has_its_line(folder: Path, connectio
             "FILE:2: plant 'a' runs already, with settings of its own; leave out begin",
         ),
         ("timestep: 15 minutes\nplants:\n  a: {plant: 'a.py:A'}\n", "FILE:1: timestep"),
+        (
+            "plants:\n  a:\n    plant: 'a.py:A'\n    keys: x\n",
+            "FILE:4: plant 'a' is started on a bus of its own, without keys; leave them out",
+        ),
         ("plants: {}\n", "FILE:1: plants: "),
         ("plants:\n  a: {plant: 'a.py:A', bilding: x}\n", "FILE:2: plants.a.bilding: there is no such field"),
         (
