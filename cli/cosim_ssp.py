@@ -12,6 +12,7 @@ from zenostat.cli.console import err, out
 from zenostat.cli.options import Loops
 from zenostat.cosim.file import RESERVED, read_district
 from zenostat.cosim.graph import feedback_edges
+from zenostat.cosim.topology import MAX_NAME
 from zenostat.plants.ssp.structure import Link, Structure, read_structure
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.yaml12 import dump
@@ -98,12 +99,16 @@ def district(structure: Structure, folder: str, loops: Loops, source: str) -> di
             content["plants"][component.name]["plant_arguments"] = arguments
     edges = [(link.source.partition(".")[0], link.target.partition(".")[0]) for link in structure.links]
     back = set(feedback_edges(content["plants"], edges))
-    connections = [_connection(link, loops if number in back else None) for number, link in enumerate(structure.links)]
+    connections = [
+        _connection(number, link, loops if number in back else None) for number, link in enumerate(structure.links)
+    ]
     return content | ({"connections": connections} if connections else {})
 
 
-def _connection(link: Link, loops: Loops | None) -> Mapping[str, Any]:
+def _connection(number: int, link: Link, loops: Loops | None) -> Mapping[str, Any]:
     entry: dict[str, Any] = {"from": link.source, "to": link.target}
+    if len(f"{link.source}-{link.target}") > MAX_NAME:  # its name by default
+        entry = {"name": f"connection_{number + 1}", **entry}
     if link.unit:
         entry["unit"] = link.unit
     if link.factor != 1.0:

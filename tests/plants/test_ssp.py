@@ -16,6 +16,8 @@ from support.run_cli import run_in_process, run_program
 import zenostat  # noqa: F401  # registers the environments
 from zenostat.cli.cosim_ssp import convert
 from zenostat.cli.options import Loops
+from zenostat.cosim.file import read_district
+from zenostat.cosim.topology import check_file
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.yaml12 import dump, parse
 
@@ -165,6 +167,16 @@ def test_convert__mapped_parameters_are_converted_before_they_are_transformed(ta
     values = ssp.parameter_set(ssp.real("k", 50.0, "degF"))
     root = ssp.system("s", A, inside=ssp.bindings(ssp.inline(values, mapping=mapping)))
     assert converted(tmp_path, tank, root)["plants"]["a"]["plant_arguments"]["set"] == {"T": pytest.approx(17.0)}
+
+
+def test_convert__connection_of_long_names_has_a_short_one(tank: Path, tmp_path: Path) -> None:
+    first, second = "a" * 50, "b" * 50
+    links = ssp.connection(f"{first}:power", f"{second}:heat") + ssp.connection("c:power", f"{first}:heat")
+    elements = "".join(ssp.component(name) for name in (first, second, "c"))
+    content = converted(tmp_path, tank, ssp.system("s", elements, links))
+    names = {connection["from"]: connection.get("name") for connection in content["connections"]}
+    assert names == {f"{first}.power": "connection_1", "c.power": None}
+    check_file(read_district(tmp_path / "district.yaml"))
 
 
 def test_convert__loops_are_delayed_on_request(tank: Path, tmp_path: Path) -> None:
