@@ -36,6 +36,10 @@ def check_steps_per_hour(steps: int) -> None:
         )
 
 
+_FIRST_YEAR, _LAST_YEAR = 1583, 9998
+"""EnergyPlus has no years before 1583; Python's calendar ends with 9999, and forecasts go on after a run period."""
+
+
 @dataclass(frozen=True, slots=True)
 class Period:
     """Whole days from `begin` to `end`, both included, in equal timesteps."""
@@ -45,6 +49,10 @@ class Period:
     steps_per_hour: int
 
     def __post_init__(self) -> None:
+        if self.begin.year < _FIRST_YEAR or self.end.year > _LAST_YEAR:
+            raise InvalidConfig(
+                f"the run period {self.begin} to {self.end} is outside the years {_FIRST_YEAR} to {_LAST_YEAR}"
+            )
         if self.end < self.begin:
             raise InvalidConfig(f"the run period ends ({self.end}) before it begins ({self.begin})")
         check_steps_per_hour(self.steps_per_hour)

@@ -67,6 +67,13 @@ def test_run_period__period_does_not_end_before_it_begins() -> None:
         Period(date(2017, 7, 1), date(2017, 6, 30), 4)
 
 
+@pytest.mark.parametrize("day", [date(1, 1, 1), date(1582, 12, 31), date(9999, 12, 31)])
+def test_period__years_that_cannot_be_simulated_are_refused(day: date) -> None:
+    with pytest.raises(InvalidConfig, match=rf"run period {day} to {day} is outside the years 1583 to 9998"):
+        Period(day, day, 4)
+    assert Period(date(1583, 1, 1), date(9998, 12, 31), 1).steps > 0
+
+
 # Days
 
 
