@@ -87,7 +87,11 @@ class Building:
         return int(timestep.get("number_of_timesteps_per_hour", 6))
 
     def period(self, begin: str | None, end: str | None, steps_per_hour: int | None) -> Period:
-        """Return the requested run period, in the model's own calendar year if none is given."""
+        """Return the requested run period, in the model's own calendar year if none is given.
+
+        An end without a year is in the year of the begin, or in the next one if the model's own period goes over New
+        Year.
+        """
         own = self.run_period
         month, day = int(own.get("begin_month", 1)), int(own.get("begin_day_of_month", 1))
         last_month, last_day = int(own.get("end_month", 12)), int(own.get("end_day_of_month", 31))
@@ -97,10 +101,13 @@ class Building:
         if steps_per_hour is None:
             self._check_own_timestep()
         first = parse_day(begin or f"{month}-{day}", "begin", year)
+        over_new_year = (last_month, last_day) < (month, day)
         if end is None and begin is None:
-            over_new_year = (last_month, last_day) < (month, day)
             end = f"{int(own.get('end_year') or year + over_new_year):04}-{last_month}-{last_day}"
-        last = parse_day(end or f"{last_month}-{last_day}", "end", first.year)
+        end = end or f"{last_month}-{last_day}"
+        last = parse_day(end, "end", first.year)
+        if over_new_year and last < first:
+            last = parse_day(end, "end", first.year + 1)  # the same day if it has a year
         return Period(first, last, self.steps_per_hour if steps_per_hour is None else steps_per_hour)
 
     def _check_own_days(self) -> None:

@@ -54,7 +54,10 @@ class Period:
                 f"the run period {self.begin} to {self.end} is outside the years {_FIRST_YEAR} to {_LAST_YEAR}"
             )
         if self.end < self.begin:
-            raise InvalidConfig(f"the run period ends ({self.end}) before it begins ({self.begin})")
+            raise InvalidConfig(
+                f"the run period ends ({self.end}) before it begins ({self.begin}); to end in a later year, write the "
+                "day as YYYY-MM-DD"
+            )
         check_steps_per_hour(self.steps_per_hour)
 
     @property

@@ -169,6 +169,31 @@ def test_run_period__end_without_a_year_is_in_the_year_of_the_begin() -> None:
     assert building(begin_year=2017).period("2018-07-01", "07-07", None).end == date(2018, 7, 7)
 
 
+@pytest.mark.parametrize(
+    ("begin", "end", "first", "last"),
+    [
+        (None, None, date(2017, 10, 1), date(2018, 3, 31)),
+        ("12-01", None, date(2017, 12, 1), date(2018, 3, 31)),
+        (None, "01-31", date(2017, 10, 1), date(2018, 1, 31)),
+        ("12-01", "01-31", date(2017, 12, 1), date(2018, 1, 31)),
+        ("02-01", None, date(2017, 2, 1), date(2017, 3, 31)),
+        ("11-01", "11-30", date(2017, 11, 1), date(2017, 11, 30)),
+    ],
+)
+def test_run_period__end_without_a_year_is_after_new_year_where_the_models_own_is(
+    begin: str | None, end: str | None, first: date, last: date
+) -> None:
+    own = building(begin_month=10, begin_day_of_month=1, end_month=3, end_day_of_month=31)
+    period = own.period(begin, end, None)
+    assert (period.begin, period.end) == (first, last)
+
+
+@pytest.mark.parametrize("own", [{}, {"begin_month": 10, "begin_day_of_month": 1, "end_month": 3}])
+def test_run_period__end_with_a_year_before_the_begin_is_refused_with_the_form(own: dict[str, int]) -> None:
+    with pytest.raises(InvalidConfig, match=r"ends \(2017-01-31\) before it begins .* write the day as YYYY-MM-DD"):
+        building(**own).period("2017-12-01", "2017-01-31" if own else "01-31", None)
+
+
 # What the weather has
 
 SUMMER = Header("Denver", 39.8, -104.7, -7.0, 1650.0, first=(5, 1), last=(9, 30))
