@@ -38,7 +38,7 @@ TRAINING = (("2017-01-09", "2017-01-22"), ("2017-07-10", "2017-07-23"))
 HELD_OUT = (("2017-04-17", "2017-04-23"), ("2017-08-21", "2017-08-27"))
 TRIALS = {"ref-small-office": 54, "ref-stand-alone-retail": 54, "ref-warehouse": 54}
 """Trials of each building: six generations of the sampler."""
-REFINE = 5
+REFINE = 20
 """Steps after the trials, at most."""
 
 METER_NOISE, TEMPERATURE_NOISE_K = 0.05, 0.3

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from zenostat.lab.calibration.config import Calibration
 from zenostat.lab.calibration.derivatives import Derivatives, derivatives, points
 from zenostat.lab.calibration.determination import Determined, Linearization, determine, linearize, stepped
@@ -200,7 +202,8 @@ def _refine(
     (derived, failing), has_moved = derive(), False
     for _ in range(config.refine):
         linear = around()
-        near = [stepped(config, best[0], step) for step in (linear.step, linear.newton)]
+        middle = np.array([parameter.to_unit(best[0][name]) for name, parameter in config.parameters.items()])
+        near = [stepped(config, best[0], step) for step in linear.bounded_steps(middle)]
         reached = [
             (objective(compare(data, hours), scales, config.adjustable), place, hours)
             for place, hours in enumerate(simulate(near))

@@ -168,7 +168,7 @@ class Calibration(StudyConfig):
     direction: Direction = "minimize"
     pruner: Annotated[Annotated[Pruner, FIELDS] | No, FIELDS_OR_FALSE] = Pruner(warmup_steps=0)
     batch: Count | None = None
-    refine: Annotated[int, Field(strict=True, ge=0)] = 5
+    refine: Annotated[int, Field(strict=True, ge=0)] = 20
     margin: Annotated[float, Field(gt=0)] = 0.1
     determined: Annotated[float, Field(gt=0, le=1)] = 0.5
     sources: dict[str, str] = Field(default_factory=dict)

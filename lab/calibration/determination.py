@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.lab.calibration.bounded_minimum import bounded_minimum
 from zenostat.lab.calibration.config import Calibration, Parameter
 from zenostat.lab.calibration.derivatives import Derivatives
 from zenostat.lab.calibration.objective import Compared, Scales
@@ -109,14 +110,29 @@ class Linearization:
     Attributes:
         step: step to the optimum of the linearized model, given that each parameter is within its range before any
             measurement, shape (parameters,), on the scale of the search.
-        newton: the same from the measurement alone: longer, and the better one far from the optimum, where residuals
-            are no noise.
         covariance: covariance of the parameters there, shape (parameters, parameters).
+        weighted: precision times step, shape (parameters,).
+        curvature, gradient: half the second derivatives of the squared objective, and minus half the first ones. Their
+            optimum is farther away, and the better one far from the optimum, where residuals are no noise.
     """
 
     step: Floats
-    newton: Floats
     covariance: Floats
+    weighted: Floats
+    curvature: Floats
+    gradient: Floats
+
+    def bounded_steps(self, center: Floats) -> list[Floats]:
+        """Return steps to the optimum within the ranges: with all that is known, from the measurement alone, and parts.
+
+        Args:
+            center: the point on the scale of the search, shape (parameters,).
+        """
+        low, high = -center, 1.0 - center
+        newton = bounded_minimum(self.curvature, self.gradient, low, high)
+        precision = np.asarray(np.linalg.inv(self.covariance), np.float64)
+        known = bounded_minimum(precision, self.weighted, low, high)
+        return [known, newton, newton / 2.0, newton / 4.0]
 
 
 def linearize(
@@ -146,8 +162,8 @@ def linearize(
     curvature = _positive(curvature)
     gain = curvature @ np.linalg.pinv(noise, rcond=_SINGULAR, hermitian=True)
     covariance = np.asarray(np.linalg.inv(gain @ curvature + 12.0 * np.eye(count)), np.float64)
-    newton = np.asarray(np.linalg.pinv(curvature, rcond=_SINGULAR, hermitian=True) @ gradient, np.float64)
-    return Linearization(np.asarray(covariance @ gain @ gradient, np.float64), newton, covariance)
+    weighted = np.asarray(gain @ gradient, np.float64)
+    return Linearization(covariance @ weighted, covariance, weighted, curvature, gradient)
 
 
 def _positive(curvature: Floats) -> Floats:

@@ -94,7 +94,8 @@ def test_determine__interval_reaches_the_optimum_of_the_linearized_model(tmp_pat
     config = configuration(tmp_path)
     best = {"day": 1.25, "night": 1.25, "offset": 0.0}  # the middle of each range
     step, deviations = np.array([0.2, -0.7, 0.0]), np.array([0.0, 0.05, 0.05])
-    determined = determine(config, best, Linearization(step, step, np.diag(deviations**2)), [(best, 1.0)])
+    linear = Linearization(step, np.diag(deviations**2), weighted=step, curvature=np.eye(3), gradient=step)
+    determined = determine(config, best, linear, [(best, 1.0)])
     ranges = [tuple(config.parameters[each.name].to_unit(end) for end in each.interval) for each in determined]
     half = 0.05 * 1.959964
     expected = [(0.5, 0.7), (0.0, 0.5 + half), (0.5 - half, 0.5 + half)]  # one step leads beyond the range
