@@ -170,7 +170,7 @@ def read(path: Path) -> Weather:
     text = path.read_bytes().decode("latin-1")
     end = "\r\n" if "\r\n" in text else "\n"
     lines = text.split(end)
-    header = parse_header(path, lines[:HEADER_LINES])
+    header = parse_header(path, [line.encode("latin-1") for line in lines[:HEADER_LINES]])
     last = len(lines)
     while last > HEADER_LINES and not lines[last - 1].strip():
         last -= 1

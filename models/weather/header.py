@@ -100,13 +100,13 @@ def read_header(path: Path) -> Header:
     Raises:
         InvalidConfig: the file does not begin like an EPW file, has no DATA PERIODS line, or a number that cannot be.
     """
-    with path.open(encoding="latin-1") as file:
+    with path.open("rb") as file:
         return parse_header(path, [file.readline() for _ in range(HEADER_LINES)])
 
 
-def parse_header(path: Path, lines: Sequence[str]) -> Header:
+def parse_header(path: Path, lines: Sequence[bytes]) -> Header:
     """Parse the first lines of `path`; raises as `read_header` does."""
-    cells = [[cell.strip() for cell in line.split(",")] for line in lines]
+    cells = [[cell.strip() for cell in _decode(line).split(",")] for line in lines]
     if len(cells) < HEADER_LINES or cells[0][0].upper() != "LOCATION" or cells[7][0].upper() != "DATA PERIODS":
         raise InvalidConfig(f"{path} is not an EPW file: it should begin with LOCATION and have DATA PERIODS in line 8")
     location, data = cells[0], cells[7]
@@ -133,6 +133,14 @@ def parse_header(path: Path, lines: Sequence[str]) -> Header:
     if reason := next(_header_errors(header), ""):
         raise InvalidConfig(f"{path}, {reason}")
     return header
+
+
+def _decode(line: bytes) -> str:
+    """Return the text of a line in UTF-8, or else in Latin-1."""
+    try:
+        return line.decode("utf-8")
+    except UnicodeDecodeError:
+        return line.decode("latin-1")
 
 
 def _header_errors(header: Header) -> Iterator[str]:

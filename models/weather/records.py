@@ -14,7 +14,7 @@ from zenostat.models.weather.epw import COLUMNS
 from zenostat.models.weather.header import HEADER_LINES, Header, read_header
 from zenostat.topics.errors import InvalidConfig
 
-_FORMAT = "1"
+_FORMAT = "2"
 _KEPT = (
     "dry_bulb_temperature",
     "dew_point_temperature",
@@ -51,7 +51,8 @@ def _inspect(header: Header, path: Path) -> dict[str, Any]:
     raw = path.read_bytes()
 
     def make(target: Path) -> None:
-        rows = [line.split(",") for line in raw.decode("latin-1").splitlines()[HEADER_LINES:] if line.strip()]
+        lines = [line for line in raw.splitlines()[HEADER_LINES:] if line.strip()]
+        rows = [line.decode("latin-1").split(",") for line in lines]
         missing = Counter[str]()
         for name in _KEPT:
             column = COLUMNS[name]

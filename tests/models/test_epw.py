@@ -12,6 +12,7 @@ from zenostat.models.catalog import find_weather, weathers
 from zenostat.models.scenario.run_period import Period
 from zenostat.models.weather.epw import COLUMNS, find_column, read, write
 from zenostat.models.weather.header import DesignConditions, Header, check_complete, check_covers, read_header
+from zenostat.models.weather.records import check_records
 from zenostat.topics.errors import InvalidConfig, UnknownName
 
 DENVER = find_weather("USA_CO_Denver").path
@@ -427,6 +428,18 @@ def test_read_header__number_that_cannot_be_is_named_with_its_line(
 
     with pytest.raises(InvalidConfig, match=rf"edited\.epw.* {words}"):
         read_header(edited(folder, change))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "latin-1"])
+def test_read_header__place_has_its_characters(encoding: str, folder: Path) -> None:
+    first, rest = DENVER.read_bytes().split(b"\n", 1)
+    cells = ["LOCATION", "Ålesund", "à", "NOR", *first.decode().split(",")[4:]]
+    path = folder / "place.epw"
+    path.write_bytes(",".join(cells).encode(encoding) + b"\n" + rest)
+    header = read_header(path)
+    assert header.place == read(path).header.place == "Ålesund, à, NOR"
+    check_complete(header, path)
+    check_records(header, path)
 
 
 def test_epw__day_that_its_year_lacks_is_refused(folder: Path) -> None:
