@@ -328,6 +328,8 @@ def check_name(name: str, what: str) -> str:
     Raises:
         InvalidConfig: the name is not valid.
     """
+    if not isinstance(name, str):
+        raise InvalidConfig(f"{what} {name!r} is not a text")
     if not _SAFE.fullmatch(name):
         raise InvalidConfig(
             f"{what} {name!r} is not valid in a topic: use up to 128 letters, digits, '_', '.' and '-'; "

@@ -16,7 +16,7 @@ from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
 from zenostat.agent_sdk.rewards.manifest_data import reward_data, task_paying
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.bus import connect as connect_bus
-from zenostat.bridge.client.controller_link import ControllerLink
+from zenostat.bridge.client.controller_link import ControllerLink, check_claim
 from zenostat.bridge.client.local_node import LocalNode, Monitor, ignore_interrupts
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.recording.file import next_recording
@@ -88,6 +88,7 @@ class NodeConnection:
             undo.callback(self.abandon)
             if render_mode is not None and render_mode not in RENDER_MODES:
                 raise InvalidConfig(f"render_mode {render_mode!r}; there are: {', '.join(RENDER_MODES)}")
+            check_claim(NAME, priority=priority)
             if keys is not None and connect is None:
                 raise InvalidConfig("keys= needs connect='tls/HOST:PORT'; a local node is not on a network")
             if link is not None:

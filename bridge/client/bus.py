@@ -127,6 +127,7 @@ class Bus(Connection):
             required: Whether the node waits for this controller in lockstep.
 
         Raises:
+            InvalidConfig: A name, priority or actuators of another form.
             NodeNotFound: No such node.
             RequestRejected: Another controller holds one of the actuators at that priority.
         """

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import zenoh
 from numpy.typing import NDArray
+from pydantic import ValidationError
 from zenoh.handlers import RingChannel
 
 from zenostat.bridge.client.command_publisher import CommandPublisher
@@ -28,6 +29,7 @@ from zenostat.bridge.transport.wakeup import Wake, stream_wake
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import (
     EpisodeChanged,
+    InvalidConfig,
     NodeLost,
     NodeNotFound,
     PeerError,
@@ -412,6 +414,14 @@ class ControllerLink:
             sample = self.receive()
 
 
+def check_claim(controller: str, **fields: Any) -> Claim:
+    """Return a claim with fields of `Claim`; `InvalidConfig` describes those that are not valid."""
+    try:
+        return Claim(controller=controller, **fields)
+    except ValidationError as error:
+        raise InvalidConfig(codec.describe_validation_errors(error, Claim.model_fields)) from None
+
+
 def open_link(
     bus: Connection,
     node: str,
@@ -423,7 +433,7 @@ def open_link(
 ) -> ControllerLink:
     """Connect a controller to a node; see `Bus.controller`."""
     unique = f"{keys.check_name(name, 'the controller')}-{os.getpid()}-{next(_numbers)}"
-    claim = Claim(controller=bus.sender(unique), priority=priority, actuators=actuators, required=required)
+    claim = check_claim(bus.sender(unique), priority=priority, actuators=actuators, required=required)
     link = ControllerLink(bus, node, claim, bus.affinity)
     bus.adopt(link)
     return link

@@ -4,9 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
+import zenostat  # noqa: F401  # registers the environments
 from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO, check_agent_settings, fields_of_file, for_node
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.eplus_node.config import read_config
@@ -37,6 +39,14 @@ def test_env__short_names_stay_and_the_node_gets_its_own() -> None:
 def test_env__names_with_a_dot_are_no_paths(user_folder: Path) -> None:
     arguments = {"building": "office-small", "weather": ["USA_CA_San.Francisco", "USA_OK_Oklahoma.City"]}
     assert for_node(arguments, "b") == {**arguments, "name": "b"}
+
+
+@pytest.mark.parametrize("priority", [0, 17, 2.5, "3", True, float("nan")])
+def test_env__invalid_priority_is_refused_before_anything_starts(priority: Any) -> None:
+    with pytest.raises(InvalidConfig, match="priority"):
+        gym.make("zenostat/Building-v1", **BASE, priority=priority)
+    with pytest.raises(InvalidConfig, match="priority"):
+        gym.make("zenostat/Building-v1", connect="tcp/127.0.0.1:1", node="office", priority=priority)
 
 
 # Paths

@@ -4,6 +4,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ import zenostat
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.transport.session import MAX_MESSAGE_BYTES
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import NodeNotFound, RequestRejected
+from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected
 from zenostat.topics.messages import Claim, Event, EventKind, State
 
 DAY = {**SMALL, "name": "office"}
@@ -261,6 +262,19 @@ def test_bus__second_claim_of_a_level_names_the_holder(bus: zenostat.Bus, second
             until(lambda: bus.controllers() == both, "both are there")
     with pytest.raises(RequestRejected, match="no actuator 'core_zn_heating'; did you mean 'core_zn_heating_setpoint'"):
         bus.controller("office", actuators=["core_zn_heating"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"priority": 17}, "priority"),
+        ({"actuators": "core_zn_cooling_setpoint"}, "actuators"),
+        ({"name": None}, "None"),
+    ],
+)
+def test_bus__claim_that_is_not_valid_is_described(bus: zenostat.Bus, arguments: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        bus.controller("office", **arguments)
 
 
 def test_bus__nodes_controllers_and_status(bus: zenostat.Bus) -> None:
