@@ -14,7 +14,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.topics.errors import UnknownName, ZenostatError, did_you_mean
+from zenostat.topics.errors import InvalidAction, UnknownName, ZenostatError, did_you_mean
 from zenostat.topics.messages import Actuator, Manifest
 from zenostat.topics.units import with_unit
 
@@ -63,6 +63,18 @@ def contains(limits: Bounded, value: float) -> bool:
     """Return whether a value is finite and within the bounds."""
     low, high = bounds(limits)
     return isfinite(value) and low <= value <= high
+
+
+def check_command(name: str, value: object) -> None:
+    """Raise `InvalidAction` unless an actuator's value is a finite number, or None."""
+    is_text_or_bool = isinstance(value, bool | np.bool_ | str | bytes)
+    try:
+        is_valid = value is None or (not is_text_or_bool and isfinite(value))  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        is_valid = False
+    if not is_valid:
+        shown = value if isinstance(value, float) else repr(value)
+        raise InvalidAction(f"{name} = {shown}; a finite number or None (relinquish) expected")
 
 
 def check_order(limits: Bounded) -> None:

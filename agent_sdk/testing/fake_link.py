@@ -11,7 +11,7 @@ from zenostat.agent_sdk.testing.fake_building import FakeBuilding
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import EpisodeChanged, InvalidAction, PeerError, RequestRejected
 from zenostat.topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Flag, Sample, WeatherSeries
-from zenostat.topics.points import actuator_index, bound_arrays, describe_violation, value_index
+from zenostat.topics.points import actuator_index, bound_arrays, check_command, describe_violation, value_index
 
 Floats = NDArray[np.float64]
 
@@ -130,8 +130,7 @@ class FakeLink:
         row, operations = np.zeros_like(self._commanded), np.full_like(self._commanded, float(CommandOp.KEEP))
         for name, value in values.items():
             index = self._actuators[name]
-            if value is not None and not np.isfinite(value):
-                raise InvalidAction(f"{name} = {value}; expected a finite number, or None to relinquish it")
+            check_command(name, value)
             row[index], operations[index] = (0.0, CommandOp.RELINQUISH) if value is None else (value, CommandOp.SET)
         return row, operations
 

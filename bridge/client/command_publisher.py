@@ -13,7 +13,7 @@ from zenostat.bridge.client.presence import undeclare
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidAction
 from zenostat.topics.messages import Command, CommandOp, Manifest, Sample
-from zenostat.topics.points import actuator_index
+from zenostat.topics.points import actuator_index, check_command
 
 # Plain integers: an exception that a signal handler raises inside NumPy's access to an enum member is lost, such as the
 # KeyboardInterrupt of Ctrl-C.
@@ -44,8 +44,7 @@ class CommandArrays:
         row, codes = np.zeros(len(self._index)), np.full(len(self._index), _KEEP, np.uint8)
         for name, value in (values or {}).items():
             index = self._index[name]
-            if value is not None and not np.isfinite(value):
-                raise InvalidAction(f"{name} = {value}; a finite number or None (relinquish) expected")
+            check_command(name, value)
             row[index], codes[index] = (0.0, _RELINQUISH) if value is None else (value, _SET)
         return row.tobytes() * self._slots, codes.tobytes() * self._slots
 

@@ -278,8 +278,9 @@ def test_testing_kit__what_a_node_refuses_a_fake_refuses() -> None:
         link.receive()
     with pytest.raises(InvalidAction, match="no actuator 'heating'; did you mean 'zone_1_heating_setpoint'"):
         sample.send({"heating": 20.0})
-    with pytest.raises(InvalidAction, match="zone_1_heating_setpoint = nan"):
-        sample.send({"zone_1_heating_setpoint": float("nan")})
+    for value in (float("nan"), "20", True, np.True_, [20.0, 21.0], 10**400):
+        with pytest.raises(InvalidAction, match="zone_1_heating_setpoint = .*; a finite number or None"):
+            sample.send({"zone_1_heating_setpoint": value})  # type: ignore[dict-item]
     with pytest.raises(InvalidAction, match=r"shape \(1,\); \(2,\) expected"):
         link.send(column(20))
     link.send({"zone_1_heating_setpoint": 23.0})

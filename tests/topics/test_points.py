@@ -17,6 +17,7 @@ from zenostat.topics.points import (
     actuator_index,
     bound_arrays,
     bounds,
+    check_command,
     check_order,
     contains,
     describe_bounds,
@@ -50,6 +51,17 @@ def test_contains__exactly_the_finite_values_that_violate_neither_bound(
 @pytest.mark.parametrize("value", [nan, inf, -inf])
 def test_contains__no_value_that_is_not_finite_even_without_bounds(value: float) -> None:
     assert not contains(point(), value)
+
+
+@pytest.mark.parametrize("value", [None, 20, 20.5, np.float32(20.5), np.int64(20), np.array(20.5)])
+def test_check_command__takes_numbers_and_none(value: object) -> None:
+    check_command("cooling", value)
+
+
+@pytest.mark.parametrize("value", ["25", True, np.True_, nan, -inf, [25.0, 26.0], {}, 10**400])
+def test_check_command__names_the_actuator(value: object) -> None:
+    with pytest.raises(InvalidAction, match="cooling = .*; a finite number or None"):
+        check_command("cooling", value)
 
 
 @given(st.lists(st.tuples(BOUND, BOUND), max_size=5), st.sampled_from([inf, LARGEST]))
