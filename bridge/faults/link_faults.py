@@ -142,6 +142,16 @@ class LinkFaults:
         flow.last_due_s = now_s + delay_s
         return [delay_s] * copies
 
+    def adopt(self, other: LinkFaults) -> bool:
+        """Take over the state of the faults that are equal to one of another plan; return whether there are any."""
+        rows = self._schedule.adopt(other._schedule)
+        for own, theirs in rows.items():
+            self.counts[self._schedule.names[own]] = other.counts[other._schedule.names[theirs]]
+        if rows:
+            for name, flow in other._flows.items():
+                self._flow(name).number, self._flow(name).last_due_s = flow.number, flow.last_due_s
+        return bool(rows)
+
     def state(self) -> dict[str, Any]:
         """Return the state of the faults as built-in types, without delayed messages."""
         flows = {name: flow.number for name, flow in self._flows.items()}

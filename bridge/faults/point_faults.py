@@ -161,6 +161,16 @@ class PointFaults:
         """Return the names of the faults that are active in a slot."""
         return tuple(name for name, on in zip(self._schedule.names, self._schedule.on[:, slot], strict=True) if on)
 
+    def adopt(self, other: PointFaults) -> bool:
+        """Take over the state of the faults that are equal to one of another plan; return whether there are any."""
+        rows = self._schedule.adopt(other._schedule)
+        for own, theirs in ((self._points, other._points), (self._actuators, other._actuators)):
+            by_row = {effect.row: effect for effect in theirs}
+            for effect in own:
+                if effect.row in rows:
+                    effect.memory = by_row[rows[effect.row]].memory.copy()
+        return bool(rows)
+
     def state(self) -> list[State]:
         """Return the state of each slot, for any slot of any node with the same plan and points."""
         effects = (*self._points, *self._actuators)

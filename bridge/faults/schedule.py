@@ -247,6 +247,19 @@ class FaultSchedule:
         for slot in slots:
             self.on[:, slot], self.since[:, slot], self._until[:, slot], self.at[slot] = False, _NEVER, 0, _NEVER
 
+    def adopt(self, other: FaultSchedule) -> dict[int, int]:
+        """Take over the state of the faults that are equal to one of another schedule; return their rows in both."""
+        rows, left = dict[int, int](), dict(enumerate(other.faults))
+        for row, fault in enumerate(self.faults):
+            match = next((number for number, candidate in left.items() if candidate == fault), None)
+            if match is not None:
+                rows[row] = match
+                del left[match]
+        own, theirs = [*rows], [*rows.values()]
+        self.on[own], self.since[own], self._until[own] = other.on[theirs], other.since[theirs], other._until[theirs]
+        self.at, self._steps = other.at.copy(), []
+        return rows
+
     def state(self, slot: int) -> tuple[int, list[int], list[int]]:
         """Return the state of a slot: its step, and of each fault its onset and the end of its burst."""
         return int(self.at[slot]), self.since[:, slot].tolist(), self._until[:, slot].tolist()

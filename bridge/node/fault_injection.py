@@ -69,6 +69,12 @@ class FaultInjection:
         if 0 in slots:
             self.link.reset(seeds[list(slots).index(0)])
 
+    def adopt(self, previous: FaultInjection) -> None:
+        """Go on with the faults that are equal to one of the previous plan, and with its random numbers if any are."""
+        adopted = [self._points.adopt(previous._points), self.link.adopt(previous.link)]
+        if any(adopted):
+            self.set_episodes(previous.episodes)
+
     @property
     def episodes(self) -> list[list[int]]:
         """Keys of the random numbers of each slot's episode; see `EpisodeKeys`."""

@@ -296,7 +296,7 @@ class Repetition:
             case StepRequest():
                 pacing.steps_left += message.steps
             case FaultPlan():
-                server.inject(message)
+                server.inject(message, server.injection)
             case Acknowledge() | Shelve() | Unshelve() | RemoveFromService() | ReturnToService():
                 if server.alarms is not None:
                     server.alarms.request(message)

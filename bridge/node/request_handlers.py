@@ -165,7 +165,7 @@ class RequestHandlers:
 
     def _set_faults(self, faults: FaultPlan) -> Message:
         server = self._server
-        server.inject(faults)
+        server.inject(faults, server.injection)
         server.publications.manifest(server.manifest)
         names = ", ".join(faults.names) or "none"
         server.event(server.exchange.event(EventKind.FAULT, f"faults are set: {names}", faults.source))

@@ -119,8 +119,8 @@ class ServedNode(Protocol):
     def deliver(self, controller: str, receive: Callable[[], None]) -> bool:
         """Receive a command as injected faults of the link allow."""
 
-    def inject(self, faults: FaultPlan) -> None:
-        """Inject these faults in place of the present ones."""
+    def inject(self, faults: FaultPlan, previous: FaultInjection | None = None) -> None:
+        """Inject these faults in place of the present ones; those equal to one of `previous` keep their state."""
 
     def check_slot(self, slot: int) -> None:
         """Raise `RequestRejected` if there is no such slot."""

@@ -423,8 +423,12 @@ class NodeServer:
         if slot >= self.manifest.slots:
             raise RequestRejected(f"no slot {slot} on node {self.manifest.node!r}; it has {self.manifest.slots}")
 
-    def inject(self, faults: FaultPlan) -> None:
+    def inject(self, faults: FaultPlan, previous: FaultInjection | None = None) -> None:
         """Inject these faults in place of the present ones; an empty plan ends the injection.
+
+        Args:
+            faults: the plan.
+            previous: faults that are equal to one of these keep their state; None begins all of them.
 
         Raises:
             InvalidConfig: see `FaultInjection`.
@@ -432,6 +436,8 @@ class NodeServer:
         self.injection = FaultInjection(faults, self.plant.description, self.manifest.slots) if faults.faults else None
         if self.injection is not None and self._last_commands:
             self.injection.remember_commands(self._last_commands)
+        if self.injection is not None and previous is not None:
+            self.injection.adopt(previous)
         if self.manifest.faults_injected != (self.injection is not None):
             self.describe({"faults_injected": self.injection is not None})
 

@@ -192,3 +192,17 @@ def test_link_faults__window_without_a_sample_is_refused() -> None:
             {"kind": "latency", "samples": True, "delay_ms": 1, "when": {"to_time": "2016-01-01"}},
         )
     assert "every 900 s from 2017-07-03T00:00" in str(error.value)
+
+
+def test_link_faults__fault_that_a_changed_plan_keeps_goes_on() -> None:
+    loss = {"kind": "loss", "name": "radio", "samples": True, "probability": 0.3}
+    slow = {"kind": "latency", "samples": True, "delay_ms": 20}
+    expected, first, changed = lost_of(link(loss), 120), link(loss), link(slow, loss, step=None)
+    assert lost_of(first, 70) == expected[:70]
+    counted = first.counts["radio"]
+    assert changed.adopt(first)
+    changed.move(1)
+    assert [transition.fault for transition in changed.drain_transitions()] == ["latency 1"]
+    assert changed.counts["radio"] == counted
+    assert [not changed.outgoing(float(k)) for k in range(70, 120)] == expected[70:]
+    assert not link(slow).adopt(first)

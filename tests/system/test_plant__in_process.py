@@ -186,6 +186,31 @@ def test_reset__internal_error_fails_the_episode_and_another_reset_begins_one(en
     assert act(env, 6.0) == (6.0, False)
 
 
+def test_faults__fault_that_a_changed_plan_keeps_goes_on(env: BuildingEnv) -> None:
+    bus, drift = env.link.bus, {"kind": "drift", "points": "measured", "rate_per_h": 3600.0}  # 1 per timestep
+    frozen = {"kind": "freeze", "actuators": "command", "when": {"from_step": 3}}
+    noise, bias = (
+        {"kind": "noise", "name": "noise", "points": "measured", "sigma": 1.0},
+        {"kind": "bias", "name": "bias", "points": "measured", "offset": 100.0, "when": {"from_step": 8}},
+    )
+
+    def play(*plans: list[dict[str, object]]) -> list[float]:
+        seen, pending = [env.reset(seed=0)[0][0]], dict(enumerate(plans))
+        for step in range(12):
+            if step % 5 == 0 and (faults := pending.pop(step // 5, None)) is not None:
+                bus.faults("plain", {"faults": faults})
+            seen.append(act(env, float(step))[0])
+        bus.faults("plain", {"faults": []})
+        return seen
+
+    expected = play([drift, frozen, noise])
+    assert expected[11] == pytest.approx(3.0 + 11.0, abs=6.0)
+    changed = play([drift, frozen, noise], [bias, noise, drift, frozen], [noise, frozen, drift])
+    assert changed[:8] == expected[:8]
+    assert changed[8:11] == pytest.approx([value + 100.0 for value in expected[8:11]])
+    assert changed[11:] == expected[11:]
+
+
 def test_faults__day_that_does_not_exist_is_refused_and_the_present_faults_stay(env: BuildingEnv) -> None:
     bus = env.link.bus
     env.reset(seed=0)

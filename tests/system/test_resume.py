@@ -46,6 +46,7 @@ FAULTS = {
         {"kind": "freeze", "points": ["core_zn_air_temperature"], "when": {"from_step": 44, "to_step": 52}},
     ],
 }
+DRIFT = {"kind": "drift", "name": "ages", "points": ["core_zn_air_temperature"], "rate_per_h": 0.5}
 STEPS = 96
 FIELDS = ("values", "effective", "commanded", "time", "elapsed_s", "flags", "fault_free_values")
 
@@ -102,6 +103,8 @@ class Day:
             bus.write("office", HEATING[1], None if step % 2 else 20.0, priority=8, source="ann")
         if step == 35:
             bus.faults("office", FAULTS, source="ann")
+        if step == 47:  # the freeze goes on
+            bus.faults("office", {**FAULTS, "faults": [DRIFT, *FAULTS["faults"]]}, source="ann")
         if step == 60:
             with suppress(RequestRejected):  # acknowledged before the node was killed
                 bus.acknowledge("office", "*", source="ann", comment="seen")
