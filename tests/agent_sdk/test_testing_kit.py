@@ -279,7 +279,7 @@ def test_testing_kit__what_a_node_refuses_a_fake_refuses() -> None:
     with pytest.raises(InvalidAction, match="no actuator 'heating'; did you mean 'zone_1_heating_setpoint'"):
         sample.send({"heating": 20.0})
     for value in (float("nan"), "20", True, np.True_, [20.0, 21.0], 10**400):
-        with pytest.raises(InvalidAction, match="zone_1_heating_setpoint = .*; a finite number or None"):
+        with pytest.raises(InvalidAction, match=r"zone_1_heating_setpoint = .*; a finite number or None"):
             sample.send({"zone_1_heating_setpoint": value})  # type: ignore[dict-item]
     with pytest.raises(InvalidAction, match=r"shape \(1,\); \(2,\) expected"):
         link.send(column(20))
