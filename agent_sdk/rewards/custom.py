@@ -67,6 +67,11 @@ class _FunctionReward:
         return _BoundFunction(function, manifest)
 
 
+def is_custom(reward: Reward) -> bool:
+    """Return whether a reward calls a function or class of the user's."""
+    return isinstance(reward, _FunctionReward)
+
+
 def instantiate(kind: type) -> Any:
     """Create an object of a class without arguments.
 

@@ -1,8 +1,10 @@
 """The fake building against theory and hand calculation; the conformance kit passes what is good."""
 
 import math
+import re
 from collections.abc import Callable
 from datetime import datetime, timedelta
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
@@ -412,6 +414,28 @@ def test_testing_kit__one_that_draws_conforms_but_for_what_it_states_of_itself()
 )
 def test_testing_kit__rewards_of_the_house_conform(reward: Any) -> None:
     assert not check_reward(reward).failed
+
+
+def documented(name: str) -> Any:
+    """A reward of the page on rewards."""
+    page = (Path(__file__).parents[2] / "docs" / "rewards.md").read_text(encoding="utf-8")
+    code = next(block for block in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if f" {name}" in block)
+    defined: dict[str, Any] = {}
+    exec(code.partition("\nenv = ")[0], defined)
+    return defined[name]
+
+
+def test_testing_kit__reward_class_of_the_page_conforms() -> None:
+    assert not check_reward(documented("Steady")).failed
+
+
+def test_testing_kit__reward_function_for_single_environments_fails_the_checks_of_vectors_alone() -> None:
+    function = documented("cool_and_cheap")
+    several = ["several buildings at once get the same rewards as alone", "resets single buildings"]
+    with pytest.raises(ConformanceError, match="vector environments call it with an array for each point") as error:
+        check_reward(function)
+    assert list(error.value.report.failed) == several
+    assert not check_reward(function, skip=several).failed
 
 
 @pytest.mark.parametrize("arguments", [{}, {"control": "building", "discrete": 4}, {"time": ["hour"], "reward": None}])
