@@ -24,7 +24,7 @@ from zenostat.models.points.discovery import PointCatalog
 from zenostat.models.points.monitoring import with_monitoring, with_systems, with_unobserved
 from zenostat.models.points.schedules import with_baseline_sensors, with_leads
 from zenostat.models.points.selection import Points
-from zenostat.models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSource
+from zenostat.models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSource, first_noisy_row
 from zenostat.models.scenario.run_period import Period, check_steps_per_hour
 from zenostat.models.scenario.schema import ActuatorSpec, Scenario, dump
 from zenostat.models.scenario.task import relative_actuators, task_of
@@ -92,7 +92,7 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
     valid_sources = [source for source in sources if source is not None]
     _check_weather(valid_sources, period, errors)
     if period is not None:
-        errors.collect(lambda: _check_noise_start(scenario, model, period))
+        errors.collect(lambda: _check_noise_start(scenario, model, period, valid_sources))
     errors.collect(lambda: design_days.check_edits(scenario.edits, [source.site for source in valid_sources]))
     if model is not None:
         errors.collect(lambda: _check_sizing(model, valid_sources))
@@ -264,7 +264,9 @@ def _is_checked(steps_per_hour: int) -> bool:
     return True
 
 
-def _check_noise_start(scenario: Scenario, model: Building | None, period: Period) -> None:
+def _check_noise_start(
+    scenario: Scenario, model: Building | None, period: Period, sources: Sequence[WeatherSource]
+) -> None:
     """Check that noise from the third day on leaves what EnergyPlus computes before it as it is."""
     if not scenario.weather_noise or scenario.noise_start == "episode" or model is None:
         return
@@ -280,6 +282,8 @@ def _check_noise_start(scenario: Scenario, model: Building | None, period: Perio
             f"noise_start: third_day is not possible with {model.name}: its {reader} reads the whole weather file "
             "before the episode starts; use noise_start: episode"
         )
+    for source in sources:
+        first_noisy_row(epw.read(source.path), period)
 
 
 def _check_output(output_dir: Path | None, scenario: Scenario) -> None:

@@ -19,6 +19,7 @@ from zenostat.models.weather.design_days import Site
 from zenostat.models.weather.fixed_width import FixedWidthWeather
 from zenostat.models.weather.header import Header
 from zenostat.models.weather.noise import Variability, with_noise
+from zenostat.topics.errors import InvalidConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,28 +162,55 @@ class EpisodeFactory:
         return self._late_noise[source]
 
 
+def first_noisy_row(weather: epw.Weather, period: Period) -> int:
+    """Return the first row with noise, if it starts on the third day of a run period.
+
+    Raises:
+        InvalidConfig: EnergyPlus reads that row after the end of the file, from the file's beginning.
+    """
+    days, third_day = _days_of_rows(weather), period.begin + timedelta(days=NOISE_FREE_DAYS)
+    begin, first = ((day.month, day.day) for day in (period.begin, third_day))
+    if begin not in days or first not in days:
+        return 0  # `check_covers` refuses the run period
+    if first not in days[days.index(begin) :]:
+        raise InvalidConfig(
+            f"noise_start: third_day is not possible with a run period that begins on {period.begin:%m-%d}: the "
+            f"weather file {weather.path.name} ends before the third day; begin on another day, or use noise_start: "
+            "episode"
+        )
+    return days.index(first, days.index(begin))
+
+
+def _days_of_rows(weather: epw.Weather) -> list[tuple[int, int]]:
+    """Return month and day of each row."""
+    return [(month, day) for _, month, day, _, _ in weather.times.tolist()]
+
+
 class _LateNoise:
     """A weather file whose noise starts on the third day of a run period, and ends a week after it.
 
     Attributes:
         file: the file with padded fields.
         first: the first row with noise.
-        weather: the rows with noise.
+        weather: the rows with noise, in the order in which they are simulated.
         offset: offset of the first row with noise in bytes.
     """
 
     def __init__(self, weather: epw.Weather, period: Period) -> None:
         self.file = FixedWidthWeather(weather)
-        days = [(month, day) for _, month, day, _, _ in weather.times.tolist()]
+        self.first = first_noisy_row(weather, period)
+        days = _days_of_rows(weather)
         first_day, last_day = period.begin + timedelta(days=NOISE_FREE_DAYS), period.end + FORECAST_HORIZON
-        self.first = days.index((first_day.month, first_day.day))
-        after = len(days)
-        if last_day.year == first_day.year and (last_day.month, last_day.day) in days:
-            after -= days[::-1].index((last_day.month, last_day.day))
+        last, after, again = (last_day.month, last_day.day), len(days), 0
+        if last_day.year == first_day.year and last in days:
+            after -= days[::-1].index(last)
+        elif last_day.year > first_day.year:  # EnergyPlus reads the file again from its beginning
+            begin = days.index((period.begin.month, period.begin.day))
+            before = days[:begin]
+            again = begin - (before[::-1].index(last) if last in before else 0)
         after = after if after > self.first else len(days)
-        self.weather = replace(
-            weather, rows=weather.rows[self.first : after], table=weather.table[:, self.first : after]
-        )
+        rows = np.r_[self.first : after, :again]
+        self.weather = replace(weather, rows=[weather.rows[row] for row in rows.tolist()], table=weather.table[:, rows])
         self.offset = int(self.file.row_offsets[self.first])
 
 

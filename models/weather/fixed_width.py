@@ -58,7 +58,7 @@ class FixedWidthWeather:
         Args:
             path: where to.
             changed: columns, each of shape (changed rows,); values that do not differ keep their text.
-            first: the first of the changed rows.
+            first: the first of the changed rows; after the last row of the file comes its first one.
 
         Raises:
             UnknownName: there is no such column.
@@ -68,9 +68,10 @@ class FixedWidthWeather:
         characters = np.frombuffer(buffer, np.uint8)
         for name, values in changed.items():
             index = find_column(name).index
-            rows = first + np.flatnonzero(values != self.weather.numbers(index)[first : first + len(values)])
-            offsets = self._offsets(index)[rows]
-            characters[offsets[:, np.newaxis] + np.arange(self._width)] = self._digits(values[rows - first], name)
+            changed_rows = np.arange(first, first + len(values)) % len(self.weather)
+            differs = np.flatnonzero(values != self.weather.numbers(index)[changed_rows])
+            offsets = self._offsets(index)[changed_rows[differs]]
+            characters[offsets[:, np.newaxis] + np.arange(self._width)] = self._digits(values[differs], name)
         path.write_bytes(buffer)
 
     def _offsets(self, index: int) -> NDArray[np.int64]:

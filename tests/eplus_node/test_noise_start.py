@@ -57,6 +57,7 @@ CASES = {
 }
 SLOW_CASES = {
     "five zones, a fifth of an hour": (KINDS["five zones"], LATE | {"steps_per_hour": 12, "end": "07-05"}),
+    "over New Year": (SMALL, dates(begin="2017-12-28", end="2018-01-02")),
     "data centre, end of the year": (KINDS["data centre, DX"], dates(begin="12-28", end="12-31")),
     "chilled water, a minute": (KINDS["data centre, chilled water"], LATE | {"steps_per_hour": 60, "end": "07-05"}),
     "medium office with EMS": (KINDS["medium office with EMS"], LATE | {"steps_per_hour": 4, "end": "07-12"}),
@@ -237,6 +238,12 @@ def test_noise_start__run_period_that_ends_before_the_noise_is_refused() -> None
     read_plan(
         read_config({"scenario": SMALL, "begin": "07-03", "end": "07-04", "noise_start": "third_day"})
     )  # no noise
+
+
+def test_noise_start__period_whose_third_day_is_in_the_next_year_is_refused() -> None:
+    text = refusal(noise_start="third_day", begin="2017-12-30", end="2018-01-03")
+    assert "begins on 12-30: the weather file " in text
+    assert "ends before the third day; begin on another day, or use noise_start: episode" in text
 
 
 def test_noise_start__unknown_start_is_refused() -> None:

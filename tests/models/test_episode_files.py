@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Sequence
+from datetime import date
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
@@ -21,9 +22,11 @@ from zenostat.models.scenario.episode_weather import (
     WeatherSampler,
     WeatherSource,
 )
+from zenostat.models.scenario.run_period import Period
 from zenostat.models.weather import design_days, epw
 from zenostat.models.weather.header import read_header
 from zenostat.models.weather.noise import ColumnNoise, Variability
+from zenostat.topics.errors import InvalidConfig
 
 SEEDS = st.integers(0, 2**64)
 ORDERS = ("random", "sequence")
@@ -219,6 +222,30 @@ def test_episode_files__noise_changes_the_weather_by_about_what_was_drawn(small:
     assert files.noise_parameters["dry_bulb_temperature.mu"] == 0.0
     assert np.std(after - before) == pytest.approx(sigma, rel=5 / np.sqrt(2 * 365))
     assert abs(np.mean(after - before)) < 5 * sigma / np.sqrt(365)
+
+
+def late_noise(begin: date, end: date, path: Path) -> list[tuple[int, int]]:
+    """Write the weather of an episode with noise from its third day on, and return the days with noise."""
+    of = EpisodeFactory(Building("b", {}, ""), Period(begin, end, 4), [source(DENVER)], NOISE, outputs=False,
+                        noise_start="third_day")  # fmt: skip
+    of.write_noise(WeatherDraw(0, 5), path)
+    plain, noisy = (epw.read(each) for each in (find_weather(DENVER).path, path))
+    differs = plain.column("dry_bulb") != noisy.column("dry_bulb")
+    return list(dict.fromkeys((month, day) for _, month, day, _, _ in plain.times[differs].tolist()))
+
+
+def test_late_noise__goes_on_after_new_year(tmp_path: Path) -> None:
+    days = late_noise(date(2017, 12, 22), date(2018, 1, 10), tmp_path / "over.epw")
+    assert days == [(1, day) for day in range(1, 18)] + [(12, day) for day in range(24, 32)]
+    before = late_noise(date(2017, 12, 22), date(2017, 12, 24), tmp_path / "before.epw")
+    assert before == [(12, day) for day in range(24, 32)]
+    december = [path.read_bytes()[-20_000:] for path in (tmp_path / "over.epw", tmp_path / "before.epw")]
+    assert december[0] == december[1]
+
+
+def test_late_noise__period_that_begins_at_the_end_of_the_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfig, match=r"begins on 12-30: the weather file .* ends before the third day"):
+        late_noise(date(2017, 12, 30), date(2018, 1, 10), tmp_path / "late.epw")
 
 
 def test_episode_files__noisy_weather_is_written_beside_the_model_and_the_original_is_left_alone(
