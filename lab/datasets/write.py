@@ -141,7 +141,7 @@ def _run(
     building: Any = env.unwrapped
     steps = building.manifest.steps
     for name, controller in controllers.items():
-        agent = Agent(controller)
+        agent = Agent(controller, building)
         for number in range(episodes):
 
             def report(step: int, name: str = name, number: int = number) -> None:

@@ -2,6 +2,7 @@
 
 import hashlib
 import tomllib
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,16 @@ def test_datasets__minari_reads_the_episodes_that_the_controller_makes_in_the_en
     assert described["zenostat"]["observations"] == list(env.unwrapped.observation_names)
     episodes = list(dataset.storage.get_episode_metadata([0, 1]))
     assert [(about["seed"], about["controller"]) for about in episodes] == [(5, "rbc"), (6, "rbc")]
+
+
+@pytest.mark.slow
+def test_datasets__oracle_plans_in_branches_of_the_environment(folder: Path) -> None:
+    arguments = {"begin": "07-03", "end": "07-03", "steps_per_hour": 1, "affinity": "off"}
+    with closing(gym.make("zenostat/ref-small-office-USA_CO_Denver-continuous-v1", **arguments)) as env:
+        parameters = {"horizon": 1.0, "samples": 4, "iterations": 1}
+        write_dataset(env, ["oracle"], "zenostat/office/oracle-v0", parameters=parameters)
+    (episode,) = minari.load_dataset("zenostat/office/oracle-v0")
+    assert len(episode.rewards) == 24
 
 
 def test_datasets__reader_without_minari_finds_the_same_arrays(folder: Path) -> None:
