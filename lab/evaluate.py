@@ -20,6 +20,7 @@ from zenostat.agent_sdk.controllers import (
     load_controller,
     make_controller,
 )
+from zenostat.agent_sdk.controllers.base import PlanningController
 from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.envs.arguments import fields_of_file, of_scenario
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
@@ -35,7 +36,6 @@ from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
 from zenostat.topics.keys import safe_name
-from zenostat.topics.messages import Manifest
 from zenostat.topics.recording import SUFFIX
 
 if TYPE_CHECKING:
@@ -272,7 +272,7 @@ def evaluate(
                 alike = {
                     key: factory for key, factory in factories.items() if is_baseline_factory(factory) == is_baseline
                 }
-                created |= _create_controllers(alike, env.manifest, arguments, unfit)
+                created |= _create_controllers(alike, env, arguments, unfit)
             if name not in unfit:
                 try:
                     seeds = range(seed, seed + episodes)
@@ -311,15 +311,18 @@ def _bus(env: BuildingEnv) -> Bus | None:
 
 def _create_controllers(
     factories: Mapping[str, ControllerFactory],
-    manifest: Manifest,
+    env: BuildingEnv,
     arguments: Mapping[str, dict[str, Any]],
     unfit: dict[str, UsageError],
 ) -> dict[str, ControllerProtocol]:
-    """Create the controllers that fit the node; add an error to `unfit` for each other one."""
+    """Create the controllers that fit the environment; add an error to `unfit` for each other one."""
     created = {}
     for name, factory in factories.items():
         try:
-            created[name] = make_controller(factory, manifest, arguments[name])
+            controller = make_controller(factory, env.manifest, arguments[name])
+            if isinstance(controller, PlanningController):
+                controller.attach(env)
+            created[name] = controller
         except ControllerMismatch as error:
             unfit[name] = error
     return created

@@ -118,6 +118,8 @@ class OracleController(Controller):
         """Plan in branches of this environment."""
         if not isinstance(planner.action_space, gym.spaces.Box | gym.spaces.Discrete | gym.spaces.MultiDiscrete):
             raise ControllerMismatch(f"the oracle cannot draw actions of {planner.action_space}")
+        if getattr(planner, "reward", True) is None:
+            raise ControllerMismatch("the oracle needs a reward to compare plans, and the environment has none")
         self._planner = planner
 
     def begin(self, sample: SampleView) -> None:  # noqa: ARG002

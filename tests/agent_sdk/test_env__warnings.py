@@ -8,6 +8,7 @@ import gymnasium as gym
 import pytest
 from support.nodes import SMALL
 
+from zenostat.agent_sdk.controllers.oracle import OracleController
 from zenostat.agent_sdk.controllers.pid import PIDController
 from zenostat.agent_sdk.controllers.rule_based import RuleBasedController
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
@@ -68,6 +69,16 @@ def test_env__controller_without_a_needed_parameter_is_skipped_and_the_others_ru
     unfit: dict[str, UsageError] = {}
     with closing(FakeEnv()) as env:
         factories = {"pid": PIDController, "rbc": RuleBasedController}
-        created = _create_controllers(factories, env.manifest, {"pid": {}, "rbc": {}}, unfit)
+        created = _create_controllers(factories, env, {"pid": {}, "rbc": {}}, unfit)
     assert list(created) == ["rbc"]
     assert "needs setpoint: --set setpoint=" in str(unfit["pid"])
+
+
+def test_env__oracle_is_skipped_without_a_reward() -> None:
+    unfit: dict[str, UsageError] = {}
+    with closing(FakeEnv(reward=None)) as env:
+        created = _create_controllers(
+            {"oracle": OracleController, "rbc": RuleBasedController}, env, {"oracle": {}, "rbc": {}}, unfit
+        )
+    assert list(created) == ["rbc"]
+    assert "needs a reward" in str(unfit["oracle"])

@@ -16,6 +16,7 @@ from zenostat.agent_sdk.controllers import Agent, OracleController, action_of, l
 from zenostat.agent_sdk.controllers.action_roles import setpoint_pairs
 from zenostat.agent_sdk.controllers.agent import values_of
 from zenostat.agent_sdk.controllers.base import Controller, Values
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.controllers.sequence_search import (
     CategoricalSearch,
     GaussianSearch,
@@ -227,6 +228,13 @@ def test_failed_plan__leaves_the_rule() -> None:
         obtained = episode(toy, 2)
     toy.step_number = 0
     assert obtained == pytest.approx(toy.returns([[[20.0, 26.0]] * 2])[0].tolist())
+
+
+def test_oracle__needs_a_reward() -> None:
+    toy = Toy(NODE, 4)
+    toy.reward = None  # type: ignore[attr-defined]
+    with pytest.raises(ControllerMismatch, match="the oracle needs a reward"):
+        Agent(OracleController(NODE, rule=Middle), toy)
 
 
 def test_oracle__weights() -> None:
