@@ -42,7 +42,8 @@ class OracleController(Controller):
 
     The reward of a plan is that of the environment, with its state: a demand charge counts from the peak so far. One of
     the plans is what the rule would do, so the chosen plan is never worse than the rule in its horizon. Where actions
-    are relative to the baseline control, another one is the baseline control itself. The branches have the weather and
+    are relative to the baseline control, another one is the baseline control itself; of discrete ones, if each has a
+    choice of offsets 0. The branches have the weather and
     occupancy that follow, so the foresight is perfect, unless `forecast_error` disturbs their outdoor temperature.
 
     For zone setpoints among continuous actions, the first iteration also has the plans that building control knows: the
@@ -100,7 +101,7 @@ class OracleController(Controller):
         self._elite = number("elite", elite, minimum=0.0, maximum=1.0)
         self._error_k = number("forecast_error", forecast_error, minimum=0.0)
         self._step_h = step_h
-        self._is_relative = bool(manifest.task.actions) and all(a.relative for a in manifest.task.actions)
+        self._baseline = _baseline_action(manifest)
         self._rule = Agent(self._seed_rule(rule))
         self._pairs = setpoint_pairs(manifest)
         self._directions = _directions(manifest)
@@ -110,7 +111,7 @@ class OracleController(Controller):
 
     def _seed_rule(self, rule: str | Callable[..., ControllerProtocol]) -> ControllerProtocol:
         factory = load_controller(rule) if isinstance(rule, str) else rule
-        if factory is OracleController or (factory is BaselineController and not self._is_relative):
+        if factory is OracleController or (factory is BaselineController and self._baseline is None):
             raise InvalidConfig(f"rule = {rule!r}; a controller that sets every action is needed, such as 'rbc'")
         return make_controller(factory, self.manifest, {})
 
@@ -151,8 +152,8 @@ class OracleController(Controller):
             continued = np.concatenate([self._plan[age:], rule[len(self._plan) - age :]])
             candidates.append(continued[:timesteps][None])
         center = candidates[-1][0]
-        if self._is_relative and not self.manifest.task.discrete_actions:
-            candidates.append(np.zeros_like(rule)[None])  # the baseline control
+        if self._baseline is not None:
+            candidates.append(np.broadcast_to(self._baseline.astype(rule.dtype), rule.shape)[None])
         candidates.append(self._known_plans(planner.action_space, rule)[: self._samples - len(candidates)])
         search = self._search(planner.action_space, center)
         best, best_return = rule, -np.inf
@@ -238,6 +239,22 @@ class OracleController(Controller):
 def _switched(first: Actions, then: Actions, timesteps: int) -> Actions:
     """Return a plan that is the first one for some timesteps, and then the other one."""
     return np.concatenate([first[:timesteps], then[timesteps:]])
+
+
+def _baseline_action(manifest: Manifest) -> NDArray[Any] | None:
+    """Return the action that is the baseline control: all offsets are 0; None if there is none."""
+    task = manifest.task
+    if not task.actions or not all(action.relative for action in task.actions):
+        return None
+    if not task.discrete_actions:
+        return np.zeros(len(task.actions))
+    choices = []
+    for discrete in task.discrete_actions:
+        zero = [index for index, row in enumerate(discrete.values) if not any(row)]
+        if not zero:
+            return None
+        choices.append(zero[0])
+    return np.array(choices if len(choices) > 1 else choices[0])
 
 
 def _directions(manifest: Manifest) -> NDArray[np.float64]:

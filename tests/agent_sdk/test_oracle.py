@@ -189,6 +189,31 @@ def test_first_iteration__has_the_baseline_control_where_actions_are_relative() 
         assert action.tolist() == [0.0, 0.0]
 
 
+@pytest.mark.parametrize("count", [1, 2])
+def test_first_iteration__has_the_baseline_control_where_a_choice_has_no_offset(count: int) -> None:
+    node = relative_node()
+    names = [action.name for action in node.task.actions]
+    rows: Any = [((-4.0, 4.0), (0.0, 0.0), (4.0, -4.0))] if count == 1 else [((-4.0,), (4.0,), (0.0,))] * 2
+    chosen = [names] if count == 1 else [[name] for name in names]
+    discrete = tuple(DiscreteAction(actions=tuple(of), values=values) for of, values in zip(chosen, rows, strict=True))
+    task = node.task.model_copy(update={"discrete_actions": discrete})
+    toy = Toy(node.model_copy(update={"task": task}), 1)
+    toy.action_space = gym.spaces.Discrete(3) if count == 1 else gym.spaces.MultiDiscrete([3, 3])  # type: ignore[assignment]
+    zero = 1 if count == 1 else [2, 2]
+    cost = lambda actions: (np.asarray(actions) != zero).astype(float).reshape(*np.shape(actions)[:2], -1)  # noqa: E731
+    toy.numbers = lambda actions: -cost(actions) * np.ones(2)  # type: ignore[method-assign]
+    toy.coefficients[:] = 1.0
+    for rule in (Middle, "baseline"):
+        agent = Agent(OracleController(toy.node, rule=rule, iterations=1, samples=4, horizon=4.0), toy)
+        action = agent.action(view(toy.node, heating_next=18.0, cooling_next=28.0))
+        assert np.asarray(action).tolist() == zero
+    without = task.model_copy(
+        update={"discrete_actions": (DiscreteAction(actions=tuple(names), values=((1.0, 1.0),)),)}
+    )
+    with pytest.raises(InvalidConfig, match="a controller that sets every action"):
+        OracleController(node.model_copy(update={"task": without}), rule="baseline")
+
+
 def test_setpoint_pairs__are_those_that_can_cross() -> None:
     assert setpoint_pairs(NODE) == [(0, 1)]
     apart = manifest(
