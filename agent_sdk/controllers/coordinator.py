@@ -102,8 +102,8 @@ class DistrictCoordinator(Controller):
 
     def act(self, sample: SampleView) -> Values:
         """Return setpoints of batteries and limits of chargers, W; and cooling setpoints, degC, None if unchanged."""
-        values = sample.fault_free_values.tolist()
-        net_kw = float(self._net.kw(sample.fault_free_values, {}))
+        values = sample.values.tolist()
+        net_kw = float(self._net.kw(sample.values, {}))
         limit_kw = self._margin * self._limit(values, net_kw)
         flexible_kw = sum(values[power] for power in self._flexible) / 1e3
         base_kw = net_kw - flexible_kw

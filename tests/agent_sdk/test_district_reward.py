@@ -112,6 +112,15 @@ def test_coordinator__charges_vehicles_within_the_limit() -> None:
     assert commands["h.cooling_setpoint"] is None
 
 
+def test_coordinator__acts_on_the_values_with_injected_faults() -> None:
+    coordinator = DistrictCoordinator(district(), margin=1.0, limit_kw=30.0)
+    true, faulty = (row(**{"import": watts}, b_state_of_charge=0.5) for watts in (1000.0, 33000.0))
+    observed = sample(coordinator.manifest, 0, faulty.tolist())
+    observed.message = observed.message.model_copy(update={"fault_free_values": true.astype("<f8").tobytes()})
+    assert observed.fault_free_values[0] == 1000.0
+    assert coordinator.act(observed)["g.b_setpoint"] == pytest.approx(-3000.0)
+
+
 def test_coordinator__discharges_for_what_is_missing_and_for_vehicles_that_leave() -> None:
     values = row(**{"import": 29000.0}, b_state_of_charge=0.5, c_needed=8 * 3.6e6, c_departure=7200.0)
     commands = act(values, limit_kw=30.0)
