@@ -15,7 +15,7 @@ from zenostat.agent_sdk.controllers.action_roles import Role, bind_actions, setp
 from zenostat.agent_sdk.controllers.agent import Agent, values_of
 from zenostat.agent_sdk.controllers.base import BaselineController, Controller, ControllerProtocol, Planner, Values
 from zenostat.agent_sdk.controllers.loader import load_controller
-from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, make_controller, number
+from zenostat.agent_sdk.controllers.parameters import ControllerMismatch, integer, make_controller, number
 from zenostat.agent_sdk.controllers.sequence_search import (
     Actions,
     CategoricalSearch,
@@ -27,6 +27,7 @@ from zenostat.agent_sdk.controllers.sequence_search import (
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidConfig, SimulatorError, did_you_mean
 from zenostat.topics.messages import Manifest
+from zenostat.topics.seed_validation import check_seed
 
 METHODS = ("mppi", "cem")
 SHIFT_K = 0.7
@@ -91,10 +92,10 @@ class OracleController(Controller):
         step_h = manifest.step_s / 3600.0
         self._timesteps = max(1, round(number("horizon", horizon, minimum=step_h) / step_h))
         self._block = max(1, round(number("block", block, minimum=step_h) / step_h))
-        self._samples = int(number("samples", samples, minimum=4, maximum=256))
-        self._iterations = int(number("iterations", iterations, minimum=1, maximum=100))
+        self._samples = integer("samples", samples, minimum=4, maximum=256)
+        self._iterations = integer("iterations", iterations, minimum=1, maximum=100)
         if method not in METHODS:
-            raise InvalidConfig(f"method = {method!r}; {did_you_mean(method, METHODS)}")
+            raise InvalidConfig(f"method = {method!r}; {did_you_mean(str(method), METHODS)}")
         self._method = method
         self._spread = number("spread", spread, minimum=0.0, maximum=1.0)
         self._temperature = number("temperature", temperature, minimum=1e-3)
@@ -105,7 +106,7 @@ class OracleController(Controller):
         self._rule = Agent(self._seed_rule(rule))
         self._pairs = setpoint_pairs(manifest)
         self._directions = _directions(manifest)
-        self._seed = seed
+        self._seed = None if seed is None else check_seed(seed)
         self._planner: Planner | None = None
         self._begin()
 
@@ -134,7 +135,8 @@ class OracleController(Controller):
 
     def act(self, sample: SampleView) -> Values:
         """Return the plan's action for the timestep that begins at `sample.time`; make a new plan if it is due."""
-        assert self._planner is not None, "attach an environment first"
+        if self._planner is None:
+            raise InvalidConfig("the oracle plans in an environment: use Agent(oracle, env.unwrapped)")
         rule_action = self._rule.action(sample)  # at each sample, since the rule may have a state
         age = sample.step - self._planned_at
         if self._plan is None or not 0 <= age < min(self._block, len(self._plan)):

@@ -39,6 +39,18 @@ def number(name: str, value: object, *, minimum: float = -math.inf, maximum: flo
     raise InvalidConfig(f"{name} = {value!r}; expected {expected}")
 
 
+def integer(name: str, value: object, *, minimum: int, maximum: int) -> int:
+    """Check that a parameter is a whole number from `minimum` to `maximum`, and return it.
+
+    Raises:
+        InvalidConfig: it is not a number, not whole, or outside this range.
+    """
+    checked = number(name, value, minimum=minimum, maximum=maximum)
+    if not checked.is_integer():
+        raise InvalidConfig(f"{name} = {value!r}; expected a whole number from {minimum} to {maximum}")
+    return int(checked)
+
+
 def actuator_values(manifest: Manifest, values: Mapping[str, object]) -> dict[str, float]:
     """Convert values by the name of an action or an actuator to values by actuator.
 

@@ -320,9 +320,17 @@ def test_oracle__is_refused_without_an_environment_or_with_wrong_parameters() ->
         ({"method": "mpc"}, "method = 'mpc'; "),
         ({"rule": "oracle"}, "a controller that sets every action"),
         ({"rule": "baseline"}, "a controller that sets every action"),
+        ({"method": 3}, "method = 3; "),
         ({"samples": 3}, "samples = 3"),
+        ({"samples": 8.9}, "samples = 8.9; expected a whole number"),
+        ({"iterations": 1.5}, "iterations = 1.5; expected a whole number"),
+        ({"seed": "x"}, "seed = 'x'"),
+        ({"seed": -1}, "seed = -1"),
+        ({"seed": 1.5}, "seed = 1.5"),
         ({"horizon": 0.0}, "horizon = 0"),
         ({"forecast_error": -1.0}, "forecast_error = -1"),
     ):
         with pytest.raises(InvalidConfig, match=text):
             OracleController(NODE, **parameters)
+    with pytest.raises(InvalidConfig, match="the oracle plans in an environment"):
+        OracleController(NODE, rule=Middle).act(view(NODE))
