@@ -230,13 +230,18 @@ def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[
     """
     selected = [epw.find_column(name) for name in columns]
     weather = epw.read(path)
-    days: dict[tuple[int, int], list[int]] = {}
-    for row, (_, month, day, _, _) in enumerate(weather.times.tolist()):
-        days.setdefault((month, day), []).append(row)
+    size = 24 * weather.header.records_per_hour
+    days = _days_of_rows(weather)[::size]
     rows: list[int] = []
     day = period.begin
-    while day <= period.end + FORECAST_HORIZON and (day.month, day.day) in days:
-        rows += days[day.month, day.day]
+    # EnergyPlus begins with the first record of that month and day, of whatever year, and goes on from there.
+    place = days.index((day.month, day.day))
+    while day <= period.end + FORECAST_HORIZON:
+        place += days[place % len(days)] == (2, 29) != (day.month, day.day)
+        if days[place % len(days)] != (day.month, day.day):
+            break
+        rows += range(place % len(days) * size, (place % len(days) + 1) * size)
+        place += 1
         day += timedelta(days=1)
     values = np.column_stack([weather.column(column.name)[rows] for column in selected])
     missing = np.array([column.missing for column in selected])

@@ -3,7 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Sequence
-from datetime import date
+from datetime import date, timedelta
 from itertools import combinations, pairwise
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.weather_files import STEPS_PER_HOUR
+from support.weather_files import run as run_outdoors
 
 from zenostat.models.building.model import Building, read_building
 from zenostat.models.catalog import find_building, find_weather
@@ -21,6 +23,7 @@ from zenostat.models.scenario.episode_weather import (
     WeatherDraw,
     WeatherSampler,
     WeatherSource,
+    series,
 )
 from zenostat.models.scenario.run_period import Period
 from zenostat.models.weather import design_days, epw
@@ -222,6 +225,32 @@ def test_episode_files__noise_changes_the_weather_by_about_what_was_drawn(small:
     assert files.noise_parameters["dry_bulb_temperature.mu"] == 0.0
     assert np.std(after - before) == pytest.approx(sigma, rel=5 / np.sqrt(2 * 365))
     assert abs(np.mean(after - before)) < 5 * sigma / np.sqrt(365)
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "rows"),
+    [
+        (date(2017, 7, 3), date(2017, 7, 3), [*range(4392, 4392 + 8 * 24)]),
+        (date(2018, 7, 3), date(2018, 7, 3), [*range(4392, 4392 + 8 * 24)]),  # EnergyPlus takes no account of the year
+        (date(2017, 12, 30), date(2018, 1, 2), [*range(8712, 8712 + 11 * 24)]),
+        (date(2017, 12, 30), date(2018, 12, 30), [*range(8712, 17520), *range(6 * 24)]),
+    ],
+)
+def test_series__of_a_file_of_two_years_is_what_energyplus_reads(
+    begin: date, end: date, rows: list[int], tmp_path: Path
+) -> None:
+    lines = find_weather(DENVER).path.read_text("latin-1").splitlines()
+    lines[7] = "DATA PERIODS,1,1,Data,Sunday,1/1/2017,12/31/2018"
+    cells = [[str(year), *line.split(",")[1:]] for year in (2017, 2018) for line in lines[8:]]
+    for row, each in enumerate(cells):
+        each[6] = f"{-40 + row / 250:.3f}"
+    path = tmp_path / "two.epw"
+    path.write_text("\n".join([*lines[:8], *(",".join(each) for each in cells), ""]), encoding="latin-1")
+    values, step_s = series(path, Period(begin, end, 4), ["dry_bulb"])
+    assert (step_s, np.rint((values[:, 0] + 40) * 250).astype(int).tolist()) == (3600.0, rows)
+    ran = run_outdoors(tmp_path / "run", path, begin, min(end, begin + timedelta(days=3)))
+    measured = ran.values[0][STEPS_PER_HOUR - 1 :: STEPS_PER_HOUR, 0]
+    assert np.array_equal(measured, values[: len(measured), 0])
 
 
 def late_noise(begin: date, end: date, path: Path) -> list[tuple[int, int]]:
