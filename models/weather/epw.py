@@ -168,7 +168,8 @@ def read(path: Path) -> Weather:
             or cells that are missing or not numbers. The text has the lines, their content and what was expected.
     """
     text = path.read_bytes().decode("latin-1")
-    end = "\r\n" if "\r\n" in text else "\n"
+    # With line ends of both kinds, a CR belongs to the last cell, where numbers may have blanks.
+    end = "\r\n" if 0 < text.count("\r\n") == text.count("\n") else "\n"
     lines = text.split(end)
     header = parse_header(path, [line.encode("latin-1") for line in lines[:HEADER_LINES]])
     last = len(lines)

@@ -11,6 +11,7 @@ from support.weather_files import STEPS_PER_HOUR, run
 from zenostat.models.catalog import find_weather, weathers
 from zenostat.models.scenario.run_period import Period
 from zenostat.models.weather.epw import COLUMNS, find_column, read, write
+from zenostat.models.weather.fixed_width import FixedWidthWeather
 from zenostat.models.weather.header import DesignConditions, Header, check_complete, check_covers, read_header
 from zenostat.models.weather.records import check_records
 from zenostat.topics.errors import InvalidConfig, UnknownName
@@ -184,6 +185,18 @@ def test_epw__line_ends_and_what_follows_the_last_row_are_kept(folder: Path, end
     assert len(lines) == len(text.split(end))
     assert all(row.endswith(f",{h + 0.5:.4f}") for row, h in zip(lines[8:], weather.column("rh"), strict=False))
     assert [row.rpartition(",")[0] for row in lines[8 : 8 + YEAR]] == [r.rpartition(",")[0] for r in weather.rows]
+
+
+def test_epw__file_with_line_ends_of_both_kinds_is_read(folder: Path) -> None:
+    lines = [line.rstrip("\r") for line in lines_of(DENVER)]
+    path = folder / "mixed.epw"
+    path.write_bytes("\r\n".join([*lines[:100], "\n".join(lines[100:])]).encode("latin-1"))
+    weather = read(path)
+    assert np.array_equal(weather.table, read(DENVER).table)
+    write(weather, folder / "out.epw", {})
+    assert (folder / "out.epw").read_bytes() == path.read_bytes()
+    FixedWidthWeather(weather).write(folder / "padded.epw", {})
+    assert np.array_equal(read(folder / "padded.epw").table, weather.table)
 
 
 def test_epw__only_the_columns_that_were_given_change(folder: Path) -> None:
