@@ -32,7 +32,7 @@ class Range(ConfigPart):
     low: int | _Number | None = None
     high: int | _Number | None = None
     log: bool = False
-    step: int | _Number | None = None
+    step: Annotated[int | _Number, Field(gt=0)] | None = None
     choices: Annotated[tuple[Any, ...], Field(min_length=1)] | None = None
     start: int | _Number | None = None
 

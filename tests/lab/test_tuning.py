@@ -69,6 +69,8 @@ def test_tuning__ranges_are_the_distributions_of_optuna(searched: dict[str, Any]
     [
         ({"parameters": {"parameters.gamma": {"low": 1.0}}}, "either low and high, or choices expected"),
         ({"parameters": {"parameters.gamma": {"low": 1.0, "high": 0.5}}}, "low is above high"),
+        ({"parameters": {"parameters.gamma": {"low": 0.5, "high": 1.0, "step": -0.1}}}, r"step: .*greater than 0"),
+        ({"parameters": {"parameters.gamma": {"low": 1, "high": 9, "step": 0}}}, r"step: .*greater than 0"),
         ({"parameters": {"parameters.gamma": {"low": 0.0, "high": 0.5, "log": True}}}, "log needs a low above 0"),
         ({"trials": None}, "trials: it is missing"),
         ({"tirals": 3}, "did you mean 'trials'"),
