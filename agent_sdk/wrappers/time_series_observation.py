@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
 from numbers import Real
@@ -16,6 +17,7 @@ from zenostat.agent_sdk.wrappers.base import EnvView, ObservationLogic, ResetBat
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
 
+_MAX_HOURS = 8784
 _signal_adapter: TypeAdapter[Any] = TypeAdapter(SignalData)
 
 
@@ -48,6 +50,8 @@ def read_signal(value: Any, label: str) -> Signal:
         InvalidConfig: the value is not a signal.
     """
     if isinstance(value, Real) and not isinstance(value, bool):
+        if not math.isfinite(value):
+            raise InvalidConfig(f"{label}: a finite number expected, got {value}")
         return _Constant(float(value))
     signal = value
     if not isinstance(value, Signal):
@@ -61,14 +65,24 @@ def read_signal(value: Any, label: str) -> Signal:
     return signal
 
 
+def _check_hours(hours: Any, wrapper_name: str) -> None:
+    try:
+        is_valid = not isinstance(hours, str) and len(hours) > 0 and all(0 <= hour <= _MAX_HOURS for hour in hours)
+    except TypeError:
+        is_valid = False
+    if not is_valid:
+        raise InvalidConfig(f"{wrapper_name}: hours should be numbers from 0 on, at most a year, got {hours!r}")
+
+
 class _Logic(ObservationLogic):
     def __init__(self, view: EnvView, signals: Mapping[str, Any], hours: Sequence[float] = (0,)) -> None:
         super().__init__(view)
-        if not hours or min(hours) < 0 or not np.isfinite(hours).all():
-            raise InvalidConfig(f"{view.wrapper_name}: hours should be numbers from 0 on, got {list(hours)}")
+        _check_hours(hours, view.wrapper_name)
         self._signals = [read_signal(value, f"{view.wrapper_name}: {name}") for name, value in signals.items()]
         self._offsets = [timedelta(hours=hour) for hour in hours]
         added = [f"{name}_in_{hour:g}h" if hour else name for name in signals for hour in hours]
+        if len(set(added)) < len(added):
+            raise InvalidConfig(f"{view.wrapper_name}: each of the hours once expected, got {list(hours)}")
         infinite = np.full(len(added), np.inf, np.float32)
         self.extend(added, -infinite, infinite)
 
@@ -91,7 +105,7 @@ class TimeSeriesObservation(BuildingWrapper):
         hours: horizons in hours; 0, the default, is now.
 
     Raises:
-        InvalidConfig: a value is not a signal, or an hour is negative.
+        InvalidConfig: a value is not a signal, or not finite; hours that are negative, above a year, or named twice.
     """
 
     logic = _Logic

@@ -141,6 +141,8 @@ class _Logic(ObservationLogic):
             raise InvalidConfig(
                 f"{view.wrapper_name}: columns has to name at least one column, with n and spacing_h above 0"
             )
+        if not isinstance(n, int | np.integer):
+            raise InvalidConfig(f"{view.wrapper_name}: n = {n!r}; a whole number expected")
         indices_of(columns, columns, view.wrapper_name, "column")
         indices_of(errors or {}, columns, view.wrapper_name, "column")
         self._columns = list(columns)

@@ -123,6 +123,8 @@ def test_wrappers__what_a_forecast_cannot_be() -> None:
         w.WeatherForecast(fake(), [DRY], errors={"x": 1.0})
     with pytest.raises(InvalidConfig, match="an error is sigma"):
         w.WeatherForecast(fake(), [DRY], errors={DRY: {"sigma": -1.0}})
+    with pytest.raises(InvalidConfig, match=r"n = 1\.5; a whole number"):
+        w.WeatherForecast(fake(), [DRY], n=1.5)  # type: ignore[arg-type]
     with pytest.raises(InvalidConfig, match="n and spacing_h above 0"):
         w.WeatherForecast(fake(), [DRY], n=0)
 
@@ -217,3 +219,10 @@ def test_wrappers__signals_now_and_ahead() -> None:
         w.TimeSeriesObservation(fake(), {"price": "cheap"})
     with pytest.raises(InvalidConfig, match="numbers from 0 on"):
         w.TimeSeriesObservation(fake(), {"price": 1}, hours=[-1])
+    for hours in ([1e12], [np.nan], "12", ["1"], 5, []):
+        with pytest.raises(InvalidConfig, match="numbers from 0 on, at most a year"):
+            w.TimeSeriesObservation(fake(), {"price": 1}, hours=hours)  # type: ignore[arg-type]
+    with pytest.raises(InvalidConfig, match="each of the hours once"):
+        w.TimeSeriesObservation(fake(), {"price": 1}, hours=[1, 1.0])
+    with pytest.raises(InvalidConfig, match="price: a finite number expected, got nan"):
+        w.TimeSeriesObservation(fake(), {"price": float("nan")})
