@@ -197,17 +197,30 @@ class Tuning:
         config = self._config
         trial = ask(self.study, config.parameters)
         folder = (config.folder / "trials" / f"{trial.number:04d}").absolute()
+        try:
+            fields = config.trial_fields(decode(config.parameters, trial.params), folder)
+        except InvalidConfig as error:
+            self._fail_invalid(trial, str(error))
+            return
         shutil.rmtree(folder, ignore_errors=True)  # of a deleted study of that name
         folder.mkdir(parents=True)
         request = {
             "url": config.url, "study": config.study, "trial_id": trial._trial_id, "metric": config.metric,  # noqa: SLF001
             "pruner": config.pruner and config.pruner.model_dump(),
-            **config.trial_fields(decode(config.parameters, trial.params), folder),
+            **fields,
         }  # fmt: skip
         (folder / REQUEST).write_text(json.dumps(request, indent=1), encoding="utf-8")
         (folder / REQUEST).chmod(0o600)  # the URL may contain a password
         process, log = self._process(folder)
         self._workers.append(_Worker(trial, process, folder, log))
+
+    def _fail_invalid(self, trial: optuna.Trial, reason: str) -> None:
+        """Record a trial whose combination of parameters is not valid."""
+        trial.set_user_attr(_REASON, reason)
+        self.study.tell(trial, state=TrialState.FAIL)
+        if self._on_trial is not None:
+            self._on_trial(self.study.trials[trial.number])
+        self._check_first_trials(reason)
 
     def _process(self, folder: Path) -> tuple[subprocess.Popen[bytes], Path]:
         """Return a process that runs the trial of a folder, and the path of its log."""

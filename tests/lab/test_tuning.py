@@ -15,7 +15,7 @@ optuna = pytest.importorskip("optuna")
 pytest.importorskip("stable_baselines3")
 
 from zenostat.lab.tuning.search_space import distribution  # noqa: E402
-from zenostat.lab.tuning.study import Tuning, open_study  # noqa: E402
+from zenostat.lab.tuning.study import Tuning, open_study, reason_of  # noqa: E402
 from zenostat.lab.tuning.study_config import Range  # noqa: E402
 from zenostat.lab.tuning.study_figures import write_results  # noqa: E402
 from zenostat.lab.tuning.tuning_file import read_tuning  # noqa: E402
@@ -117,6 +117,23 @@ def test_tuning__interruptions_are_no_retries(tmp_path: Path) -> None:
     assert tuning._may_retry(trial)
     tuning.study.enqueue_trial({}, user_attrs={"retry_of": trial.number})
     assert not tuning._may_retry(trial)
+
+
+@pytest.mark.filterwarnings("ignore:Heartbeat of storage")
+def test_tuning__invalid_combination_fails_its_trial_alone(tmp_path: Path) -> None:
+    ended: list[Any] = []
+    tuning = Tuning(study(tmp_path, parameters={"slots": {"low": 1, "high": 500}}, sampler="random"), ended.append)
+    tuning.study.enqueue_trial({"slots": 400})
+    tuning._start()
+    assert tuning.processes == []
+    (trial,) = ended
+    assert trial.state is optuna.trial.TrialState.FAIL
+    assert "slots" in reason_of(trial)
+    for _ in range(2):
+        tuning.study.enqueue_trial({"slots": 400})
+    tuning._start()
+    with pytest.raises(InvalidConfig, match=r"no trial of the study can be run: .*slots"):
+        tuning._start()
 
 
 def test_tuning__database_that_is_not_there_is_one_sentence_without_its_password(tmp_path: Path) -> None:
