@@ -181,7 +181,8 @@ def _spec(env: gym.Env[Any, Any], building: BuildingEnv) -> EnvSpec | None:
     spec = building.spec if building.manifest.task.wrappers else env.spec
     if spec is None:
         return None
-    if "file" in spec.kwargs and not building.manifest.task.wrappers:
+    is_of_file = "file" in spec.kwargs or Path(spec.kwargs.get("scenario") or "").suffix in (".yaml", ".yml")
+    if is_of_file and not building.manifest.task.wrappers:
         fields = yaml12.parse(_scenario(building), "the node's scenario")
         kwargs = {name: value for name, value in fields.items() if name not in _NOT_ARGUMENTS}
     else:

@@ -139,6 +139,18 @@ def test_datasets__epsilon_is_the_share_of_random_actions(folder: Path) -> None:
     assert 180 < is_random.sum() < 300
 
 
+@pytest.mark.slow
+def test_datasets__scenario_file_is_not_needed_to_recover_the_environment(folder: Path) -> None:
+    file = folder / "mine.yaml"
+    file.write_text("building: ref-small-office\nweather: USA_CO_Denver\nbegin: 07-03\nend: 07-03\nsteps_per_hour: 1\n")
+    with closing(gym.make("zenostat/Building-v1", scenario=file, affinity="off")) as env:
+        write_dataset(env, ["rbc"], ID)
+        space = env.observation_space
+    file.unlink()
+    with closing(minari.load_dataset(ID).recover_environment()) as recovered:
+        assert recovered.observation_space == space
+
+
 def test_datasets__discrete_actions_are_integers(folder: Path) -> None:
     assert folder.is_dir()
     env = fake(discrete=6)
