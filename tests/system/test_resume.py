@@ -122,6 +122,14 @@ def _is_connected(bus: zenostat.Bus, name: str) -> bool:
     return any(c.controller == name and c.state.is_connected for c in bus.status("office").controllers)
 
 
+def is_recorded(path: Path, step: int) -> bool:
+    """Whether a recording that is being written has a step of its first episode."""
+    try:
+        return (1, step) in samples(path)
+    except InvalidRecording:  # its head is not written yet
+        return False
+
+
 def samples(path: Path) -> dict[tuple[int, int], dict[str, Any]]:
     """The samples of a recording by episode and step, with the names of the sources."""
     by_step: dict[tuple[int, int], dict[str, Any]] = {}
@@ -355,7 +363,7 @@ def test_resume__model_may_be_in_another_folder(scratch: Path, settings: dict[st
         Day(bus) as day,
     ):
         day.play(10)
-        until(lambda: (1, 10) in samples(path), "it is recorded")
+        until(lambda: is_recorded(path, 10), "it is recorded")
         node.kill()
     first.rename(second)
     with node_on_bus(scratch / "second", **{**settings, "building": str(second)}, resume=str(path)) as (_, bus):
