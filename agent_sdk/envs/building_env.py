@@ -288,7 +288,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             InvalidAction: Wrong shape, or an action that `step` would reject.
             EpisodeChanged, RequestRejected, ForkFailed, SimulatorError: As for `branch` and `step`.
         """
-        count = len(as_array(actions, None))
+        count = len(np.atleast_1d(as_array(actions, None)))
         with self.branch(slots=count, snapshot=snapshot, forecast_error=forecast_error) as branches:
             return branches.plan(actions)
 

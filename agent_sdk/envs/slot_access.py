@@ -133,6 +133,8 @@ def seeds_of(seed: Seeds, slots: Sequence[int], count: int) -> list[int | None] 
     """
     if seed is None:
         return None
+    if isinstance(seed, np.ndarray):
+        seed = seed[()]  # a number, if it has no dimension
     if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str):
         seeds = [None if slot_seed is None else check_seed(slot_seed) for slot_seed in seed]
     else:

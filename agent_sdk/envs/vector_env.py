@@ -88,6 +88,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
         **node_arguments: Unpack[NodeArguments],
     ) -> None:
         self.num_envs, self.autoreset_mode = check_count(num_envs), check_mode(autoreset_mode)
+        num_envs = self.num_envs
         arguments.check_arguments(node_arguments, BuildingVectorEnv)
         self._connection = NodeConnection(
             {name: value for name, value in node_arguments.items() if value is not None},
@@ -370,9 +371,9 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
 
 def check_count(count: int, name: str = "num_envs") -> int:
     """Return a number of slots that is valid; `InvalidConfig` for any other."""
-    if not isinstance(count, int) or not 1 <= count <= MAX_SLOTS:
+    if not isinstance(count, int | np.integer) or not 1 <= count <= MAX_SLOTS:
         raise InvalidConfig(f"{name} = {count!r}; a number from 1 to {MAX_SLOTS} expected")
-    return count
+    return int(count)
 
 
 def check_mode(mode: AutoresetMode | str) -> AutoresetMode:

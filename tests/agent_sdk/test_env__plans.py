@@ -217,6 +217,8 @@ def test_plan__refuses_actions_before_it_simulates(office: BuildingEnv) -> None:
             branch.reset()
         with pytest.raises(InvalidConfig, match="no snapshots"):
             branch.snapshot()
+    with pytest.raises(InvalidAction, match="shape"):
+        office.plan(5.0)
     with pytest.raises(InvalidConfig, match="slots = 0"):
         office.branch(slots=0)
 

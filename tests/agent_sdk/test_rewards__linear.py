@@ -205,6 +205,8 @@ MISSING: dict[str, tuple[LinearReward, Manifest, str]] = {
     "no zone": (LinearReward(), manifest(sensors=[sensor("p", POWER)]), "'Zone Air Temperature'"),
     "unknown power": (LinearReward(power="powr"), NODE, "'powr'.*did you mean 'power'"),
     "unknown one of two": (LinearReward(power=("power", "fan")), NODE, "'fan'"),
+    "zone named twice": (LinearReward(temperatures=("north", "north")), NODE, "'north' twice"),
+    "power named twice": (LinearReward(power=("power", "power")), NODE, "'power' twice"),
     "unknown zone": (LinearReward(temperatures=("north", "sout")), NODE, "'sout'.*did you mean 'south'"),
 }
 

@@ -1,6 +1,7 @@
 """Several engines of one node as a vector environment: slot i is what a single environment is, to the bit."""
 
 import re
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -323,6 +324,7 @@ def test_vector_env__steps_that_cannot_be() -> None:
     [
         ({"seed": -1}, "an integer from 0 to 2**64 - 2 expected"),
         ({"seed": [1]}, "each of 2 slots"),
+        ({"seed": np.array(1.5)}, "an integer from 0 to 2**64 - 2 expected"),
         ({"seed": [1, -2]}, "seed = -2; an integer from 0 to 2**64 - 1 expected"),
         ({"options": {"mask": 1}}, "unknown reset options ['mask']; available: 'snapshot', 'reset_mask'"),
         ({"options": {"reset_mask": [1, 0]}}, "a bool array of shape (2,)"),
@@ -376,3 +378,10 @@ def test_vector_env__failed_step_is_not_the_end(monkeypatch: pytest.MonkeyPatch)
 
 
 # Slots whose episodes end at different times
+
+
+def test_vector_env__takes_numbers_of_numpy() -> None:
+    with closing(gym.make_vec("zenostat/Fake-v1", num_envs=np.int64(2))) as env:  # type: ignore[arg-type]
+        expected, _ = env.reset(seed=5)
+        observations, _ = env.reset(seed=np.array(5))  # type: ignore[arg-type]
+        assert observations.tolist() == expected.tolist()
