@@ -40,7 +40,9 @@ timestep: 1h
 duration: 6h
 plants:
   feeder: {grid: feeder.yaml, plant_arguments: {step_s: 900}}
-  heat: {plant: "zenostat.plants.heat:DistrictHeating", plant_arguments: {step_s: 600, initial_c: 60, begin: "2026-07-01T00:00"}}
+  heat:
+    plant: zenostat.plants.heat:DistrictHeating
+    plant_arguments: {step_s: 600, initial_c: 60, begin: "2026-07-01T00:00"}
 """
 
 
