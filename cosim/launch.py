@@ -36,10 +36,9 @@ _YEAR = 2017
 """For days without a year: one without 29 February, as most are."""
 _PATHS = ("scenario", "config", "building", "weather", "faults", "alarms", "plant", "fmu", "grid")
 """Settings that may be paths, which are relative to the district's file."""
-_SUFFIXES = {
-    *(".epjson", ".idf", ".osm", ".gbxml", ".xml", ".epw", ".csv"),
-    *(".yaml", ".yml", ".json", ".fmu", ".py"),
-}
+_SUFFIXES = (
+    ".epjson", ".idf", ".osm", ".gbxml", ".xml", ".epw", ".csv", ".yaml", ".yml", ".json", ".fmu", ".py",
+)  # fmt: skip
 """Suffixes of files, which names of buildings, weather files, scenarios and modules do not have."""
 
 

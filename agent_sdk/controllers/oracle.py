@@ -44,8 +44,8 @@ class OracleController(Controller):
     The reward of a plan is that of the environment, with its state: a demand charge counts from the peak so far. One of
     the plans is what the rule would do, so the chosen plan is never worse than the rule in its horizon. Where actions
     are relative to the baseline control, another one is the baseline control itself; of discrete ones, if each has a
-    choice of offsets 0. The branches have the weather and
-    occupancy that follow, so the foresight is perfect, unless `forecast_error` disturbs their outdoor temperature.
+    choice of offsets 0. The branches have the weather and occupancy that follow, so the foresight is perfect, unless
+    `forecast_error` disturbs their outdoor temperature.
 
     For zone setpoints among continuous actions, the first iteration also has the plans that building control knows: the
     widest setpoints for a time, then the rule (setback with optimum start and stop), and the rule with its setpoints
