@@ -146,7 +146,12 @@ class Topic:
 
     def names_in(self, key: str) -> tuple[str, str]:
         """Return sender and name in a full key of this topic, without control characters; empty where it has none."""
-        *_, before, last = replace_controls(key).split("/")
+        sender, name = self.chunks_in(key)
+        return replace_controls(sender), replace_controls(name)
+
+    def chunks_in(self, key: str) -> tuple[str, str]:
+        """Return sender and name in a full key of this topic as they are, of which `at` makes the key again."""
+        *_, before, last = "*", *key.split("/")  # "**" is a key of every topic
         if self.key.endswith(NAME):
             return (before if self.has_sender else ""), last
         return (last if self.has_sender else ""), ""
@@ -277,13 +282,13 @@ def root(node: str) -> str:
 
 
 def node_of(key: str) -> str:
-    """Return the node's name in a full key, without control characters."""
-    return replace_controls(key.split("/")[NODE_CHUNK])
+    """Return the node's name in a full key, without control characters; empty if the key is too short to have one."""
+    return replace_controls("".join(key.split("/")[NODE_CHUNK : NODE_CHUNK + 1]))
 
 
 def last_chunk(key: str) -> str:
     """Return the last chunk of a full key, the name of a point, a controller or an instance: no control characters."""
-    return replace_controls(key.rsplit("/", 1)[1])
+    return replace_controls(key.rpartition("/")[2])
 
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.\-]+")

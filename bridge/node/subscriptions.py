@@ -39,6 +39,12 @@ COMMAND_QUEUE = 256
 MAX_PENDING = 256
 """Messages or requests of a topic that may wait; further messages are dropped, further requests rejected."""
 
+LARGE_BYTES = 1 << 16
+"""Size from which a message or request is large."""
+
+MAX_LARGE = 8
+"""Large messages and requests of all topics that may wait: 256 of each topic would fill the memory."""
+
 _TASKS_PER_TURN = 8
 """Tasks to run before the next command is received."""
 
@@ -72,9 +78,11 @@ class Request:
 
     def __init__(self, query: zenoh.Query, topic: keys.Topic, subscriptions: Subscriptions) -> None:
         self._query: zenoh.Query | None = query
-        self.sender, self.name = topic.names_in(str(query.key_expr))
+        key = str(query.key_expr)
+        self.sender, self.name = topic.names_in(key)
         self._topic, self._subscriptions = topic, subscriptions
-        self._key = topic.at(subscriptions.node, name=self.name, sender=self.sender)
+        sender, name = topic.chunks_in(key)
+        self._key = topic.at(subscriptions.node, name=name, sender=sender)  # a reply has to match the query
         self.payload, self.encoding = _content(query)
         self._via = _client_protocol(query.attachment)
 
@@ -97,7 +105,10 @@ class Request:
             recorder.sender(self.sender, self._subscriptions.proven(self.sender), self._via)
             recorder.request(key, self.payload, self.encoding, payload, encoding)
         with query:
-            query.reply(self._key, payload, encoding=zenoh.Encoding(encoding))
+            try:
+                query.reply(self._key, payload, encoding=zenoh.Encoding(encoding))
+            except zenoh.ZError as error:  # nothing that a stranger asks shall end the node
+                self._subscriptions.on_error(self._topic, self.sender, error)
 
 
 def _client_protocol(attached: zenoh.ZBytes | None) -> str:
@@ -114,7 +125,11 @@ def _mismatch(sender: str, named: str) -> str:
 
 
 def _reject() -> Message:
-    raise RequestRejected(f"the node has {MAX_PENDING} pending requests; try again later")
+    raise RequestRejected(f"the node has {MAX_PENDING} pending requests, or {MAX_LARGE} large ones; try again later")
+
+
+def _refuse_large(payload: bytes, _: str) -> bytes:
+    raise BadMessage(f"{len(payload)} bytes; this query has fewer than {LARGE_BYTES}")
 
 
 Handler = Callable[[str, str, bytes, str], None]
@@ -145,6 +160,7 @@ class Subscriptions:
         self._before_commands: list[deque[Callable[[], None]]] = []
         self.rate_limited = 0
         self._close = ExitStack()
+        self._large = threading.BoundedSemaphore(MAX_LARGE)
         self._thread_id = 0
         self._is_waiting = False
         self._is_command_next = self._has_ended = False
@@ -322,6 +338,23 @@ class Subscriptions:
             self._before_commands.append(queue)
         return queue
 
+    def _may_wait(self, waiting: deque[Callable[[], None]], size: int) -> bool:
+        """Return whether a message or request of some bytes may wait, and count it if it is large."""
+        if len(waiting) < MAX_PENDING and (size < LARGE_BYTES or self._large.acquire(blocking=False)):
+            return True
+        self.rate_limited += 1
+        return False
+
+    def _append(self, waiting: deque[Callable[[], None]], size: int, task: Callable[[], None]) -> None:
+        """Let a task wait that `_may_wait` has counted."""
+
+        def run() -> None:
+            self._large.release()
+            task()
+
+        waiting.append(run if size >= LARGE_BYTES else task)
+        self._post_next(waiting)
+
     def _post_next(self, waiting: deque[Callable[[], None]]) -> None:
         """Run the first message of a topic in the server's thread, unless it has run before a command by then."""
         self.post(lambda: waiting.popleft()() if waiting else None)
@@ -340,8 +373,8 @@ class Subscriptions:
                 self.on_error(topic, sender, error)
 
         def on_message(message: zenoh.Sample) -> None:
-            if len(waiting) >= MAX_PENDING:
-                self.rate_limited += 1
+            size = len(message.payload)
+            if not self._may_wait(waiting, size):
                 return
             sender, name = topic.names_in(str(message.key_expr))
             payload, encoding, via = (
@@ -349,8 +382,9 @@ class Subscriptions:
                 str(message.encoding),
                 _client_protocol(message.attachment),
             )
-            waiting.append(lambda: None if self._has_ended else receive(sender, name, payload, encoding, via))
-            self._post_next(waiting)
+            self._append(
+                waiting, size, lambda: None if self._has_ended else receive(sender, name, payload, encoding, via)
+            )
 
         subscriber = self._session.declare_subscriber(topic.everywhere(self.node), Callback(on_message, indirect=False))
         self._close.callback(subscriber.undeclare)
@@ -393,7 +427,9 @@ class Subscriptions:
             self._reply(query, topic, lambda payload, encoding: answer(codec.decode_request(Query, payload, encoding)))
 
         def on_query(query: zenoh.Query) -> None:
-            if waiting.acquire(blocking=False):
+            if query.payload is not None and len(query.payload) >= LARGE_BYTES:
+                self._reply(query, topic, _refuse_large)
+            elif waiting.acquire(blocking=False):
                 worker.submit(compute, query)
             else:
                 self.rate_limited += 1
@@ -473,13 +509,16 @@ class Subscriptions:
 
         def on_query(query: zenoh.Query) -> None:
             request = Request(query, topic, self)
-            if len(waiting) >= MAX_PENDING:
-                self.rate_limited += 1
+            size = len(request.payload)
+            if not self._may_wait(waiting, size):
                 request.answer(_reject, is_recorded=False)  # in another thread
                 return
             on_receipt(request)
-            waiting.append(lambda: request.answer(self._reject_ending) if self._is_refused(topic) else handler(request))
-            self._post_next(waiting)
+            self._append(
+                waiting,
+                size,
+                lambda: request.answer(self._reject_ending) if self._is_refused(topic) else handler(request),
+            )
 
         key = topic.everywhere(self.node)
         queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)

@@ -81,6 +81,25 @@ def test_control_characters__node_sends_no_control_character_that_it_received(
         assert all(is_plain(value) for value in event.values() if isinstance(value, str)), event
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("sender", ["ev\x1bil", "ab\u202ecd"])
+def test_control_characters__node_answers_requests_whose_sender_has_them(sender: str, scratch: Path) -> None:
+    """A reply has to have the key of its query."""
+    with (
+        node_on_bus(scratch / "room", plant=PLANT, name="room") as (program, bus),
+        raw_session(program.endpoint) as session,
+    ):
+        for topic in keys.TOPICS:
+            if topic.has_sender and topic.delivery is keys.Delivery.QUERY:
+                replies = list(session.get(topic.at("room", name=sender, sender=sender), timeout=60))
+                assert [reply.ok is not None for reply in replies] == [True], topic.key
+                error = codec.decode(ErrorReply, replies[0].ok.payload.to_bytes())
+                assert is_plain(error.message), topic.key
+        session.put("**", b"x")  # a key of every topic
+        assert len(list(session.get("**", timeout=60))) > 10
+        assert bus.status("room").step == [0]
+
+
 @pytest.fixture(scope="module")
 def hostile(recorded: tuple[Path, list[bytes]]) -> Path:
     """The recording as a hostile program would write it: every text that is not a name has control characters."""
