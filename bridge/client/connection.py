@@ -190,7 +190,13 @@ class Connection:
             return reply
         if self._closed:
             raise BusError(_CLOSED)
-        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, self.nodes())}")
+        known = self.nodes()
+        if node in known:
+            raise NodeNotFound(
+                f"the node {node!r} on {self.endpoint} did not take the request: it has just started, or does not "
+                "offer it"
+            )
+        raise NodeNotFound(f"no node {node!r} on {self.endpoint}; {did_you_mean(node, known)}")
 
     def _signed(self, request: Message) -> tuple[Message, str]:
         """Return a request with its sender's name, and that name: below the one in the certificate."""

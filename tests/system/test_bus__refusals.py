@@ -12,7 +12,7 @@ from zenoh.handlers import RingChannel
 
 import zenostat
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, NodeNotFound
 from zenostat.topics.keys import Topic
 from zenostat.topics.messages import (
     Acknowledge,
@@ -59,6 +59,16 @@ def test_bus__wildcards_and_other_invalid_names_are_no_nodes(episode_bus: zenost
 def test_bus__names_of_strangers_that_are_not_valid_are_not_listed(episode_bus: zenostat.Bus) -> None:
     with episode_bus.session.declare_queryable(keys.MANIFEST.at("a b"), lambda query: query.reply(query.key_expr, b"")):
         assert episode_bus.nodes() == ["office"]
+
+
+def test_bus__node_that_has_a_manifest_but_no_reply_is_not_called_missing(episode_bus: zenostat.Bus) -> None:
+    """A starting node declares its manifest before some requests."""
+    key = keys.MANIFEST.at("starting")
+    with (
+        episode_bus.session.declare_queryable(key, lambda query: query.reply(key, b"")),
+        pytest.raises(NodeNotFound, match=r"the node 'starting' on .* did not take the request"),
+    ):
+        episode_bus.status("starting")
 
 
 @pytest.mark.slow
