@@ -63,6 +63,11 @@ class Slot:
             return getattr(self._env, name)
         raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        if name in _SHARED:
+            raise AttributeError(f"{name!r} belongs to the vector environment: make a new one to change it")
+        super().__setattr__(name, value)
+
     @property
     def sample(self) -> SampleView:
         """The slot's latest sample."""
@@ -100,6 +105,7 @@ class SlotAccess:
 
         Raises:
             InvalidConfig: Not one value for each slot.
+            AttributeError: What all slots share, such as the reward.
         """
         slot_values = values if isinstance(values, list | tuple) else [values] * len(self.envs)
         if len(slot_values) != len(self.envs):

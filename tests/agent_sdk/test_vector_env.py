@@ -222,6 +222,8 @@ def test_vector_env__answers_call_and_get_attr_of_its_slots() -> None:
         env.get_attr("colour_of")
     with pytest.raises(InvalidConfig, match="2 values for 3 slots"):
         env.set_attr("colour", [1, 2])
+    with pytest.raises(AttributeError, match="'reward' belongs to the vector environment"):
+        env.set_attr("reward", None)
 
 
 @pytest.mark.variants
