@@ -341,8 +341,7 @@ def _run_episodes(
     agent, steps = Agent(controller, env), env.manifest.steps
     rows, weathers = [], []
     for number, seed in enumerate(seeds):
-        if callable(seed_episode := getattr(controller, "seed_episode", None)):
-            seed_episode(seed)
+        agent.seed_episode(seed)
         report = None if progress is None else partial(progress, name, number)
         result, weather = run(
             lambda _: agent.action(env.sample),

@@ -65,6 +65,15 @@ class Agent:
         self._episode: int | None = None
         self._commanded: Values = {}
 
+    def seed_episode(self, seed: int) -> None:
+        """Let a controller that draws, such as a policy whose observation has forecast errors, draw from a seed.
+
+        Args:
+            seed: seed of the next episode.
+        """
+        if callable(seed_episode := getattr(self.controller, "seed_episode", None)):
+            seed_episode(seed)
+
     def values(self, sample: SampleView) -> Values:
         """Return the commands for a sample by actuator, as `sample.send` accepts them."""
         if sample.step == 0 or sample.episode != self._episode:

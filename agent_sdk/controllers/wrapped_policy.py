@@ -60,6 +60,7 @@ class WrappedPolicy(Controller):
         self._states = without_logs(states)
         self._link: _SampleQueue | None = None
         self._seed: int | None = None
+        self._episodes = 0
         with self._environment(_SampleQueue(manifest)) as env:
             for kind in ("observation", "action"):
                 current, trained = getattr(env, f"{kind}_space"), getattr(model, f"{kind}_space")
@@ -83,7 +84,8 @@ class WrappedPolicy(Controller):
     def seed_episode(self, seed: int) -> None:
         """Let the wrappers draw from the seed of the next episode, as in an evaluation of its training.
 
-        Without it, each episode draws what the first one after the training would have drawn.
+        Without it, the first episode draws what the first one after the training would have drawn, and each further
+        one from its number.
         """
         self._seed = seed
 
@@ -93,8 +95,10 @@ class WrappedPolicy(Controller):
             self._link.cancel()
         self._link = _SampleQueue(self.manifest)
         torch = sys.modules.get("torch")  # loaded with a model of stable-baselines3
-        arguments = [self._link, torch and torch.get_num_threads(), self._seed]
+        seed = self._episodes or None if self._seed is None else self._seed
+        arguments = [self._link, torch and torch.get_num_threads(), seed]
         self._seed = None
+        self._episodes += 1
         threading.Thread(target=self._run, args=arguments, name="policy", daemon=True).start()
 
     def act(self, sample: SampleView) -> Values:

@@ -128,6 +128,7 @@ def run_job(job: Job) -> tuple[list[Row], list[str]]:
 def _run_episode(job: Job, env: BuildingEnv, episode: Episode) -> Row:
     begin = processor_s()
     agent = Agent(_controller(job, env.manifest, episode), env)
+    agent.seed_episode(episode.seed)
     linear = LinearReward(env.manifest)
     result, _ = run_episode(env, lambda _: agent.action(env.sample), seed=episode.seed, recorder=linear)
     return _row(episode, result, linear.total, processor_s() - begin)

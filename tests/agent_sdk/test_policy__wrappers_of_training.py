@@ -16,6 +16,7 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from zenostat.agent_sdk.controllers import Agent
 from zenostat.agent_sdk.controllers.policy_loader import load_policy
+from zenostat.agent_sdk.controllers.wrapped_policy import WrappedPolicy
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
 from zenostat.agent_sdk.testing import FakeBuilding, FakeEnv, FakeLink
 from zenostat.agent_sdk.vec_normalization import normalization_path
@@ -76,6 +77,42 @@ def test_policy__forecast_errors_are_those_of_the_seed_of_the_episode(tmp_path: 
             {"link": FakeLink(FakeBuilding(**DAY)), "reward": bill}, {"policy": policy}, episodes=2, seed=7
         ).rows
     assert [row.result.reward for row in rows] == expected
+
+
+class Forecaster:
+    """A model whose cooling setpoint follows the first value of the forecast."""
+
+    def __init__(self, env: Any) -> None:
+        self.observation_space, self.action_space = env.observation_space, env.action_space
+
+    def predict(self, observation: Any, *_: Any, **__: Any) -> tuple[Any, None]:
+        return np.array([15.0, np.clip(26.0 + 0.1 * observation[-2], 22.5, 30.0)], np.float32), None
+
+
+def test_policy__forecast_errors_differ_between_episodes_without_seeds(tmp_path: Path) -> None:
+    """In the same weather; a new controller repeats them."""
+    errors = {"dry_bulb_temperature": {"sigma": 2.0, "tau_h": 6.0}}
+    chain = [{"wrapper": "WeatherForecast", "columns": ["dry_bulb_temperature"], "n": 2, "errors": errors}]
+    with closing(apply_wrappers(FakeEnv(**DAY), chain)) as env:
+        model, file = Forecaster(env), tmp_path / "wrappers.yaml"
+        save_wrappers(env, file)
+    states = yaml12.read_mapping(file)["wrappers"]
+
+    def two_episodes() -> list[list[Any]]:
+        with closing(FakeEnv(**DAY)) as env:
+            agent, episodes = Agent(WrappedPolicy(env.manifest, model, None, chain, states)), []
+            for _ in range(2):
+                env.reset(seed=5)
+                actions = []
+                for _ in range(12):
+                    actions.append(agent.action(env.sample).tolist())
+                    env.step(actions[-1])
+                episodes.append(actions)
+        return episodes
+
+    first, second = two_episodes()
+    assert first != second
+    assert two_episodes() == [first, second]
 
 
 def test_policy__state_of_wrappers_is_restored_with_and_without_the_chain(tmp_path: Path) -> None:
