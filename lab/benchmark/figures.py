@@ -106,14 +106,16 @@ def _fill_scores(figure: Any, names: Sequence[str], scores: Sequence[Scores], li
 def _fill_buildings(figure: Any, names: Sequence[str], scores: Sequence[Scores], buildings: Sequence[str]) -> None:
     columns = min(len(buildings), 3)
     axes = figure.subplots(math.ceil(len(buildings) / columns), columns, sharey=True, squeeze=False).ravel()
-    best = max(value for of in scores for values in of.values.values() for value in values)
+    episodes = {(of.controller, building): of.episodes(building) for of in scores for building in buildings}
+    best = max(values.max() for values in episodes.values())
     limits = _limits((interval for of in scores for interval in of.buildings.values()), best)
     for axis, building in zip(axes, buildings, strict=False):
         _draw_intervals(axis, names, {of.controller: of.buildings[building] for of in scores}, limits)
         for of in scores:
             if of.buildings[building].value < _LOWEST:
                 continue
-            shown = [value for value in of.values[building] if value >= _LOWEST]
+            values = episodes[of.controller, building]
+            shown = values[values >= _LOWEST]
             places = [names.index(of.controller)] * len(shown)
             axis.plot(shown, places, "o", color=LIGHT["series-1"], markersize=2.2, alpha=0.6, zorder=1)
         axis.set_title(BUILDINGS.get(building, building))

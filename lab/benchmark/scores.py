@@ -53,15 +53,18 @@ class Scores:
         controller: its name.
         overall: interquartile mean over all rows.
         buildings: interquartile means by building.
-        values: scores by building.
         strata: matrices of scores by stratum.
     """
 
     controller: str
     overall: Interval
     buildings: dict[str, Interval]
-    values: dict[str, tuple[float, ...]]
     strata: dict[Stratum, Matrix]
+
+    def episodes(self, building: str) -> NDArray[np.float64]:
+        """Return the score of each episode in a building, the mean over trainings."""
+        of_building = [matrix.mean(axis=0) for stratum, matrix in self.strata.items() if stratum[0] == building]
+        return np.concatenate(of_building)
 
 
 def relative_score(reward: float, baseline: float) -> float | None:
@@ -224,9 +227,5 @@ def _scores(name: str, strata: dict[Stratum, Matrix]) -> Scores:
         name,
         bootstrap_interval(list(strata.values())),
         {building: bootstrap_interval(matrices) for building, matrices in by_building.items()},
-        {
-            building: tuple(float(value) for matrix in matrices for value in matrix.ravel())
-            for building, matrices in by_building.items()
-        },
         strata,
     )

@@ -144,24 +144,24 @@ def _learned(scores: Sequence[Scores]) -> Table | None:
     )
 
 
+def has_oracle(results: Results) -> bool:
+    """Return whether results have all rows of the oracle and of the rule that it is compared with."""
+    return {"oracle", "rbc"} <= set(complete(results).names())
+
+
 def planning_page(text: str) -> str:
-    """Return the page about planning with what the oracle is worth in the benchmark."""
-    results = published("full") or published("quick")
-    scores = (
-        {}
-        if results is None
-        else {of.controller: of.overall.value for of in score_rows(complete(results).rows.values())}
-    )
-    if not {"oracle", "rbc"} <= scores.keys():
+    """Return the page about planning with what the oracle is worth in the largest set that has its rows."""
+    results = next((of for of in map(published, PUBLISHED) if of is not None and has_oracle(of)), None)
+    if results is None:
         return _replace(text, "planning", "The [benchmark](benchmark.md) has a table with the oracle's scores.")
+    scores = {of.controller: of.overall.value for of in score_rows(complete(results).rows.values())}
     oracle, rule = scores["oracle"], scores["rbc"]
-    return _replace(
-        text,
-        "planning",
-        f"In the [benchmark](benchmark.md), whose reward has a tariff, a demand charge and occupied comfort, the score "
-        f"of the oracle is {oracle:.3f} and that of `rbc` {rule:.3f}: the difference is "
-        f"{100 * (oracle - rule):.0f} % of the cost of the baseline control.",
+    sentence = (
+        f"In the set {results.set} of the [benchmark](benchmark.md), whose reward has a tariff, a demand charge and "
+        f"occupied comfort, the score of the oracle is {oracle:.3f} and that of `rbc` {rule:.3f}: the difference is "
+        f"{100 * (oracle - rule):.0f} % of the cost of the baseline control."
     )
+    return _replace(text, "planning", sentence)
 
 
 def _savings(results: Results) -> str:
