@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,7 +12,7 @@ from rich.table import Table
 from zenostat.cli.console import out
 from zenostat.cli.options import DEFAULTS, BusOptions, on_bus
 from zenostat.cli.write import person
-from zenostat.topics.errors import UnknownName, did_you_mean
+from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.keys import Role
 
 if TYPE_CHECKING:
@@ -104,6 +105,8 @@ def revoke(
         with options.open_bus(Role.OPERATOR) as bus:
             out.print(f"{node}: {bus.revoke(node, name, source=person()).text}", markup=False, soft_wrap=True)
         return
+    if options != DEFAULTS:
+        raise InvalidConfig("--connect, --keys and --certificate are for --node; --folder names the folder of keys")
     from zenostat.bridge.transport.certificates import names_of
     from zenostat.bridge.transport.deny_list import REVOKED
     from zenostat.bridge.transport.deny_list import revoke as write_revoked
@@ -112,6 +115,8 @@ def revoke(
     if name not in known:
         raise UnknownName(f"no name {name!r} in {folder}; {did_you_mean(name, known)}")
     write_revoked(folder, name)
+    if Role.NODE in known[name]:
+        out.print(f"What connects through the node or router {name} has no bus any more.", markup=False, soft_wrap=True)
     text = f"{name} is revoked in {folder / REVOKED}; copy the file to the folders of all other nodes and routers."
     out.print(text, markup=False, soft_wrap=True)
 
@@ -123,11 +128,12 @@ def show(folder: Annotated[Path, typer.Argument(help="Folder of the certificates
     Example: `zenostat keys show`
     """
     from zenostat.bridge.transport.certificates import show
+    from zenostat.bridge.transport.deny_list import read_revoked
 
-    out.print(_table(show(folder)))
+    out.print(_table(show(folder), read_revoked(folder)))
 
 
-def _table(certificates: list[Certificate]) -> Table:
+def _table(certificates: list[Certificate], revoked: Collection[str] = ()) -> Table:
     table = Table("role", "name", "expires (UTC)", "hosts", "state")
     for certificate in certificates:
         expires = f"{certificate.expires:%Y-%m-%d %H:%M}"
@@ -136,6 +142,6 @@ def _table(certificates: list[Certificate]) -> Table:
             certificate.name,
             expires,
             ", ".join(certificate.hosts),
-            certificate.fault or certificate.warning or "good",
+            "revoked" if certificate.name in revoked else certificate.fault or certificate.warning or "good",
         )
     return table

@@ -76,7 +76,7 @@ class BusOptions:
         """Connect to the bus; with keys, by the certificate of this role.
 
         Args:
-            role: Role that the certificate must have.
+            role: Role that the certificate must have; all may read, so a named certificate may have any for `MONITOR`.
             resets: Whether the command also resets the node; the certificate is then by default an environment's.
 
         Raises:
@@ -86,11 +86,18 @@ class BusOptions:
         from zenostat import connect
 
         keys = certificate_file(self.keys) if resets and self.certificate is None else self.keys
-        return connect(self.endpoint, keys=keys, role=role, certificate=self.certificate)
+        return connect(self.endpoint, keys=keys, role=self._required(role), certificate=self.certificate)
 
     def open_session(self, role: Role = Role.CONTROLLER, *, wait: bool = False) -> OpenSession:
         """Open a Zenoh session instead, for programs without requests; arguments and errors as of `open_bus`."""
-        return open_session(connect=[self.endpoint], wait=wait, keys=self.keys, role=role, certificate=self.certificate)
+        required = self._required(role)
+        return open_session(
+            connect=[self.endpoint], wait=wait, keys=self.keys, role=required, certificate=self.certificate
+        )
+
+    def _required(self, role: Role) -> Role | None:
+        is_named = self.certificate is not None or (self.keys is not None and self.keys.suffix == ".pem")
+        return None if role is Role.MONITOR and is_named else role
 
 
 DEFAULTS = BusOptions()

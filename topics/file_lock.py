@@ -12,17 +12,18 @@ from zenostat.topics.errors import InvalidConfig
 
 
 @contextmanager
-def locked(path: Path, refusal: str) -> Iterator[None]:
+def locked(path: Path, refusal: str, *, wait_s: float = 0.0) -> Iterator[None]:
     """Hold a lock for the time of the context. A lock ends with its process; the lock's file does not stay behind.
 
     Args:
         path: the lock's own file.
         refusal: message of the error if another process holds the lock.
+        wait_s: time to wait for that process.
 
     Raises:
         InvalidConfig: another process holds the lock, or the file cannot be created.
     """
-    lock = filelock.FileLock(path, timeout=0)
+    lock = filelock.FileLock(path, timeout=wait_s)
     try:
         lock.acquire()
     except filelock.Timeout:

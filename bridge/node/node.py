@@ -275,7 +275,7 @@ class Node:
                 self.server.revoke(name)
 
     def _on_unreadable_deny_list(self, error: str) -> None:
-        text = f"{error}; the names that are revoked stay as they were"
+        text = f"{error}; the names that are revoked stay so until the node is started again"
         self.server.subscriptions.post(lambda: self.server.event(self.server.exchange.event(EventKind.WARNING, text)))
 
     def _revoke(self, request: Revoke) -> Message:
@@ -286,6 +286,11 @@ class Node:
             raise UnknownName(f"no name {request.name!r} in the list of names; {did_you_mean(request.name, names)}")
         if request.name == self._opened.name:
             raise RequestRejected(f"{request.name} is this node's own name; stop the node instead")
+        if keys.Role.NODE in names[request.name]:
+            raise RequestRejected(
+                f"{request.name} is the name of a node or router, on which others may depend: revoke it on its "
+                "machines, with zenostat keys revoke"
+            )
         self._deny_list.add(request.name)
         return Ack(episode=self.exchange.episode, text=f"{request.name} is revoked")
 

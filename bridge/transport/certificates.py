@@ -34,9 +34,11 @@ from zenostat.bridge.transport.name_list import (
     Names,
     check_new_name,
     check_roles,
+    locked_names,
     read_names,
     sign_names,
 )
+from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.keys import Role
 
@@ -147,12 +149,35 @@ def add(
 ) -> Certificate:
     """Create another certificate of the folder's authority, and add its name to the list.
 
+    One that replaces a node's keeps its hosts unless others are named.
+
     Raises:
         InvalidConfig: no authority, or one whose key other users can read, a name that is in use or is the beginning of
             another, hosts for a role that does not listen, days beyond the authority's validity.
     """
     authority = _read(folder / f"{AUTHORITY}.pem")
     authority_key = _read_key(folder / f"{AUTHORITY}.key")
+    if force and not hosts:
+        hosts = _former_hosts(folder / f"{name}.pem", authority)
+    with locked_names(folder):
+        return _add(folder, roles, name, authority, authority_key, hosts, days, force=force)
+
+
+def _former_hosts(path: Path, authority: x509.Certificate) -> tuple[str, ...]:
+    return _described(path.stem, _read(path), authority).hosts if path.exists() else ()
+
+
+def _add(
+    folder: Path,
+    roles: Role | Sequence[Role],
+    name: str,
+    authority: x509.Certificate,
+    authority_key: ec.EllipticCurvePrivateKey,
+    hosts: Sequence[str],
+    days: int,
+    *,
+    force: bool,
+) -> Certificate:
     max_days = (authority.not_valid_after_utc - datetime.now(UTC)).days
     errors = ErrorCollector()
     errors.collect(lambda: _check_private(folder / f"{AUTHORITY}.key"))
@@ -183,8 +208,18 @@ def names_of(folder: Path) -> dict[str, tuple[Role, ...]]:
 def show(folder: Path) -> list[Certificate]:
     """Return the certificates of a folder: authority first, then by role and name."""
     authority = _read(folder / f"{AUTHORITY}.pem")
-    certificates = [_shown(path, authority) for path in sorted(folder.glob("*.pem"))]
+    paths = [path for path in sorted(folder.glob("*.pem")) if _is_certificate(path)]
+    certificates = [_shown(path, authority) for path in paths]
     return sorted(certificates, key=lambda c: (CERTIFIED.index(c.roles[0]) if c.roles else -1, c.name))
+
+
+def _is_certificate(path: Path) -> bool:
+    """Return whether a file is a certificate, or should be one since it has a key; others may be in the folder, too."""
+    try:
+        _read(path)
+    except InvalidConfig:
+        return path.with_suffix(".key").exists()
+    return True
 
 
 def expiry_warning(expires: datetime) -> str:
@@ -371,7 +406,11 @@ def _write(folder: Path, name: str, certificate: x509.Certificate, key: ec.Ellip
 
 
 def _write_names(folder: Path, names: Names, key: ec.EllipticCurvePrivateKey) -> None:
-    _in_folder(folder, lambda: _write_file(folder / NAMES, sign_names(names, key), 0o644))
+    def write() -> None:
+        with atomic_file(folder / NAMES) as temporary:
+            _write_file(temporary, sign_names(names, key), 0o644)
+
+    _in_folder(folder, write)
 
 
 def _write_file(path: Path, data: bytes, mode: int) -> None:

@@ -19,6 +19,7 @@ import zenoh
 from zenoh.handlers import Callback
 
 from zenostat.bridge.runtime.timer import Timer
+from zenostat.bridge.transport.name_list import locked_names
 from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import is_name
@@ -56,13 +57,14 @@ def revoke(folder: Path, name: str) -> frozenset[str]:
     Raises:
         InvalidConfig: the file is damaged, or cannot be written.
     """
-    names = read_revoked(folder) | {name}
-    content = "".join(f"{entry}\n" for entry in ("# names whose certificates are revoked", *sorted(names)))
-    try:
-        with atomic_file(folder / REVOKED) as temporary:
-            temporary.write_text(content, encoding="utf-8")
-    except OSError as error:
-        raise InvalidConfig(f"cannot write {folder / REVOKED}: {error.strerror}") from None
+    with locked_names(folder):
+        names = read_revoked(folder) | {name}
+        content = "".join(f"{entry}\n" for entry in ("# names whose certificates are revoked", *sorted(names)))
+        try:
+            with atomic_file(folder / REVOKED) as temporary:
+                temporary.write_text(content, encoding="utf-8")
+        except OSError as error:
+            raise InvalidConfig(f"cannot write {folder / REVOKED}: {error.strerror}") from None
     return names
 
 
@@ -74,7 +76,7 @@ class DenyList:
         session: whose links are ended.
         timer: of the checks.
         on_change: called with the names that are revoked now and were not before, in the timer's thread.
-        on_error: called with the reason if the file cannot be read; the names stay as they were.
+        on_error: called with the reason if the file cannot be read, or lacks names; those stay revoked.
 
     Raises:
         InvalidConfig: the file is damaged.
@@ -129,12 +131,17 @@ class DenyList:
             return
         self._version = version
         try:
-            self._set(read_revoked(self._folder))
+            names = read_revoked(self._folder)
         except InvalidConfig as error:
             self._on_error(str(error))
+            return
+        if removed := self.names - names:
+            self._on_error(f"{self._folder / REVOKED} no longer has {', '.join(sorted(removed))}")
+        self._set(names)
 
     def _set(self, names: frozenset[str]) -> None:
-        added, self.names = names - self.names, names
+        """Revoke names as well; a name is accepted again by a new start alone."""
+        added, self.names = names - self.names, names | self.names
         if added:
             self._end_links(self._session.info.links())
             self._on_change(added)

@@ -10,7 +10,8 @@ from __future__ import annotations
 import base64
 import binascii
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 
 from cryptography import x509
@@ -19,6 +20,7 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.file_lock import locked
 from zenostat.topics.keys import Role, check_name, is_own
 
 NAMES = "names.json"
@@ -32,6 +34,22 @@ CERTIFIED = (Role.NODE, Role.CONTROLLER, Role.OPERATOR, Role.MONITOR, Role.GATEW
 
 Names = Mapping[str, tuple[Role, ...]]
 """The roles of each name."""
+
+
+_LOCK_S = 30.0
+"""Longest time to wait for another program that changes names."""
+
+
+@contextmanager
+def locked_names(folder: Path) -> Iterator[None]:
+    """Let one program at a time change the files with names in a folder of keys.
+
+    Raises:
+        InvalidConfig: another one still does after half a minute, or the folder cannot be written.
+    """
+    refusal = f"another program is changing the names in {folder}; try again"
+    with locked(folder / ".names.lock", refusal, wait_s=_LOCK_S):
+        yield
 
 
 def check_roles(roles: Sequence[Role]) -> tuple[Role, ...]:

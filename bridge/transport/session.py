@@ -33,7 +33,7 @@ MAX_MESSAGE_BYTES = 4 * codec.MAX_BYTES
 """Largest message that Zenoh receives; it drops larger ones, which would fill the memory before they are checked."""
 
 _CONNECT_MS = 2000
-_FORM = re.compile(r"(tcp|unixsock-stream)/\S+|tls/[^\s#?;]+:\d+")
+_FORM = re.compile(r"unixsock-stream/\S+|tcp/\S+:(\d+)(?:[#?;]\S*)?|tls/[^\s#?;]+:(\d+)")
 _LOOPBACK = re.compile(r"(tcp|tls)/(127\.\d+\.\d+\.\d+|localhost|\[::1\]):\d+")
 
 zenoh.init_log_from_env_or("off")
@@ -70,7 +70,8 @@ def check_endpoint(endpoint: str) -> str:
     Raises:
         InvalidConfig: it is not an endpoint.
     """
-    if not _FORM.fullmatch(endpoint):
+    match = _FORM.fullmatch(endpoint)
+    if match is None or any(port and int(port) > 65535 for port in match.groups()):
         raise InvalidConfig(
             f"{endpoint!r} is not an endpoint; write tcp/HOST:PORT (for example {DEFAULT_ENDPOINT}), tls/HOST:PORT "
             "(with keys) or unixsock-stream/PATH"

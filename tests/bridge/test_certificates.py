@@ -4,8 +4,10 @@ import re
 import shutil
 import subprocess
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -13,7 +15,9 @@ from support.certificates import expire
 from support.run_cli import run_program
 
 from zenostat.bridge.transport import certificates
-from zenostat.bridge.transport.certificates import add, identity, make, show
+from zenostat.bridge.transport.certificates import add, identity, make, names_of, show
+from zenostat.bridge.transport.deny_list import REVOKED, DenyList, read_revoked, revoke
+from zenostat.bridge.transport.session import open_session
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.keys import Role
 
@@ -89,6 +93,22 @@ def test_certificates__nothing_is_overwritten_unless_it_is_forced(pki: Path) -> 
     assert {path: path.read_bytes() for path in pki.iterdir()} == before
     make(pki, force=True)
     assert not set(before.values()) & {path.read_bytes() for path in pki.iterdir()}
+
+
+def test_certificates__renewed_node_keeps_its_hosts(pki: Path) -> None:
+    hosts = add(pki, Role.NODE, "node", hosts=["lab.example.org"], force=True).hosts
+    assert "lab.example.org" in hosts
+    assert add(pki, Role.NODE, "node", force=True).hosts == hosts
+    assert "lab.example.org" not in add(pki, Role.NODE, "node", hosts=["other.example.org"], force=True).hosts
+
+
+def test_certificates__other_files_in_the_folder_are_no_certificates(pki: Path) -> None:
+    names = [certificate.name for certificate in show(pki)]
+    (pki / "chain.pem").write_text("something else")
+    assert [certificate.name for certificate in show(pki)] == names
+    (pki / "monitor.pem").write_text("damaged")
+    with pytest.raises(InvalidConfig, match=r"monitor.pem is not a certificate \(PEM\)"):
+        show(pki)
 
 
 def test_certificates__key_is_never_written_into_a_file_that_others_may_read(pki: Path) -> None:
@@ -263,6 +283,40 @@ def test_certificates__file_of_something_else(pki: Path, name: str, message: str
     (pki / name).write_text("hello")
     with pytest.raises(InvalidConfig, match=message):
         identity(pki, Role.MONITOR)
+
+
+# Several programs
+
+
+def test_certificates__names_that_are_added_and_revoked_at_the_same_time_are_all_kept(pki: Path) -> None:
+    names = [f"agent-{number}" for number in range(10)]
+    with ThreadPoolExecutor(20) as pool:
+        added = [pool.submit(add, pki, Role.CONTROLLER, name) for name in names]
+        revoked = [pool.submit(revoke, pki, name) for name in names]
+        for future in (*added, *revoked):
+            future.result()
+    assert set(names) < set(names_of(pki))
+    assert read_revoked(pki) == set(names)
+    assert not [path.name for path in pki.iterdir() if path.name.startswith(".")]
+
+
+def test_deny_list__name_that_its_file_no_longer_has_stays_revoked(pki: Path, folder: Path) -> None:
+    errors: list[str] = []
+    revoke(pki, "monitor")
+    timer: Any = SimpleNamespace(at=lambda *_: None)
+    with open_session(listen=[f"unixsock-stream/{folder}/bus"]) as session:
+        deny_list = DenyList(pki, session, timer, lambda _: None, errors.append)
+        (pki / REVOKED).write_text("gateway\n")
+        deny_list._check()
+        assert deny_list.names == {"monitor", "gateway"}
+        (pki / REVOKED).unlink()
+        deny_list._check()
+        deny_list.close()
+    assert deny_list.names == {"monitor", "gateway"}
+    assert [error.partition("revoked.txt ")[2] for error in errors] == [
+        "no longer has monitor",
+        "no longer has gateway, monitor",
+    ]
 
 
 # The command

@@ -42,6 +42,7 @@ def pki(module_folder: Path) -> Path:
     folder = house_keys(module_folder / "keys")
     for name in PEOPLE:
         add(folder, BOTH, name)
+    add(folder, Role.NODE, "gate")
     return folder
 
 
@@ -213,6 +214,8 @@ def test_revoke__what_cannot_be_revoked(node: NodeProgram, pki: Path, operator: 
         operator.revoke("room", "anne")
     with pytest.raises(RequestRejected, match="this node's own name"):
         operator.revoke("room", "node")
+    with pytest.raises(RequestRejected, match="gate is the name of a node or router, on which others may depend"):
+        operator.revoke("room", "gate")
     with connect(node, pki, "second") as controller, pytest.raises(InvalidConfig, match="another role: operator"):
         controller.revoke("room", "ann")
 
@@ -232,6 +235,8 @@ def test_revoked_file__that_is_damaged_is_reported_and_the_names_stay(scratch: P
             assert second.nodes() == ["room"]
         (pki / REVOKED).write_text("second # left\n")
         assert next_event(events, EventKind.REVOKED).source == "second"
+        (pki / REVOKED).write_text("")
+        assert "revoked.txt no longer has second" in next_event(events, EventKind.WARNING).text
     (pki / REVOKED).write_text("-\n")
     with pytest.raises(InvalidConfig, match="line 1"):
         read_revoked(pki)
