@@ -8,10 +8,12 @@ with zenostat.connect("tcp/127.0.0.1:7447") as bus:
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from datetime import datetime
+from enum import StrEnum
 from pathlib import Path
+from typing import TypeVar
 
 from zenostat.bridge.client.connection import Connection, build
 from zenostat.bridge.client.controller_link import ControllerLink, open_link
@@ -31,7 +33,7 @@ from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, open_session
 from zenostat.topics import keys
-from zenostat.topics.errors import EpisodeChanged, InvalidConfig, RequestRejected
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig, RequestRejected, UnknownName, did_you_mean
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import (
     Ack,
@@ -51,6 +53,9 @@ from zenostat.topics.messages import (
     Unshelve,
 )
 
+E = TypeVar("E", bound=StrEnum)
+_CLIENT_ROLES = (Role.CONTROLLER, Role.OPERATOR, Role.MONITOR, Role.GATEWAY)
+
 
 def connect(
     endpoint: str = DEFAULT_ENDPOINT,
@@ -58,8 +63,8 @@ def connect(
     wait: bool = False,
     affinity: Affinity = Affinity.SEPARATE_CORES,
     core: int | None = None,
-    keys: Path | None = None,
-    role: Role | None = None,
+    keys: Path | str | None = None,
+    role: Role | str | None = None,
     certificate: str | None = None,
 ) -> Bus:
     """Connect to the bus at `endpoint`; use the result in a `with` statement.
@@ -76,14 +81,26 @@ def connect(
     Raises:
         NodeNotFound: No process listens at the endpoint, or the TLS session failed.
         InvalidConfig: The endpoint is malformed, or the keys cannot be used.
+        UnknownName: There is no such role or affinity.
     """
-    with _thread_placement(Affinity(affinity), core):
-        if role is None and certificate is None and (keys is None or keys.suffix != ".pem"):
-            role = Role.CONTROLLER
-        session = open_session(connect=[endpoint], wait=wait, keys=keys, role=role, certificate=certificate)
+    placement = _member(Affinity, affinity, "affinity")
+    required = None if role is None else _member(Role, role, "role", _CLIENT_ROLES)
+    folder = None if keys is None else Path(keys)
+    with _thread_placement(placement, core):
+        if required is None and certificate is None and (folder is None or folder.suffix != ".pem"):
+            required = Role.CONTROLLER
+        session = open_session(connect=[endpoint], wait=wait, keys=folder, role=required, certificate=certificate)
     if session.warning:
         warnings.warn(session.warning, stacklevel=2)
-    return Bus(endpoint, session, Affinity(affinity))
+    return Bus(endpoint, session, placement)
+
+
+def _member(kind: type[E], value: str, what: str, known: Iterable[E] = ()) -> E:
+    """Return a member of an enumeration; `UnknownName` if there is none of that value, or none that is known."""
+    members = {str(member): member for member in known or kind}
+    if str(value) not in members:
+        raise UnknownName(f"there is no {what} {value!r}; {did_you_mean(str(value), members)}")
+    return members[str(value)]
 
 
 class Bus(Connection):

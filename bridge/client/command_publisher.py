@@ -41,6 +41,8 @@ class CommandArrays:
             if values.shape != self._shape:
                 raise InvalidAction(f"values of shape {values.shape}; {self._shape} expected: one for each actuator")
             return values.astype(codec.FLOAT, copy=False).tobytes(), operations
+        if not isinstance(values, Mapping | None):
+            raise InvalidAction(f"a mapping of actuators to values, or an array expected, got {values!r}")
         row, codes = np.zeros(len(self._index)), np.full(len(self._index), _KEEP, np.uint8)
         for name, value in (values or {}).items():
             index = self._index[name]

@@ -255,6 +255,8 @@ class Connection:
 
             plan = read_plan(plan)
         if not isinstance(plan, FaultPlan):
+            if not isinstance(plan, Mapping | None):
+                raise InvalidConfig(f"faults: a plan, a mapping of its fields or a path expected, got {plan!r}")
             plan = build(FaultPlan, **(plan or {}))
         if source:
             plan = build(FaultPlan, **{**dict(plan), "source": source})

@@ -65,12 +65,16 @@ class Access:
             return ""
         if not any(_SENDS.intersection(may(role, topic)) for role in roles):
             return f"{' and '.join(roles)} {holder!r} may not send {topic.key}; {' or '.join(topic.senders)} may"
-        if topic is keys.STOP and not {Role.OPERATOR, Role.GATEWAY}.intersection(roles):
+        if topic is keys.STOP and not self.operates(holder):
             if not self._owner:
                 return f"{' and '.join(roles)} {holder!r} may not stop a node, only end its own branches; operator may"
             if self.holder(self._owner) != holder:
                 return f"{holder!r} may not end a branch of {self._owner!r}"
         return ""
+
+    def operates(self, sender: str) -> bool:
+        """Return whether a sender's certificate is that of an operator or a gateway."""
+        return not {Role.OPERATOR, Role.GATEWAY}.isdisjoint(self._names.get(self.holder(sender), ()))
 
     def is_same_holder(self, sender: str, other: str) -> bool:
         """Return whether two senders' names are under the name of one certificate, or the first is a node's."""

@@ -208,9 +208,10 @@ class EpisodeManager:
 
     def _drop(self, request: DropSnapshot) -> Message:
         access, owner = self._server.access, self._branches.find(request.snapshot).owner
-        if access is not None and not access.is_same_holder(request.controller, owner):
+        sender = request.controller
+        if access is not None and not (access.is_same_holder(sender, owner) or access.operates(sender)):
             reason = f"snapshot {request.snapshot} is that of {owner!r}"
-            self._server.subscriptions.deny(keys.DROP, request.controller, reason)
+            self._server.subscriptions.deny(keys.DROP, sender, reason)
         self._branches.drop(request.snapshot)
         return Ack(episode=self._exchange.episode)
 

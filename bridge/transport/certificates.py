@@ -268,6 +268,8 @@ def identity(folder: Path, role: Role | None, name: str | None = None) -> Identi
     if role not in (None, *described.roles):
         having = " and ".join(described.roles) or "authority"
         errors.errors.append(InvalidConfig(f"{path} is of the role {having}; {role} expected"))
+    if role is None and Role.NODE in described.roles:
+        errors.errors.append(InvalidConfig(f"{path} is that of a node; another program connects with its own"))
     errors.collect(lambda: _check_key(key, certificate))
     errors.raise_if_any()
     holder = str(certificate.subject.get_attributes_for_oid(NameOID.COMMON_NAME)[0].value)

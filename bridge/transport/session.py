@@ -70,7 +70,7 @@ def check_endpoint(endpoint: str) -> str:
     Raises:
         InvalidConfig: it is not an endpoint.
     """
-    match = _FORM.fullmatch(endpoint)
+    match = _FORM.fullmatch(endpoint) if isinstance(endpoint, str) else None
     if match is None or any(port and int(port) > 65535 for port in match.groups()):
         raise InvalidConfig(
             f"{endpoint!r} is not an endpoint; write tcp/HOST:PORT (for example {DEFAULT_ENDPOINT}), tls/HOST:PORT "

@@ -8,6 +8,7 @@ import pytest
 import zenoh
 from support.certificates import house_keys
 from support.nodes import NodeProgram, free_port, until
+from support.run_cli import run_program
 from zenoh.handlers import FifoChannel
 
 import zenostat
@@ -17,7 +18,7 @@ from zenostat.bridge.transport.certificates import add
 from zenostat.bridge.transport.deny_list import REVOKED, read_revoked, revoke, shut_down
 from zenostat.bridge.transport.session import Mode, open_session
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import InvalidConfig, RequestRejected, UnknownName
+from zenostat.topics.errors import InvalidConfig, RequestRejected, UnknownName, UsageError
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import (
     Claim,
@@ -207,6 +208,36 @@ def test_access__controller_ends_its_own_branches_and_drops_its_own_snapshots_on
         until(lambda: branch not in operator.nodes(), "the branch has ended")
         second.drop("room", snapshot)
         assert operator.status("room").snapshots == []
+        left = second.snapshot("room").snapshot
+        operator.drop("room", left)  # an operator drops any
+        assert operator.status("room").snapshots == []
+
+
+@pytest.mark.slow
+def test_access__reading_commands_take_a_certificate_of_any_role(node: NodeProgram, pki: Path) -> None:
+    for keys_and_name in (("--keys", pki, "--certificate", "second"), ("--keys", pki / "second.pem")):
+        done = run_program("status", "--connect", node.endpoint, *map(str, keys_and_name), cwd=pki)
+        assert done.returncode == 0, done.stderr
+        assert "room" in done.stdout
+    refused = run_program("pace", "room", "1", "--connect", node.endpoint, "--keys", str(pki / "second.pem"), cwd=pki)
+    assert "operator expected" in refused.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"role": "oper"}, "there is no role 'oper'; did you mean 'operator'"),
+        ({"role": "node"}, "there is no role 'node'"),
+        ({"affinity": "x"}, "there is no affinity 'x'"),
+        ({"keys": "node.pem"}, "is that of a node; another program connects with its own"),
+    ],
+)
+def test_connect__names_what_is_wrong(
+    arguments: dict[str, str], text: str, node: NodeProgram, pki: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(pki)
+    with pytest.raises(UsageError, match=text):
+        zenostat.connect(node.endpoint, **{"keys": str(pki), **arguments})  # type: ignore[arg-type]
 
 
 def test_revoke__what_cannot_be_revoked(node: NodeProgram, pki: Path, operator: Bus) -> None:

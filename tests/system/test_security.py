@@ -148,7 +148,7 @@ SENDERS = {  # topic: roles that send it, or query, under their own names
     "rpc/acknowledge/{sender}": OPERATES,
     "rpc/stop/{sender}": CONTROLS | OPERATES,  # controllers end their branches
     "rpc/snapshot/{sender}": CONTROLS,
-    "rpc/drop/{sender}": CONTROLS,
+    "rpc/drop/{sender}": CONTROLS | OPERATES,  # controllers drop their own snapshots
     "rpc/branch/{sender}": CONTROLS,
     "rpc/plan/{sender}": CONTROLS,
     "rpc/try/{sender}": CONTROLS,

@@ -171,7 +171,10 @@ def test_errors__endpoint_is_taken(endpoint: str) -> None:
     assert check_endpoint(endpoint) == endpoint
 
 
-@pytest.mark.parametrize("endpoint", ["", "127.0.0.1:7447", "tcp/", "tcp:127.0.0.1:7447", "udp/127.0.0.1:1", "tcp/a b"])
+@pytest.mark.parametrize(
+    "endpoint",
+    ["", "127.0.0.1:7447", "tcp/", "tcp:127.0.0.1:7447", "udp/127.0.0.1:1", "tcp/a b", "tcp/localhost", "tcp/a:99999"],
+)
 def test_errors__what_is_no_endpoint_is_refused_with_the_form(endpoint: str) -> None:
     with pytest.raises(InvalidConfig, match="write tcp/HOST:PORT") as raised:
         check_endpoint(endpoint)
