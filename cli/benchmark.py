@@ -75,7 +75,9 @@ def benchmark(
     sample: Annotated[
         int, typer.Option(min=0, help="With --submit-check, number of rows, drawn at random, to run again.")
     ] = 0,
-    sample_seed: Annotated[int, typer.Option(min=0, help="Seed of that draw.")] = 0,
+    sample_seed: Annotated[
+        int | None, typer.Option(min=0, help="Seed of that draw, to repeat it. [default: another one each time]")
+    ] = None,
     schema: Annotated[bool, typer.Option("--schema", help="Print the JSON schema of results.")] = False,
     shown: Annotated[Path | None, typer.Option("--show", help="Show the results of this file; nothing is run.")] = None,
     page: Annotated[
@@ -206,7 +208,7 @@ def _check(path: Path, conditions: Mapping[str, str | None], running: _Running) 
 
 
 def _check_submission(
-    path: Path, reference: Path | None, sample: int, sample_seed: int, conditions: Mapping[str, str | None],
+    path: Path, reference: Path | None, sample: int, sample_seed: int | None, conditions: Mapping[str, str | None],
     running: _Running,
 ) -> None:  # fmt: skip
     from zenostat.lab.benchmark import load_results
@@ -221,7 +223,7 @@ def _check_submission(
         )  # fmt: skip
     for note in notes:
         err.print(note, soft_wrap=True, markup=False)
-    _report(errors, f"{path}: accepted")
+    _report(errors, f"{path}: no errors; the notes say what was not checked" if notes else f"{path}: accepted")
 
 
 def _report(errors: Sequence[str], success: str) -> None:
@@ -277,6 +279,8 @@ def _show(results: Results, page: Path | None, bounds: Path | None, *, as_json: 
         show_json(results.plain()["rows"])
         return
     for table in tables_with_gap(results, known):
+        if not out.is_terminal:
+            out.print(f"\n{table.title}", markup=False, soft_wrap=True)
         show(table.title, table.columns, table.rows, right=table.columns[1:], wrap=table.columns[:1])
     if page is not None:
         out.print(f"page: {page}", soft_wrap=True, markup=False)

@@ -84,7 +84,7 @@ def _fill_curves(figure: Any, panels: Sequence[tuple[str, ...]], records: Mappin
                 axis.plot(curve["steps"], curve["rewards"], color=color, linewidth=0.8, label=label)
                 if curve["steps"][:1] == [0]:  # evaluations, in the same episodes
                     label = "before the first step" if index == 0 else None
-                    axis.axhline(curve["rewards"][0], color=color, linewidth=0.7, linestyle="--", label=label)
+                    axis.plot([0], [curve["rewards"][0]], "o", color=color, markersize=2.5, label=label)
         axis.set_title(f"{BUILDINGS.get(panel[0], panel[0])}, {panel[1]}")
         axis.xaxis.set_major_formatter(lambda steps, _: f"{steps / 1000:g}k")
     for axis in axes[len(panels) :]:
@@ -121,7 +121,9 @@ def _fill_buildings(figure: Any, names: Sequence[str], scores: Sequence[Scores],
         axis.set_title(BUILDINGS.get(building, building))
     for axis in axes[len(buildings) :]:
         axis.set_visible(False)
-    figure.supxlabel("score (0: baseline control; points: episodes)", fontsize=8.0, color=LIGHT["muted"])
+    figure.supxlabel(
+        "score (0: baseline control; points: episodes, means over trainings)", fontsize=8.0, color=LIGHT["muted"]
+    )
 
 
 def _limits(intervals: Iterable[Interval], best: float = 0.05) -> tuple[float, float]:

@@ -69,7 +69,10 @@ def gap_table(rows: Iterable[Row], bounds: Mapping[Key, Bound]) -> Table:
     for of in shares:
         intervals = [of.overall, scores[of.controller], *of.buildings.values()]
         lines.append((of.controller, *map(interval_text, intervals)))
-    title = f"Shares of the gap between baseline control and bound over {len(reached)} episodes [95 % interval]"
+    count = len({_key(row) for row in compared_rows(rows)[BASELINE]})
+    title = f"Shares of the gap between baseline control and bound over {len(reached)} of {count} episodes"
+    if len(shared) < count:
+        title += f"; {count - len(shared)} have no bound"
     if empty := len(shared - usable):
         title += f"; {empty} without a gap are left out"
     columns = ("controller", "share of the gap", "score", *(BUILDINGS.get(name, name) for name in shares[0].buildings))

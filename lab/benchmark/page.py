@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from urllib.parse import quote
 
 from zenostat.lab.benchmark.bound_file import Bound, Key
 from zenostat.lab.benchmark.definition import VERSION
@@ -26,7 +27,7 @@ def write_page(results: Results, path: Path, bounds: Mapping[Key, Bound] | None 
     versions = ", ".join(f"{name} {version}" for name, version in results.versions.items())
     parts = [f"# Zenostat benchmark {VERSION}, set {results.set}", f"Made with {versions}."]
     parts += [f"## {table.title}\n\n{table.markdown()}" for table in tables_with_gap(results, bounds)]
-    parts += [f"![{figure.stem}]({folder.name}/{figure.stem}.svg)" for figure in figures]
+    parts += [f"![{figure.stem}]({quote(folder.name)}/{figure.stem}.svg)" for figure in figures]
     with atomic_file(path) as temporary:
         temporary.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     return figures

@@ -45,12 +45,14 @@ def check(
 
 def check_rows(
     results: Results, chosen: Collection[Row], *, cache: Path, workers: int = 1, policies: Path | None = None,
-    progress: Progress | None = None, hashes: Mapping[str, str] | None = None,
+    progress: Progress | None = None, hashes: Mapping[str, str] | None = None, but_for_rounding: bool = False,
 ) -> list[str]:  # fmt: skip
-    """Run some rows of results again, and return what differs; see `check`."""
+    """Run some rows of results again, and return what differs, if anything with the versions; see `check`.
+
+    With `but_for_rounding`, rows that are equal but for it are accepted.
+    """
     files = check_controllers(list(dict.fromkeys(row.controller for row in chosen)))
-    differences = [f"version of {change}" for change in changed_versions(results)]
-    differences += [f"definition of {name}" for name in stale_trainings(results)]
+    differences = [f"definition of {name}" for name in stale_trainings(results)]
     for known, now in ((results.hashes, hashes or {}), (results.controllers, files)):
         differences += [f"file {name}" for name, digest in now.items() if known.get(name, digest) != digest]
     episodes = [episode_of(row) for row in chosen]
@@ -62,7 +64,10 @@ def check_rows(
             differences += failures
             again.update({episode_of(row): row for row in rows})
     pairs = [(row, again.get(episode_of(row))) for row in chosen]
-    return differences + [_difference(row, new) for row, new in pairs if not row.same(new)]
+    equal = Row.is_close if but_for_rounding else Row.same
+    differences += [_difference(row, new) for row, new in pairs if not equal(row, new)]
+    versions = [f"version of {change}" for change in changed_versions(results)]
+    return [*versions, *differences] if differences else []
 
 
 def selected_rows(results: Results, selection: Selection | None, what: str) -> list[Row]:

@@ -128,6 +128,8 @@ def load_results(path: str | Path) -> Results:
         versions=file.versions,
     )  # fmt: skip
     results.add(file.rows)
+    if len(results.rows) < len(file.rows):
+        raise InvalidConfig(f"{path} has {len(file.rows) - len(results.rows)} episodes more than once")
     _check_content(results, path)
     return results
 
@@ -163,6 +165,11 @@ def current_versions() -> dict[str, str]:
     return versions
 
 
+def _release(version: str) -> str:
+    """Return a version without its local part, which names a build: `2.13.0` of `2.13.0+cpu`."""
+    return version.partition("+")[0]
+
+
 def changed_versions(results: Results, now: Mapping[str, str] | None = None) -> list[str]:
     """Return what has another version than in the results: `numpy 2.3.0, now 2.4.0`.
 
@@ -175,5 +182,5 @@ def changed_versions(results: Results, now: Mapping[str, str] | None = None) -> 
     return [
         f"{name} {version}, now {known.get(name, 'missing')}"
         for name, version in results.versions.items()
-        if name in compared and version != known.get(name)
+        if name in compared and _release(version) != _release(known.get(name, ""))
     ]

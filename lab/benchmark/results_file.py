@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, Literal
 
@@ -13,6 +14,8 @@ from zenostat.lab.benchmark.definition import VERSION, digest_of
 TITLE: Literal["zenostat benchmark"] = "zenostat benchmark"
 SHOWN_METRICS = ("occupied_outside_kh",)
 """Metrics that each row needs, because the tables show them."""
+ROUNDING = 1e-6
+"""Largest relative, or absolute, difference of numbers that are equal but for rounding."""
 _NOT_HASHED = "processor_s"
 _STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, strict=True)
 
@@ -52,6 +55,17 @@ class Row:
     def same(self, other: Row | None) -> bool:
         """Return whether another row is equal to the bit."""
         return other is not None and _hashed(self.plain()) == _hashed(other.plain())
+
+    def is_close(self, other: Row | None) -> bool:
+        """Return whether another row is of the same episode and equal but for rounding, as on another processor."""
+        if other is None or self.same(other):
+            return other is not None
+        numbers, others = (
+            {"reward": row.reward, "linear": row.linear, **row.terms, **row.metrics} for row in (self, other)
+        )
+        return numbers.keys() == others.keys() and all(
+            math.isclose(value, others[name], rel_tol=ROUNDING, abs_tol=ROUNDING) for name, value in numbers.items()
+        )
 
     def plain(self) -> dict[str, Any]:
         """Return the content as JSON values."""

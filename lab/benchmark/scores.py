@@ -1,14 +1,14 @@
 """Scores relative to the baseline control, and their interquartile means with bootstrap intervals.
 
 Source of the aggregation: Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice",
-NeurIPS 2021. The stratum of a resample is a building in a season; within it, trainings and episodes (weather and seed)
-are resampled independently, because all trainings meet the same weather: a two-way bootstrap, as in Owen, "The
-pigeonhole bootstrap", Annals of Applied Statistics 2007.
+NeurIPS 2021. Buildings and seasons are the benchmark's and are not resampled. Weather files, seeds and trainings are,
+as crossed factors, because all trainings meet the same episodes, and a weather file and a seed of its noise raise or
+lower the scores in all buildings together: Owen, "The pigeonhole bootstrap", Annals of Applied Statistics 2007.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -21,7 +21,9 @@ from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 
 CONFIDENCE = 0.95
-RESAMPLES = 10_000
+RESAMPLES = 4_000
+FEWEST = 3
+"""Fewest weather files, and seeds, of which there is an interval."""
 SEED = 20_170_101
 """Seed of the bootstrap: the same rows give the same intervals."""
 _BATCH = 500
@@ -30,14 +32,17 @@ _BATCH = 500
 Stratum = tuple[str, str]
 """A building in a season."""
 Matrix = NDArray[np.float64]
-"""Scores in a stratum, shape (trainings, episodes); one training for a controller that is not trained."""
+"""Scores in a stratum, shape (trainings, weather files, seeds); one training for a controller that is not trained.
+
+NaN where an episode has no score, or not all controllers have it.
+"""
 Score = Callable[[Row, Row], float | None]
 """Function from a row and that of the baseline control in the same episode to a score; None: the episode has none."""
 
 
 @dataclass(frozen=True)
 class Interval:
-    """An interquartile mean with its confidence interval; low and high are NaN where a stratum has a single episode."""
+    """An interquartile mean with its confidence interval; low and high are NaN where there is none."""
 
     value: float
     low: float
@@ -64,7 +69,7 @@ class Scores:
     def episodes(self, building: str) -> NDArray[np.float64]:
         """Return the score of each episode in a building, the mean over trainings."""
         of_building = [matrix.mean(axis=0) for stratum, matrix in self.strata.items() if stratum[0] == building]
-        return np.concatenate(of_building)
+        return _known(of_building)
 
 
 def relative_score(reward: float, baseline: float) -> float | None:
@@ -84,35 +89,53 @@ def interquartile_mean(scores: Sequence[float] | NDArray[np.float64], axis: int 
 
 
 def bootstrap_interval(strata: Sequence[Matrix]) -> Interval:
-    """Return the interquartile mean over all strata, with a percentile interval of a stratified two-way bootstrap.
+    """Return the interquartile mean over all strata, with an interval from a bootstrap of crossed factors.
 
-    Each resample draws, in each stratum, as many trainings and as many episodes as it has, with replacement, and takes
-    the scores of all drawn trainings in all drawn episodes.
+    Each resample draws, with replacement, as many weather files and seeds as there are, the same ones in all strata,
+    and in each stratum as many trainings as it has. The interval is the mean plus and minus the standard deviation of
+    the resamples' means times the quantile of Student's t and sqrt(n / (n - 1)), where n is the number of weather files
+    or seeds, whichever is less, and the degrees of freedom are n - 1: few levels of a factor vary too little among
+    themselves, and percentiles would cover some 85 % instead of 95 %.
 
     Args:
-        strata: matrices of scores, shape (trainings, episodes).
+        strata: matrices of scores of one shape but for the number of trainings.
+
+    Returns:
+        No interval if there are fewer than `FEWEST` weather files or seeds, or an episode of them is missing.
     """
-    known = [np.asarray(stratum, np.float64) for stratum in strata if np.size(stratum)]
-    count = sum(stratum.size for stratum in known)
-    value = float(interquartile_mean(np.concatenate([stratum.ravel() for stratum in known])))
-    if any(stratum.shape[1] < 2 for stratum in known):
-        return Interval(value, float("nan"), float("nan"), count)
+    from scipy.special import stdtrit
+
+    values = _known(strata)
+    value = float(interquartile_mean(values))
+    _, weathers, seeds = strata[0].shape
+    fewest = min(weathers, seeds)
+    if fewest < FEWEST or len(values) < sum(matrix.size for matrix in strata):
+        return Interval(value, float("nan"), float("nan"), len(values))
     random = np.random.default_rng(SEED)
     means = np.concatenate([
-        interquartile_mean(np.concatenate([_resample(stratum, _BATCH, random) for stratum in known], axis=1))
-        for _ in range(RESAMPLES // _BATCH)
+        interquartile_mean(_resample(strata, _BATCH, random)) for _ in range(RESAMPLES // _BATCH)
     ])  # fmt: skip
-    tail = 50.0 * (1.0 - CONFIDENCE)
-    low, high = np.percentile(means, [tail, 100.0 - tail])
-    return Interval(value, float(low), float(high), count)
+    quantile = float(stdtrit(fewest - 1, 0.5 + CONFIDENCE / 2.0))
+    half = quantile * float(means.std(ddof=1)) * (fewest / (fewest - 1)) ** 0.5
+    return Interval(value, value - half, value + half, len(values))
 
 
-def _resample(stratum: Matrix, count: int, random: np.random.Generator) -> Matrix:
-    """Return resamples of a matrix, shape (count, trainings x episodes)."""
-    trainings, episodes = stratum.shape
-    rows = random.integers(trainings, size=(count, trainings, 1))
-    columns = random.integers(episodes, size=(count, 1, episodes))
-    return stratum[rows, columns].reshape(count, -1)
+def _known(strata: Iterable[Matrix]) -> NDArray[np.float64]:
+    values = np.concatenate([matrix.ravel() for matrix in strata])
+    known: NDArray[np.float64] = values[~np.isnan(values)]
+    return known
+
+
+def _resample(strata: Sequence[Matrix], count: int, random: np.random.Generator) -> NDArray[np.float64]:
+    """Return resamples of all strata, shape (count, values)."""
+    _, weathers, seeds = strata[0].shape
+    weather = random.integers(weathers, size=(count, 1, weathers, 1))
+    seed = random.integers(seeds, size=(count, 1, 1, seeds))
+    parts = []
+    for matrix in strata:
+        training = random.integers(len(matrix), size=(count, len(matrix), 1, 1))
+        parts.append(matrix[training, weather, seed].reshape(count, -1))
+    return np.concatenate(parts, axis=1)
 
 
 def relative_reward(row: Row, baseline: Row) -> float | None:
@@ -203,18 +226,20 @@ def _complete(keyed: Mapping[tuple[Any, ...], Row]) -> set[tuple[Any, ...]]:
 def _strata(
     keyed: Mapping[tuple[Any, ...], Row],
     baseline: Mapping[tuple[Any, ...], Row],
-    shared: Iterable[tuple[Any, ...]],
+    shared: Collection[tuple[Any, ...]],
     score: Score,
 ) -> dict[Stratum, Matrix]:
     trainings = _trainings(keyed)
-    columns: dict[Stratum, list[list[float]]] = {}
+    weathers, seeds = (sorted({episode[place] for episode in shared}) for place in (2, 3))
+    strata: dict[Stratum, Matrix] = {}
     for episode in sorted(shared):
-        seeds = sorted(trainings[episode[:2]], key=lambda seed: -1 if seed is None else seed)
-        values = [score(keyed[(*episode, seed)], baseline[episode]) for seed in seeds]
-        known = [value for value in values if value is not None]
-        if len(known) == len(values):
-            columns.setdefault(episode[:2], []).append(known)
-    return {stratum: np.array(values, np.float64).T for stratum, values in columns.items()}
+        numbers = sorted(trainings[episode[:2]], key=lambda number: -1 if number is None else number)
+        values = [score(keyed[(*episode, number)], baseline[episode]) for number in numbers]
+        if None not in values:
+            shape = (len(numbers), len(weathers), len(seeds))
+            matrix = strata.setdefault(episode[:2], np.full(shape, np.nan))
+            matrix[:, weathers.index(episode[2]), seeds.index(episode[3])] = values
+    return strata
 
 
 def _scores(name: str, strata: dict[Stratum, Matrix]) -> Scores:

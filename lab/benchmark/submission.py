@@ -4,27 +4,38 @@ from __future__ import annotations
 
 import math
 import random
+import secrets
 import tempfile
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from zenostat.lab.benchmark.definition import BASELINE, BASELINES, SETS, VERSION, Episode, is_prepared
+from zenostat.lab.benchmark.definition import BASELINE, BASELINES, REWARD, SETS, VERSION, Episode, is_prepared
 from zenostat.lab.benchmark.rerun import check_rows
 from zenostat.lab.benchmark.results import Results, changed_versions, episode_of, load_results
-from zenostat.lab.benchmark.results_file import Row
+from zenostat.lab.benchmark.results_file import ROUNDING, Row
 from zenostat.lab.benchmark.run import name_of, stale_trainings
 from zenostat.lab.benchmark.scores import relative_reward
 from zenostat.lab.workers import Progress
 from zenostat.topics.errors import InvalidConfig
 
 _SHOWN = 5
-_TOLERANCE = 1e-6
+_PUBLISHED_SET = "full"
 _HIGHEST, _LOWEST = 1.0, -100.0
 """Scores out of this range are errors of a program: 1 is a week without any costs."""
 
+_PRICE: Mapping[str, Any] = REWARD["price"]
+_PRICES = sorted(REWARD["weight"] * REWARD["lambda_cost"] * price for price in (
+    _PRICE["otherwise"], *(entry["value"] for entry in _PRICE["table"])
+))  # fmt: skip
+_GAS_PRICE = REWARD["weight"] * REWARD["lambda_cost"] * REWARD["gas_price"]["value"]
+_DEMAND_PRICE = REWARD["weight"] * REWARD["lambda_peak"]
+_TERMS = ("cost", "gas", "peak", "comfort")
+_NEEDED = ("hvac_electricity_kwh", "natural_gas_kwh", "peak_kw", "terminated")
+
 
 def check_submission(
-    path: Path, reference: Path | None, hashes: Mapping[str, str], *, sample: int = 0, sample_seed: int = 0,
+    path: Path, reference: Path | None, hashes: Mapping[str, str], *, sample: int = 0, sample_seed: int | None = None,
     controllers: Sequence[str] = (), workers: int = 1, cache: Path | None = None, policies: Path | None = None,
     progress: Progress | None = None,
 ) -> tuple[list[str], list[str]]:  # fmt: skip
@@ -37,7 +48,7 @@ def check_submission(
         reference: published results of the same set; None: those in `docs/benchmark` of the working directory, if any.
         hashes: sha256 of the models and weather files by name.
         sample: number of rows to run again; 0: none.
-        sample_seed: seed with which they are drawn.
+        sample_seed: seed with which they are drawn; None: one that nobody knows beforehand.
         controllers: controllers that are not part of the benchmark and may be run: a file of results chooses no code.
         workers: as of `run_benchmark`.
         cache: folder of the trainings and tunings; None: a temporary one.
@@ -56,13 +67,16 @@ def check_submission(
     errors += _incomplete(results) + _implausible(results)
     different, notes = _compare_baseline(results, path, reference)
     errors += different
+    if results.set != _PUBLISHED_SET:
+        notes.append(f"results of the set {results.set!r}: a submission has those of {_PUBLISHED_SET!r}")
     if sample:
-        drawn, skipped = _draw(results, sample, sample_seed, controllers)
-        notes += skipped
+        seed = secrets.randbits(32) if sample_seed is None else sample_seed
+        drawn, skipped = _draw(results, sample, seed, controllers)
+        notes += [*skipped, f"{len(drawn)} rows are run again, drawn with --sample-seed {seed}"]
         with tempfile.TemporaryDirectory() as folder:
             errors += check_rows(
                 results, drawn, cache=cache or Path(folder), workers=workers, policies=policies, progress=progress,
-                hashes=hashes,
+                hashes=hashes, but_for_rounding=True,
             )  # fmt: skip
     return errors, notes
 
@@ -83,7 +97,7 @@ def _compare_baseline(results: Results, path: Path, reference: Path | None) -> t
     if changes := changed_versions(results, published.versions):
         notes = [f"version of {change}" for change in changes]
         return [], [*notes, f"{not_compared}: they were made with other versions"]
-    return _other_baseline(results, published), []
+    return _other_baseline(results, published)
 
 
 def _incomplete(results: Results) -> list[str]:
@@ -110,14 +124,12 @@ def _is_identified(name: str, results: Results) -> bool:
 
 
 def _implausible(results: Results) -> list[str]:
-    """Return an error for each row whose terms are not its reward, or whose score is out of range."""
+    """Return an error for each row whose terms are not its reward or its energy, or whose score is out of range."""
     errors = []
     baselines = {episode_of(row).key[1:5]: row for row in results.rows.values() if row.controller == BASELINE}
     for row in results.sorted_rows():
         episode: Episode = episode_of(row)
-        total = sum(row.terms.values())
-        if not math.isclose(row.reward, total, rel_tol=_TOLERANCE, abs_tol=_TOLERANCE):
-            errors.append(f"{episode}: the terms add up to {total!r}, the reward is {row.reward!r}")
+        errors += [f"{episode}: {fault}" for fault in _faults(row)]
         baseline = baselines.get(episode.key[1:5])
         score = None if baseline is None else relative_reward(row, baseline)
         if score is not None and not _LOWEST <= score <= _HIGHEST:
@@ -125,20 +137,51 @@ def _implausible(results: Results) -> list[str]:
     return errors
 
 
-def _other_baseline(results: Results, published: Results) -> list[str]:
-    """Return an error for each row of the baseline control that is not equal to the published one."""
+def _faults(row: Row) -> list[str]:
+    """Return what cannot be in the numbers of a row."""
+    if absent := [name for name in _TERMS if name not in row.terms]:
+        return [f"the term {absent[0]!r} is missing"]
+    if absent := [name for name in _NEEDED if name not in row.metrics]:
+        return [f"the metric {absent[0]!r} is missing"]
+    terms, metrics, total = row.terms, row.metrics, sum(row.terms.values())
+    electricity, gas = metrics["hvac_electricity_kwh"], metrics["natural_gas_kwh"]
+    checks = {
+        f"the terms add up to {total!r}, the reward is {row.reward!r}": _is_close(row.reward, total),
+        "a term is above 0": max(terms.values()) <= 0.0,
+        "it ended early": not metrics["terminated"],
+        f"a peak of {metrics['peak_kw']!r} kW costs other than {terms['peak']!r} EUR": _is_close(
+            -terms["peak"], _DEMAND_PRICE * metrics["peak_kw"]
+        ),
+        f"{electricity!r} kWh of electricity cannot cost {terms['cost']!r} EUR": (
+            _PRICES[0] * electricity - ROUNDING <= -terms["cost"] <= _PRICES[-1] * electricity + ROUNDING
+        ),
+        f"{gas!r} kWh of gas cannot cost {terms['gas']!r} EUR": -terms["gas"] <= _GAS_PRICE * gas + ROUNDING,
+    }
+    return [text for text, holds in checks.items() if not holds]
+
+
+def _is_close(value: float, other: float) -> bool:
+    return math.isclose(value, other, rel_tol=ROUNDING, abs_tol=ROUNDING)
+
+
+def _other_baseline(results: Results, published: Results) -> tuple[list[str], list[str]]:
+    """Return an error for each row of the baseline control that is not the published one, and a note on rounding."""
     rows = [row for row in published.rows.values() if row.controller == BASELINE]
-    pairs = [(row, results.rows.get(episode_of(row).key)) for row in rows]
-    different = [row for row, own in pairs if own is not None and not row.same(own)]
-    return [f"{episode_of(row)}: not the published row of the baseline control" for row in different[:_SHOWN]]
+    pairs = [(row, own) for row in rows if (own := results.rows.get(episode_of(row).key)) is not None]
+    different = [row for row, own in pairs if not row.is_close(own)]
+    rounded = sum(not row.same(own) for row, own in pairs) - len(different)
+    notes = [f"{rounded} rows of the baseline control equal the published ones but for rounding"] if rounded else []
+    return [f"{episode_of(row)}: not the published row of the baseline control" for row in different[:_SHOWN]], notes
 
 
 def _draw(results: Results, count: int, seed: int, controllers: Sequence[str]) -> tuple[list[Row], list[str]]:
-    """Return rows to run again, and notes on controllers whose rows cannot be drawn."""
-    runnable = BASELINES.keys() | set(controllers)
+    """Return rows to run again, of submitted controllers if there are any, and notes on those that cannot be drawn."""
+    names = set(results.names())
+    submitted = names - BASELINES.keys()
+    runnable = (submitted or names) & {*BASELINES, *controllers}
     rows = [row for row in results.sorted_rows() if row.controller in runnable]
     notes = [
         f"{name}: not part of the benchmark, so its rows are run again only if --controllers names it"
-        for name in sorted({row.controller for row in results.rows.values()} - runnable)
+        for name in sorted(submitted - runnable)
     ]
     return random.Random(seed).sample(rows, min(count, len(rows))), notes  # noqa: S311  # no secret

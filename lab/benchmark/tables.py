@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
 from zenostat.lab.benchmark.definition import BASELINE, BUILDINGS
 from zenostat.lab.benchmark.results import Results, episode_of
+from zenostat.lab.benchmark.results_file import Row
 from zenostat.lab.benchmark.scores import Interval, Scores, compared_rows, relative_linear, score_rows
 
 
@@ -34,18 +35,43 @@ def tables(results: Results) -> list[Table]:
     """
     scores = score_rows(results.rows.values())
     linear = {of.controller: of.overall for of in score_rows(results.rows.values(), relative_linear)}
+    saved = saved_shares(results.rows.values())
     count = len({episode_of(row).key[1:5] for row in compared_rows(results.rows.values())[BASELINE]})
     head = tuple(
-        (of.controller, str(of.overall.rows), interval_text(of.overall), interval_text(linear[of.controller]))
+        (
+            of.controller,
+            f"{of.overall.rows:,}",
+            interval_text(of.overall),
+            f"{100.0 * saved[of.controller]:.1f}",
+            interval_text(linear[of.controller]),
+        )
         for of in scores
-    )  # fmt: skip
-    title = f"Scores of the set {results.set}: interquartile means over {count} episodes [95 % interval]"
+    )
+    has_intervals = not math.isnan(scores[0].overall.low)
+    title = f"Scores of the set {results.set}: interquartile means over {count} episodes"
     return [
-        Table(title, ("controller", "rows", "score", "score, linear reward"), head),
+        Table(
+            title + " [95 % interval]" * has_intervals,
+            ("controller", "rows", "score", "of all costs saved (%)", "score, linear reward"),
+            head,
+        ),
         _by_building(scores),
         _means(results, scores),
         _times(results, scores),
     ]
+
+
+def saved_shares(rows: Iterable[Row]) -> dict[str, float]:
+    """Return by controller the share of the baseline's costs over all compared episodes that it saves.
+
+    It weighs each episode by its costs and leaves none out, where the score is an interquartile mean of shares.
+
+    Raises:
+        InvalidConfig: see `score_rows`.
+    """
+    means = {name: fmean(row.reward for row in chosen) for name, chosen in compared_rows(rows).items() if chosen}
+    baseline = means[BASELINE]
+    return {name: (mean - baseline) / abs(baseline) if baseline else math.nan for name, mean in means.items()}
 
 
 def _by_building(scores: Sequence[Scores]) -> Table:

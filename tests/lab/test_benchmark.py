@@ -4,7 +4,6 @@ import dataclasses
 import json
 import multiprocessing
 import threading
-from collections.abc import Sequence
 from itertools import product
 from pathlib import Path
 
@@ -71,40 +70,82 @@ def test_benchmark__interquartile_mean_ignores_the_outer_quarters() -> None:
     assert interquartile_mean([1.0, 2.0, 6.0]) == 3.0  # a quarter of three, rounded down, is none
 
 
-def matrix(*rows: Sequence[float]) -> NDArray[np.float64]:
-    return np.array(rows, np.float64)
+def width(*strata: NDArray[np.float64]) -> float:
+    interval = bootstrap_interval(strata)
+    return interval.high - interval.low
 
 
 def test_benchmark__bootstrap_resamples_within_strata() -> None:
     """With no variance within the strata there is none in the result, however much the strata differ."""
-    assert dataclasses.astuple(bootstrap_interval([matrix([0.0] * 6), matrix([1.0] * 6)])) == (0.5, 0.5, 0.5, 12)
-    mixed = bootstrap_interval([matrix([0.0, 1.0] * 3), matrix([0.0, 1.0] * 3)])
-    assert mixed.low < mixed.value == 0.5 < mixed.high
-    assert mixed == bootstrap_interval([matrix([0.0, 1.0] * 3), matrix([0.0, 1.0] * 3)])
+    same = bootstrap_interval([np.zeros((1, 3, 3)), np.ones((1, 3, 3))])
+    assert dataclasses.astuple(same) == (0.5, 0.5, 0.5, 18)
+    differing = np.arange(9.0).reshape(1, 3, 3)
+    mixed = bootstrap_interval([differing, differing])
+    assert mixed.low < mixed.value == 4.0 < mixed.high
+    assert mixed == bootstrap_interval([differing, differing])
 
 
-def test_benchmark__bootstrap_interval_is_about_that_of_normal_samples() -> None:
-    """The mean of the middle half of n normal values has a variance of about 1.2/n (Stigler 1973)."""
-    sample = np.random.default_rng(5).normal(size=400)
-    interval = bootstrap_interval([matrix(sample[:200]), matrix(sample[200:])])
-    assert interval.high - interval.low == pytest.approx(2 * 1.96 * np.sqrt(1.2 / 400), rel=0.2)
+def test_benchmark__interval_of_normal_weather_is_that_of_theory() -> None:
+    """The mean of the middle half of n normal values has a variance of about 1.2/n (Stigler 1973).
 
-
-def test_benchmark__bootstrap_contains_the_variance_between_trainings() -> None:
-    """Trainings that differ by t, with episodes that differ by e, have the variance t²/5 + e²/25 of the mean, not less.
-
-    The trainings are resampled as a whole: 125 rows of five trainings are not 125 independent ones.
+    With three seeds that do not matter, Student's t has two degrees of freedom, and its quantile is 4.303.
     """
+    weathers = np.random.default_rng(5).normal(size=(1, 200, 1)).repeat(3, axis=2)
+    assert width(weathers) == pytest.approx(2 * 4.303 * np.sqrt(3 / 2) * np.sqrt(1.2 / 200), rel=0.15)
+
+
+def test_benchmark__interval_contains_the_variance_between_trainings() -> None:
+    """125 rows of five trainings are not 125 independent ones."""
     random = np.random.default_rng(1)
-    trainings, episodes = random.normal(size=(5, 1)), random.normal(size=(1, 25))
-    apart = bootstrap_interval([trainings + 0.01 * episodes])
-    assert apart.rows == 125
-    rows_alone = bootstrap_interval([(trainings + 0.01 * episodes).reshape(1, -1)])
-    assert apart.high - apart.low > 2.0 * (rows_alone.high - rows_alone.low)
+    scores = random.normal(size=(5, 1, 1)) + 0.01 * random.normal(size=(1, 5, 5))
+    assert bootstrap_interval([scores]).rows == 125
+    assert width(scores) > 10.0 * width(scores.mean(axis=0, keepdims=True))
 
 
-def test_benchmark__one_episode_has_no_interval() -> None:
-    assert np.isnan(bootstrap_interval([matrix([0.5])]).low)
+def test_benchmark__interval_contains_what_weather_and_seeds_do_in_all_strata() -> None:
+    """Another stratum with the same weather is no further evidence on other weather."""
+    random = np.random.default_rng(2)
+    for shape in ((1, 5, 1), (1, 1, 5)):
+        common = random.normal(size=shape) * np.ones((1, 5, 5))
+        assert width(common, common, common) == pytest.approx(width(common))
+        others = [random.normal(size=(1, 5, 5)) for _ in range(3)]
+        assert width(*others) < width(common)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("strata", "trainings"), [(3, 1), (3, 5), (15, 5)])
+def test_benchmark__intervals_contain_the_true_mean_at_least_as_often_as_they_say(
+    strata: int, trainings: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With crossed effects of weather and seeds, half of their variance common to all strata."""
+    monkeypatch.setattr("zenostat.lab.benchmark.scores.RESAMPLES", 500)
+    random = np.random.default_rng(strata + trainings)
+    means = random.normal(size=(strata, 1, 1, 1))
+
+    def drawn(trainings: int, weathers: int, seeds: int) -> NDArray[np.float64]:
+        parts = (
+            (0.35, (1, 1, weathers, 1)), (0.35, (strata, 1, weathers, 1)), (0.1, (1, 1, 1, seeds)),
+            (0.1, (strata, 1, 1, seeds)), (0.1, (strata, 1, weathers, seeds)), (0.1, (strata, trainings, 1, 1)),
+        )  # fmt: skip
+        whole = sum((variance**0.5 * random.normal(size=shape) for variance, shape in parts), means)
+        return np.asarray(np.broadcast_to(whole, (strata, trainings, weathers, seeds)))
+
+    truth = np.mean([interquartile_mean(drawn(6, 200, 40).ravel()) for _ in range(8)])
+    intervals = [bootstrap_interval(list(drawn(trainings, 5, 5))) for _ in range(150)]
+    assert np.mean([interval.low <= truth <= interval.high for interval in intervals]) >= 0.94
+
+
+def test_benchmark__few_or_missing_episodes_have_no_interval() -> None:
+    whole = np.arange(9.0).reshape(1, 3, 3)
+    assert bootstrap_interval([whole]).low < bootstrap_interval([whole]).high
+    for few in (whole[:, :2], whole[:, :, :2], whole[:, :1, :1]):
+        interval = bootstrap_interval([few])
+        assert np.isnan(interval.low)
+        assert interval.value == interquartile_mean(few.ravel())
+    missing = whole.copy()
+    missing[0, 1, 1] = np.nan
+    interval = bootstrap_interval([missing])
+    assert (np.isnan(interval.high), interval.rows) == (True, 8)
 
 
 def test_benchmark__trainings_of_an_episode_are_scored_together() -> None:
@@ -114,7 +155,7 @@ def test_benchmark__trainings_of_an_episode_are_scored_together() -> None:
     ]
     scores = score_rows(rows)[0]
     assert (scores.controller, scores.overall.rows) == ("ppo", 4)
-    assert scores.strata[(OFFICE, "summer")] == pytest.approx(np.array([[0.1, 0.1], [0.2, 0.2]]))
+    assert scores.strata[(OFFICE, "summer")] == pytest.approx(np.array([[[0.1, 0.1]], [[0.2, 0.2]]]))
     assert score_rows(rows[:-1])[0].overall.rows == 2  # the second episode lacks a training
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from statistics import fmean
@@ -11,8 +12,9 @@ from zenostat.lab.benchmark import VERSION, Results, gap_table, load_bounds, loa
 from zenostat.lab.benchmark.definition import BUILDINGS
 from zenostat.lab.benchmark.figures import curve_of, write_curves, write_figures
 from zenostat.lab.benchmark.merge import with_controllers
+from zenostat.lab.benchmark.run import same_controller
 from zenostat.lab.benchmark.scores import Interval, Scores, differences
-from zenostat.lab.benchmark.tables import Table, interval_text, tables
+from zenostat.lab.benchmark.tables import Table, interval_text, saved_shares, tables
 
 _COMPARED = ("tuned", "ppo", "oracle")
 PAGE = Path(__file__).parents[2] / "docs" / "benchmark.md"
@@ -27,7 +29,20 @@ _CURVES = "![Evaluations of each training on the training weather; dashed: befor
 
 def published(name: str) -> Results | None:
     """Return the published results of a set; None if there are none."""
-    return load_results(PUBLISHED[name]) if PUBLISHED[name].is_file() else None
+    if not PUBLISHED[name].is_file():
+        return None
+    results = load_results(PUBLISHED[name])
+    if name == "full" and (quick := published("quick")) is not None:
+        _add_times(results, quick)
+    return results
+
+
+def _add_times(results: Results, others: Results) -> None:
+    """Add the processor times of trainings and tunings that were made for another set and used again."""
+    for key, record in results.trainings.items():
+        other = others.trainings.get(key)
+        if record.get("processor_s") is None and other is not None and same_controller(record, other):
+            record["processor_s"] = other.get("processor_s")
 
 
 def complete(results: Results) -> Results:
@@ -38,10 +53,9 @@ def complete(results: Results) -> Results:
 def page(text: str) -> str:
     """Return a page with its results replaced."""
     full, quick, smoke = (published(name) for name in PUBLISHED)
-    best = full or quick
     text = _replace(text, "results", _results(full))
     text = _replace(text, "quick", _results(quick, figures=full is None))
-    text = _replace(text, "savings", _or_missing(best, _savings))
+    text = _replace(text, "savings", _or_missing(quick, _savings))
     return _replace(text, "smoke", _or_missing(smoke, lambda results: tables(complete(results))[0].markdown()))
 
 
@@ -60,9 +74,11 @@ def _results(results: Results | None, *, figures: bool = True) -> str:
         parts += [f"**{table.title}**", table.markdown(), figure if figures else ""]
     if bounds := load_bounds(BOUNDS, results.set) if BOUNDS.is_dir() else {}:
         gap = gap_table(shown.rows.values(), bounds)
-        parts += [f"**{gap.title}**", gap.markdown(), _above_half(gap)]
+        parts += [f"**{gap.title}**", gap.markdown()]
     if (learned := _learned(scores)) is not None:
         parts += [f"**{learned.title}**", learned.markdown()]
+    if (kept := _kept_steps(results)) is not None:
+        parts.append(kept)
     if figures and any(record.get("curve") for record in results.trainings.values()):
         parts.append(_CURVES)
     if (unfinished := _unfinished(results)) is not None:
@@ -92,6 +108,8 @@ def _unfinished(results: Results) -> Table | None:
 
 def _claims(scores: Sequence[Scores]) -> str:
     """Return what the intervals say about each controller."""
+    if math.isnan(scores[0].overall.low):
+        return "There are no intervals: they need at least three weather files and three seeds."
     groups: dict[str, list[str]] = {"above": [], "below": [], "open": []}
     for of in scores:
         if of.controller != "baseline":
@@ -101,18 +119,24 @@ def _claims(scores: Sequence[Scores]) -> str:
         for side, title in (
             ("above", "Better than the baseline control, with the whole interval"),
             ("below", "Worse, with the whole interval"),
-            ("open", "Neither, since the interval contains 0 or a stratum has a single episode"),
+            ("open", "Neither, since the interval contains 0"),
         )
         if groups[side]
     ]
     return " ".join(sentences)
 
 
-def _above_half(gap: Table) -> str:
-    """Return which controllers are above half of the gap."""
-    shares = {name: float(share.split()[0]) for name, share, *_ in gap.rows}
-    above = [f"`{name}`" for name, share in shares.items() if share > 0.5 and name != "bound"]
-    return f"Above half of the gap: {', '.join(above) or 'none'}."
+def _kept_steps(results: Results) -> str | None:
+    """Return at which steps the best evaluations of the trainings are, whose policies are kept; None without any."""
+    curves = [record["evaluations"] for record in results.trainings.values() if record.get("evaluations")]
+    if not curves:
+        return None
+    best = [curve["steps"][curve["rewards"].index(max(curve["rewards"]))] for curve in curves]
+    counts = ", ".join(f"{best.count(step)} at {step:,}" for step in sorted(set(best)))
+    return (
+        f"Steps at which the policies of the {len(best)} trainings are kept, those of the best evaluation: {counts}. A "
+        "policy of step 0 has learnt nothing: it is the tuned rule with the small offsets of an untrained network."
+    )
 
 
 def _side(interval: Interval) -> str:
@@ -126,22 +150,16 @@ def _learned(scores: Sequence[Scores]) -> Table | None:
     if not names or "tuned" not in by_name:
         return None
     rows, buildings = [], list(by_name["tuned"].buildings)
+    has_intervals = not math.isnan(by_name["tuned"].overall.low)
     for name in names:
         overall, of_building = differences(by_name[name], by_name["tuned"])
-        wins = sum(of_building[building].low > 0.0 for building in buildings)
+        sides = [_side(of_building[building]) for building in buildings]
         cells = [interval_text(of_building[building]) for building in buildings]
-        rows.append((name, interval_text(overall), *cells, f"{wins} of {len(buildings)}"))
-    columns = (
-        "controller",
-        "all",
-        *(BUILDINGS.get(name, name) for name in buildings),
-        "buildings above 0, with the whole interval",
-    )
-    return Table(
-        "Scores of learned controllers and of the oracle minus those of `tuned` in the same episodes",
-        columns,
-        tuple(rows),
-    )
+        counts = (f"{sides.count('above')} and {sides.count('below')} of {len(buildings)}",)
+        rows.append((name, interval_text(overall), *cells, *(counts if has_intervals else ())))
+    counted = ("buildings above and below 0, with the whole interval",) if has_intervals else ()
+    columns = ("controller", "all", *(BUILDINGS.get(name, name) for name in buildings), *counted)
+    return Table("Scores minus those of `tuned` in the same episodes", columns, tuple(rows))
 
 
 def has_oracle(results: Results) -> bool:
@@ -154,14 +172,17 @@ def planning_page(text: str) -> str:
     results = next((of for of in map(published, PUBLISHED) if of is not None and has_oracle(of)), None)
     if results is None:
         return _replace(text, "planning", "The [benchmark](benchmark.md) has a table with the oracle's scores.")
-    scores = {of.controller: of.overall.value for of in score_rows(complete(results).rows.values())}
-    oracle, rule = scores["oracle"], scores["rbc"]
+    saved = saved_shares(complete(results).rows.values())
     sentence = (
         f"In the set {results.set} of the [benchmark](benchmark.md), whose reward has a tariff, a demand charge and "
-        f"occupied comfort, the score of the oracle is {oracle:.3f} and that of `rbc` {rule:.3f}: the difference is "
-        f"{100 * (oracle - rule):.0f} % of the cost of the baseline control."
+        f"occupied comfort, the oracle saves {_percent(saved['oracle'])} of all costs of the baseline control, and "
+        f"`rbc` {_percent(saved['rbc'])}."
     )
     return _replace(text, "planning", sentence)
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f} %"
 
 
 def _savings(results: Results) -> str:
