@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from math import pi
+from math import inf, pi
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,6 +82,10 @@ class PointTable:
         )
         input_scales = [_SI.get(actuator.unit, (actuator.unit, 1.0, 0.0)) for actuator in manifest.actuators]
         self._input_factor, self._input_offset = np.array([s[1:] for s in input_scales]).reshape(-1, 2).T
+        self._bounds = tuple(
+            (-inf if actuator.low is None else actuator.low, inf if actuator.high is None else actuator.high)
+            for actuator in manifest.actuators
+        )
         self.inputs = tuple(
             map(self._input, manifest.actuators, range(len(input_scales)), (s[0] for s in input_scales))
         )
@@ -114,8 +118,9 @@ class PointTable:
         return converted
 
     def bus_input(self, index: int, value: float) -> float:
-        """Convert an input's SI value to the actuator's unit."""
-        return float((value - self._input_offset[index]) / self._input_factor[index])
+        """Convert an input's SI value to the actuator's unit; a bound's rounded value is the bound itself."""
+        low, high = self._bounds[index]
+        return min(max(float((value - self._input_offset[index]) / self._input_factor[index]), low), high)
 
 
 def _stem(name: str) -> str:

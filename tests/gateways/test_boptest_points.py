@@ -41,6 +41,15 @@ def test_boptest_points__inputs_have_bounds_and_convert_back():
     assert points.si_inputs(np.array([22.0, 1.0])) == pytest.approx([295.15, 1.0])
 
 
+def test_boptest_points__rounded_bounds_are_those_of_the_actuator():
+    points, _ = table(actuators=(Actuator(name="setpoint", unit="degC", low=22.6, high=29.9),))
+    maximum, minimum = points.inputs[0].maximum, points.inputs[0].minimum
+    assert maximum - 273.15 > 29.9
+    assert points.bus_input(0, maximum) == 29.9
+    assert points.bus_input(0, minimum) == pytest.approx(22.6)
+    assert points.bus_input(0, minimum - 1e-9) == 22.6
+
+
 def test_boptest_points__clients_that_replace_u_anywhere_in_a_name_reach_the_switch():
     name = "core_upper_zone_unit_setpoint"
     points, _ = table(actuators=(Actuator(name=name, unit="degC", low=15.0, high=30.0),))
