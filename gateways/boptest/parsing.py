@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from math import isfinite, isnan
 from typing import Any
 from urllib.parse import parse_qs
@@ -14,7 +15,7 @@ from zenostat.topics.errors import UsageError, did_you_mean
 
 MAX_BYTES = 1_000_000
 _FORM = "application/x-www-form-urlencoded"
-_SWITCH = {"1": True, "0": False, "true": True, "false": False}
+_SWITCH = {"true": True, "false": False}
 _PLUS_INFINITY = re.compile(rb"(:\s*)\+Infinity\b")
 
 
@@ -87,8 +88,12 @@ def switch(value: Any, name: str) -> bool:
         return value
     if isinstance(value, int | float) and value in (0, 1):
         return bool(value)
-    if isinstance(value, str) and value.lower() in _SWITCH:
-        return _SWITCH[value.lower()]
+    if isinstance(value, str):
+        if value.lower() in _SWITCH:
+            return _SWITCH[value.lower()]
+        with suppress(ValueError):
+            if float(value) in (0.0, 1.0):
+                return bool(float(value))
     raise BadRequest(f"Invalid value {_short(value)} for {name}. Value must be a boolean, 0 or 1.")
 
 

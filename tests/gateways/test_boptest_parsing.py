@@ -58,13 +58,14 @@ def test_boptest_parsing__other_values_are_no_numbers(value):
         parsing.number(value, "x")
 
 
-@pytest.mark.parametrize("value", [1, True, 1.0, "1", "True", "true"])
+@pytest.mark.parametrize("value", [1, True, 1.0, "1", "1.0", "1.", "True", "true"])
 def test_boptest_parsing__switches_that_are_on(value):
     assert parsing.switch(value, "x") is True
     assert parsing.switch(json.loads("0"), "x") is False
+    assert parsing.switch("0.0", "x") is False
 
 
-@pytest.mark.parametrize("value", [1.2, "1.2", "invalid", 2, None, [1]])
+@pytest.mark.parametrize("value", [1.2, "1.2", "invalid", "nan", 2, None, [1]])
 def test_boptest_parsing__switches_that_are_neither(value):
     with pytest.raises(BadRequest, match="for x"):
         parsing.switch(value, "x")
