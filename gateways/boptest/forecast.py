@@ -13,6 +13,7 @@ from zenostat.gateways.boptest import forecast_errors
 from zenostat.gateways.boptest.baseline import Baseline, ZoneSchedules
 from zenostat.gateways.boptest.parsing import BadRequest, unknown_names
 from zenostat.gateways.boptest.prices import Rates, rate_at
+from zenostat.gateways.boptest.simulation import YEAR_S
 from zenostat.gateways.boptest.weather import Weather
 
 Floats = NDArray[np.float64]
@@ -22,6 +23,7 @@ UNCERTAIN = {"TDryBul": "temperature_uncertainty", "HGloHor": "solar_uncertainty
 
 MAX_UNCERTAIN_S = 48 * 3600
 MAX_VALUES = 2_000_000
+MAX_HORIZON_S = 3 * YEAR_S
 
 
 class Forecaster:
@@ -63,19 +65,24 @@ class Forecaster:
         Args:
             names: points.
             now_s: the current time.
-            horizon_s: at least 0.
+            horizon_s: at least 0, at most three years.
             interval_s: above 0.
             scenario: has the levels of uncertainty and the seed.
             baseline: the test's.
 
         Raises:
-            BadRequest: an unknown point, a horizon that is too long for uncertain ones, or too many values.
+            BadRequest: an unknown point, too many values, or a horizon that is too long, which depends on the points.
         """
         if unknown := [name for name in names if name not in self.points]:
             raise unknown_names(unknown, "point_names")
-        count = floor(horizon_s / interval_s + 1e-9) + 1
-        if count * (len(names) + 1) > MAX_VALUES:
-            raise BadRequest(f"the forecast would have {count} times; at most {MAX_VALUES} values can be requested")
+        intervals = horizon_s / interval_s
+        if (intervals + 1) * (len(names) + 1) > MAX_VALUES:
+            raise BadRequest(
+                f"the forecast would have {intervals + 1:g} times; at most {MAX_VALUES} values can be requested"
+            )
+        if horizon_s > MAX_HORIZON_S:
+            raise BadRequest(f"The horizon of {horizon_s:g} s is longer than {MAX_HORIZON_S} s, the longest possible.")
+        count = floor(intervals + 1e-9) + 1
         times_s: Floats = now_s + interval_s * np.arange(count, dtype=np.float64)
         result = {"time": _times(times_s)}
         for name in names:

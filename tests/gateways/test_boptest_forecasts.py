@@ -8,6 +8,7 @@ import pytest
 
 from zenostat.gateways.boptest import forecast_errors
 from zenostat.gateways.boptest.forecast import Forecaster
+from zenostat.gateways.boptest.parsing import BadRequest
 from zenostat.gateways.boptest.prices import rate_at, read_rates
 from zenostat.gateways.boptest.test_periods import find_test_periods
 from zenostat.gateways.boptest.weather import COLUMNS, Weather, wet_bulb
@@ -95,6 +96,23 @@ def test_boptest_forecasts__each_seed_is_repeatable_also_0(seed):
 
     assert forecast(0.0) == forecast(0.0)
     assert forecast(0.0)["TDryBul"] != forecast(DAY_S)["TDryBul"]
+
+
+@pytest.mark.parametrize(
+    ("horizon_s", "interval_s", "text"),
+    [
+        (1e300, 1e-300, "at most 2000000 values"),
+        (3600.0, 1e-320, "at most 2000000 values"),
+        (1e12, 1e11, "longer than 94608000 s"),
+        (1e300, 1e300, "longer than 94608000 s"),
+    ],
+)
+@pytest.mark.parametrize("point", ["solAlt", "PriceElectricPowerConstant"])
+def test_boptest_forecasts__horizon_beyond_a_few_years_is_refused(point, horizon_s, interval_s, text):
+    forecaster = Forecaster(weather(dry_bulb_temperature=[0.0]), read_rates(), SimpleNamespace(points={}))
+    with pytest.raises(BadRequest, match=text):
+        forecaster.forecast([point], 0.0, horizon_s, interval_s, {}, None)
+    assert forecaster.forecast([point], 0.0, 3.0 * 365 * DAY_S, 365.0 * DAY_S, {}, None)["time"][-1] == 3 * 365 * DAY_S
 
 
 def test_boptest_forecasts__weather_is_linear_between_hours_and_gaps_are_filled():
