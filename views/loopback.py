@@ -40,8 +40,9 @@ def listen(address: str, default: str, program: str, *, is_exposed: bool = False
         raise InvalidConfig(f"address {address!r}: HOST:PORT expected, such as {default}")
     try:
         family, _, _, _, target = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)[0]
-    except OSError as error:
-        raise InvalidConfig(f"address {address!r}: {error.strerror}") from None
+    except (OSError, UnicodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "no valid host name"
+        raise InvalidConfig(f"address {address!r}: {reason}") from None
     if not is_exposed and not ipaddress.ip_address(str(target[0]).partition("%")[0]).is_loopback:
         raise InvalidConfig(
             f"{address} can be reached from other machines, and {program} serves this machine only; listen on "

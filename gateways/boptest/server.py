@@ -133,12 +133,13 @@ class _JoinedWrites:
 def _listen(address: str, *, expose: bool) -> socket.socket:
     host, _, port = address.rpartition(":")
     host = host.strip("[]")
-    if not host or not port.isdigit() or int(port) > 65535:
+    if not host or not port.isdecimal() or int(port) > 65535:
         raise InvalidConfig(f"address {address!r}: HOST:PORT expected, such as 127.0.0.1:8000")
     try:
         family, _, _, _, target = socket.getaddrinfo(host, int(port), type=socket.SOCK_STREAM)[0]
-    except OSError as error:
-        raise InvalidConfig(f"address {address!r}: {error.strerror}") from None
+    except (OSError, UnicodeError) as error:
+        reason = error.strerror if isinstance(error, OSError) else "no valid host name"
+        raise InvalidConfig(f"address {address!r}: {reason}") from None
     if not expose and not ipaddress.ip_address(str(target[0]).partition("%")[0]).is_loopback:
         raise InvalidConfig(
             f"{address} can be reached from other machines, and this interface has no authentication; pass --expose to "

@@ -70,6 +70,8 @@ def test_boptest_cases__unknown_names_list_similar_ones_and_bad_files_are_refuse
         (["--address", "0.0.0.0:0"], "pass --expose to allow it"),
         (["--address", "8000"], "HOST:PORT expected"),
         (["--address", "127.0.0.1:70000"], "HOST:PORT expected"),
+        (["--address", "127.0.0.1:²"], "HOST:PORT expected"),
+        (["--address", f"{'a' * 70}.com:8000", "--expose"], "no valid host name"),
         (["--price", "gaz=1"], "no fuel 'gaz'"),
         (["--address", "127.0.0.1:0", "ofice-small"], "no test case 'ofice-small'"),
     ],
