@@ -47,22 +47,28 @@ class BundledTestCases:
         files: scenario files (YAML), which are listed under their names without the suffix.
 
     Raises:
-        UnknownName, InvalidConfig: a file does not exist, or is no valid scenario.
+        UnknownName, InvalidConfig: a file does not exist, is no valid scenario, or has the name of another one.
 
-    A name is a bundled building (in the weather that it was designed for), `BUILDING-WEATHER`, or a scenario's id.
+    A name is that of a file, a bundled building (in the weather that it was designed for), `BUILDING-WEATHER`, or a
+    scenario's id.
     """
 
     def __init__(self, files: Sequence[Path] = ()) -> None:
-        self._files = {file.stem: (file, load_scenario(file)) for file in files}
+        self._files: dict[str, tuple[Path, Scenario]] = {}
+        for file in files:
+            if file.stem in self._files:
+                raise InvalidConfig(f"--file: {self._files[file.stem][0]} and {file} have the same name; rename one")
+            self._files[file.stem] = file, load_scenario(file)
 
     def names(self) -> list[str]:
         """Return the names of files, bundled buildings, and deterministic scenarios of installed data packs."""
-        return [*self._files, *BUILDINGS, *_pack_names()]
+        return [*dict.fromkeys((*self._files, *BUILDINGS, *_pack_names()))]
 
     def find(self, name: str) -> TestCase:
         """Return the test case of a name; errors as of `TestCases.find`."""
         case = TestCase(name, {**_arguments(name, self._files), "monitoring": True})
-        return replace(case, days=_bundled_days().get(name) or _read_days(case))
+        bundled = None if name in self._files else _bundled_days().get(name)
+        return replace(case, days=bundled or _read_days(case))
 
     def save_days(self, case: TestCase, days: Mapping[str, int]) -> None:
         """Keep the days of test periods in the cache."""
@@ -120,10 +126,21 @@ def _bundled_days() -> dict[str, dict[str, int]]:
 
 
 def _cached_path(case: TestCase) -> Path:
-    file = Path(str(case.arguments.get("scenario", "")))
-    content = file.read_text(encoding="utf-8") if file.is_file() else ""
-    text = json.dumps({"name": case.name, "content": content, **case.arguments}, sort_keys=True)
+    text = json.dumps({"name": case.name, "content": _content(case.arguments), **case.arguments}, sort_keys=True)
     return cache_dir() / "boptest" / f"{sha256(text.encode()).hexdigest()[:24]}.json"
+
+
+def _content(arguments: Mapping[str, Any]) -> list[str]:
+    """Return hashes of the files that a scenario's loads depend on: its own, the model, and the weather."""
+    files: list[Path] = []
+    if "building" in arguments:
+        building = arguments["building"]
+    elif (file := Path(arguments["scenario"])).is_file():
+        files, building = [file], load_scenario(file).building
+    else:
+        building = find_scenario(arguments["scenario"]).building
+    files += [catalog.find_building(building).path, catalog.find_weather(arguments["weather"]).path]
+    return [sha256(file.read_bytes()).hexdigest() for file in files]
 
 
 def _read_days(case: TestCase) -> dict[str, int] | None:

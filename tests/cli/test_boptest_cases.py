@@ -13,7 +13,8 @@ import typer.main
 
 from zenostat.cli.boptest_cases import BundledTestCases
 from zenostat.cli.commands import app
-from zenostat.topics.errors import UnknownName
+from zenostat.models import catalog
+from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.scenario_ids import BUILDINGS
 
 SCENARIO = "building: office-small\nweather: [USA_FL_Miami, USA_CO_Denver]\nsteps_per_hour: 6\n"
@@ -55,6 +56,41 @@ def test_boptest_cases__days_are_kept_until_the_scenario_changes(tmp_path, monke
     assert BundledTestCases([file]).find("mine").days == {"peak_heat_day": 20}
     file.write_text(SCENARIO.replace("office-small", "office-medium"))
     assert BundledTestCases([file]).find("mine").days is None
+
+
+def test_boptest_cases__days_are_kept_until_the_model_or_the_weather_changes(tmp_path, monkeypatch):
+    monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "cache"))
+    model, weather, file = tmp_path / "own.idf", tmp_path / "own.epw", tmp_path / "mine.yaml"
+    model.write_bytes(catalog.find_building("ref-small-office").path.read_bytes())
+    weather.write_bytes(catalog.find_weather("USA_FL_Miami").path.read_bytes())
+    file.write_text("building: own.idf\nweather: own.epw\n")
+    cases = BundledTestCases([file])
+    for changed in (model, weather):
+        cases.save_days(cases.find("mine"), {"peak_heat_day": 20})
+        assert cases.find("mine").days == {"peak_heat_day": 20}
+        changed.write_bytes(changed.read_bytes() + b"\n")
+        assert cases.find("mine").days is None
+
+
+def test_boptest_cases__file_with_the_name_of_a_bundled_building_takes_its_place_with_its_own_days(
+    tmp_path, monkeypatch
+):
+    monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "cache"))
+    file = tmp_path / "office-small.yaml"
+    file.write_text(SCENARIO)
+    cases = BundledTestCases([file])
+    assert cases.names().count("office-small") == 1
+    assert cases.find("office-small").days is None
+    assert BundledTestCases().find("office-small").days
+
+
+def test_boptest_cases__files_of_one_name_are_refused(tmp_path):
+    files = [tmp_path / folder / "mine.yaml" for folder in ("a", "b")]
+    for file in files:
+        file.parent.mkdir()
+        file.write_text(SCENARIO)
+    with pytest.raises(InvalidConfig, match=r"a/mine.yaml and .*b/mine.yaml have the same name"):
+        BundledTestCases(files)
 
 
 def test_boptest_cases__unknown_names_list_similar_ones_and_bad_files_are_refused(tmp_path: Path):
