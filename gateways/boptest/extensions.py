@@ -57,7 +57,7 @@ class ExtendedTest(BuildingTest):
 
     def take_snapshot(self) -> Answer:
         """Take a snapshot of the test."""
-        self._check_no_branch()
+        self._check_no_branch("have snapshots; take them of the test that it came from")
         name = self.simulation.snapshot()
         self._saved[name] = _Saved(
             self.simulation, name, self.beginning, self.recorder.copy(), self.first_row, self.end_s, self.is_over,
@@ -97,7 +97,7 @@ class ExtendedTest(BuildingTest):
 
     def branch(self, fields: Mapping[str, Any]) -> ExtendedTest:
         """Return another test that continues independently from here; it ends with this one at the latest."""
-        self._check_no_branch()
+        self._check_no_branch("be branched; branch the test that it came from")
         relinquished = fields.get("baseline")
         is_relinquished = relinquished is not None and parsing.switch(relinquished, "baseline")
         simulation = self.simulation.branch(relinquished=is_relinquished)

@@ -141,14 +141,14 @@ class BuildingTest:
         end_s = inf if final is None else parsing.number(final, "final_time")
         if end_s < start_s:
             raise BadRequest(f"Invalid value {end_s:g} for final_time. Value must not be before start_time.")
-        self._check_no_branch()
+        self._check_no_branch("be initialized; branch again instead")
         self._begin(start_s, warmup_s, end_s)
         text = f"Test simulation initialized successfully to {start_s}s with warmup period of {warmup_s}s."
         return text, self.state()
 
-    def _check_no_branch(self) -> None:
+    def _check_no_branch(self, impossible: str) -> None:
         if self._branch is not None:
-            raise BadRequest("This test is a branch of another one and cannot be initialized; branch again instead.")
+            raise BadRequest(f"This test is a branch of another one and cannot {impossible}.")
 
     # Steps
 
@@ -338,7 +338,7 @@ class BuildingTest:
                 price, "electricity_price", ELECTRICITY_PRICES
             )
         if period is not None:
-            self._check_no_branch()
+            self._check_no_branch("begin a time period; branch again instead")
             self._day(parsing.choice(period, "time_period", TIME_PERIODS))
             self.scenario["time_period"] = period
         for name in ("temperature_uncertainty", "solar_uncertainty"):

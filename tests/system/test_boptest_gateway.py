@@ -189,7 +189,15 @@ def test_boptest_gateway__snapshots_and_branches_continue_independently(test):
     expected = [test.advance(**override) for _ in range(4)]
     kpis = {**test.get("kpi"), "time_rat": None}
     assert branch.advance() != expected[0]
-    assert branch.answer("PUT", "initialize", {"start_time": 0, "warmup_period": 0}).status_code == 400
+    for method, operation, body, text in (
+        ("PUT", "initialize", {"start_time": 0, "warmup_period": 0}, "cannot be initialized; branch again instead."),
+        ("PUT", "scenario", {"time_period": "mix_day"}, "cannot begin a time period; branch again instead."),
+        ("POST", "snapshot", {}, "cannot have snapshots; take them of the test that it came from."),
+        ("POST", "branch", {}, "cannot be branched; branch the test that it came from."),
+    ):
+        refused = branch.answer(method, operation, body)
+        assert refused.status_code == 400
+        assert text in refused.json()["payload"]
     assert branch.answer("PUT", "stop").text == "OK"
     test.put("snapshot", snapshot=name)
     assert [test.advance(**override) for _ in range(4)] == expected
