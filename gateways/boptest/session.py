@@ -32,7 +32,13 @@ DEFAULT_STEP_S = 3600.0
 END_MESSAGE = "End of test case scenario time period reached."
 
 _SET, _RELINQUISH = int(CommandOp.SET), int(CommandOp.RELINQUISH)
-_SCENARIO = ("electricity_price", "time_period", "temperature_uncertainty", "solar_uncertainty", "seed")
+_CHOICES = {
+    "electricity_price": (*ELECTRICITY_PRICES,),
+    "time_period": TIME_PERIODS,
+    "temperature_uncertainty": ("none", *LEVELS),
+    "solar_uncertainty": ("none", *LEVELS),
+}
+_SCENARIO = (*_CHOICES, "seed")
 
 
 class BuildingTest:
@@ -331,31 +337,29 @@ class BuildingTest:
 
     def set_scenario(self, fields: Mapping[str, Any]) -> Answer:
         """Set the scenario; with a test period, begin there after its warm-up."""
-        answer: dict[str, Any] = dict.fromkeys(_SCENARIO)
-        price, period = fields.get("electricity_price"), fields.get("time_period")
-        if price is not None:
-            self.scenario["electricity_price"] = answer["electricity_price"] = parsing.choice(
-                price, "electricity_price", ELECTRICITY_PRICES
-            )
+        answer = {name: self._read_scenario(name, fields.get(name)) for name in _SCENARIO}
+        price, period = answer["electricity_price"], answer["time_period"]
+        start_s = None
         if period is not None:
             self._check_no_branch("begin a time period; branch again instead")
-            self._day(parsing.choice(period, "time_period", TIME_PERIODS))
-            self.scenario["time_period"] = period
-        for name in ("temperature_uncertainty", "solar_uncertainty"):
-            level = fields.get(name)
-            if level is not None:
-                level = parsing.choice(level, name, ("none", *LEVELS))
-            self.scenario[name] = answer[name] = level
-        seed = fields.get("seed")
-        self.scenario["seed"] = answer["seed"] = None if seed is None else parsing.seed(seed)
+            start_s = self._day(period) * DAY_S - WARMUP_S
+        kept = [name for name in ("electricity_price", "time_period") if answer[name] is None]
+        self.scenario = {**answer, **{name: self.scenario[name] for name in kept}}
         self.forecaster.forget_errors()
-        if period is not None:
-            start_s = float(self._day(period) * DAY_S - WARMUP_S)
-            self._begin(start_s, float(WARMUP_S), start_s + PERIOD_S)
+        if start_s is not None:
+            self._begin(start_s, WARMUP_S, start_s + PERIOD_S)
             answer["time_period"] = self.state()
         elif price is not None:
             self._restart_kpis()
         return "Test case scenario was set successfully.", answer
+
+    @staticmethod
+    def _read_scenario(name: str, value: Any) -> Any:
+        if value is None:
+            return None
+        if name == "seed":
+            return parsing.seed(value)
+        return parsing.choice(value, name, _CHOICES[name])
 
     def _day(self, period: str) -> int:
         days = self._days()

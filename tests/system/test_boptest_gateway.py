@@ -264,6 +264,8 @@ def test_boptest_gateway__baseline_is_the_building_that_nobody_controls(test):
         ("PUT", "scenario", {"time_period": "spring"}, "Invalid value 'spring' for time_period"),
         ("PUT", "scenario", {"temperature_uncertainty": "huge"}, "Invalid value 'huge' for temperature_uncertainty"),
         ("PUT", "scenario", {"seed": 1.5}, "Invalid value 1.5 for seed"),
+        ("PUT", "scenario", {"electricity_price": "dynamic", "seed": -1}, "Invalid value -1 for seed"),
+        ("PUT", "scenario", {"temperature_uncertainty": "low", "solar_uncertainty": "huge"}, "for solar_uncertainty"),
         ("PUT", "results", {"point_names": ["foo"], "start_time": 0, "final_time": 1}, "Invalid point name(s) ['foo']"),
         ("PUT", "results", {"point_names": [], "start_time": "a", "final_time": 1}, "Invalid value 'a' for start_time"),
         ("PUT", "forecast", {"point_names": ["foo"], "horizon": 0, "interval": 1}, "Invalid point name(s) ['foo']"),
@@ -274,13 +276,17 @@ def test_boptest_gateway__baseline_is_the_building_that_nobody_controls(test):
     ],
 )
 def test_boptest_gateway__bad_requests_are_answered_with_400_and_change_nothing(running, method, operation, body, text):
-    before = running.get("kpi"), running.put("results", point_names=["time"], start_time=0, final_time=1e12)
+    def state():
+        results = running.put("results", point_names=["time"], start_time=0, final_time=1e12)
+        return running.get("kpi"), results, running.get("scenario")
+
+    before = state()
     answer = running.answer(method, operation, body)
     assert answer.status_code == 400
     envelope = answer.json()
     assert (envelope["status"], envelope["message"]) == (400, "Bad Request")
     assert text in envelope["payload"]
-    assert (running.get("kpi"), running.put("results", point_names=["time"], start_time=0, final_time=1e12)) == before
+    assert state() == before
 
 
 def test_boptest_gateway__values_beyond_the_bounds_are_clipped_with_a_warning(test):
