@@ -11,9 +11,8 @@ import numpy as np
 
 from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.boptest.baseline import Baseline, ZoneSchedules
-from zenostat.gateways.boptest.parsing import BadRequest
 from zenostat.gateways.boptest.points import PointTable
-from zenostat.gateways.boptest.simulation import DAY_S, YEAR_S, Building, Interruption, Simulation
+from zenostat.gateways.boptest.simulation import DAY_S, Building, Interruption, Simulation
 from zenostat.gateways.boptest.weather import COLUMNS, Weather
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import BusError, RequestRejected
@@ -69,24 +68,15 @@ class Episodes:
             self.building.close()
             raise
 
-    def begin(self, start_s: float, warmup_s: float, in_use: Collection[Beginning] = ()) -> Beginning:
+    def begin(self, start: int, warmup_s: int, in_use: Collection[Beginning] = ()) -> Beginning:
         """Return to the building at a time, after a warm-up under the baseline control.
 
         Args:
-            start_s: the time.
-            warmup_s: length of the warm-up.
+            start: the time within the year, a multiple of the timestep.
+            warmup_s: length of the warm-up, likewise; it begins at time 0 at the earliest.
             in_use: beginnings that snapshots and branches refer to, which are kept besides the last four.
-
-        Raises:
-            BadRequest: times that are not multiples of the timestep, or after the year.
         """
-        step_s = self.building.step_s
-        for name, value in (("start_time", start_s), ("warmup_period", warmup_s)):
-            if value % step_s:
-                raise BadRequest(f"{name} {value:g} is not a multiple of the building's timestep of {step_s} s.")
-        if start_s >= YEAR_S:
-            raise BadRequest(f"start_time {start_s:g} is not within the year: it must be less than {YEAR_S}.")
-        start, begin = int(start_s), int(max(start_s - warmup_s, 0.0))
+        begin = max(start - warmup_s, 0)
         self._use_day(begin // DAY_S)
         key = (start, begin)
         if key in self._kept:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from functools import cache
-from math import inf
+from math import inf, isfinite
 from threading import RLock
 from typing import Any
 
@@ -19,7 +19,7 @@ from zenostat.gateways.boptest.forecast_errors import LEVELS
 from zenostat.gateways.boptest.kpis import TestKpis, TimeRatio
 from zenostat.gateways.boptest.parsing import BadRequest, PeriodNotOver
 from zenostat.gateways.boptest.prices import ELECTRICITY_PRICES, Rates
-from zenostat.gateways.boptest.simulation import DAY_S, Interruption, Simulation, row_range
+from zenostat.gateways.boptest.simulation import DAY_S, YEAR_S, Interruption, Simulation, row_range
 from zenostat.gateways.boptest.test_periods import PERIOD_S, TIME_PERIODS, WARMUP_S
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics.messages import CommandOp
@@ -80,7 +80,7 @@ class BuildingTest:
         self.scenario: dict[str, Any] = {**dict.fromkeys(_SCENARIO), "electricity_price": "constant"}
         self._state_names = self._points_of_state()
         if episodes is None:
-            self._begin(0.0, 0.0)
+            self._begin(0, 0)
 
     def _points_of_state(self) -> tuple[str, ...]:
         """Return the names of a state in the order of its values; all of them can be requested as results."""
@@ -94,7 +94,7 @@ class BuildingTest:
 
     # Beginning
 
-    def _begin(self, start_s: float, warmup_s: float, end_s: float = inf) -> None:
+    def _begin(self, start_s: int, warmup_s: int, end_s: float = inf) -> None:
         self.beginning: Beginning = self.episodes.begin(start_s, warmup_s, self._beginnings_in_use())
         self.recorder = self.beginning.recorder.copy()
         self.first_row = len(self.recorder) - 1
@@ -140,17 +140,33 @@ class BuildingTest:
         return dict(zip(self._state_names, values, strict=True))
 
     def initialize(self, fields: Mapping[str, Any]) -> Answer:
-        """Begin at a time after a warm-up."""
+        """Begin at the timestep nearest to a time, after a warm-up."""
         start_s = parsing.positive(parsing.require(fields, "start_time"), "start_time")
         warmup_s = parsing.positive(parsing.require(fields, "warmup_period"), "warmup_period")
         final = fields.get("final_time")
-        end_s = inf if final is None else parsing.number(final, "final_time")
-        if end_s < start_s:
-            raise BadRequest(f"Invalid value {end_s:g} for final_time. Value must not be before start_time.")
+        final_s = inf if final is None else parsing.number(final, "final_time")
+        if start_s >= YEAR_S:
+            raise BadRequest(f"start_time {start_s} is not within the year: it must be less than {YEAR_S}.")
+        if final_s < start_s:
+            raise BadRequest(f"Invalid value {final_s} for final_time. Value must not be before start_time.")
         self._check_no_branch("be initialized; branch again instead")
-        self._begin(start_s, warmup_s, end_s)
-        text = f"Test simulation initialized successfully to {start_s}s with warmup period of {warmup_s}s."
-        return text, self.state()
+        timestep_s = self._timestep_s
+        start = min(round(start_s / timestep_s) * timestep_s, YEAR_S - timestep_s)
+        warmup = round(min(warmup_s, start) / timestep_s) * timestep_s
+        end_s = max(final_s // timestep_s * timestep_s, start) if isfinite(final_s) else final_s
+        self._begin(start, warmup, end_s)
+        text = f"Test simulation initialized successfully to {float(start)}s with warmup period of {warmup_s}s."
+        times = {"start_time": (start_s, start), "warmup_period": (min(warmup_s, start), warmup)}
+        return text + self._rounding({**times, "final_time": (final_s, end_s)}), self.state()
+
+    def _rounding(self, times: Mapping[str, tuple[float, float]]) -> str:
+        """Return the warnings of times that are used otherwise than sent."""
+        reason = f"is not a multiple of the building's timestep of {self._timestep_s} s."
+        return "".join(
+            f" WARNING: {name} {sent_s} {reason}  Using {float(used_s)}. ;"
+            for name, (sent_s, used_s) in times.items()
+            if sent_s != used_s
+        )
 
     def _check_no_branch(self, impossible: str) -> None:
         if self._branch is not None:

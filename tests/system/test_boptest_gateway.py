@@ -82,6 +82,23 @@ def test_boptest_gateway__initialize_returns_to_the_same_building_whatever_was_d
     assert test.put("initialize", start_time=START_S, warmup_period=WARMUP_S) == first
 
 
+def test_boptest_gateway__initialize_begins_and_ends_at_whole_timesteps_and_says_so(test):
+    begin_s, warmup_s, end_s = START_S + 567, WARMUP_S + 100, START_S + 3000
+    body = {"start_time": begin_s, "warmup_period": warmup_s, "final_time": end_s}
+    answer = test.answer("PUT", "initialize", body).json()
+    assert (answer["status"], answer["payload"]["time"]) == (200, START_S + 900)
+    for name, sent, used in (
+        ("start_time", begin_s, START_S + 900),
+        ("warmup_period", warmup_s, WARMUP_S),
+        ("final_time", end_s, START_S + 2700),
+    ):
+        reason = "is not a multiple of the building's timestep of 900 s."
+        assert f"WARNING: {name} {sent}.0 {reason}  Using {used}.0. ;" in answer["message"]
+    assert [test.advance().get("time") for _ in range(3)] == [START_S + 1800, START_S + 2700, None]
+    answer = test.answer("PUT", "initialize", {"start_time": START_S, "warmup_period": WARMUP_S}).json()
+    assert "WARNING" not in answer["message"]
+
+
 def test_boptest_gateway__warm_up_can_be_read_and_does_not_count(test):
     name = "electricity_facility_y"
     warmup = test.put("results", point_names=[name], start_time=0, final_time=START_S)
@@ -258,7 +275,8 @@ def test_boptest_gateway__baseline_is_the_building_that_nobody_controls(test):
         ("POST", "advance", {f"{COOLING}_activate": "invalid"}, "for core_zn_cooling_setpoint_activate."),
         ("PUT", "initialize", {"start_time": 0}, "'warmup_period'"),
         ("PUT", "initialize", {"start_time": -1, "warmup_period": 0}, "Invalid value -1 for start_time."),
-        ("PUT", "initialize", {"start_time": 450, "warmup_period": 0}, "not a multiple of the building's timestep"),
+        ("PUT", "initialize", {"start_time": 365 * DAY_S, "warmup_period": 0}, "is not within the year"),
+        ("PUT", "initialize", {"start_time": 9, "warmup_period": 0, "final_time": 8}, "must not be before start_time"),
         ("PUT", "step", {"step": "fast"}, "Invalid value 'fast' for step."),
         ("PUT", "scenario", {"electricity_price": "free"}, "Invalid value 'free' for electricity_price"),
         ("PUT", "scenario", {"time_period": "spring"}, "Invalid value 'spring' for time_period"),
