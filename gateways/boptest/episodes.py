@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -12,7 +12,7 @@ import numpy as np
 from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.boptest.baseline import Baseline, ZoneSchedules
 from zenostat.gateways.boptest.points import PointTable
-from zenostat.gateways.boptest.simulation import DAY_S, Building, Interruption, Simulation
+from zenostat.gateways.boptest.simulation import DAY_S, MAX_COPIES, Building, Interruption, Simulation
 from zenostat.gateways.boptest.weather import COLUMNS, Weather
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import BusError, RequestRejected
@@ -88,6 +88,16 @@ class Episodes:
             self._drop(other)
         beginning = self._kept[key] = self._simulate(start, begin)
         return beginning
+
+    def has_room(self, in_use: Sequence[Beginning]) -> bool:
+        """Return whether the node can have snapshots and branches of these beginnings, one for each mention.
+
+        The node also has a snapshot and, as soon as it is needed, a branch for the baseline of each beginning that is
+        kept: those in use, and the last four others.
+        """
+        copies = sum(beginning in self._kept.values() for beginning in in_use)  # others ended with their node
+        others = sum(beginning not in in_use for beginning in self._kept.values())
+        return copies + 2 * (len(self._kept) - others + max(others, _MAX_KEPT)) <= MAX_COPIES
 
     def _use_day(self, first_day: int) -> None:
         """Start another node if the run period has to begin on another day, or the node has ended."""

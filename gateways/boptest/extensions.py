@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakSet
@@ -51,13 +51,22 @@ class ExtendedTest(BuildingTest):
         self._branches: WeakSet[ExtendedTest] = WeakSet()
         super().__init__(case, rates, days, episodes, simulation, interruption, client)
 
-    def _beginnings_in_use(self) -> Collection[Beginning]:
+    def _beginnings_in_use(self) -> list[Beginning]:
+        """Return the beginning of each snapshot and branch."""
         branches = [branch.beginning for branch in self._branches if not branch.is_stopped]
-        return {*branches, *(saved.beginning for saved in self._saved.values())}
+        return [*branches, *(saved.beginning for saved in self._saved.values())]
+
+    def _check_room(self) -> None:
+        if not self.episodes.has_room([*self._beginnings_in_use(), self.beginning]):
+            raise BadRequest(
+                "The building has as many snapshots and branches as it can have beside its beginnings and baselines; "
+                "drop some with DELETE /snapshot, or stop branches."
+            )
 
     def take_snapshot(self) -> Answer:
         """Take a snapshot of the test."""
         self._check_no_branch("have snapshots; take them of the test that it came from")
+        self._check_room()
         name = self.simulation.snapshot()
         self._saved[name] = _Saved(
             self.simulation, name, self.beginning, self.recorder.copy(), self.first_row, self.end_s, self.is_over,
@@ -98,6 +107,7 @@ class ExtendedTest(BuildingTest):
     def branch(self, fields: Mapping[str, Any]) -> ExtendedTest:
         """Return another test that continues independently from here; it ends with this one at the latest."""
         self._check_no_branch("be branched; branch the test that it came from")
+        self._check_room()
         relinquished = fields.get("baseline")
         is_relinquished = relinquished is not None and parsing.switch(relinquished, "baseline")
         simulation = self.simulation.branch(relinquished=is_relinquished)

@@ -32,6 +32,9 @@ YEAR = datetime(2017, 1, 1)
 """Time 0. Its 1 January is a Sunday, and neither it nor the next year has a 29 February."""
 
 YEAR_S = 365 * DAY_S
+MAX_COPIES = 64
+"""Maximum number of snapshots and branches of a node, those of beginnings and baselines included."""
+
 LAST_DAY = "2018-12-31"
 """Last day of each run period: tests continue past the end of the year."""
 
@@ -182,7 +185,8 @@ class Building:
         self._close = ExitStack()
         with ExitStack() as undo:
             undo.callback(self.close)
-            settings, on_process = for_node({**arguments, **period}, _NODE), (interruption or Interruption()).watch
+            settings = for_node({**arguments, **period, "branches": MAX_COPIES}, _NODE)
+            on_process = (interruption or Interruption()).watch
             self._node = LocalNode(settings, placement, on_process)
             self._close.callback(self._node.close)
             bus = connect(self._node.endpoint, affinity=placement, core=self._node.core)

@@ -15,6 +15,7 @@ from support import data_packs as packs
 from support.boptest import DAY_S, Client, serving
 
 from zenostat.bridge.client.local_node import LocalNode
+from zenostat.gateways.boptest import episodes, simulation
 
 START_S = 200 * DAY_S  # 20 July
 WARMUP_S = DAY_S // 2
@@ -247,11 +248,30 @@ def test_boptest_gateway__snapshot_and_branch_outlast_many_other_beginnings(test
                                                                 final_time=1e12)["time"][-1]  # fmt: skip
     assert branch.answer("PUT", "stop").text == "OK"
     test.payload("DELETE", "snapshot", {"snapshot": name})
-    episodes = test.service.manager.get(test.testid).episodes
+    kept = test.service.manager.get(test.testid).episodes._kept
     for count in range(1, 7):
         test.put("initialize", start_time=START_S + 900 * count, warmup_period=WARMUP_S)
-        assert len(episodes._kept) <= 5
-    assert len(episodes._kept) == 4
+        assert len(kept) <= 5
+    assert len(kept) == 4
+
+
+@pytest.mark.slow
+@pytest.mark.variants
+def test_boptest_gateway__snapshots_leave_room_for_beginnings_and_their_baselines(monkeypatch):
+    for module in (episodes, simulation):
+        monkeypatch.setattr(module, "MAX_COPIES", 12)
+    with serving() as client:
+        client.select("ref-small-office")
+        names = [client.payload("POST", "snapshot")["snapshot"] for _ in range(2)]
+        for start_s in range(0, 9000, 900):
+            refused = client.answer("POST", "snapshot")
+            assert (refused.status_code, "DELETE /snapshot" in refused.text) == (400, True)
+            assert client.answer("POST", "branch", {}).status_code == 400
+            assert client.get("kpi")["tdis_tot"] is not None
+            client.put("initialize", start_time=start_s, warmup_period=0)
+        for name in names:
+            client.payload("DELETE", "snapshot", {"snapshot": name})
+        client.payload("POST", "snapshot")
 
 
 def test_boptest_gateway__baseline_is_the_building_that_nobody_controls(test):
