@@ -6,7 +6,9 @@ import asyncio
 from collections import Counter
 from collections.abc import Callable, Coroutine, MutableMapping
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
 from typing import Any
+from weakref import WeakValueDictionary
 
 from fastapi import FastAPI, Request, Response
 from pydantic_core import to_json
@@ -26,10 +28,25 @@ from zenostat.topics.errors import AccessDenied, UnknownName, UsageError, Zenost
 
 Handler = Callable[..., Coroutine[Any, Any, Response]]
 
-_MAX_THREADS = 40
+_SPARE_THREADS = 8
+_MAX_QUEUED = 32
+"""Maximum number of requests of a test that wait for one in progress."""
 
 BOPTEST_VERSION = "0.9.0"
 """The version of BOPTEST whose interface this is, as `/version` returns it."""
+
+
+@dataclass(slots=True, eq=False, weakref_slot=True)
+class _Queue:
+    """The requests of a test.
+
+    Attributes:
+        turn: held by the one in progress.
+        count: number of them, that one included.
+    """
+
+    turn: asyncio.Lock = field(default_factory=asyncio.Lock)
+    count: int = 0
 
 
 class Service:
@@ -51,7 +68,9 @@ class Service:
         self._access = TestAccess(clients, manager.notify)
         self.testid, self._single = "", single
         self._handlers: dict[tuple[str, str], Handler] = {}
-        self._threads = ThreadPoolExecutor(_MAX_THREADS, "boptest")
+        # A test starts in a thread and has one request at a time in another; the spare ones manage tests.
+        self._threads = ThreadPoolExecutor(2 * manager.max_tests + _SPARE_THREADS, "boptest")
+        self._queues: WeakValueDictionary[str, _Queue] = WeakValueDictionary()
         self.app = FastAPI(
             title="BOPTEST on Zenostat",
             version=VERSION,
@@ -161,6 +180,20 @@ class Service:
     async def _not_allowed(self, _: Request, __: Exception) -> Response:
         return self._text(405, "Method Not Allowed")
 
+    async def _run_alone(self, testid: str, work: Callable[[], Response]) -> Response:
+        """Run work when the earlier requests of its test have ended; those that wait occupy no thread."""
+        queue = self._queues.setdefault(testid, _Queue())
+        if queue.count > _MAX_QUEUED:
+            return self._text(503, f"{_MAX_QUEUED} requests of this test are waiting already")
+        queue.count += 1
+        try:
+            async with queue.turn:
+                return await self._run(work)
+        except asyncio.CancelledError:
+            return self._text(503, "the service has ended")
+        finally:
+            queue.count -= 1
+
     async def _run(self, work: Callable[[], Response]) -> Response:
         try:
             return await asyncio.get_running_loop().run_in_executor(self._threads, work)
@@ -197,7 +230,7 @@ class Service:
                         return self._text(500, f"the test was stopped during /{operation.path[1:]}")
                     return self._envelope(200, message, payload)
 
-            return await self._run(work)
+            return await self._run_alone(testid, work)
 
         return handle
 
@@ -211,7 +244,7 @@ class Service:
             self._access.check_change(client, self.manager.client_of(testid))
             return self._answer(200, {"testid": self.manager.branch(testid, fields)})
 
-        return await self._run(work)
+        return await self._run_alone(testid, work)
 
     # Test management
 

@@ -55,7 +55,7 @@ class TestManager:
         notify: called with a line for the operator.
 
     Attributes:
-        cases, notify: as above.
+        cases, max_tests, notify: as above.
     """
 
     __test__ = False  # for pytest, which takes it for a test
@@ -70,7 +70,7 @@ class TestManager:
         notify: Callable[[str], None] = lambda _: None,
     ) -> None:
         self.cases, self._rates = cases, rates
-        self._timeout_s, self._max_tests, self.notify = timeout_s, max_tests, notify
+        self._timeout_s, self.max_tests, self.notify = timeout_s, max_tests, notify
         self._lock = threading.Lock()
         self._entries: dict[str, _Entry] = {}
         self._ending: dict[ExtendedTest, threading.Thread] = {}
@@ -113,8 +113,8 @@ class TestManager:
         with self._lock:
             if self._closing.is_set():
                 raise TooManyTests("the service is ending, and starts no more tests")
-            if len(self._entries) >= self._max_tests:
-                raise TooManyTests(f"{self._max_tests} tests are running, the maximum of this service; stop one first")
+            if len(self._entries) >= self.max_tests:
+                raise TooManyTests(f"{self.max_tests} tests are running, the maximum of this service; stop one first")
             testid, entry = str(uuid4()), _Entry(case, client)
             self._entries[testid] = entry
             return testid, entry
