@@ -1,14 +1,21 @@
 """Access to tests: who a request is from, and whether it may change a test.
 
+Pages of strangers in a browser on this machine may send no request: not by their own address, which the header `Origin`
+shows, and not by a name of theirs that resolves to this machine, which `Host` shows.
+
 A client proves its name with a token (`Authorization: Bearer …`). Its tests are its own: others read them, if they know
 the id, and do not change them. Of the inputs, it may override those that its name permits.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from typing import Any
 
+from starlette.datastructures import Headers
+
+from zenostat.gateways.addresses import is_loopback
 from zenostat.gateways.boptest.extensions import ExtendedTest
 from zenostat.gateways.boptest.operations import Operation
 from zenostat.gateways.clients import Clients
@@ -16,10 +23,26 @@ from zenostat.gateways.notices import Notices
 from zenostat.topics.errors import AccessDenied, UsageError
 
 _SCHEME = "bearer "
+_PORT = re.compile(r":\d*$")
 
 
 class UnknownToken(UsageError):
     """A token that is no client's."""
+
+
+def check_sender(headers: Headers, *, is_local: bool) -> None:
+    """Raise `AccessDenied` for a request that a page of another site may have sent.
+
+    Args:
+        headers: of the request.
+        is_local: whether the service is on loopback, so that `Host` names that.
+    """
+    hosts = headers.getlist("host")
+    if is_local and not all(is_loopback(_PORT.sub("", host.lower()).strip("[]")) for host in hosts):
+        raise AccessDenied(f"this service is on this machine and none of the name {hosts[0][:80]!r}")
+    for origin in headers.getlist("origin"):
+        if origin.partition("://")[2] not in hosts:
+            raise AccessDenied(f"a page of {origin[:80]!r} may send no requests here")
 
 
 class TestAccess:

@@ -12,12 +12,13 @@ from weakref import WeakValueDictionary
 
 from fastapi import FastAPI, Request, Response
 from pydantic_core import to_json
+from starlette.datastructures import Headers
 from starlette.requests import ClientDisconnect
 from starlette.responses import HTMLResponse, PlainTextResponse
 from starlette.types import Receive, Scope, Send
 
 from zenostat.gateways.boptest import parsing
-from zenostat.gateways.boptest.access import TestAccess, UnknownToken
+from zenostat.gateways.boptest.access import TestAccess, UnknownToken, check_sender
 from zenostat.gateways.boptest.manager import TestManager, TooManyTests, UnknownTest
 from zenostat.gateways.boptest.operations import OPERATIONS, Operation
 from zenostat.gateways.boptest.page import page
@@ -60,13 +61,14 @@ class Service:
     Attributes:
         testid: the test of the paths without a test id.
         app: the application, without the counts.
+        is_local: whether only this machine reaches it, so that it answers to no other name.
         counts: numbers of answers by HTTP status.
     """
 
     def __init__(self, manager: TestManager, *, single: bool = False, clients: Clients = UNRESTRICTED) -> None:
         self.manager, self.counts = manager, Counter[int]()
         self._access = TestAccess(clients, manager.notify)
-        self.testid, self._single = "", single
+        self.testid, self._single, self.is_local = "", single, False
         self._handlers: dict[tuple[str, str], Handler] = {}
         # A test starts in a thread and has one request at a time in another; the spare ones manage tests.
         self._threads = ThreadPoolExecutor(2 * manager.max_tests + _SPARE_THREADS, "boptest")
@@ -128,7 +130,12 @@ class Service:
                 self.counts[message["status"]] += 1
             await send(message)
 
-        request = self._operation_request(scope, receive) if scope["type"] == "http" else None
+        try:
+            check_sender(Headers(scope=scope), is_local=self.is_local)
+        except AccessDenied as error:
+            await self._error(error)(scope, receive, counted)
+            return
+        request = self._operation_request(scope, receive)
         if request is None:
             await self.app(scope, receive, counted)
             return

@@ -15,6 +15,7 @@ import uvicorn
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from zenostat.bridge.runtime.service_manager import reported
+from zenostat.gateways.addresses import is_loopback
 from zenostat.gateways.boptest.app import Service
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 
@@ -43,6 +44,7 @@ class HttpServer:
         self.service = service
         self._socket = _listen(address, expose=expose)
         host, port = self._socket.getsockname()[:2]
+        service.is_local = is_loopback(host)
         self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
         config = uvicorn.Config(
             service,
