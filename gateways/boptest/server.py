@@ -23,6 +23,9 @@ _BACKLOG = 256
 _MAX_CONNECTIONS = 512
 _SHUTDOWN_S = 5
 
+REQUEST_TIMEOUT_S = 10.0
+"""Time after which a connection without a complete request is closed, since it occupies one of those permitted."""
+
 
 class HttpServer:
     """A listening socket, and the server that runs on it.
@@ -101,10 +104,42 @@ class _Server(uvicorn.Server):
 
 
 class _Protocol(HttpToolsProtocol):
-    """A connection whose answers are sent in one piece each: uvicorn writes their heads and bodies separately."""
+    """A connection that is closed unless complete requests arrive, and whose answers are sent in one piece each.
+
+    uvicorn waits for requests without a limit, and writes heads and bodies of answers separately.
+    """
+
+    _deadline: asyncio.TimerHandle | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         super().connection_made(cast("asyncio.Transport", _JoinedWrites(transport, self.loop)))
+        self._expect_request()
+
+    def data_received(self, data: bytes) -> None:
+        self._expect_request()
+        super().data_received(data)
+
+    def on_message_complete(self) -> None:
+        self._cancel_deadline()
+        super().on_message_complete()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._cancel_deadline()
+        super().connection_lost(exc)
+
+    def _expect_request(self) -> None:
+        if self._deadline is None:
+            self._deadline = self.loop.call_later(REQUEST_TIMEOUT_S, self._end_unless_answering)
+
+    def _cancel_deadline(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+    def _end_unless_answering(self) -> None:
+        self._deadline = None
+        if self.cycle is None or self.cycle.response_complete or self.cycle.more_body:
+            self.transport.close()
 
 
 class _JoinedWrites:
