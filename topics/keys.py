@@ -293,17 +293,25 @@ def last_chunk(key: str) -> str:
 
 
 _UNSAFE = re.compile(r"[^A-Za-z0-9_.\-]+")
-_SAFE = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}")
+MAX_NAME = 128
+"""Largest number of characters of a name."""
+
+_SAFE = re.compile(rf"[A-Za-z0-9_][A-Za-z0-9_.\-]{{0,{MAX_NAME - 1}}}")
 
 
 def safe_name(text: str) -> str:
     """Convert a text to a valid chunk of a key: in lower case, with `_` for characters that are not allowed."""
-    return _UNSAFE.sub("_", text).strip("_.-").lower()[:128] or "x"
+    return _UNSAFE.sub("_", text).strip("_.-").lower()[:MAX_NAME] or "x"
 
 
 def is_name(name: str) -> bool:
     """Return whether a name is valid as a chunk of a key."""
     return _SAFE.fullmatch(name) is not None
+
+
+def shortened(name: str) -> str:
+    """Return a name; of one that is too long, its beginning and an ellipsis, which no valid name has."""
+    return name if len(name) <= MAX_NAME else f"{name[: MAX_NAME - 1]}…"
 
 
 def is_own(identity: str, name: str) -> bool:
@@ -338,7 +346,7 @@ def check_name(name: str, what: str) -> str:
         raise InvalidConfig(f"{what} {name!r} is not a text")
     if not _SAFE.fullmatch(name):
         raise InvalidConfig(
-            f"{what} {name!r} is not valid in a topic: use up to 128 letters, digits, '_', '.' and '-'; "
+            f"{what} {name!r} is not valid in a topic: use up to {MAX_NAME} letters, digits, '_', '.' and '-'; "
             f"for example {safe_name(name)!r}"
         )
     return name

@@ -70,7 +70,7 @@ class Request:
         subscriptions: of the server.
 
     Attributes:
-        sender, name: those in its key; empty if the topic has none.
+        sender, name: those in its key, shortened; empty if the topic has none.
         payload, encoding: its message.
     """
 
@@ -79,7 +79,7 @@ class Request:
     def __init__(self, query: zenoh.Query, topic: keys.Topic, subscriptions: Subscriptions) -> None:
         self._query: zenoh.Query | None = query
         key = str(query.key_expr)
-        self.sender, self.name = topic.names_in(key)
+        self.sender, self.name = map(keys.shortened, topic.names_in(key))
         self._topic, self._subscriptions = topic, subscriptions
         sender, name = topic.chunks_in(key)
         self._key = topic.at(subscriptions.node, name=name, sender=sender)  # a reply has to match the query
@@ -133,7 +133,7 @@ def _refuse_large(payload: bytes, _: str) -> bytes:
 
 
 Handler = Callable[[str, str, bytes, str], None]
-"""Handles a message: the sender and the name in its key, its payload, its encoding."""
+"""Handles a message: the sender and the name in its key, shortened, its payload, its encoding."""
 
 
 class Subscriptions:
@@ -224,7 +224,8 @@ class Subscriptions:
             message = self._try_recv() if self._is_command_next else None
         if message is None:
             return None
-        controller = str(message.key_expr).rpartition("/")[2]  # the node's name in it may be a wildcard
+        # The node's name in the key may be a wildcard.
+        controller = keys.shortened(str(message.key_expr).rpartition("/")[2])
         if controller == _WAKE:
             return None
         for waiting in self._before_commands:
@@ -376,7 +377,7 @@ class Subscriptions:
             size = len(message.payload)
             if not self._may_wait(waiting, size):
                 return
-            sender, name = topic.names_in(str(message.key_expr))
+            sender, name = map(keys.shortened, topic.names_in(str(message.key_expr)))
             payload, encoding, via = (
                 message.payload.to_bytes(),
                 str(message.encoding),

@@ -62,6 +62,14 @@ def test_keys__sender_and_name_are_read_from_a_key(topic: Topic) -> None:
     assert topic.names_in(topic.at("*", name="one", sender="ppo-7")) == expected  # a put may be for all nodes
 
 
+@pytest.mark.parametrize("length", [1, 127, 128, 129, 60_000])
+def test_keys__name_that_is_too_long_is_shortened_to_one_that_is_not_valid(length: int) -> None:
+    name, short = "p" * length, keys.shortened("p" * length)
+    assert (len(short), keys.is_name(short)) == (min(length, 128), length <= 128)
+    assert (short == name) is (length <= 128)
+    assert keys.shortened(short) == short
+
+
 @rows
 def test_keys__what_changes_something_names_its_sender(topic: Topic) -> None:
     reads = topic.sender in (Role.NODE, Role.ANYONE)
