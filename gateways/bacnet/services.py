@@ -234,9 +234,20 @@ class NodeApplication(Application):
             if apdu.issueConfirmedNotifications is None:
                 raise InconsistentParameters("issueConfirmedNotifications")
             apdu.lifetime = apdu.lifetime or 0  # without one: for ever
-            if sum(len(criteria.cov_subscriptions) for criteria in self._cov_detections.values()) >= MAX_SUBSCRIPTIONS:
+            if not self._is_renewal(apdu) and self._subscription_count() >= MAX_SUBSCRIPTIONS:
                 raise ExecutionError("resources", "noSpaceToAddListElement")
         await super().do_SubscribeCOVRequest(apdu)
+
+    def _subscription_count(self) -> int:
+        return sum(len(criteria.cov_subscriptions) for criteria in self._cov_detections.values())
+
+    def _is_renewal(self, apdu: Any) -> bool:
+        """Return whether a request is for a subscription that exists; see ASHRAE 135, clause 13.14.1."""
+        criteria = self._cov_detections.get(apdu.monitoredObjectIdentifier)
+        return criteria is not None and any(
+            (cov.client_addr, cov.proc_id) == (apdu.pduSource, apdu.subscriberProcessIdentifier)
+            for cov in criteria.cov_subscriptions
+        )
 
     def cov_notification(self, cov: Any, apdu: Any) -> None:
         """Send a notification; of confirmed ones, the next is sent when the subscriber has confirmed the previous."""
