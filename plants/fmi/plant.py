@@ -66,8 +66,9 @@ class FmuPlant:
         names = PointNames()
         self._outputs = outputs(self._model.description, [observe] if isinstance(observe, str) else observe, names)
         self._inputs = inputs(self._model.description, dict(self._experiment.starts), names)
-        self.sensors = {point: (v.unit, v.low, v.high) for v in self._outputs for point in v.points}
-        self.actuators = {p: spec for v in self._inputs for p, spec in zip(v.points, _actuators(v), strict=True)}
+        self.sensors = {point: _sensor(v) for v in self._outputs for point in v.points}
+        free = [v for v in self._inputs if not v.is_fixed]
+        self.actuators = {p: spec for v in free for p, spec in zip(v.points, _actuators(v), strict=True)}
         if not self.sensors:
             raise InvalidConfig(f"{path} has no output that is a number; name variables to observe: observe=['name']")
         threads = len(os.listdir(_TASKS))
@@ -87,15 +88,12 @@ class FmuPlant:
         notes: list[str],
     ) -> Experiment:
         description = self._model.description
-        default = description.defaultExperiment
-        texts = {name: getattr(default, name, None) for name in ("startTime", "stopTime", "stepSize", "tolerance")}
-        numbers = {name: None if text is None else float(text) for name, text in texts.items()}
-        first_s = _number("start_s", start_s) if start_s is not None else numbers["startTime"] or 0.0
+        first_s = _number("start_s", start_s) if start_s is not None else self._default("startTime") or 0.0
         length_s = _number("duration_s", duration_s) if duration_s is not None else None
         if length_s is None:
-            stop_s = numbers["stopTime"]
+            stop_s = self._default("stopTime")
             length_s = stop_s - first_s if stop_s is not None and stop_s > first_s else DURATION_S
-        step = _number("step_s", step_s) if step_s is not None else self._own_step_s(numbers["stepSize"])
+        step = _number("step_s", step_s) if step_s is not None else self._own_step_s()
         if step is None:
             step = min(float(fmpy().util.auto_interval(length_s)), MAX_STEP_S)
             notes.append(f"the FMU names no step size; step_s = {step:g} (set another: --plant-argument step_s=60)")
@@ -103,12 +101,20 @@ class FmuPlant:
             raise InvalidConfig(f"step_s = {step:g}: a number of seconds above 0 expected")
         if duration_s is None:
             length_s = max(1, floor(length_s / step + 1e-9)) * step
-        own = float(tolerance) if tolerance is not None else numbers["tolerance"]
+        own = float(tolerance) if tolerance is not None else self._default("tolerance")
         return Experiment(first_s, step, first_s + length_s, own, check_starts(description, starts))
 
-    def _own_step_s(self, default_s: float | None) -> float | None:
+    def _default(self, name: str) -> float | None:
+        """Return a number of the model description's default experiment; None without one."""
+        text = getattr(self._model.description.defaultExperiment, name, None)
+        return None if text is None else _number(f"{name} of the model description", text, "a number")
+
+    def _own_step_s(self) -> float | None:
+        default_s = self._default("stepSize")
         fixed = getattr(self._model.description.coSimulation, "fixedInternalStepSize", None)
-        return float(fixed) if default_s is None and fixed is not None else default_s
+        if default_s is not None or fixed is None:
+            return default_s
+        return _number("fixedInternalStepSize of the model description", fixed)
 
     def _start(self) -> Instance:
         return start(self._model, self._experiment, self._inputs, self._outputs)
@@ -137,6 +143,12 @@ class FmuPlant:
         instance, self._instance = self._instance, None
         if instance is not None:
             instance.free()
+
+
+def _sensor(variable: Variable) -> tuple[str, float | None, float | None]:
+    low, high = variable.low, variable.high
+    has_range = low is None or high is None or low < high
+    return (variable.unit, low, high) if has_range else (variable.unit, None, None)
 
 
 def _actuators(variable: Variable) -> list[tuple[str, float | None, float | None, float] | tuple[Any, ...]]:

@@ -33,7 +33,7 @@ class Variable:
         reference: its value reference.
         kind: the type in the names of FMPy's functions, such as `Float64`.
         points: names of its elements on the bus, in FMI's order (row-major); a scalar has one.
-        start: start values of its elements.
+        start: start values of its elements; none of an output.
         activation: of an overwrite block, the variable that activates this one.
     """
 
@@ -52,13 +52,18 @@ class Variable:
         """Whether its values are floating-point numbers."""
         return self.kind in _FLOATING
 
+    @property
+    def is_fixed(self) -> bool:
+        """Whether its bounds leave one value."""
+        return self.low is not None and self.low == self.high
+
 
 def point_name(name: str) -> str:
-    """Return a variable's name as that of a point: `T[2]` becomes `T.2`, and `der(T)` becomes `der.T`."""
+    """Return a variable's name as that of a point: `T[2]` becomes `T.2`, `der(T)` `der.T`, and `'-x'` `x`."""
     text = re.sub(r"[\[(,]", ".", name)
     text = re.sub(r"[\])'\s]", "", text)
     text = re.sub(r"[^0-9A-Za-z_.-]", "_", text)
-    return re.sub(r"\.{2,}", ".", text).strip(".")[:128] or "_"
+    return re.sub(r"\.{2,}", ".", text).lstrip("-.").rstrip(".")[:128] or "_"
 
 
 class PointNames:
@@ -90,7 +95,7 @@ def outputs(description: Any, observed: Sequence[str], names: PointNames) -> lis
         names: names of points so far.
 
     Raises:
-        InvalidConfig: there is no such variable, or it is not a number.
+        InvalidConfig: there is no such variable, or it is not a number; or a bound is none.
     """
     by_name = {variable.name: variable for variable in description.modelVariables}
     for name in observed:
@@ -112,6 +117,9 @@ def inputs(description: Any, starts: dict[str, Any], names: PointNames) -> list[
         description: FMPy's model description.
         starts: start values that replace those of the description, by the name of the variable.
         names: names of points so far.
+
+    Raises:
+        InvalidConfig: a bound or a start value is not a number.
     """
     variables = {v.name: v for v in description.modelVariables if v.causality == "input" and v.type in NUMERIC}
     pairs = dict(_pairs(variables))
@@ -148,7 +156,7 @@ def _variable(
     low, high = bounds(variable)
     shape = tuple(int(size) for size in variable.shape or ())
     elements = [""] if not shape else [f"[{','.join(map(str, i))}]" for i in product(*(range(1, n + 1) for n in shape))]
-    start = (starts or {}).get(variable.name, variable.start)
+    start = () if starts is None else _start_values(variable, starts.get(variable.name, variable.start), (low, high))
     return Variable(
         name=variable.name,
         reference=variable.valueReference,
@@ -157,7 +165,7 @@ def _variable(
         unit=unit(variable),
         low=low,
         high=high,
-        start=_start_values(start, prod(shape)),
+        start=start * prod(shape) if len(start) == 1 else start,
         activation=activation,
     )
 
@@ -168,38 +176,52 @@ def _function_type(kind: str, description: Any) -> str:
     return "Integer" if description.fmiVersion == "2.0" else "Int64"
 
 
-def _start_values(start: Any, count: int) -> tuple[float, ...]:
-    """Return start values as numbers; a variable without one begins with 0, and a single one is for all elements."""
-    parts: Iterable[Any] = start if isinstance(start, list | tuple) else str(0 if start is None else start).split()
-    values = tuple(number(part) for part in parts)
-    return values * count if len(values) == 1 else values
+def _start_values(variable: Any, start: Any, limits: tuple[float | None, float | None]) -> tuple[float, ...]:
+    """Return start values as numbers; a variable without one begins with 0, or the bound that is nearest to it."""
+    if start is None:
+        low, high = limits
+        return (low if low is not None and low > 0.0 else high if high is not None and high < 0.0 else 0.0,)
+    parts: Iterable[Any] = start if isinstance(start, list | tuple) else str(start).split()
+    return tuple(_number_of(variable, "start", part) for part in parts)
 
 
 def number(value: Any) -> float:
     """Return a value of a model description as a number: `true` is 1.
 
     Raises:
-        ValueError: it is not a number.
+        TypeError, ValueError: it is not a number.
     """
     words = {"true": 1.0, "false": 0.0}
     return words[value.lower()] if isinstance(value, str) and value.lower() in words else float(value)
 
 
+def _number_of(variable: Any, attribute: str, value: Any) -> float:
+    """Return the value of a variable's attribute as a number."""
+    try:
+        return number(value)
+    except (TypeError, ValueError):
+        raise InvalidConfig(f"{variable.name}: its {attribute} is {value!r}; a number expected") from None
+
+
 def bounds(variable: Any) -> tuple[float | None, float | None]:
-    """Return the bounds of a variable, or those of its declared type; None where there is none."""
+    """Return the bounds of a variable, or those of its declared type; None where there is none.
+
+    Raises:
+        InvalidConfig: a bound is not a number.
+    """
     if variable.type == "Boolean":
         return 0.0, 1.0
     declared = variable.declaredType
-    texts = [getattr(variable, side) or getattr(declared, side, None) for side in ("min", "max")]
     if variable.type == "Enumeration" and declared is not None and declared.items:
-        items = [float(item.value) for item in declared.items]
+        items = [_number_of(variable, "enumeration", item.value) for item in declared.items]
         return min(items), max(items)
-    low, high = (None if text is None else float(text) for text in texts)
-    return tuple(None if value is None or not _is_bound(value) else value for value in (low, high))  # type: ignore[return-value]
+    return _bound(variable, "min"), _bound(variable, "max")
 
 
-def _is_bound(value: float) -> bool:
-    return isfinite(value) and abs(value) < _UNBOUNDED
+def _bound(variable: Any, side: str) -> float | None:
+    text = getattr(variable, side) or getattr(variable.declaredType, side, None)
+    value = None if text is None else _number_of(variable, side, text)
+    return value if value is not None and isfinite(value) and abs(value) < _UNBOUNDED else None
 
 
 def unit(variable: Any) -> str:

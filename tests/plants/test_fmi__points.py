@@ -52,7 +52,8 @@ def test_fmu__overwrite_pair_is_active_while_it_is_commanded(tank: Path) -> None
     ("name", "point"),
     [
         ("T", "T"), ("zone.T[2]", "zone.T.2"), ("k[1,2].x", "k.1.2.x"), ("der(der(x))", "der.der.x"),
-        ("heißes Wasser", "hei_esWasser"), ("a'b", "ab"), ("_block1.y", "_block1.y"),
+        ("heißes Wasser", "hei_esWasser"), ("a'b", "ab"), ("_block1.y", "_block1.y"), ("'-power'", "power"),
+        ("-.x-", "x-"), ("-", "_"),
     ],
 )  # fmt: skip
 def test_point_name__has_only_characters_of_a_topic(name: str, point: str) -> None:
@@ -68,6 +69,28 @@ def test_fmu__observed_variable_is_a_sensor(tank: Path) -> None:
     plant = FmuPlant(str(tank), observe=["der(T)"], set={"heat": 418.6, "extra_u": 0.0, "extra_activate": True})
     assert plant.sensors["der.T"] == ("K/s", None, None)
     assert plant.reset(0)["der.T"] == pytest.approx(1e-3)
+
+
+def variable(causality: str, name: str, attributes: str) -> str:
+    """A further variable of the tank of FMI 2.0, with the value of `heat`."""
+    head = f'<ScalarVariable name="{name}" valueReference="2" causality="{causality}"'
+    return f"{head}><Real {attributes}/></ScalarVariable>"
+
+
+def test_fmu__input_without_a_start_value_begins_at_the_bound_nearest_to_zero(module_scratch: Path) -> None:
+    bounds = {"above": 'min="10" max="20"', "below": 'max="-5"', "around": 'min="-5" max="20"', "free": ""}
+    extra = "".join(variable("input", name, attributes) for name, attributes in bounds.items())
+    plant = FmuPlant(str(build_tank(module_scratch, "startless.fmu", extra=extra)))
+    assert [plant.actuators[name][3] for name in bounds] == [10.0, -5.0, 0.0, 0.0]
+
+
+def test_fmu__input_with_one_possible_value_keeps_it_and_is_no_actuator(module_scratch: Path) -> None:
+    extra = variable("input", "fixed", 'min="950" max="950"') + variable("output", "same", 'min="950" max="950"')
+    plant = FmuPlant(str(build_tank(module_scratch, "one-value.fmu", extra=extra)))
+    assert "fixed" not in plant.actuators
+    assert plant.sensors["same"] == ("1", None, None)
+    plant.reset(0)
+    assert plant.step({"heat": 0.0})["power"] == 1000.0
 
 
 # Settings
@@ -153,6 +176,30 @@ def test_fmu__what_cannot_be_simulated_is_refused_by_name(
 ) -> None:
     with pytest.raises(InvalidConfig, match=text):
         FmuPlant(str(build_tank(module_scratch, "refused.fmu", **options)))
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        ({"step_s": "NaN"}, "stepSize of the model description = 'NaN': a finite number expected"),
+        (
+            {"step_s": "", "version": 3, "fields": {"fixedInternalStepSize": "x"}},
+            "fixedInternalStepSize .* = 'x': a nu",
+        ),
+        ({"extra": variable("input", "x", 'min="abc"')}, "x: its min is 'abc'; a number expected"),
+        ({"extra": variable("output", "x", 'max="abc"')}, "x: its max is 'abc'; a number expected"),
+        ({"extra": variable("input", "x", 'start="abc"')}, "x: its start is 'abc'; a number expected"),
+    ],
+)
+def test_fmu__value_of_the_model_description_that_is_not_a_number_is_named(
+    module_scratch: Path, options: dict[str, Any], text: str
+) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        FmuPlant(str(build_tank(module_scratch, "malformed.fmu", **options)))
+
+
+def test_fmu__argument_replaces_a_step_size_that_is_not_a_number(module_scratch: Path) -> None:
+    assert FmuPlant(str(build_tank(module_scratch, "malformed.fmu", step_s="NaN")), step_s=60.0).step_s == 60.0
 
 
 @pytest.mark.parametrize(
