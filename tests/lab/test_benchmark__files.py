@@ -10,6 +10,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from jsonschema import Draft202012Validator
 from support import benchmark_page
@@ -199,6 +200,33 @@ def test_benchmark_files__page_tells_what_the_rows_say(tmp_path: Path, monkeypat
     assert (tmp_path / "curves.csv").read_text().splitlines()[1:] == [
         f"ppo/{OFFICE}/summer/0,100,-12.0", f"ppo/{OFFICE}/summer/0,200,-9.0",
     ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_benchmark_files__page_has_claims_where_there_are_intervals(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Five trainings of PPO with the same policy: better than `tuned` in four buildings, worse in the warehouse."""
+    full, random, results = SETS["full"], np.random.default_rng(0), Results("full")
+    noise = {episode.key[1:5]: random.normal() for episode in full.episodes(["baseline"])}
+    for episode in full.episodes(["baseline", "tuned", "fixed", "ppo"]):
+        saved = {"baseline": 0.0, "tuned": 10.0, "fixed": -10.0, "ppo": 12.0}[episode.controller]
+        worse = 4.0 if episode.controller == "ppo" and episode.task.building == "ref-warehouse" else 0.0
+        results.add([row(episode, -100.0 + (saved - worse) * (1.0 + 0.1 * noise[episode.key[1:5]]))])
+    evaluations = {"steps": [0, 100, 200], "rewards": [-3.0, -1.0, -2.0]}
+    for number in range(2):
+        results.trainings[f"ppo/{OFFICE}/summer/{number}"] = {"configuration": "00", "evaluations": evaluations}
+    results.save(tmp_path / "full.json")
+    monkeypatch.setattr(
+        benchmark_page, "PUBLISHED", {name: tmp_path / f"{name}.json" for name in benchmark_page.PUBLISHED}
+    )
+    monkeypatch.setattr(benchmark_page, "BOUNDS", tmp_path / "bounds")
+    text = benchmark_page.page(benchmark_page.PAGE.read_text(encoding="utf-8"))
+    assert "Better than the baseline control, with the whole interval: `ppo` (0.1" in text
+    assert "Worse, with the whole interval: `fixed` (-0.10" in text
+    learned = next(line for line in text.splitlines() if line.startswith("| ppo | 0.0") and "of 5 |" in line)
+    assert learned.endswith("| 4 and 1 of 5 |")
+    assert "Steps at which the policies of the 2 trainings are kept, those of the best evaluation: 2 at 100." in text
 
 
 # Trainings
