@@ -77,6 +77,8 @@ def mqtt(
             raise InvalidConfig(f"{option} needs --tls")
         if file is not None and not file.is_file():
             raise InvalidConfig(f"{option} {file}: no such file")
+    if broker_key is not None and broker_certificate is None:
+        raise InvalidConfig("--broker-key needs --broker-certificate")
     ca_file, certificate_file, key_file = (str(file) if file is not None else None for file in files.values())
     parameters = aiomqtt.TLSParameters(ca_certs=ca_file, certfile=certificate_file, keyfile=key_file) if tls else None
     at = Broker(host, port, username, _password(username, password_file), parameters, versions[mqtt_version])

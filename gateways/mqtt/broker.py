@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import aiomqtt
 
 from zenostat.gateways.tasks import cancel
-from zenostat.topics.errors import BusError
+from zenostat.topics.errors import BusError, InvalidConfig
 
 _CONNECT_S = 10.0
 _END_S = 1.0
@@ -29,6 +29,9 @@ class Broker:
         username, password: None for anonymous access.
         tls: certificates for an encrypted connection; None for a plain one.
         version: 5 or 3 (for 3.1.1), of the protocol.
+
+    Raises:
+        InvalidConfig: there is a client's key without its certificate.
     """
 
     host: str
@@ -37,6 +40,10 @@ class Broker:
     password: str | None = None
     tls: aiomqtt.TLSParameters | None = None
     version: int = 5
+
+    def __post_init__(self) -> None:
+        if self.tls is not None and self.tls.keyfile is not None and self.tls.certfile is None:
+            raise InvalidConfig(f"{self.tls.keyfile}: a client's key without its certificate would not be used")
 
     def __str__(self) -> str:
         return f"{self.host}:{self.port}"

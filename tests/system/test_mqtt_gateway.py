@@ -26,6 +26,7 @@ from zenostat.gateways.mqtt.broker import Broker as GatewayBroker
 from zenostat.gateways.mqtt.gateway import MqttGateway
 from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.tasks import cancel
+from zenostat.topics.errors import InvalidConfig
 
 pytestmark = needs_broker
 COOLING, TEMPERATURE = "core_zn_cooling_setpoint", "core_zn_air_temperature"
@@ -252,6 +253,11 @@ def test_mqtt_gateway__retained_command_is_rejected_while_the_gateway_is_connect
     assert bus.priorities("office")[COOLING][7].value is None
 
 
+def test_mqtt_gateway__key_without_a_certificate_is_refused() -> None:
+    with pytest.raises(InvalidConfig, match=r"key.pem: a client's key without its certificate"):
+        GatewayBroker("127.0.0.1", 8883, tls=aiomqtt.TLSParameters(keyfile="key.pem"))
+
+
 @pytest.mark.slow
 def test_mqtt_gateway__commands_that_wait_when_the_gateway_ends_have_a_result(tmp_path: Path) -> None:
     plant = f"{Path(__file__).parents[2]}/examples/own_plant.py:HeatPumpRoom"
@@ -416,6 +422,8 @@ def test_mqtt_gateway__tls_and_password(bus: Bus, tmp_path: Path) -> None:
         (("--source", "x" * 129), "is not valid in a topic"),
         (("--ca", "nothing.pem"), "--ca needs --tls"),
         (("--tls", "--ca", "nothing.pem"), "no such file"),
+        (("--tls", "--broker-key", "/dev/null"), "no such file"),
+        (("--tls", "--broker-key", __file__), "--broker-key needs --broker-certificate"),
         (("--password-file", "/dev/null"), "--password-file needs --username"),
         (("--mqtt-version", "4"), "expected 5 or 3.1.1"),
     ],
