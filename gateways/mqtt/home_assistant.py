@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterable, Iterator
 from typing import Any
+from zlib import crc32
 
 from zenostat.gateways.points import Reading, readings
 from zenostat.metrics.labels import label
@@ -28,26 +30,30 @@ def discovery(manifest: Manifest, root: str, prefix: str = "homeassistant") -> I
         root: the gateway's topic of the node, below which its topics are.
         prefix: Home Assistant's discovery prefix.
     """
+    ids = _ids(manifest, [reading.name for reading in readings(manifest)])
     for reading in readings(manifest):
         kind = "sensor" if reading.index < len(manifest.sensors) else "meter"
-        content = _entity(manifest, root, reading.name) | _quantity(reading)
+        content = _entity(manifest, root, ids[reading.name], label(reading.name)) | _quantity(reading)
         content |= {"state_topic": f"{root}/{kind}/{reading.name}", "state_class": "measurement"}
-        yield f"{prefix}/sensor/{_id(manifest, reading.name)}/config", json.dumps(content)
+        yield f"{prefix}/sensor/{ids[reading.name]}/config", json.dumps(content)
+    actuator_ids = _ids(manifest, [actuator.name for actuator in manifest.actuators])
     for actuator in manifest.actuators:
-        yield f"{prefix}/number/{_id(manifest, actuator.name)}/config", json.dumps(_number(manifest, root, actuator))
-        button = _button(manifest, root, actuator)
+        number = _number(manifest, root, actuator, actuator_ids[actuator.name])
+        yield f"{prefix}/number/{number['unique_id']}/config", json.dumps(number)
+        button = _button(manifest, root, actuator, actuator_ids[actuator.name])
         yield f"{prefix}/button/{button['unique_id']}/config", json.dumps(button)
+    climate_ids = _ids(manifest, [reading.name for reading in readings(manifest)], "climate_")
     for zone in roles(manifest).zones:
         if zone.temperature is None or zone.heating_actuator is None or zone.cooling_actuator is None:
             continue
-        content = _climate(manifest, root, zone.temperature, zone.heating_actuator, zone.cooling_actuator, zone.label)
+        content = _entity(manifest, root, climate_ids[manifest.points[zone.temperature].name], zone.label)
+        content |= _climate(manifest, root, zone.temperature, zone.heating_actuator, zone.cooling_actuator)
         yield f"{prefix}/climate/{content['unique_id']}/config", json.dumps(content)
 
 
-def _climate(manifest: Manifest, root: str, air: int, heating: int, cooling: int, title: str) -> dict[str, Any]:
+def _climate(manifest: Manifest, root: str, air: int, heating: int, cooling: int) -> dict[str, Any]:
     temperature = manifest.points[air].name
-    content = _entity(manifest, root, f"climate_{temperature}", title)
-    content |= {
+    content: dict[str, Any] = {
         "current_temperature_topic": f"{root}/sensor/{temperature}",
         "modes": ["heat_cool"],
         "mode_state_topic": f"{root}/status",
@@ -79,14 +85,23 @@ def _limited(actuator: Actuator) -> str:
     return f"{{{{ {text} }}}}"
 
 
-def _id(manifest: Manifest, name: str) -> str:
-    return f"zenostat_{manifest.node}_{name}".replace(".", "_")
+def _ids(manifest: Manifest, names: Iterable[str], prefix: str = "") -> dict[str, str]:
+    """Return the id of each name, in which Home Assistant allows no dots.
 
-
-def _entity(manifest: Manifest, root: str, name: str, title: str = "") -> dict[str, Any]:
+    Where two names would have one id, a checksum follows in that of each name with dots; it depends on the name alone.
+    """
+    ids = {name: f"zenostat_{manifest.node}_{prefix}{name}".replace(".", "_") for name in names}
+    counts = Counter(ids.values())
     return {
-        "name": title or label(name),
-        "unique_id": _id(manifest, name),
+        name: f"{text}_{crc32(name.encode()):08x}" if counts[text] > 1 and "." in name else text
+        for name, text in ids.items()
+    }
+
+
+def _entity(manifest: Manifest, root: str, identifier: str, title: str) -> dict[str, Any]:
+    return {
+        "name": title,
+        "unique_id": identifier,
         "availability_topic": f"{root}/status",
         "device": {
             "identifiers": [f"zenostat_{manifest.node}"],
@@ -109,9 +124,9 @@ def _quantity(reading: Reading) -> dict[str, Any]:
     return content
 
 
-def _number(manifest: Manifest, root: str, actuator: Actuator) -> dict[str, Any]:
+def _number(manifest: Manifest, root: str, actuator: Actuator, identifier: str) -> dict[str, Any]:
     topic = f"{root}/actuator/{actuator.name}"
-    content = _entity(manifest, root, actuator.name)
+    content = _entity(manifest, root, identifier, label(actuator.name))
     content |= {"state_topic": topic, "command_topic": f"{topic}/set", "mode": "box"}
     content["min"] = -1e9 if actuator.low is None else actuator.low
     content["max"] = 1e9 if actuator.high is None else actuator.high
@@ -121,7 +136,7 @@ def _number(manifest: Manifest, root: str, actuator: Actuator) -> dict[str, Any]
     return content
 
 
-def _button(manifest: Manifest, root: str, actuator: Actuator) -> dict[str, Any]:
+def _button(manifest: Manifest, root: str, actuator: Actuator, identifier: str) -> dict[str, Any]:
     """Return the button that relinquishes an actuator: it sends a value of null."""
-    content = _entity(manifest, root, f"{actuator.name}_relinquish", f"{label(actuator.name)} relinquish")
+    content = _entity(manifest, root, f"{identifier}_relinquish", f"{label(actuator.name)} relinquish")
     return content | {"command_topic": f"{root}/actuator/{actuator.name}/set", "payload_press": "null"}

@@ -1,0 +1,35 @@
+"""Discovery messages of Home Assistant: each point has an id of its own."""
+
+import json
+from collections.abc import Sequence
+
+from support.builders import manifest
+
+from zenostat.gateways.mqtt.home_assistant import discovery
+from zenostat.topics.messages import Actuator, Sensor
+
+ROOT = "zenostat/office"
+
+
+def ids(sensors: Sequence[str], actuators: Sequence[str] = ()) -> dict[str, str]:
+    """The id in the topic of each point's message, by the topic of its values."""
+    described = manifest(
+        sensors=[Sensor(name=name, unit="degC") for name in sensors],
+        actuators=[Actuator(name=name, unit="degC") for name in actuators],
+    )
+    by_topic = {}
+    for topic, text in discovery(described, ROOT):
+        content = json.loads(text)
+        *_, identifier, _ = topic.split("/")
+        assert content["unique_id"] == identifier
+        by_topic[content.get("state_topic", topic)] = identifier
+    return by_topic
+
+
+def test_home_assistant__names_that_differ_in_a_dot_have_ids_of_their_own() -> None:
+    alone = ids(["zone_T", "other"], ["valve"])
+    both = ids(["zone.T", "zone_T", "other"], ["valve.a", "valve_a"])
+    assert len({*both.values()}) == len(both) == 7
+    assert both[f"{ROOT}/sensor/zone_T"] == alone[f"{ROOT}/sensor/zone_T"] == "zenostat_office_zone_T"
+    assert both == ids(["zone_T", "other", "zone.T"], ["valve_a", "valve.a"]), "whatever the order"
+    assert ids(["zone.T"])[f"{ROOT}/sensor/zone.T"] == "zenostat_office_zone_T"
