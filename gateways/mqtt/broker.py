@@ -4,16 +4,21 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from typing import Any
 
 import aiomqtt
+from paho.mqtt.properties import Properties
+from paho.mqtt.reasoncodes import ReasonCode
 
 from zenostat.gateways.tasks import cancel
 from zenostat.topics.errors import BusError, InvalidConfig
 
 _CONNECT_S = 10.0
 _END_S = 1.0
+_SHOWN = 200
 
 _LOGGER = logging.getLogger(__name__)  # for aiomqtt: what goes wrong is in its exceptions as well
 _LOGGER.addHandler(logging.NullHandler())
@@ -49,20 +54,81 @@ class Broker:
         return f"{self.host}:{self.port}"
 
 
-async def connect(broker: Broker, status_topic: str) -> aiomqtt.Client:
+class _MessageRejected(Exception):
+    """The broker has rejected a message; the text is its reason."""
+
+
+class BrokerClient(aiomqtt.Client):
+    """A client of a broker that reports which messages and subscriptions the broker rejects.
+
+    In MQTT 3.1.1 brokers do not say that they reject a message.
+
+    Args:
+        hostname, port, settings: of aiomqtt's client.
+        on_rejected: called with a text for each message and each subscription that the broker rejects.
+    """
+
+    def __init__(self, hostname: str, port: int, on_rejected: Callable[[str], None], **settings: Any) -> None:
+        super().__init__(hostname, port, **settings)
+        self._on_rejected = on_rejected
+        self._reasons: dict[int, str] = {}
+        self._confirmed: set[str] = set()
+
+    async def send(
+        self, topic: str, payload: str | bytes, *, qos: int = 0, retain: bool = False,
+        properties: Properties | None = None,
+    ) -> bool:  # fmt: skip
+        """Publish a message; return whether the broker has not rejected it.
+
+        The broker confirms no message of QoS 0. Those of a topic have QoS 1 until it has confirmed one.
+        """
+        own_qos = qos if topic in self._confirmed else 1
+        try:
+            await self.publish(topic, payload, qos=own_qos, retain=retain, properties=properties)
+        except _MessageRejected as error:
+            self._on_rejected(f"a message on {topic[:_SHOWN]!r} ({error})")
+            return False
+        if qos == 0:
+            self._confirmed.add(topic)
+        return True
+
+    async def listen(self, topic: str, **options: Any) -> None:
+        """Subscribe to a topic."""
+        codes = await self.subscribe(topic, **options)
+        if failures := [code for code in codes if isinstance(code, ReasonCode) and code.is_failure]:
+            self._on_rejected(f"the subscription to {topic!r} ({failures[0]})")
+
+    # Methods of aiomqtt, which has no public access to the reason code of a PUBACK.
+
+    def _on_publish(self, client: Any, userdata: Any, mid: int, reason_code: ReasonCode, properties: Any) -> None:
+        if reason_code.is_failure:
+            self._reasons[mid] = str(reason_code)
+        super()._on_publish(client, userdata, mid, reason_code, properties)
+
+    @contextmanager
+    def _pending_call(self, mid: int, value: Any, pending_dict: dict[int, Any]) -> Iterator[None]:
+        self._reasons.pop(mid, None)
+        with super()._pending_call(mid, value, pending_dict):
+            yield
+        if reason := self._reasons.pop(mid, ""):
+            raise _MessageRejected(reason)
+
+
+async def connect(broker: Broker, status_topic: str, on_rejected: Callable[[str], None]) -> BrokerClient:
     """Return a client that is connected.
 
     Args:
         broker: the broker.
         status_topic: topic of the last will, `offline`.
+        on_rejected: see `BrokerClient`.
 
     Raises:
         BusError: the broker cannot be reached or rejects the connection.
     """
     is_v5 = broker.version == 5
-    client = aiomqtt.Client(
-        broker.host, broker.port, username=broker.username, password=broker.password, tls_params=broker.tls,
-        protocol=aiomqtt.ProtocolVersion.V5 if is_v5 else aiomqtt.ProtocolVersion.V311,
+    client = BrokerClient(
+        broker.host, broker.port, on_rejected, username=broker.username, password=broker.password,
+        tls_params=broker.tls, protocol=aiomqtt.ProtocolVersion.V5 if is_v5 else aiomqtt.ProtocolVersion.V311,
         clean_session=None if is_v5 else True, timeout=_CONNECT_S, keepalive=15,
         will=aiomqtt.Will(status_topic, b"offline", qos=1, retain=True), logger=_LOGGER,
     )  # fmt: skip

@@ -11,6 +11,7 @@ class Counts:
 
     Attributes:
         denied: rejected commands that their client may not send.
+        refused: messages and subscriptions of the gateway that the broker rejected.
     """
 
     samples: int = 0
@@ -18,6 +19,7 @@ class Counts:
     accepted: int = 0
     rejected: int = 0
     denied: int = 0
+    refused: int = 0
     reconnections: int = 0
 
 

@@ -15,7 +15,7 @@ from paho.mqtt.subscribeoptions import SubscribeOptions
 
 from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.clients import UNRESTRICTED, Clients
-from zenostat.gateways.mqtt.broker import Broker, connect, disconnect
+from zenostat.gateways.mqtt.broker import Broker, BrokerClient, connect, disconnect
 from zenostat.gateways.mqtt.commands import Counts, Received, Result
 from zenostat.gateways.mqtt.home_assistant import discovery
 from zenostat.gateways.mqtt.messages import (
@@ -64,7 +64,7 @@ class MqttGateway:
         priority: priority of commands that name none.
         clients: names of users, and what they may write.
         home_assistant: discovery prefix of Home Assistant; None for no discovery messages.
-        notify: called with a text when the broker is lost and when it is back.
+        notify: called with a text when the broker is lost, when it is back, and for each topic that it rejects.
 
     Raises:
         BusError: on entering the context, the broker cannot be reached or rejects the connection.
@@ -88,7 +88,7 @@ class MqttGateway:
         self._node, self._broker, self._priority = node, broker, priority
         self._root = f"{PREFIX}/{node.name}" if root is None else root
         self._home_assistant, self._notify, self._clients = home_assistant, notify, clients
-        self._denials = Notices(notify)
+        self._denials, self._refusals = Notices(notify), Notices(notify)
         # Nobody may use the gateway's rights on the broker to publish where other clients believe what is there.
         own = self._root if not is_below(self._root, PREFIX) else PREFIX
         self._own_roots = [*dict.fromkeys(root for root in (PREFIX, own, home_assistant) if root is not None)]
@@ -108,7 +108,7 @@ class MqttGateway:
         self._listen(listeners.events, self._on_event)
         self._listen(listeners.presence, self._on_change)
         self._listen(listeners.manifests, self._on_change)
-        self._client = await connect(self._broker, f"{self._root}/status")
+        self._client = await self._connect()
         self._close.push_async_callback(self._say_goodbye)
         return self
 
@@ -140,7 +140,7 @@ class MqttGateway:
         return (
             f"{counts.samples} samples published, {counts.dropped} dropped; "
             f"{counts.accepted} commands accepted, {counts.rejected} rejected, {counts.denied} of them denied; "
-            f"{counts.reconnections} reconnections"
+            f"{counts.refused} messages refused by the broker, {counts.reconnections} reconnections"
         )
 
     async def run(self) -> None:
@@ -158,7 +158,7 @@ class MqttGateway:
                     await asyncio.sleep(_RETRY_S[min(attempt, len(_RETRY_S) - 1)])
                     attempt += 1
                     try:
-                        self._client = await connect(self._broker, f"{self._root}/status")
+                        self._client = await self._connect()
                     except BusError:
                         continue
                     break
@@ -170,6 +170,13 @@ class MqttGateway:
             await self._reject_waiting()
 
     # Connection
+
+    async def _connect(self) -> BrokerClient:
+        return await connect(self._broker, f"{self._root}/status", self._on_rejected)
+
+    def _on_rejected(self, text: str) -> None:
+        self.counts.refused += 1
+        self._refusals.add(f"the broker {self._broker} rejects {text}")
 
     async def _reject_waiting(self) -> None:
         """Wait a moment for the command in progress, and reject those after it."""
@@ -189,12 +196,12 @@ class MqttGateway:
             async with asyncio.timeout(_END_S):
                 while self._results:
                     await self._publish_next(self._client)
-                await self._client.publish(f"{self._root}/status", b"offline", qos=1, retain=True)
+                await self._client.send(f"{self._root}/status", b"offline", qos=1, retain=True)
         except (aiomqtt.MqttError, TimeoutError):
             pass
         await disconnect(self._client)
 
-    async def _serve(self, client: aiomqtt.Client) -> None:
+    async def _serve(self, client: BrokerClient) -> None:
         """Serve one connection until it is lost."""
         self._retained.reconnected()
         self._has_output.set()
@@ -225,7 +232,7 @@ class MqttGateway:
 
     # To the broker
 
-    async def _publish(self, client: aiomqtt.Client) -> None:
+    async def _publish(self, client: BrokerClient) -> None:
         """Publish results, events and samples as they come, and each point's latest value where it has changed."""
         while True:
             await self._has_output.wait()
@@ -235,18 +242,17 @@ class MqttGateway:
                 await self._publish_next(client)
             await self._publish_points(client)
 
-    async def _publish_next(self, client: aiomqtt.Client) -> None:
+    async def _publish_next(self, client: BrokerClient) -> None:
         if self._results:
             await self._publish_result(client, self._results[0])
             self._results.popleft()  # only now: it is published again if the connection was lost meanwhile
         elif self._events:
-            await client.publish(f"{self._root}/event", self._events[0], qos=1)
+            await client.send(f"{self._root}/event", self._events[0], qos=1)
             self._events.popleft()
         else:
-            await client.publish(f"{self._root}/sample", self._samples.popleft())
-            self.counts.samples += 1
+            self.counts.samples += await client.send(f"{self._root}/sample", self._samples.popleft())
 
-    async def _publish_result(self, client: aiomqtt.Client, result: Result) -> None:
+    async def _publish_result(self, client: BrokerClient, result: Result) -> None:
         if result.attempts_left is not None:
             if result.attempts_left == 0:
                 return
@@ -255,9 +261,9 @@ class MqttGateway:
         if result.correlation is not None:
             properties = Properties(PacketTypes.PUBLISH)  # type: ignore[no-untyped-call]
             properties.CorrelationData = result.correlation
-        await client.publish(result.topic, result.text, qos=1, properties=properties)
+        await client.send(result.topic, result.text, qos=1, properties=properties)
 
-    async def _publish_state(self, client: aiomqtt.Client) -> None:
+    async def _publish_state(self, client: BrokerClient) -> None:
         manifest, root, publish = self._node.manifest, self._root, self._retained.publish
         await publish(client, f"{root}/manifest", manifest_json(manifest, readings(manifest)), qos=1)
         discovered = [] if self._home_assistant is None else [*discovery(manifest, root, self._home_assistant)]
@@ -269,22 +275,23 @@ class MqttGateway:
             await self._retained.clear_others(client, [*own, *point_topics(manifest, root)])
             self._cleared_for = manifest
 
-    async def _publish_points(self, client: aiomqtt.Client) -> None:
+    async def _publish_points(self, client: BrokerClient) -> None:
         sample = self._node.sample
         if sample is None or not self._node.is_online:
             return
         values = [reading.of(sample) for reading in readings(sample.manifest)]
         values += [effective_value(sample, index) for index in range(len(sample.manifest.actuators))]
-        for topic, value in zip(point_topics(sample.manifest, self._root), values, strict=True):
-            await self._retained.publish(client, topic, number(value))
+        topics = point_topics(sample.manifest, self._root)
+        await self._retained.publish_all(client, zip(topics, map(number, values), strict=True))
 
     # Commands
 
-    async def _receive(self, client: aiomqtt.Client) -> None:
+    async def _receive(self, client: BrokerClient) -> None:
+        is_v5 = self._broker.version == 5
         # Else a broker shows only at the next connection that a command is retained; MQTT 3.1.1 has no such option.
-        flags = {"options": SubscribeOptions(1, retainAsPublished=True)} if self._broker.version == 5 else {"qos": 1}
-        await client.subscribe(f"{self._root}/actuator/+/set", **flags)
-        await client.subscribe(f"{self._root}/client/+/actuator/+/set", **flags)
+        flags = {"options": SubscribeOptions(1, retainAsPublished=True)} if is_v5 else {"qos": 1}
+        await client.listen(f"{self._root}/actuator/+/set", **flags)
+        await client.listen(f"{self._root}/client/+/actuator/+/set", **flags)
         async for message in client.messages:
             self._take(message)
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Iterable
 
-import aiomqtt
-
+from zenostat.gateways.mqtt.broker import BrokerClient
 from zenostat.gateways.points import readings
 from zenostat.topics.messages import Manifest
 
@@ -20,7 +20,7 @@ def point_topics(manifest: Manifest, root: str) -> list[str]:
 
 
 class RetainedMessages:
-    """The retained messages that a gateway has published, so that it publishes changes only."""
+    """The retained messages of a gateway on its broker, so that it publishes changes only."""
 
     def __init__(self) -> None:
         self._texts: dict[str, str] = {}
@@ -30,16 +30,24 @@ class RetainedMessages:
         """Publish all of them again: a broker that restarts may have forgotten them."""
         self._texts.clear()
 
-    async def publish(self, client: aiomqtt.Client, topic: str, text: str, *, qos: int = 0) -> None:
+    async def publish(self, client: BrokerClient, topic: str, text: str, *, qos: int = 0) -> None:
         """Publish a text unless it is on the broker already."""
         if self._texts.get(topic) != text:
             self._topics.add(topic)
-            await client.publish(topic, text, qos=qos, retain=True)
+            await client.send(topic, text, qos=qos, retain=True)
             self._texts[topic] = text
 
-    async def clear_others(self, client: aiomqtt.Client, topics: Iterable[str]) -> None:
+    async def publish_all(self, client: BrokerClient, texts: Iterable[tuple[str, str]]) -> None:
+        """Publish texts by topic unless they are on the broker already, without waiting for one after another."""
+        changed = [(topic, text) for topic, text in texts if self._texts.get(topic) != text]
+        first = [self.publish(client, topic, text) for topic, text in changed if topic not in self._texts]
+        await asyncio.gather(*first)  # the broker confirms these
+        for topic, text in changed:
+            await self.publish(client, topic, text)
+
+    async def clear_others(self, client: BrokerClient, topics: Iterable[str]) -> None:
         """Remove the messages of all topics but these from the broker."""
         for topic in sorted(self._topics.difference(topics)):
-            await client.publish(topic, b"", qos=1, retain=True)
+            await client.send(topic, b"", qos=1, retain=True)
             self._topics.discard(topic)
             self._texts.pop(topic, None)

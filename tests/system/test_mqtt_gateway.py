@@ -253,6 +253,40 @@ def test_mqtt_gateway__retained_command_is_rejected_while_the_gateway_is_connect
     assert bus.priorities("office")[COOLING][7].value is None
 
 
+@needs_mosquitto
+def test_mqtt_gateway__messages_that_the_broker_rejects_are_named_once_and_not_counted(
+    bus: Bus, tmp_path: Path
+) -> None:
+    root = "zenostat/office"
+    (tmp_path / "acl").write_text(f"topic read {root}/#\ntopic write {root}/actuator/+/set\n")
+    (tmp_path / "acl").chmod(0o600)
+    # Without a limit, mosquitto 2.0.11 ends the connection after a message that it rejects.
+    settings = ["user root", f"acl_file {tmp_path / 'acl'}", "max_queued_messages 1000"]
+    options = ["--connect", bus.endpoint, "--source", "restricted"]
+    with (
+        Broker(tmp_path, settings=settings) as broker,
+        RunningGateway("mqtt", "office", *options, "--broker", f"127.0.0.1:{broker.port}") as running,
+    ):
+
+        def is_carried_out() -> bool:
+            broker.publish(f"{root}/actuator/{COOLING}/set", "26.5")  # it may not listen yet
+            return bus.priorities("office")[COOLING][7] == (26.5, "restricted")
+
+        until(is_carried_out, "a command is carried out")
+        bus.step("office")
+        lines = []
+        for line in running.program.stderr:
+            lines.append(line)
+            if f"'{root}/sample'" in line:
+                break
+        _, out, err = running.end()
+    text = "".join([*lines, err])
+    assert "0 samples published" in out
+    assert " 0 commands accepted" not in out
+    for topic in ("manifest", "status", "sample", f"sensor/{TEMPERATURE}", f"actuator/{COOLING}/result"):
+        assert text.count(f"rejects a message on '{root}/{topic}' (Not authorized)") == 1, text
+
+
 def test_mqtt_gateway__key_without_a_certificate_is_refused() -> None:
     with pytest.raises(InvalidConfig, match=r"key.pem: a client's key without its certificate"):
         GatewayBroker("127.0.0.1", 8883, tls=aiomqtt.TLSParameters(keyfile="key.pem"))
