@@ -17,7 +17,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.clients import UNRESTRICTED, Clients
 from zenostat.gateways.mqtt.broker import Broker, BrokerClient, connect, disconnect
 from zenostat.gateways.mqtt.commands import Counts, Received, Result
-from zenostat.gateways.mqtt.home_assistant import discovery
+from zenostat.gateways.mqtt.home_assistant import discovery, discovery_topics, is_discovery
 from zenostat.gateways.mqtt.messages import (
     accepted,
     event_json,
@@ -27,7 +27,7 @@ from zenostat.gateways.mqtt.messages import (
     rejected,
     sample_json,
 )
-from zenostat.gateways.mqtt.retained import RetainedMessages, point_topics
+from zenostat.gateways.mqtt.retained import RetainedMessages, point_topics, stored_topics
 from zenostat.gateways.mqtt.topic_names import PREFIX, is_below, is_topic
 from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.notices import Notices
@@ -204,6 +204,7 @@ class MqttGateway:
     async def _serve(self, client: BrokerClient) -> None:
         """Serve one connection until it is lost."""
         self._retained.reconnected()
+        self._cleared_for = None
         self._has_output.set()
         tasks = [asyncio.create_task(self._receive(client)), asyncio.create_task(self._publish(client))]
         try:
@@ -272,8 +273,8 @@ class MqttGateway:
         await publish(client, f"{root}/status", "online" if self._node.is_online else "offline", qos=1)
         if self._cleared_for is not manifest:  # another building may not have all points of the former one
             own = [f"{root}/manifest", f"{root}/status", *(topic for topic, _ in discovered)]
+            self._cleared_for = manifest  # before: a stored message may arrive meanwhile
             await self._retained.clear_others(client, [*own, *point_topics(manifest, root)])
-            self._cleared_for = manifest
 
     async def _publish_points(self, client: BrokerClient) -> None:
         sample = self._node.sample
@@ -292,12 +293,26 @@ class MqttGateway:
         flags = {"options": SubscribeOptions(1, retainAsPublished=True)} if is_v5 else {"qos": 1}
         await client.listen(f"{self._root}/actuator/+/set", **flags)
         await client.listen(f"{self._root}/client/+/actuator/+/set", **flags)
+        await self._ask_for_stored(client)
         async for message in client.messages:
             self._take(message)
 
+    async def _ask_for_stored(self, client: BrokerClient) -> None:
+        """Let the broker send the values and discovery messages that it has stored, but not those that follow."""
+        is_v5 = self._broker.version == 5
+        topics = stored_topics(self._root)
+        topics += [] if self._home_assistant is None else discovery_topics(self._home_assistant)
+        for topic in topics:
+            await client.listen(topic, **({"options": SubscribeOptions(0, noLocal=True)} if is_v5 else {"qos": 0}))
+            if not is_v5:  # it would send what the gateway publishes
+                await client.unsubscribe(topic)
+
     def _take(self, message: aiomqtt.Message) -> None:
-        """Queue a command."""
+        """Queue a command, or add the topic of a stored message."""
         properties, levels = message.properties, str(message.topic).removeprefix(f"{self._root}/").split("/")
+        if len(levels) < 3 or levels[-1] != "set":
+            self._take_stored(message)
+            return
         user, actuator = levels[1] if len(levels) > 3 else None, levels[-2]
         reply_topic = getattr(properties, "ResponseTopic", None)
         if not is_topic(reply_topic) or reply_topic == self._result_topic(actuator, user):
@@ -318,6 +333,16 @@ class MqttGateway:
         else:
             self._commands.append(received)
             self._has_commands.set()
+
+    def _take_stored(self, message: aiomqtt.Message) -> None:
+        """Add the topic of a stored message, so that it is cleared unless the building has that point."""
+        topic, payload = str(message.topic), message.payload
+        if not message.retain or not payload or not isinstance(payload, bytes):
+            return
+        is_own = is_below(topic, self._root) or is_discovery(payload, self._root)
+        if is_own and self._retained.add_stored(topic):
+            self._cleared_for = None
+            self._has_output.set()
 
     async def _execute(self) -> None:
         """Carry out commands one after another, in the order received, also while the broker is away."""

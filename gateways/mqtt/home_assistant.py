@@ -19,6 +19,23 @@ _CLASSES = {"degC": "temperature", "W": "power", "Pa": "pressure", "ppm": "carbo
             "W/m2": "irradiance", "lux": "illuminance"}  # fmt: skip
 
 
+_COMPONENTS = ("sensor", "number", "button", "climate")
+
+
+def discovery_topics(prefix: str) -> list[str]:
+    """Return the topics of all discovery messages of the components that `discovery` publishes, with wildcards."""
+    return [f"{prefix}/{component}/+/config" for component in _COMPONENTS]
+
+
+def is_discovery(payload: bytes, root: str) -> bool:
+    """Return whether a payload is a discovery message of the gateway with a root."""
+    try:
+        content = json.loads(payload)
+    except (ValueError, RecursionError):
+        return False
+    return isinstance(content, dict) and content.get("availability_topic") == f"{root}/status"
+
+
 def discovery(manifest: Manifest, root: str, prefix: str = "homeassistant") -> Iterator[tuple[str, str]]:
     """Yield topic and payload of each discovery message.
 

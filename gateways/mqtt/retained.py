@@ -19,6 +19,11 @@ def point_topics(manifest: Manifest, root: str) -> list[str]:
     ]
 
 
+def stored_topics(root: str) -> list[str]:
+    """Return the topics below a root, with wildcards, where a former gateway may have left retained values."""
+    return [f"{root}/{kind}/+" for kind in ("sensor", "meter", "actuator")]
+
+
 class RetainedMessages:
     """The retained messages of a gateway on its broker, so that it publishes changes only."""
 
@@ -29,6 +34,12 @@ class RetainedMessages:
     def reconnected(self) -> None:
         """Publish all of them again: a broker that restarts may have forgotten them."""
         self._texts.clear()
+
+    def add_stored(self, topic: str) -> bool:
+        """Add a topic of which the broker has a message; return whether it was not known."""
+        is_new = topic not in self._topics
+        self._topics.add(topic)
+        return is_new
 
     async def publish(self, client: BrokerClient, topic: str, text: str, *, qos: int = 0) -> None:
         """Publish a text unless it is on the broker already."""

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from support.builders import manifest
 
-from zenostat.gateways.mqtt.home_assistant import discovery
+from zenostat.gateways.mqtt.home_assistant import discovery, discovery_topics, is_discovery
 from zenostat.topics.messages import Actuator, Sensor
 
 ROOT = "zenostat/office"
@@ -20,8 +20,10 @@ def ids(sensors: Sequence[str], actuators: Sequence[str] = ()) -> dict[str, str]
     by_topic = {}
     for topic, text in discovery(described, ROOT):
         content = json.loads(text)
-        *_, identifier, _ = topic.split("/")
+        _, component, identifier, _ = topic.split("/")
         assert content["unique_id"] == identifier
+        assert f"homeassistant/{component}/+/config" in discovery_topics("homeassistant")
+        assert is_discovery(text.encode(), ROOT)
         by_topic[content.get("state_topic", topic)] = identifier
     return by_topic
 
@@ -33,3 +35,8 @@ def test_home_assistant__names_that_differ_in_a_dot_have_ids_of_their_own() -> N
     assert both[f"{ROOT}/sensor/zone_T"] == alone[f"{ROOT}/sensor/zone_T"] == "zenostat_office_zone_T"
     assert both == ids(["zone_T", "other", "zone.T"], ["valve_a", "valve.a"]), "whatever the order"
     assert ids(["zone.T"])[f"{ROOT}/sensor/zone.T"] == "zenostat_office_zone_T"
+
+
+def test_home_assistant__other_messages_are_not_taken_for_those_of_a_gateway() -> None:
+    for payload in (b"", b"\xff", b"[" * 100_000, b"[]", b"{}", b'{"availability_topic": "zenostat/office_2/status"}'):
+        assert not is_discovery(payload, ROOT)

@@ -100,6 +100,29 @@ def test_gateways__mqtt_removes_the_retained_values_of_points_that_are_gone(rout
 
 
 @pytest.mark.slow
+@needs_broker
+@pytest.mark.parametrize("version", ["5", "3.1.1"])
+def test_gateways__mqtt_removes_the_retained_values_that_a_former_gateway_left(
+    router: str, tmp_path: Path, version: str
+) -> None:
+    gone = ["zenostat/building/sensor/room_temperature", "zenostat/building/actuator/circulation",
+            "homeassistant/number/zenostat_building_compressor/config"]  # fmt: skip
+    other = "homeassistant/number/zenostat_building_2_compressor/config"
+    with Building(router, tmp_path) as building, Broker(tmp_path) as broker:
+        port = broker.port if version == "5" else broker.port_v3
+        options = ["--connect", router, "--broker", f"127.0.0.1:{port}", "--mqtt-version", version, "--home-assistant"]
+        with RunningGateway("mqtt", "building", *options) as gateway:
+            until(lambda: all(broker.retained(topic) for topic in gone), "the room is published")
+            gateway.end()
+        broker.publish(other, '{"availability_topic": "zenostat/building_2/status"}', retain=True)
+        building.replace()
+        with RunningGateway("mqtt", "building", *options):
+            until(lambda: broker.retained(*gone) is None, "they are removed")
+            until(lambda: broker.retained("zenostat/building/sensor/temperature") == "20.0", "the tank is published")
+            assert broker.retained(other) is not None
+
+
+@pytest.mark.slow
 async def test_gateways__client_has_no_sample_of_the_former_building_beside_the_new_manifest(
     router: str, tmp_path: Path
 ) -> None:
