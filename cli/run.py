@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from zenostat.cli.console import out, progress
+from zenostat.cli.console import err, out, progress
 from zenostat.cli.options import DEFAULTS, BusOptions, Emissions, Price, on_bus, read_rates
 from zenostat.cli.reports import FIGURES_HELP, REPORT_HELP, ReportOutputs, command_line
 from zenostat.cli.results import show_results
@@ -96,6 +96,10 @@ def run(
             outputs.write(trace.comparison(command_line()))
     out.print(f"{node}: {counted(episodes, 'episode')} controlled by {controller}")
     show_results(results, ", ".join(filter(None, (link.manifest.building, link.manifest.weather))))
+    lost = sum(result.lost for result, _ in results.values())
+    if lost:
+        text = f"{counted(lost, 'sample', ',')} of {node} were lost; the totals lack their timesteps"
+        err.print(f"{text}: the controller is slower than the node", markup=False, soft_wrap=True)
     outputs.show()
 
 

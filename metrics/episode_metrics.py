@@ -43,6 +43,7 @@ class EpisodeMetrics:
         kpis: key performance indicators by BOPTEST's names; see `zenostat.metrics.kpis`.
         site_kwh_m2: energy of all fuels of the building per m² of floor area.
         unmet_heating_h, unmet_cooling_h: hours in which an occupied zone misses its setpoint; see `unmet_hours`.
+        lost: number of samples that were not received, whose timesteps are in no total.
     """
 
     steps: int
@@ -63,6 +64,7 @@ class EpisodeMetrics:
     site_kwh_m2: float | None = None
     unmet_heating_h: float | None = None
     unmet_cooling_h: float | None = None
+    lost: int = 0
 
     @property
     def hvac_electricity_kwh(self) -> float | None:
@@ -144,18 +146,20 @@ class MetricsAccumulator:
         rates = read_prices(prices), read_emissions(emissions)
         self._kpis = KpiAccumulator(manifest, self._comfort, *rates)
         self.sources |= {f"kpi.{name}": source for name, source in self._kpis.sources.items()}
+        self._latest_step: int | None = None
         self._reset()
 
     def _reset(self) -> None:
         self._kwh = np.zeros(len(self._names))
         self._terms: dict[str, float] | None = None
         self._peak_kwh = self._outside_k = self._occupied_k = 0.0
-        self._steps = self._steps_outside = 0
+        self._steps = self._steps_outside = self._lost = 0
         self._unmet.reset()
         self._not_accepted = self._initially_not_accepted = (0, 0)
 
     def begin(self, sample: SampleView) -> None:
         """Start from `sample`, at any step: the timestep that it closes does not count."""
+        self._latest_step = sample.step
         self._begin(sample.fault_free_values, (sample.message.late, sample.message.rejected))
 
     def add(self, sample: SampleView, terms: Mapping[str, float] | None = None) -> None:
@@ -163,6 +167,8 @@ class MetricsAccumulator:
         if sample.step == 0:
             self.begin(sample)
             return
+        self._lost += max(sample.step - self._latest_step - 1, 0) if self._latest_step is not None else 0
+        self._latest_step = sample.step
         not_accepted = (sample.message.late, sample.message.rejected)
         self._add(sample.fault_free_values, sample.time - self._step, not_accepted, terms or {})
 
@@ -226,4 +232,5 @@ class MetricsAccumulator:
             site_kwh_m2=sum(building.values()) / self._area_m2 if building and self._area_m2 else None,
             unmet_heating_h=self._unmet.heating_h if self._steps else None,
             unmet_cooling_h=self._unmet.cooling_h if self._steps else None,
+            lost=self._lost,
         )

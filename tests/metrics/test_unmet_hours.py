@@ -43,3 +43,15 @@ def test_unmet_hours__are_unknown_where_they_are_not_measured() -> None:
 def test_site_energy__is_that_of_all_fuels_per_floor_area() -> None:
     result = measured(OFFICE, {"electricity": 3.6e6, "gas": 7.2e6}, {"gas": 3.6e6})
     assert result.site_kwh_m2 == pytest.approx(4.0 / 50.0)
+
+
+def test_metrics__timesteps_of_lost_samples_are_counted() -> None:
+    metrics = MetricsAccumulator(OFFICE)
+    metrics.begin(view(OFFICE, NOON, step=2))
+    for step in (3, 7, 8):
+        metrics.add(view(OFFICE, NOON + step * timedelta(minutes=15), step=step, electricity=3.6e6))
+    result = metrics.result()
+    assert (result.steps, result.lost) == (3, 3)
+    assert result.energy_kwh["electricity"] == pytest.approx(3.0)
+    metrics.add(view(OFFICE, NOON))
+    assert metrics.result().lost == 0

@@ -110,3 +110,52 @@ def test_monitor__names_the_node_that_it_waits_for(shared_node: NodeProgram, scr
         rest, _ = monitor.communicate(timeout=60)
     assert "open it with: " in rest
     assert "view run.rrd" in rest
+
+
+FAST = """
+class Fast:
+    step_s, duration_s = 60.0, 180000.0
+    sensors = {"temperature": "degC"}
+    meters = {"electricity": "J"}
+    actuators = {"heater": ("W", 0.0, 3000.0, 0.0)}
+
+    def reset(self, seed):
+        return {"temperature": 20.0, "electricity": 0.0}
+
+    def step(self, commands):
+        return {"temperature": 20.0, "electricity": 3.6e6}
+"""
+
+SLOW = """
+import time, zenostat
+
+class Slow(zenostat.controllers.Controller):
+    def __init__(self, manifest, endpoint):
+        self.bus, self.is_waiting = zenostat.connect(endpoint, affinity="off"), True
+
+    def act(self, sample):
+        if self.is_waiting:
+            self.is_waiting = False
+            self.bus.pace("fast", mode="free")
+            while self.bus.status("fast").state != "ended":
+                time.sleep(0.01)
+        return {}
+"""
+
+
+@pytest.mark.slow
+def test_run__names_samples_that_a_slow_controller_lost(scratch: Path) -> None:
+    """It sleeps until the episode is over; its inbox has room for 1,024 samples."""
+    (scratch / "fast.py").write_text(FAST)
+    (scratch / "slow.py").write_text(SLOW)
+    with NodeProgram(scratch / "node", name="fast", plant=f"{scratch / 'fast.py'}:Fast") as node:
+        done = run_program(
+            "run", "--node", "fast", "--controller", f"{scratch / 'slow.py'}:Slow", "--connect", node.endpoint,
+            "--set", f"endpoint={node.endpoint}", "--reset", "--report", str(scratch / "run.html"),
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (lost,) = re.findall(r"([\d,]+) samples of fast were lost; the totals lack their timesteps", done.stderr)
+    kept = 3000 - int(lost.replace(",", ""))
+    assert 900 < kept < 1100
+    assert re.search(rf"electricity \(kWh\) +{kept:,}", done.stdout)
+    assert "were lost; its totals lack their timesteps" in (scratch / "run.html").read_text()
