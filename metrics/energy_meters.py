@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
-from zenostat.topics.energyplus_names import FACILITY_POWER, HVAC_POWER
-from zenostat.topics.messages import Aggregation, Manifest
+from zenostat.topics.energyplus_names import END_USES, FACILITY_POWER, HVAC_POWER
+from zenostat.topics.messages import Aggregation, Manifest, Meter
 
 J_PER_KWH = 3.6e6
 FUELS = {
@@ -15,6 +16,18 @@ FUELS = {
     "gasoline": "Gasoline", "coal": "Coal", "other_fuel_1": "OtherFuel1", "other_fuel_2": "OtherFuel2",
 }  # fmt: skip
 """Energy carriers, with their names in EnergyPlus's meters."""
+
+_METERS = {
+    plain: meter
+    for fuel, name in FUELS.items()
+    for meter in (f"{name}:Facility", *(f"{use}:{name}" for use in ("HVAC", *END_USES)))
+    for text in (meter, meter.replace(name, fuel))
+    for plain in (
+        text.replace(":", "_").casefold(),
+        re.sub(r"(?<=[a-z])(?=[A-Z0-9])", "_", text.replace(":", "_")).lower(),
+    )
+} | FUELS
+"""EnergyPlus's meters by the names that their points have by default, and its fuels by those of `FUELS`."""
 
 WITHOUT_PLANT = "without chillers, boilers, cooling towers and their pumps"
 WITH_PLANT = "with electric water heaters and other plant equipment"
@@ -49,7 +62,8 @@ def facility_sources(manifest: Manifest) -> dict[str, EnergySource]:
         for fuel, name in FUELS.items()
         if (source := meters.get(f"{name}:Facility".casefold())) is not None
     }
-    sources |= {fuel: meters[fuel] for fuel in FUELS if fuel in meters and fuel not in sources}
+    own = {fuel: meters.get(name.casefold()) for fuel, name in FUELS.items()}
+    sources |= {fuel: source for fuel, source in own.items() if source is not None and fuel not in sources}
     for index in _rates(manifest, FACILITY_POWER)[:1]:
         sources.setdefault("electricity", replace(_rate_source(manifest, index), is_building=True))
     return {fuel: sources[fuel] for fuel in FUELS if fuel in sources}
@@ -68,7 +82,7 @@ def hvac_sources(manifest: Manifest) -> dict[str, EnergySource]:
         group = meters.get(f"{name}:HVAC".casefold())
         if group is not None:
             group = replace(group, source=f"{group.source}, {WITHOUT_PLANT}")
-        source = meters.get(f"HVAC:{name}".casefold()) or meters.get(f"hvac_{fuel}") or group
+        source = meters.get(f"HVAC:{name}".casefold()) or group
         if source is not None:
             sources[fuel] = source
     for index in _rates(manifest, HVAC_POWER)[:1]:
@@ -77,15 +91,25 @@ def hvac_sources(manifest: Manifest) -> dict[str, EnergySource]:
     return {fuel: sources[fuel] for fuel in FUELS if fuel in sources}
 
 
+def meter_name(meter: Meter) -> str:
+    """Return EnergyPlus's name of a meter, case-folded; of a plant's own of a whole fuel, that of the fuel.
+
+    The meters of a building in a district, and of a plant of one's own, only have the names of their points:
+    `natural_gas_facility` is `naturalgas:facility`, `hvac_electricity` is `hvac:electricity`, and `natural_gas` is
+    `naturalgas`.
+    """
+    name = meter.meter or meter.name
+    return (name if meter.meter else _METERS.get(name.casefold(), name)).casefold()
+
+
 def _meters(manifest: Manifest) -> dict[str, EnergySource]:
-    """Return the meters of energy by EnergyPlus's name, case-folded, or that of a plant's own."""
-    return {
-        (meter.meter or meter.name).casefold(): EnergySource(
-            index, 1.0 / J_PER_KWH, f"meter {meter.meter or meter.name}"
-        )
-        for index, meter in enumerate(manifest.meters, len(manifest.sensors))
-        if meter.unit == "J"
-    }
+    """Return the meters of energy by `meter_name`."""
+    sources: dict[str, EnergySource] = {}
+    for index, meter in enumerate(manifest.meters, len(manifest.sensors)):
+        if meter.unit == "J":
+            source = EnergySource(index, 1.0 / J_PER_KWH, f"meter {meter.meter or meter.name}")
+            sources.setdefault(meter_name(meter), source)
+    return sources
 
 
 def _rates(manifest: Manifest, variable: str) -> list[int]:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
+from zenostat.metrics.energy_meters import meter_name
 from zenostat.metrics.labels import label, words, zone_labels
 from zenostat.topics.energyplus_names import (
     COOLING_SETPOINT,
@@ -51,6 +52,9 @@ _NO_PLACE = {
     "zone", "zones",
 } | _SETPOINT_WORDS  # fmt: skip
 """Words of a setpoint's name that do not tell its zone."""
+_ELECTRIC_WORDS = {"electric", "electrical", "electricity", "power"}
+_NOT_ELECTRIC_WORDS = {"cooling", "gain", "heating", "pv", "solar", "thermal"}
+"""Words of powers that are not electric, unless the name says so, or that are generated."""
 
 _UNCONDITIONED = {"attic", "crawlspace", "plenum"}
 """Words of zones that a setpoint without a place does not serve."""
@@ -332,7 +336,7 @@ _HVAC = {
 def _power(manifest: Manifest, labels: Mapping[str, str]) -> PowerSource | None:
     """Return the first of these meters, else of these output variables or of a plant's sensors of these names."""
     first = len(manifest.sensors)
-    meters = {(meter.meter or meter.name).casefold(): i for i, meter in reversed(list(enumerate(manifest.meters)))}
+    meters = {meter_name(meter): i for i, meter in reversed(list(enumerate(manifest.meters)))}
     sensors = {
         (sensor.variable or sensor.name.removesuffix("_power")).casefold(): i
         for i, sensor in reversed(list(enumerate(manifest.sensors)))
@@ -349,15 +353,20 @@ def _power(manifest: Manifest, labels: Mapping[str, str]) -> PowerSource | None:
 
 
 def _plant_power(manifest: Manifest, hvac: PowerSource | None) -> PowerSource | None:
-    """Return the only power sensor of a plant without EnergyPlus's variables."""
+    """Return the only power sensor of a plant without EnergyPlus's variables, if its name says electric."""
     sensors = [
         index
         for index, sensor in enumerate(manifest.sensors)
         if sensor.unit in _KW and not sensor.variable and (hvac is None or index != hvac.index)
     ]
-    if len(sensors) != 1:
+    if len(sensors) != 1 or not _is_electric(manifest.sensors[sensors[0]].name):
         return None
     return PowerSource(sensors[0], _KW[manifest.sensors[sensors[0]].unit], "Whole building")
+
+
+def _is_electric(name: str) -> bool:
+    electric = _ELECTRIC_WORDS.intersection(words(name))
+    return bool(electric) and (electric != {"power"} or not _NOT_ELECTRIC_WORDS.intersection(words(name)))
 
 
 def _meter_to_kw(meter: Meter, manifest: Manifest) -> float:
@@ -372,11 +381,11 @@ def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse], list[EndUse
     hvac_fuels: list[EndUse] = []
     seen: set[str] = set()
     for index, meter in enumerate(manifest.meters):
-        name = (meter.meter or meter.name).casefold()
+        name = meter_name(meter)
         if meter.unit not in _KWH or name in seen:
             continue
         seen.add(name)
-        left, _, right = name.replace("_facility", ":facility").partition(":")
+        left, _, right = name.partition(":")
         to_kw = _meter_to_kw(meter, manifest)
         if left in _USE_RANK and right in _FUEL_RANK:
             text, fuel = _USE_LABELS[left], _FUEL_LABELS[right]

@@ -14,6 +14,7 @@ from zenostat.metrics.district_balance import (
     plant_names,
     plant_trajectory,
 )
+from zenostat.metrics.episode_metrics import MetricsAccumulator
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.plants.heat import DistrictHeating
 from zenostat.topics.connection_balance import ConnectionBalance
@@ -155,3 +156,17 @@ def test_district_section__is_absent_without_a_district() -> None:
     run = plant_trajectory(district({"shop": SHOP}, {}), "shop")
     assert not plant_names(run.manifest)
     assert district_section(Comparison((Run("rule", (), run),))) == ""
+
+
+def test_plant_trajectory__of_a_building_has_its_energy() -> None:
+    """Only the names of its points are left of EnergyPlus's meters."""
+    meters = {"electricity_facility": 3.6e6, "naturalgas_facility": 7.2e6, "hvac_electricity": 1.8e6}
+    run = district({"shop": SHOP}, {f"shop.{name}": [0.0, joules, joules, 0.0] for name, joules in meters.items()})
+    part = plant_trajectory(run, "shop")
+    measured = MetricsAccumulator(part.manifest).measure(part)
+    assert measured.energy_kwh == pytest.approx({"electricity": 2.0, "natural_gas": 4.0})
+    assert measured.hvac_kwh == pytest.approx({"electricity": 1.0})
+    assert measured.peak_kw == pytest.approx(2.0)
+    assert {name: kwh.sum() for name, kwh in Quantities(part).energy_kwh.items()} == pytest.approx(
+        {"electricity": 2.0, "natural gas": 4.0, "hvac_electricity": 1.0}
+    )

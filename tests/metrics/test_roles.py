@@ -12,6 +12,7 @@ from support.data_packs import sinergym
 from zenostat.agent_sdk.testing import FakeBuilding
 from zenostat.bridge.python_plant.description import describe, load_class
 from zenostat.metrics.comfort import DEFAULT_BAND_DEGC
+from zenostat.metrics.energy_meters import FUELS, facility_sources, hvac_sources
 from zenostat.metrics.reward_comfort import comfort, display_comfort
 from zenostat.metrics.roles import PowerSource, roles
 from zenostat.topics.keys import safe_name
@@ -165,9 +166,29 @@ def test_roles__plant_of_ones_own_has_a_room_and_its_tank_is_none() -> None:
 
 
 def test_roles__only_power_sensor_of_a_plant_is_its_power() -> None:
-    identified = roles(manifest(sensors=[Sensor(name="temperature", unit="degC"), Sensor(name="heat_pump", unit="kW")]))
+    sensors = [Sensor(name="temperature", unit="degC"), Sensor(name="heat_pump_power", unit="kW")]
+    identified = roles(manifest(sensors=sensors))
     assert identified.facility_power == PowerSource(1, 1.0, "Whole building")
     assert [zone.label for zone in identified.zones] == []  # it may be that of a tank
+
+
+@pytest.mark.parametrize("name", ["solar_gain", "heating_power", "heat_pump", "pv_power"])
+def test_roles__power_that_may_not_be_electric_is_no_electricity(name: str) -> None:
+    identified = roles(manifest(sensors=[Sensor(name=name, unit="W")]))
+    assert (identified.facility_power, identified.others) == (None, {"W": (0,)})
+
+
+@pytest.mark.parametrize("fuel", [*FUELS])
+def test_roles__fuels_of_a_plant_of_ones_own_are_those_of_the_metrics(fuel: str) -> None:
+    names = (f"{fuel}", f"hvac_{fuel}", f"heating_{fuel}")
+    of = manifest(meters=[Meter(name=name, unit="J") for name in names])
+    identified = roles(of)
+    (whole,) = identified.fuels
+    (use,) = identified.end_uses
+    assert (whole.index, use.index, use.label) == (0, 2, "heating")
+    assert [part.index for part in identified.hvac_fuels] == ([] if fuel == "electricity" else [1])
+    assert {name: source.index for name, source in facility_sources(of).items()} == {fuel: 0}
+    assert {name: source.index for name, source in hvac_sources(of).items()} == {fuel: 1}
 
 
 def of_scenario(scenario: Any) -> Manifest:
