@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import rerun as rr
 from support.nodes import NodeProgram, node_on_bus, until
 from support.run_cli import plain
 from support.run_cli import run_in_process as run
@@ -16,11 +17,13 @@ from support.run_cli import run_in_process as run
 import zenostat
 from zenostat import recording
 from zenostat.bridge.transport.access_control import Permission, may
+from zenostat.bridge.transport.session import open_session
 from zenostat.eplus_node.verify_recording import verify
 from zenostat.topics import keys
 from zenostat.topics.errors import EpisodeChanged, InvalidConfig, RequestRejected, UnknownName
 from zenostat.topics.keys import Role
 from zenostat.topics.messages import AlarmState, CreateBranch, EventKind, HistorySeries, Reset
+from zenostat.views.live.stream import RerunStream
 
 OVEN = """
 class Oven:
@@ -240,6 +243,34 @@ def test_a_snapshot__contains_the_alarms(bus: zenostat.Bus) -> None:
     assert states(bus) == {"hot": "acknowledged", "any_heat": "acknowledged"}
     assert bus.history("oven", ["temperature"]).step.tolist() == [9]
     bus.drop("oven", snapshot)
+
+
+@pytest.mark.slow
+def test_a_monitor__shows_alarms_and_faults_that_go_on_without_an_event(bus: zenostat.Bus, scratch: Path) -> None:
+    bias = {"name": "bias", "kind": "bias", "points": "temperature", "offset": 0.5}
+    with (
+        open_session(connect=[bus.endpoint], role=Role.MONITOR) as session,
+        RerunStream(session, "oven", [rr.FileSink(str(scratch / "run.rrd"))]) as stream,
+    ):
+
+        def shown(alarms: tuple[str, ...], faults: tuple[str, ...]) -> bool:
+            stream.pump()
+            numbers = stream._nodes["oven"].numbers()
+            return (*numbers.alarms, "-", *numbers.faults) == (*alarms, "-", *faults)
+
+        bus.faults("oven", {"faults": [bias]})
+        heat(bus, *[200.0] * 9)
+        until(lambda: shown(("any_heat", "hot"), ("bias",)), "alarms and faults are shown")
+        snapshot = bus.snapshot("oven").snapshot
+        bus.faults("oven", {"faults": [bias, bias | {"name": "late", "when": {"from_step": 150}}]})
+        heat(bus, *[0.0] * 9)
+        until(lambda: shown((), ("bias",)), "the alarms are gone, and the fault goes on")
+        bus.faults("oven", None)
+        until(lambda: shown((), ()), "the fault is gone")
+        bus.reset("oven", Reset(snapshot=snapshot))
+        until(lambda: shown(("hot", "any_heat"), ("bias",)), "those of the snapshot are shown")
+    bus.drop("oven", snapshot)
+    bus.faults("oven", None)
 
 
 @pytest.mark.slow

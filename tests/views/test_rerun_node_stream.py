@@ -29,18 +29,24 @@ from zenostat.topics.messages import (
 from zenostat.views.display.colors import comfort_color
 from zenostat.views.live.layout import blueprint
 from zenostat.views.live.node_stream import NodeStream
+from zenostat.views.live.summary import NodeStatus
 
 EPISODE = "/office/episode_0000"
 
 
 @contextmanager
 def _node(
-    path: Path, manifest: Manifest, geometry: Geometry | None = None, reward: Any = None, history: Any = None
+    path: Path,
+    manifest: Manifest,
+    geometry: Geometry | None = None,
+    reward: Any = None,
+    history: Any = None,
+    status: Any = None,
 ) -> Iterator[NodeStream]:
     rr.set_strict_mode(True)
     recording = rr.RecordingStream("zenostat")
     recording.set_sinks(rr.FileSink(str(path)))
-    node = NodeStream(recording, manifest, geometry, default_comfort, reward, history)
+    node = NodeStream(recording, manifest, geometry, default_comfort, reward, history, status)
     yield node
     node.flush()
     node.draw()
@@ -336,3 +342,38 @@ def test_rerun_node_stream__only_the_first_slot_is_shown(scratch: Path) -> None:
             doubled = {name: 2 * getattr(sample, name) for name in ("values", "effective", "source_index")}
             node.add_sample(sample.model_copy(update=doubled))
     assert logged(path, "Scalars:scalars")[f"{EPISODE}/temperatures"][1] == [21.5, 22.0]
+
+
+def test_rerun_node_stream__fault_that_is_in_the_new_plan_too_goes_on(scratch: Path) -> None:
+    path, manifest = scratch / "run.rrd", office()
+    with _node(path, manifest) as node:
+        _add(node, manifest, rows(1))
+        for text, expected in (
+            ("stuck, very begins", ("stuck, very",)),
+            ("bias begins", ("stuck, very", "bias")),
+            ("faults are set: stuck, very, drift", ("stuck, very",)),
+            ("faults are set: very", ()),
+        ):
+            node.add_event(Event(kind=EventKind.FAULT, text=text))
+            assert node.numbers().faults == expected
+
+
+def test_rerun_node_stream__episode_from_a_snapshot_has_its_alarms_and_faults(scratch: Path) -> None:
+    path, manifest, reads = scratch / "run.rrd", office(), []
+    present = NodeStatus(("too warm",), ("stuck",))
+
+    def status(of: Manifest) -> NodeStatus:
+        reads.append(of.node)
+        return present if len(reads) > 1 else NodeStatus()
+
+    with _node(path, manifest, status=status) as node:
+        _add(node, manifest, rows(1))
+        node.add_event(_alarm(0, AlarmState.ACTIVE))
+        node.add_event(Event(kind=EventKind.STARTED, text="begins", episode=1))
+        _add(node, manifest, rows(1), episode=1)
+        assert (node.numbers().alarms, len(reads)) == ((), 1)  # a reset clears them
+        node.add_event(Event(kind=EventKind.STARTED, text="begins", episode=2, step=7))
+        _add(node, manifest, rows(2), episode=2, first=7)
+        assert (node.numbers().alarms, node.numbers().faults, len(reads)) == (*present, 2)
+        node.add_event(_alarm(8, AlarmState.NORMAL))
+        assert node.numbers().alarms == ()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 import numpy as np
 import rerun as rr
@@ -30,6 +30,9 @@ PRESENT = (AlarmState.ACTIVE, AlarmState.ACKNOWLEDGED)
 HistoryReader = Callable[[Manifest, int, int], tuple[int, Floats] | None]
 """Return the samples of an episode up to a step: the first step, and a table of shape (n, points + actuators)."""
 
+StatusReader = Callable[[Manifest], NodeStatus]
+"""Return the alarms and faults of a node at its latest sample."""
+
 
 class NodeStream:
     """Logs the messages of one node.
@@ -40,6 +43,7 @@ class NodeStream:
         geometry: of its building, if it has one.
         comfort, reward: as of `RerunStream`.
         history: reads the samples that precede the first one of an episode; by default they count as missed.
+        status: reads the alarms and faults that go on without an event: before the first one, and from a snapshot.
 
     Attributes:
         model: what all episodes share.
@@ -58,9 +62,10 @@ class NodeStream:
         comfort: ComfortFactory,
         reward: RewardFactory | None,
         history: HistoryReader | None = None,
+        status: StatusReader | None = None,
     ) -> None:
         self._recording, self._geometry = recording, geometry
-        self._comfort, self._reward, self._history = comfort, reward, history
+        self._comfort, self._reward, self._history, self._read_status = comfort, reward, history, status
         self.model = self._model(manifest)
         self.view: EpisodeView | None = None
         self.samples: list[Sample] = []
@@ -70,6 +75,7 @@ class NodeStream:
         self._alarms: dict[str, None] = {}
         self._faults: dict[str, None] = {}
         self._status, self._statuses = NodeStatus(), list[NodeStatus]()  # now, and at each of `samples`
+        self._set_status(NodeStatus() if status is None else status(manifest))
         self._episode = self._step = -1
         self._first_steps: dict[int, int] = {}  # of the latest episode whose start was announced
         self._queried: tuple[int, int] | None = None  # position of a queried sample; later batches may have older ones
@@ -93,16 +99,6 @@ class NodeStream:
         self.model = self._model(manifest)
         if self.view is not None and (before.points != manifest.points or before.actuators != manifest.actuators):
             self._begin_view()
-
-    def set_faults(self, names: Iterable[str]) -> None:
-        """Set the injected faults that are active."""
-        self._faults = dict.fromkeys(names)
-        self._update_status(self._step)
-
-    def set_alarms(self, names: Iterable[str]) -> None:
-        """Set the alarms whose condition is present."""
-        self._alarms = dict.fromkeys(names)
-        self._update_status(self._step)
 
     def add_sample(self, sample: Sample, *, queried: bool = False) -> int:
         """Gather a sample; return the number of new samples, with those of the history that precede it."""
@@ -129,14 +125,16 @@ class NodeStream:
         """Begin the views of an episode whose first sample is at `step`; return the number of earlier samples."""
         self.flush()
         self.draw()
-        if self._episode != -1:
-            self._alarms = {}  # the node clears them
-            self._status = NodeStatus((), tuple(self._faults))
-        self._episode = episode
-        view = self._begin_view()
         manifest = self.model.manifest
         # An episode that goes on from a snapshot, or in a branch, does not begin at step 0.
         first = self._first_steps.get(episode, step if manifest.branch_of else 0)
+        if self._episode != -1:
+            if first > 0 and self._read_status is not None:
+                self._set_status(self._read_status(manifest))
+            else:
+                self._set_status(NodeStatus((), tuple(self._faults)))  # the node clears alarms
+        self._episode = episode
+        view = self._begin_view()
         known = self._history(manifest, episode, step - 1) if self._history and step > first else None
         if known is None:
             self.missed += max(0, step - first)
@@ -158,6 +156,10 @@ class NodeStream:
         self.view = EpisodeView(self._recording, self.model, self._episode, reward)
         self._is_layout_changed = True
         return self.view
+
+    def _set_status(self, status: NodeStatus) -> None:
+        self._status = status
+        self._alarms, self._faults = dict.fromkeys(status.alarms), dict.fromkeys(status.faults)
 
     def _update_status(self, step: int) -> None:
         """Take a new status from a step on; the event of a step may come after its sample."""
@@ -226,7 +228,8 @@ class NodeStream:
     def _on_fault(self, event: Event) -> None:
         text = event.text
         if text.startswith(_FAULTS_SET):
-            self._faults.clear()
+            names = f", {text.removeprefix(_FAULTS_SET)}, "  # one that is in both plans goes on without an event
+            self._faults = {name: None for name in self._faults if f", {name}, " in names}
         elif text.endswith(_BEGINS):
             self._faults[text.removesuffix(_BEGINS)] = None
         elif text.endswith(_ENDS):

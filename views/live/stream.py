@@ -40,7 +40,7 @@ from zenostat.views.live.layout import OVERVIEW, blueprint
 from zenostat.views.live.node_stream import PRESENT, NodeStream
 from zenostat.views.live.recording import entity_path
 from zenostat.views.live.samples import ComfortFactory, Floats, RewardFactory
-from zenostat.views.live.summary import NodeRow, overview
+from zenostat.views.live.summary import NodeRow, NodeStatus, overview
 
 RING = 65536
 PERIOD_S = 0.1
@@ -311,15 +311,18 @@ class RerunStream:
             return known
         name = manifest.node
         geometry = self._ask(name, keys.GEOMETRY, Query(), Geometry)  # None for a plant without one, or an older node
-        node = NodeStream(self.recording, manifest, geometry, self._comfort, self._reward, self._read_history)
-        self._nodes[name] = node
-        status = self._ask(name, keys.STATUS, Query(), Status)
-        if status is not None:
-            node.set_faults(status.faults)
-        alarms = self._ask(name, keys.ALARMS, AlarmQuery(), AlarmList)
-        if alarms is not None:
-            node.set_alarms(alarm.alarm for alarm in alarms.alarms if alarm.state in PRESENT)
+        node = self._nodes[name] = NodeStream(
+            self.recording, manifest, geometry, self._comfort, self._reward, self._read_history, self._read_status
+        )
         return node
+
+    def _read_status(self, manifest: Manifest) -> NodeStatus:
+        status = self._ask(manifest.node, keys.STATUS, Query(), Status)
+        alarms = self._ask(manifest.node, keys.ALARMS, AlarmQuery(), AlarmList)
+        return NodeStatus(
+            tuple(alarm.alarm for alarm in alarms.alarms if alarm.state in PRESENT) if alarms is not None else (),
+            tuple(status.faults) if status is not None else (),
+        )
 
     def _read_history(self, manifest: Manifest, episode: int, last_step: int) -> tuple[int, Floats] | None:
         if not manifest.history_samples:
