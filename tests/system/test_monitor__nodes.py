@@ -110,6 +110,23 @@ def test_monitor__node_of_an_older_schema_is_named_and_not_shown(scratch, shared
     assert f"v{codec.SCHEMA_VERSION}" in notice
 
 
+@pytest.mark.slow
+def test_monitor__node_stays_when_a_branch_or_its_previous_instance_goes(scratch, shared_node):
+    with (
+        open_session(connect=[shared_node.endpoint]) as session,
+        RerunStream(session, "*", [rr.FileSink(str(scratch / "run.rrd"))]) as stream,
+    ):
+        _pump_until(stream, lambda: stream.samples, "the node is shown")
+        for name, instance in (("office", "previous"), ("office.branch", "1a")):
+            stream._on_node_token(keys.NODE_TOKEN.at(name, name=instance), is_gone=True)
+        assert not stream.left
+        assert stream._nodes["office"].is_connected
+        instance = stream._nodes["office"].model.manifest.instance
+        stream._on_node_token(keys.NODE_TOKEN.at("office", name=instance), is_gone=True)
+        assert stream.left
+        assert not stream._nodes["office"].is_connected
+
+
 def test_monitor__wildcard_within_a_name_is_no_node():
     with pytest.raises(InvalidConfig, match=r"the node's name 'offic\*' is not valid"):
         RerunStream(None, "offic*", [])

@@ -83,7 +83,7 @@ class RerunStream:
     Attributes:
         samples: number of logged samples.
         missed: number of samples that were lost in transit, or overwritten in the ring buffer.
-        left: whether a node has disconnected.
+        left: whether a node that is shown has disconnected.
     """
 
     def __init__(
@@ -211,12 +211,12 @@ class RerunStream:
                 )
             return
         known = self._nodes.get(name)
+        is_same = known is not None and known.model.manifest.instance == keys.last_chunk(key)
         if is_gone:
-            self.left = True
-            if known is not None:
-                known.is_connected = False
+            if known is not None and is_same:  # no branch that is not shown, and no previous instance
+                self.left, known.is_connected = True, False
             return
-        if known is not None and known.model.manifest.instance != keys.last_chunk(key):
+        if known is not None and not is_same:
             known.flush()  # the node was restarted, and its steps start from 0
             self._missed_before += known.missed
             del self._nodes[name]
