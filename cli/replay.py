@@ -89,8 +89,8 @@ def replay(
     with ExitStack() as stack:
         stop = stack.enter_context(until_signal())
         reader = stack.enter_context(RecordingReader(file))
-        year = datetime.fromisoformat(reader.manifest.begin).year
-        selected = ReplayRange(_moment(begin, "--from", year), _moment(end, "--to", year))
+        period = tuple(map(datetime.fromisoformat, (reader.manifest.begin, reader.manifest.end)))
+        selected = ReplayRange(_moment(begin, "--from", *period), _moment(end, "--to", *period))
         endpoints = [] if no_listen else [listen or default_endpoint(keys)]
         settings = {"expose": expose, "keys": keys, "role": Role.NODE, "certificate": certificate}
         try:
@@ -126,12 +126,12 @@ def _drive(file: Path, node: str, options: BusOptions, name: str, priority: int 
     out.print(f"{node}: {counted(result.steps, 'step', ',')} of {episodes} commanded", markup=False, soft_wrap=True)
 
 
-def _moment(text: str | None, option: str, year: int) -> datetime | None:
-    from zenostat.topics.calendar import parse_moment
+def _moment(text: str | None, option: str, first: datetime, last: datetime) -> datetime | None:
+    from zenostat.topics.calendar import parse_moment_within
 
     if text is None:
         return None
     try:
-        return parse_moment(text, year)
+        return parse_moment_within(text, first, last)
     except ValueError as error:
         raise InvalidConfig(f"{option} {text}: {error}") from None

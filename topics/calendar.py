@@ -7,7 +7,7 @@ that is simulated; where that year is not known yet, it is checked against a lea
 from __future__ import annotations
 
 import re
-from datetime import date, datetime
+from datetime import date, datetime, timedelta
 from typing import Any, Literal, TypeVar, get_args
 
 from zenostat.topics.errors import InvalidConfig
@@ -66,6 +66,28 @@ def parse_moment(text: str, year: int = LEAP_YEAR) -> datetime:
         return datetime(own_year or year, month, day, hour, minute, second)
     except ValueError as error:
         raise ValueError(f"{text!r} is not a valid date and time: {error}") from None
+
+
+def parse_moment_within(text: str, first: datetime, last: datetime) -> datetime:
+    """Parse a moment as `parse_moment` does, without a year in the year in which it is, or is nearest, to a period.
+
+    Args:
+        text: the moment.
+        first: begin of the period.
+        last: its end, inclusive.
+
+    Raises:
+        ValueError: the text has another form, or none of these years has such a date or time.
+    """
+    moments, errors = [], []
+    for year in range(first.year, last.year + 1):
+        try:
+            moments.append(parse_moment(text, year))
+        except ValueError as error:  # 29 February in another year
+            errors.append(error)
+    if not moments:
+        raise errors[0]
+    return min(moments, key=lambda moment: max(first - moment, moment - last, timedelta(0)))
 
 
 def parse_clock_time(text: str, what: str) -> tuple[int, ...]:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.topics import codec
-from zenostat.topics.calendar import parse_moment
+from zenostat.topics.calendar import parse_moment_within
 from zenostat.topics.errors import BadMessage, EpisodeChanged, InvalidConfig, RequestRejected, UnknownName, did_you_mean
 from zenostat.topics.messages import MAX_HISTORY_POINTS, HistorySeries, Manifest
 
@@ -98,7 +98,7 @@ def _steps(manifest: Manifest, moment: datetime | str, what: str) -> float:
     begin = datetime.fromisoformat(manifest.begin)
     if isinstance(moment, str):
         try:
-            moment = parse_moment(moment, begin.year)
+            moment = parse_moment_within(moment, begin, datetime.fromisoformat(manifest.end))
         except ValueError as error:
             raise InvalidConfig(f"{what} {moment!r}: {error}") from None
     return (moment - begin) / timedelta(seconds=manifest.step_s)

@@ -23,6 +23,7 @@ from zenostat.topics.calendar import (
     parse_clock_time,
     parse_day,
     parse_moment,
+    parse_moment_within,
     parse_weekdays,
 )
 from zenostat.topics.errors import InvalidConfig
@@ -107,6 +108,26 @@ def test_calendar__another_format_is_no_moment(text: str) -> None:
 def test_calendar__moment_that_does_not_exist_is_rejected(text: str) -> None:
     with pytest.raises(ValueError, match="is not a valid date and time"):
         parse_moment(text)
+
+
+@pytest.mark.parametrize(
+    ("text", "moment"),
+    [
+        ("12-31", datetime(2019, 12, 31)),
+        ("01-01T06:00", datetime(2020, 1, 1, 6)),
+        ("02-29", datetime(2020, 2, 29)),
+        ("12-29", datetime(2019, 12, 29)),  # nearest to the period
+        ("03-05", datetime(2020, 3, 5)),
+        ("2021-03-05", datetime(2021, 3, 5)),
+    ],
+)
+def test_calendar__moment_without_a_year_is_in_the_period_or_nearest_to_it(text: str, moment: datetime) -> None:
+    assert parse_moment_within(text, datetime(2019, 12, 30), datetime(2020, 3, 1)) == moment
+
+
+def test_calendar__day_that_no_year_of_a_period_has_is_rejected() -> None:
+    with pytest.raises(ValueError, match="is not a valid date and time"):
+        parse_moment_within("02-29", datetime(2017, 1, 1), datetime(2018, 12, 31))
 
 
 # Times of each day or year

@@ -14,7 +14,8 @@ from typing import TypeVar
 import numpy as np
 from PIL import Image
 
-from zenostat.topics.calendar import parse_moment
+from zenostat.topics import atomic_file
+from zenostat.topics.calendar import parse_moment, parse_moment_within
 from zenostat.topics.errors import InvalidConfig, ViewerError
 from zenostat.views.live.recording import ELAPSED, SIMULATED
 from zenostat.views.live.tabs import check_tab, open_tab
@@ -227,11 +228,10 @@ def _cursor(at: str | None, first_ns: int, last_ns: int) -> int:
     if at is None:
         return last_ns
     first, last = (np.datetime64(ns, "ns").astype("datetime64[s]").item() for ns in (first_ns, last_ns))
-    for year in range(first.year, last.year + 1):
-        try:
-            moment = parse_moment(at, year)
-        except ValueError:  # 29 February in another year
-            continue
-        if first <= moment <= last:
-            return int(np.datetime64(moment, "ns").astype(np.int64))
+    try:
+        moment = parse_moment_within(at, first, last)
+    except ValueError as error:  # 29 February in another year
+        raise ViewerError(f"--at {at}: {error}") from None
+    if first <= moment <= last:
+        return int(np.datetime64(moment, "ns").astype(np.int64))
     raise ViewerError(f"--at {at} is outside of the recorded time, {first:%Y-%m-%dT%H:%M} to {last:%Y-%m-%dT%H:%M}")
