@@ -88,5 +88,8 @@ def _write_table(file: Path, to: Format, path: Path) -> int:
         Format.CSV: recording.write_csv,
         Format.MCAP: recording.write_mcap,
     }
+    if to is not Format.MCAP:  # whose metadata has the names
+        for name, point in loaded.episodes[0].renamed.items() if loaded.episodes else ():
+            err.print(f"{point} is in the column {name}: the name is in use", markup=False, soft_wrap=True)
     writers[to](loaded, path)
     return sum(len(episode) for episode in loaded.episodes)

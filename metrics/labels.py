@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 
 from zenostat.topics.energyplus_names import OCCUPANTS
 from zenostat.topics.messages import Actuator, Meter, Sensor
@@ -36,6 +36,11 @@ _CODE = re.compile(r"[a-z]\d*")
 def label(name: str) -> str:
     """Return a point's name as text: `core_bottom_cooling_setpoint` becomes `Core bottom cooling setpoint`."""
     return _sentence(words(name)) or name
+
+
+def unused_name(name: str, used: Collection[str]) -> str:
+    """Return a name that is not in use: itself, else `name_2`, `name_3` and so on."""
+    return next(text for n in range(len(used) + 2) if (text := f"{name}_{n + 1}" if n else name) not in used)
 
 
 def zone_label(key: str) -> str:

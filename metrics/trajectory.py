@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from zenostat.bridge.client.history import first_step, last_step, sample_times
 from zenostat.metrics.episode_weather import EpisodeWeather
+from zenostat.metrics.labels import unused_name
 from zenostat.metrics.parquet import write_table
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.messages import Manifest
@@ -22,6 +23,8 @@ from zenostat.topics.messages import Manifest
 Floats = NDArray[np.float64]
 
 _PER_STEP = ("actions", "rewards")
+_COLUMNS = frozenset(("episode", "slot", "step", "time", "wall_time", "reward"))
+"""Columns of tables that no point's column replaces."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,6 +121,12 @@ class Trajectory:
         return len(self.step) - 1
 
     @property
+    def incomplete_steps(self) -> int:
+        """Number of timesteps that lack a value of a point which has values in others."""
+        missing = np.isnan(self.fault_free_values[1:])
+        return int(missing[:, ~missing.all(axis=0)].any(axis=1).sum())
+
+    @property
     def step_h(self) -> float:
         """Length of a timestep in hours."""
         return self.manifest.step_s / 3600.0
@@ -167,9 +176,15 @@ class Trajectory:
             end: As `start`; None is the last sample.
 
         Raises:
-            InvalidConfig: A text is no time, or the end is before the episode.
+            InvalidConfig: A text is no time, the end is before the episode, or there is no sample between the times.
         """
-        return self.between_steps(first_step(self.manifest, start), last_step(self.manifest, end))
+        part = self.between_steps(first_step(self.manifest, start), last_step(self.manifest, end))
+        if not len(part):
+            raise InvalidConfig(
+                f"no sample from {start or self.begin} to {end or self.end}: the run has those from {self.begin} to "
+                f"{self.end}"
+            )
+        return part
 
     def resample(self, interval: timedelta) -> Trajectory:
         """Return the run in longer timesteps, which its manifest has as well; what fills no timestep is left out.
@@ -241,26 +256,51 @@ class Trajectory:
 
         Fault-free values are in the columns `{point}.fault_free` if faults were injected, the value source of each
         actuator in `{actuator}.source`, rewards and their terms in `reward` and `reward.{term}`, NaN in the first row.
+        A column whose name is in use has another one: the point `time` is in `time_2` (see `renamed`).
         """
+        return {name: column for name, (_, column) in self._table().items()}
+
+    @property
+    def renamed(self) -> dict[str, str]:
+        """Points and actuators whose column has another name, by this name."""
+        return {name: point for name, (point, _) in self._table().items() if point not in ("", name)}
+
+    @property
+    def column_units(self) -> dict[str, str]:
+        """Unit of each column of `columns` that has one."""
+        units = self.units
+        return {name: units[point] for name, (point, _) in self._table().items() if point}
+
+    def _table(self) -> dict[str, tuple[str, NDArray[Any]]]:
+        """Return the columns by name, each with the point or actuator whose values it has ("" for others)."""
         count = len(self)
-        table: dict[str, NDArray[Any]] = {
-            "episode": np.full(count, self.number),
-            "slot": np.full(count, self.slot),
-            "step": self.step,
-            "time": self.time,
+        table: dict[str, tuple[str, NDArray[Any]]] = {
+            "episode": ("", np.full(count, self.number)),
+            "slot": ("", np.full(count, self.slot)),
+            "step": ("", self.step),
+            "time": ("", self.time),
         }
         if self.wall_time is not None:
-            table["wall_time"] = self.wall_time
-        table |= {name: self.values[:, index] for index, name in enumerate(self.manifest.names)}
-        if self.fault_free_values is not self.values:
-            free = self.fault_free_values
-            table |= {f"{name}.fault_free": free[:, index] for index, name in enumerate(self.manifest.names)}
-        for index, name in enumerate(self.actuators):
-            table[name] = self.effective[:, index]
-            table[f"{name}.source"] = self.value_source(name)
+            table["wall_time"] = "", self.wall_time
         rewards = {} if self.rewards is None else {"reward": self.rewards}
         rewards |= {f"reward.{name}": term for name, term in self.terms.items()}
-        return table | {name: np.insert(entries, 0, np.nan) for name, entries in rewards.items()}
+        fixed, used = {*_COLUMNS, *rewards}, {*_COLUMNS, *rewards, *self.manifest.names, *self.actuators}
+
+        def add(name: str, column: NDArray[Any], point: str = "") -> None:
+            if not point or name in fixed:
+                name = unused_name(name, used)
+                used.add(name)
+            table[name] = point, column
+
+        for index, name in enumerate(self.manifest.names):
+            add(name, self.values[:, index], name)
+        if self.fault_free_values is not self.values:
+            for index, name in enumerate(self.manifest.names):
+                add(f"{name}.fault_free", self.fault_free_values[:, index])
+        for index, name in enumerate(self.actuators):
+            add(name, self.effective[:, index], name)
+            add(f"{name}.source", self.value_source(name))
+        return table | {name: ("", np.insert(entries, 0, np.nan)) for name, entries in rewards.items()}
 
     def to_pandas(self) -> Any:
         """Return a `pandas.DataFrame` of `columns` with the simulated time as its index.
@@ -280,7 +320,7 @@ class Trajectory:
         Raises:
             InvalidConfig: pyarrow is not installed.
         """
-        write_table(self.columns(), self.units, {"node": self.manifest.node}, Path(path))
+        write_table(self.columns(), self.column_units, {"node": self.manifest.node}, Path(path))
 
 
 def _mapped(trajectory: Trajectory, rows: Callable[[Any], Any], entries: Callable[[Any], Any]) -> Trajectory:

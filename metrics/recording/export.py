@@ -27,7 +27,7 @@ def write_parquet(recording: Recording, path: str | Path) -> None:
         InvalidRecording: the recording has no samples.
     """
     metadata = {"scenario": recording.scenario, "node": recording.manifest.node}
-    write_table(_table(recording), recording.episodes[0].units, metadata, Path(path))
+    write_table(_table(recording), recording.episodes[0].column_units, metadata, Path(path))
 
 
 def write_csv(recording: Recording, path: str | Path) -> None:

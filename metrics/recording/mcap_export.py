@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from zenostat.metrics.labels import unused_name
 from zenostat.metrics.recording.data import Recording
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.topics import VERSION
@@ -147,7 +148,7 @@ def field_names(names: Sequence[str]) -> list[str]:
     for name in names:
         plain = re.sub(r"\W", "_", name, flags=re.ASCII)
         plain = f"_{plain}" if plain[0].isdigit() else plain
-        field = next(text for n in range(len(names) + 2) if (text := f"{plain}_{n + 1}" if n else plain) not in used)
+        field = unused_name(plain, used)
         used.add(field)
         fields.append(field)
     return fields

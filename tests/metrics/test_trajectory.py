@@ -1,5 +1,6 @@
 """Trajectories: one run in arrays, with names, units and times."""
 
+from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
 
@@ -181,3 +182,50 @@ def test_trajectory__weather_ends_with_the_episode_and_radiation_is_a_power() ->
     weather = read_weather(series, timedelta(hours=1))
     assert weather.temperature.tolist() == [10.0, 11.0]
     assert weather.solar.tolist() == [200.0, 400.0]  # Wh/m2 in half an hour
+
+
+def test_trajectory__no_point_replaces_a_column_of_the_table() -> None:
+    whole = recorded(2)
+    names = ("time", "core_cooling_setpoint.source", "reward", "step", "time_2", "reward.energy", "slot")
+    points = tuple(
+        point.model_copy(update={"name": name, "unit": f"u{place}"})
+        for place, (point, name) in enumerate(zip(whole.manifest.points, names, strict=True))
+    )
+    count = len(whole.manifest.sensors)
+    of = whole.manifest.model_copy(update={"sensors": points[:count], "meters": points[count:]})
+    odd = replace(whole, manifest=of)
+    table = odd.columns()
+    assert np.array_equal(table["time"], whole.time)
+    assert (table["step"].tolist(), table["slot"].tolist()) == ([0, 1, 2], [0, 0, 0])
+    assert np.array_equal(table["reward.energy"], [np.nan, -1.0, -1.0], equal_nan=True)
+    assert table["core_cooling_setpoint.source_2"].tolist() == [""] * 3
+    renamed = {"time_3": "time", "reward_2": "reward", "step_2": "step", "reward.energy_2": "reward.energy"}
+    assert odd.renamed == renamed | {"slot_2": "slot"}
+    for column, name in {**odd.renamed, "time_2": "time_2"}.items():
+        assert table[column].tolist() == whole.values[:, names.index(name)].tolist()
+        assert odd.column_units[column] == f"u{names.index(name)}"
+    assert not {"time", "reward.energy"} & odd.column_units.keys()
+
+
+def test_trajectory__time_without_a_year_is_in_the_year_that_has_it() -> None:
+    recorder = TrajectoryRecorder(of := office(("core",), steps=4 * 96, begin="2017-12-30T00:00:00"))
+    for step in range(4 * 96 + 1):
+        recorder.add(sample(of, step, VALUES))
+    part = recorder.trajectory().between("01-01", "01-01T12:00")
+    assert (part.step[0], part.step[-1]) == (2 * 96, 2 * 96 + 48)
+    assert recorder.trajectory().between("12-31", "01-02").steps == 2 * 96
+
+
+def test_trajectory__times_without_a_sample_between_them_are_an_error() -> None:
+    with pytest.raises(InvalidConfig, match=r"no sample from 07-03T01:00 to 07-03T00:30: .* 2017-07-03 00:00:00 to "):
+        recorded().between("07-03T01:00", "07-03T00:30")
+    with pytest.raises(InvalidConfig, match="no sample from 07-04 to 2017-07-03 02:15:00"):
+        recorded().between("07-04")
+
+
+def test_trajectory__timesteps_that_lack_a_value_are_counted() -> None:
+    whole = recorded()
+    values = whole.values.copy()
+    values[3, 2] = values[5:7, 0] = np.nan
+    values[:, 4] = np.nan  # never measured
+    assert (replace(whole, fault_free_values=values).incomplete_steps, whole.incomplete_steps) == (3, 0)
