@@ -10,6 +10,7 @@ import typer
 
 from zenostat.cli.console import err, out, warnings_printed
 from zenostat.cli.verify import File
+from zenostat.topics.atomic_file import check_writable
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.plurals import counted
 
@@ -47,12 +48,11 @@ def export(
     Example: `zenostat export run.mcap --to rrd`
     """
     path = target or file.with_suffix(_SUFFIXES.get(to, f".{to}"))
-    if not path.absolute().parent.is_dir():
-        raise InvalidConfig(f"--out {path}: there is no folder {path.absolute().parent}")
     if path.suffix != f".{to}":
         raise InvalidConfig(f"--out {path}: expected a .{to} file")
     if path.resolve() == file.resolve():
         raise InvalidConfig(f"--out {path}: that is the recording itself; choose another name")
+    check_writable(path, f"--out {path}")
     if to is Format.RRD:
         text = f"{counted(_write_rrd(file, path), 'sample', ',')}; open it with: zenostat view {path}"
     else:

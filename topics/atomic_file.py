@@ -7,6 +7,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from zenostat.topics.errors import InvalidConfig
+
 
 @contextmanager
 def atomic_file(path: Path) -> Iterator[Path]:
@@ -15,9 +17,32 @@ def atomic_file(path: Path) -> Iterator[Path]:
     Readers see the previous file or the complete new one. The temporary name has the suffix of `path`, from which some
     libraries choose the format.
     """
-    temporary = path.with_name(f".{os.getpid()}.{path.name}")
+    temporary = _temporary(path)
     try:
         yield temporary
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: Path, what: str) -> None:
+    """Check that `atomic_file` can write a file, before anything that takes long.
+
+    Raises:
+        InvalidConfig: it cannot; the text begins with `what`.
+    """
+    folder = path.absolute().parent
+    if not folder.is_dir():
+        raise InvalidConfig(f"{what}: there is no folder {folder}")
+    if path.is_dir():
+        raise InvalidConfig(f"{what}: expected a file, but this is a folder")
+    temporary = _temporary(path)
+    try:
+        temporary.touch()
+        temporary.unlink()
+    except OSError as error:
+        raise InvalidConfig(f"{what}: no file can be written in {folder}: {error.strerror}") from None
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{os.getpid()}.{path.name}")

@@ -58,6 +58,9 @@ def test_cli__evaluation_writes_report_and_figures_with_its_own_numbers(scratch:
         (["--report", "folder.html"], "--report folder.html: expected a file, but this is a folder"),
         (["--figures", "file"], "--figures file: expected a folder, but this is a file"),
         (["--figures", "nowhere/figures"], "--figures nowhere/figures: there is no folder"),
+        (["--report", "/proc/a.html"], "--report /proc/a.html: no file can be written in /proc"),
+        (["--figures", "/proc/figures"], "--figures /proc/figures: no file can be written in /proc"),
+        (["--figures", "/proc"], "--figures /proc: no file can be written in /proc"),
     ],
 )
 def test_cli__wrong_path_is_one_sentence_before_anything_starts(

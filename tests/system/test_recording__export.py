@@ -187,5 +187,7 @@ def test_recording__what_cannot_be_exported_is_one_error(watched: Any, scratch: 
     assert sorted(scratch.iterdir()) == [empty]  # nothing half-written
     result = run("export", str(empty), "--to", to, "--out", str(scratch / "run.txt"))
     assert f"expected a .{to} file" in result.stderr
+    result = run("export", str(empty), "--to", to, "--out", f"/proc/run.{to}")
+    assert f"--out /proc/run.{to}: no file can be written in /proc" in result.stderr
     result = run("export", str(empty), "--to", "mcap", "--out", str(empty))
     assert "that is the recording itself" in result.stderr

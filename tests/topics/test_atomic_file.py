@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.atomic_file import atomic_file, check_writable
+from zenostat.topics.errors import InvalidConfig
 
 
 def test_atomic_file__file_is_replaced_on_success(tmp_path: Path) -> None:
@@ -31,3 +32,20 @@ def test_atomic_file__error_leaves_the_old_file_and_nothing_else(tmp_path: Path)
         write_half()
     assert [file.name for file in tmp_path.iterdir()] == ["a.zip"]
     assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    ("path", "text"),
+    [
+        ("nowhere/a.csv", "x: there is no folder"),
+        ("folder", "x: expected a file, but this is a folder"),
+        ("a" * 250 + ".csv", "x: no file can be written in .*: File name too long"),
+        ("/proc/a.csv", "x: no file can be written in /proc: "),
+    ],
+)
+def test_check_writable__states_why_not(path: str, text: str, tmp_path: Path) -> None:
+    (tmp_path / "folder").mkdir()
+    with pytest.raises(InvalidConfig, match=text):
+        check_writable(tmp_path / path, "x")
+    check_writable(tmp_path / "a.csv", "x")
+    assert [file.name for file in tmp_path.iterdir()] == ["folder"]

@@ -91,13 +91,9 @@ def read_screenshot(path: Path, at: str | None = None, size: str = SIZE, tab: st
 
 
 def check_writable(path: Path) -> None:
-    """Raise `InvalidConfig` if a file cannot be written at `path`."""
-    folder = path.absolute().parent
-    if not folder.is_dir():
-        raise InvalidConfig(f"cannot write {path.name}: there is no folder {folder}")
-    if path.is_dir():
-        raise InvalidConfig(f"cannot write {path}: it is a folder")
-    if not os.access(path if path.exists() else folder, os.W_OK):
+    """Raise `InvalidConfig` if a file cannot be written at `path`, or an existing one not be changed."""
+    atomic_file.check_writable(path, f"cannot write {path.name}")
+    if path.exists() and not os.access(path, os.W_OK):
         raise InvalidConfig(f"cannot write {path}: permission denied")
 
 

@@ -6,7 +6,7 @@ import csv
 from itertools import zip_longest
 from pathlib import Path
 
-from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.atomic_file import atomic_file, check_writable
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
 from zenostat.views.report.figures.base import Figure
@@ -59,14 +59,13 @@ def check_report_file(path: str | Path, option: str = "report") -> Path:
     """Return the path of a report if it can be written there.
 
     Raises:
-        InvalidConfig: it is no .html file, its folder is missing, it is a folder, or Matplotlib is missing.
+        InvalidConfig: it is no .html file, its folder is missing or cannot be written to, it is a folder, or Matplotlib
+            is missing.
     """
     file = Path(path)
     if file.suffix.casefold() not in (".html", ".htm"):
         raise InvalidConfig(f"{option} {file}: expected an .html file")
-    if file.is_dir():
-        raise InvalidConfig(f"{option} {file}: expected a file, but this is a folder")
-    _check_parent(file, option)
+    check_writable(file, f"{option} {file}")
     import_extra("matplotlib.figure", "plots", "a report")
     return file
 
@@ -75,17 +74,11 @@ def check_figures_folder(folder: str | Path, option: str = "figures") -> Path:
     """Return the path of a folder for figures if it is there or can be created.
 
     Raises:
-        InvalidConfig: it is a file, the folder above is missing, or Matplotlib is missing.
+        InvalidConfig: it is a file, it cannot be written to, the folder above is missing, or Matplotlib is missing.
     """
     path = Path(folder)
     if path.exists() and not path.is_dir():
         raise InvalidConfig(f"{option} {path}: expected a folder, but this is a file")
-    _check_parent(path, option)
+    check_writable(path / "end-uses.csv" if path.is_dir() else path, f"{option} {path}")
     import_extra("matplotlib.figure", "plots", "figures")
     return path
-
-
-def _check_parent(path: Path, option: str) -> None:
-    parent = path.absolute().parent
-    if not parent.is_dir():
-        raise InvalidConfig(f"{option} {path}: there is no folder {parent}")
