@@ -4,6 +4,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 from support.nodes import SMALL, node_on_bus
@@ -131,6 +132,40 @@ def test_recording__episode_in_part_is_reported_where_no_episode_is_complete(int
     nothing = rewrite(interrupted, tmp_path / "nothing.mcap", first_samples)
     with pytest.raises(InvalidRecording, match="has no timestep"):
         compare_recordings([nothing])
+
+
+ROOM = """
+class Room:
+    step_s, steps = 600.0, 6
+    sensors = {"room_temperature": "degC"}
+    meters = {"electricity": "J"}
+    actuators = {"heater": ("W", 0.0, 3000.0, 500.0)}
+
+    def reset(self, seed):
+        return {"room_temperature": 20.0, "electricity": 0.0}
+
+    def step(self, commands):
+        return {"room_temperature": 20.0, "electricity": 600.0 * commands["heater"]}
+"""
+
+
+@pytest.mark.slow
+def test_recording__one_of_several_parallel_baselines_is_the_reference(tmp_path: Path) -> None:
+    (tmp_path / "room.py").write_text(ROOM)
+    files = []
+    for watts in (300.0, 600.0):
+        files.append(tmp_path / f"heat_{watts:.0f}.mcap")
+        env = gym.make(
+            "zenostat/Plant-v1", plant=f"{tmp_path / 'room.py'}:Room", reward=None, baseline=True, record=str(files[-1])
+        )
+        env.reset(seed=0)
+        while not env.step(np.array([watts], np.float32))[3]:
+            pass
+        env.close()
+    for chosen in (files, files[:1]):
+        runs = compare_recordings(chosen).runs
+        assert [of.name for of in runs][:1] == ["baseline"]
+        assert [of.results[0].mean_power_w for of in runs] == pytest.approx([500.0, 300.0, 600.0][: len(chosen) + 1])
 
 
 @pytest.mark.slow

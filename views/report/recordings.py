@@ -46,8 +46,8 @@ def compare_recordings(
 ) -> Comparison:
     """Return the content of a report with a run for each recording, baseline control first.
 
-    A run has the complete episodes of all slots; if there is none, those that were recorded in part. A recording of a
-    node that simulates its baseline as well, without another one under baseline control, has a run for each.
+    A run has the complete episodes of all slots; if there is none, those that were recorded in part. If
+    none of them is under baseline control, the first baseline that a node simulated as well has a run too.
 
     Args:
         paths: of the recordings, of the same run period and timestep.
@@ -79,8 +79,10 @@ def compare_recordings(
                 _check_period(results[0], file, reader.manifest)
             results += _results(reader, reward, rates)
             scenario = reader.scenario if not scenario or results[-1].has_controller else scenario
-    if sum(not result.has_controller for result in results) > 1:
-        results = [result for result in results if not result.is_parallel]
+    parallel = [result for result in results if result.is_parallel]
+    results = [result for result in results if not result.is_parallel]
+    if all(result.has_controller for result in results):
+        results += parallel[:1]
     results.sort(key=lambda result: (result.has_controller, result.is_parallel))
     names = _names(results)
     sources: dict[str, str] = {}
