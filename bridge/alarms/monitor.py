@@ -80,6 +80,7 @@ class AlarmMonitor:
         self._period = plant.run_period
         self._slots, self._width = slots, len(plant.sensors) + len(plant.meters)
         self._columns = np.array([point.column for point in self._points], np.intp)
+        self._of_meter = self._columns >= len(plant.sensors)
         self._occupied = np.array([i for i, point in enumerate(self._points) if point.occupants is not None], np.intp)
         self._occupants = np.array([p.occupants for p in self._points if p.occupants is not None], np.intp)
         self._schedules = _schedules(self._points)
@@ -123,18 +124,19 @@ class AlarmMonitor:
         """Take the published values of a sample, raw float64 of shape (slots, points); return the events.
 
         A sample that is published again is not evaluated again: that of a slot which waits while others step, and the
-        one of a snapshot.
+        one of a snapshot. Meters have no timestep at step 0, so that their alarms are evaluated from step 1 on.
         """
         table = np.frombuffer(values).reshape(self._slots, self._width)
         present = self._values = table[:, self._columns]
         # NaN is in no range.
         visit = ~((present >= self._low) & (present <= self._high)) | self._is_pending
+        unmeasured = self._of_meter & (np.array(step) == 0)[:, None]
         if len(self._occupied) or self._schedules:
-            inhibited = self._inhibition(table, step)
+            inhibited = np.where(unmeasured, self._inhibited, self._inhibition(table, step))
             visit |= inhibited != self._inhibited
             self._inhibited = inhibited
         if self._conditions:
-            suppressed = self._conditions.hold(table, len(self._points))
+            suppressed = np.where(unmeasured, self._suppressed, self._conditions.hold(table, len(self._points)))
             visit |= suppressed != self._suppressed
             self._suppressed = suppressed
         if self._has_time_limits:
@@ -143,6 +145,7 @@ class AlarmMonitor:
             self._is_restored = False
             self._screen_all()
             visit[:] = False
+        visit &= ~unmeasured
         if not visit.any():
             self._latest = [*zip(episode, step, strict=True)]
             return []

@@ -95,6 +95,17 @@ def test_an_event__reports_the_transition() -> None:
     assert event.alarm.state is AlarmState.RETURNED
 
 
+@pytest.mark.parametrize("when", [{}, {"suppress_when": {"point": "core_people", "above": 0.5}}])
+def test_meters__have_alarms_from_the_first_timestep_on(when: dict[str, Any]) -> None:
+    """At step 0 no timestep has been measured."""
+    node = Node({"name": "idle", "points": "electricity", "low": 1e6, **when})
+    assert node.sample(people=1.0) == []
+    assert node.state() == {"idle": "normal"}
+    events = node.sample(people=1.0)
+    assert node.state() == {"idle": "suppressed" if when else "active"}
+    assert len(events) == 1 + bool(when)
+
+
 def test_a_missing_value__is_a_fault() -> None:
     node = Node(WARM)
     (event,) = node.sample(float("nan"))
