@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.monitor import ZONES, geometry, two_storeys
 
+from zenostat.topics.errors import BadMessage
 from zenostat.views.display.surfaces import area
 from zenostat.views.live.meshes import CUT_M, MAX_STACKED, building_model, clip_above, storey_names, storey_offsets
 
@@ -103,3 +104,9 @@ def test_rerun_meshes__zones_name_is_above_its_floor() -> None:
         east, north, up = model.zone_places[name]
         assert (east, north) == pytest.approx((10.0, 5.0))
         assert up == pytest.approx(mesh.positions[:, 2].max())
+
+
+def test_rerun_meshes__geometry_whose_zone_is_in_no_storey_is_unreadable() -> None:
+    broken = two_storeys().model_copy(update={"storeys": (0.0,)})
+    with pytest.raises(BadMessage, match="its zones are in storeys up to 1"):
+        building_model(broken, ZONES)

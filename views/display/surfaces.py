@@ -74,6 +74,10 @@ def surfaces(geometry: Geometry) -> list[Surface]:
     kinds, zones, exposed, corner_counts = (_array(geometry, name, kind, count) for name, kind in _FIELDS.items())
     ends = np.cumsum(corner_counts)
     corners = _array(geometry, "corners", "<f4", 3 * int(corner_counts.sum())).reshape(-1, 3).astype(float)
+    storeys = [zone.storey for zone in geometry.zones]
+    _check(
+        max(storeys, default=-1) < len(geometry.storeys), f"its zones are in storeys up to {max(storeys, default=0)}"
+    )
     _check(kinds.max(initial=0) <= max(SurfaceKind), f"its kinds contain {kinds.max(initial=0)}")
     lowest, highest = zones.min(initial=0), zones.max(initial=-1)
     _check(
