@@ -57,6 +57,15 @@ def test_report__timestep_of_six_hours_counts_for_each_of_them() -> None:
 
 def test_report__sums_are_by_day_for_weeks_and_by_month_for_longer_runs() -> None:
     days, sums = by_period(np.ones(14 * 24), begins(14 * 24, 60))
+def test_report__timestep_counts_for_each_hour_by_its_part_of_it() -> None:
+    _, grid = by_hour(np.array([1.0, 3.0, 5.0]), begins(3, 150), 150 * 60.0)
+    assert grid[0, :8] == pytest.approx([1.0, 1.0, 2.0, 3.0, 3.0, 5.0, 5.0, 5.0])
+    assert np.isnan(grid[0, 8:]).all()
+    days, grid = by_hour(np.array([1.0, 3.0]), begins(2, 120, MIDNIGHT + np.timedelta64(1410, "m")), 7200.0)
+    assert (len(days), grid[0, 23]) == (2, 1.0)
+    assert grid[1, :4] == pytest.approx([1.0, 2.0, 3.0, 3.0])
+
+
     assert sums.tolist() == [24.0] * 14
     assert str(days[-1]) == "2017-07-16"
     months, sums = by_period(np.ones(92 * 24), begins(92 * 24, 60, np.datetime64("2017-07-01T00:00:00")))

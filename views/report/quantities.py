@@ -176,22 +176,21 @@ class Quantities:
 def by_hour(values: Floats, begins: Times, step_s: float) -> tuple[Times, Floats]:
     """Return the days and the mean of each hour, shape (days, 24); NaN where there is no value.
 
-    A timestep longer than an hour counts for each hour that it covers.
+    A timestep counts for each hour that it covers, by its part of the hour.
     """
-    repeats = max(round(step_s / HOUR_S), 1)
-    if repeats > 1:
-        offsets = np.tile(np.arange(repeats).astype("timedelta64[h]"), len(begins))
-        values, begins = np.repeat(values, repeats), np.repeat(begins, repeats) + offsets
-    days = begins.astype("datetime64[D]")
-    hours = (begins - days).astype("timedelta64[h]").astype(int)
-    first, last = days[0], days[-1]
-    cells = (days - first).astype(int) * 24 + hours
-    size = (int((last - first).astype(int)) + 1) * 24
-    known = np.isfinite(values)
-    counts = np.bincount(cells[known], minlength=size)
-    sums = np.bincount(cells[known], weights=values[known], minlength=size)
-    means = np.divide(sums, counts, out=np.full(size, np.nan), where=counts > 0)
-    return np.arange(first, last + 1), means.reshape(-1, 24)
+    first = begins[0].astype("datetime64[D]")
+    start = (begins - first.astype("datetime64[s]")) / np.timedelta64(1, "s")
+    end = start + step_s
+    size = int(np.ceil(np.round(end[-1]) / HOUR_S / 24.0)) * 24
+    hours, known = (start // HOUR_S).astype(int), np.isfinite(values)
+    sums, weights = np.zeros(size), np.zeros(size)
+    for hour in (hours + offset for offset in range(int(np.ceil(step_s / HOUR_S)) + 1)):
+        covered = np.minimum(end, (hour + 1) * HOUR_S) - np.maximum(start, hour * HOUR_S)
+        part = known & (covered > 0.0) & (hour < size)
+        weights += np.bincount(hour[part], weights=covered[part], minlength=size)
+        sums += np.bincount(hour[part], weights=covered[part] * values[part], minlength=size)
+    means = np.divide(sums, weights, out=np.full(size, np.nan), where=weights > 0.0)
+    return first + np.arange(size // 24), means.reshape(-1, 24)
 
 
 def by_period(values: Floats, begins: Times) -> tuple[Times, Floats]:
