@@ -4,14 +4,15 @@ import re
 from dataclasses import replace
 
 import pytest
-from support.trajectories import office_comparison
+from support.trajectories import office, office_comparison, run
 
 from zenostat.metrics.episode_metrics import EpisodeMetrics
 from zenostat.views.report import Comparison, Run
+from zenostat.views.report.page import page
 from zenostat.views.report.runs import short_names
 from zenostat.views.report.summary import summary
 from zenostat.views.report.totals import Metric, difference, metrics, number, signed
-from zenostat.views.report.totals_section import totals_section
+from zenostat.views.report.totals_section import NONE, totals_section
 
 ELECTRICITY = Metric("electricity_kwh", "Electricity", "kWh")
 REWARD = Metric("reward", "Reward", "", 1)
@@ -200,3 +201,31 @@ def test_totals_section__several_controllers_have_a_column_each() -> None:
     pair = totals_section(office_comparison())
     assert "Below each number" not in pair
     assert "rbc \N{MINUS SIGN} baseline" in pair
+
+
+def test_report__total_without_all_values_is_not_known() -> None:
+    of, nan = office(("core",), steps=4), float("nan")
+    mild = [[24.0] * 4], [[0.0] * 4]
+    whole, part = run("baseline", of, [10.0] * 4, *mild), run("rbc", of, [10.0, nan, 10.0, 10.0], *mild)
+    for runs in ((part,), (whole, part), (part, whole)):
+        comparison = Comparison(runs)
+        assert "rbc lacks values of 1 of 4 timesteps; totals that need them are not known." in summary(comparison)
+        (row,) = re.findall(r'<tr data-metric="electricity_kwh">(.*?)</tr>', totals_section(comparison))
+        cells = re.findall(r'<td class="n">(.*?)</td>', row)
+        assert cells[: len(runs)] == ["10" if run_ is whole else NONE for run_ in runs]
+        assert "nan" not in page(comparison)
+
+
+def test_report__result_names_lost_samples(comparison: Comparison) -> None:
+    reference, other = comparison.runs
+    texts = texts_of(Comparison((reference, changed(other, lost=7))))
+    assert "7 samples of rbc were lost; its totals lack their timesteps." in texts
+
+
+def test_report__reference_is_only_within_the_band_if_it_is(comparison: Comparison) -> None:
+    reference, other = comparison.runs
+    for before, words in ((0.05, "20 K h (under baseline by 0.0500 K h)"), (0.0, "under baseline they were within it")):
+        runs = changed(reference, occupied_outside_kh=before), changed(other, occupied_outside_kh=20.0)
+        (text,) = texts_of(Comparison(runs))
+        assert words in text
+        assert ("they were within it" in text) == (before == 0.0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import isnan
+
 from zenostat.topics.plurals import counted
 from zenostat.views.report.figures.comfort import rank_zones
 from zenostat.views.report.runs import Comparison, Run
@@ -114,8 +116,10 @@ def _outside(run: Run, reference: Run, change: Difference, *, is_contrast: bool)
     elif change.percent is not None:
         less = "less" if change.mean < 0 else "more"
         text += f", {_percent(change.percent)} {less} than under {reference.label} ({kelvin_hours(base.mean)})"
-    else:
+    elif base.mean == 0.0:
         text += f"; under {reference.label} they were within it"
+    else:
+        text += f" (under {reference.label} by {kelvin_hours(base.mean)})"
     return f"{text}{_worst(run)}."
 
 
@@ -162,6 +166,13 @@ def _irregular(run: Run) -> list[str]:
     partial = [result for result in run.results if not result.terminated and result.steps < planned]
     if partial:
         texts.append(f"{run.label} controlled {partial[0].steps} of {planned} timesteps.")
+    lost = sum(result.lost for result in run.results)
+    if lost:
+        texts.append(f"{counted(lost, 'sample')} of {run.label} were lost; its totals lack their timesteps.")
+    if any(value is not None and isnan(value) for result in run.results for value in result.metrics().values()):
+        missing = run.trajectory.incomplete_steps
+        which = f"{missing} of {run.trajectory.steps} timesteps" if missing else "some timesteps"
+        texts.append(f"{run.label} lacks values of {which}; totals that need them are not known.")
     not_accepted = sum(result.late + result.rejected for result in run.results)
     if not_accepted:
         texts.append(f"The node did not accept {counted(not_accepted, 'message')} of {run.label} (late or rejected).")

@@ -127,15 +127,15 @@ def _values(run: Run, key: str, *, any_zero: bool = True) -> list[float]:
 
 
 def total(run: Run, key: str) -> MetricSummary | None:
-    """Return the statistics of a metric over a run's episodes; None if an episode lacks it."""
+    """Return the statistics of a metric over a run's episodes; None if an episode lacks it, or values for it."""
     values = _values(run, key)
-    return summarize(values) if values else None
+    return summarize(values) if values and all(map(isfinite, values)) else None
 
 
 def difference(run: Run, reference: Run, metric: Metric) -> Difference | None:
-    """Return the difference of a metric to the reference; None if one of them lacks it."""
+    """Return the difference of a metric to the reference; None if one of them lacks it, or values for it."""
     values, others = _values(run, metric.key), _values(reference, metric.key)
-    if not values or len(values) != len(others):
+    if not values or len(values) != len(others) or not all(map(isfinite, (*values, *others))):
         return None
     summary = summarize([value - other for value, other in zip(values, others, strict=True)])
     base = sum(others) / len(others)
@@ -154,7 +154,7 @@ def has_equal_lengths(run: Run, reference: Run) -> bool:
 def _verdict(summary: MetricSummary, percent: float | None, sign: int) -> str:
     if summary.mean == 0.0 or (percent is not None and abs(percent) < EQUAL_PERCENT):
         return "equal"
-    if sign == 0 or not isfinite(summary.mean):
+    if sign == 0:
         return ""
     if summary.interval is not None and summary.interval[0] <= 0.0 <= summary.interval[1]:
         return "unclear"
