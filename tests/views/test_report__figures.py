@@ -12,6 +12,8 @@ from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.views.report.figures import actuators, carpets, comfort, energy, months, reward, weather
 from zenostat.views.report.figures.base import Curve
 from zenostat.views.report.quantities import Quantities, by_hour, by_period, load_duration
+from zenostat.views.report.readings import readings
+from zenostat.views.report.sections import sections
 
 pytest.importorskip("matplotlib")
 
@@ -55,8 +57,6 @@ def test_report__timestep_of_six_hours_counts_for_each_of_them() -> None:
     assert grid[0].tolist() == [1.0] * 6 + [2.0] * 6 + [3.0] * 6 + [4.0] * 6
 
 
-def test_report__sums_are_by_day_for_weeks_and_by_month_for_longer_runs() -> None:
-    days, sums = by_period(np.ones(14 * 24), begins(14 * 24, 60))
 def test_report__timestep_counts_for_each_hour_by_its_part_of_it() -> None:
     _, grid = by_hour(np.array([1.0, 3.0, 5.0]), begins(3, 150), 150 * 60.0)
     assert grid[0, :8] == pytest.approx([1.0, 1.0, 2.0, 3.0, 3.0, 5.0, 5.0, 5.0])
@@ -66,6 +66,8 @@ def test_report__timestep_counts_for_each_hour_by_its_part_of_it() -> None:
     assert grid[1, :4] == pytest.approx([1.0, 2.0, 3.0, 3.0])
 
 
+def test_report__sums_are_by_day_for_weeks_and_by_month_for_longer_runs() -> None:
+    days, sums = by_period(np.ones(14 * 24), begins(14 * 24, 60))
     assert sums.tolist() == [24.0] * 14
     assert str(days[-1]) == "2017-07-16"
     months, sums = by_period(np.ones(92 * 24), begins(92 * 24, 60, np.datetime64("2017-07-01T00:00:00")))
@@ -218,6 +220,39 @@ def test_report__rewards_add_up() -> None:
     figure = reward.reward(comparison.curves)
     assert figure.data["rbc: reward"][-1] == pytest.approx(comparison.runs[1].results[0].reward)
     assert figure.data["rbc: comfort"][-1] == pytest.approx(-96.0)
+
+
+def test_report__term_named_reward_is_not_the_total() -> None:
+    terms = {"reward": -1.0, "penalty": -2.0}
+    of = run("rbc", office(("core",), steps=4), [10.0] * 4, [[24.0] * 4], [[0.0] * 4], terms=terms)
+    figure = reward.reward([Curve("rbc", 0, of.quantities)])
+    assert figure.data["rbc: reward"] == [-3.0, -6.0, -9.0, -12.0]
+    assert figure.data["rbc: reward term"] == [-1.0, -2.0, -3.0, -4.0]
+    assert "rbc -12.0" in figure.alt
+
+
+def test_report__legends_show_names_that_begin_with_an_underscore() -> None:
+    names = ("_baseline", "_mine")
+    comparison = office_comparison(names)
+    figures = [figure for section in sections(comparison) for figure in section.figures if figure.name != "weather"]
+    for figure in figures:
+        drawing = figure.drawing
+        legends = [*drawing.legends, *(axis.get_legend() for axis in drawing.axes)]
+        texts = [text.get_text() for legend in legends if legend is not None for text in legend.get_texts()]
+        if figure.name in ("load-duration", "actuators", "energy-by-day", "degree-hours", "reward"):
+            assert all(any(name in text for text in texts) for name in names), figure.name
+    (duration,) = (figure for figure in figures if figure.name == "load-duration")
+    assert '"label":"_mine"' in readings(duration.drawing)
+
+
+@pytest.mark.filterwarnings("error")
+def test_report__run_without_power_is_drawn_without_a_warning() -> None:
+    of = office(("core",), steps=4)
+    zero = run("rbc", of, [0.0] * 4, [[24.0] * 4], [[0.0] * 4])
+    figure = energy.duration([Curve("rbc", 0, zero.quantities)])
+    figure.drawing.draw_without_rendering()
+    unknown = run("rbc", of, [np.nan] * 4, [[24.0] * 4], [[0.0] * 4])
+    assert energy.duration([Curve("rbc", 0, unknown.quantities)]) is None
 
 
 def test_report__episodes_with_the_same_weather_are_drawn_once() -> None:

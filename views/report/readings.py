@@ -72,10 +72,11 @@ def read_lines(axis: Any, unit: str, first: np.datetime64 | None = None, labels:
     """Let a page show the values of all lines of an axis, with the lines' own labels if none are given."""
     lines = []
     for place, line in enumerate(axis.get_lines()):
-        label = labels[place] if labels else line.get_label()
+        own = line.get_label()
+        label = labels[place] if labels else "" if own.startswith("_") else own
         places, values = (np.asarray(data, float) for data in line.get_data())
         is_step = line.get_drawstyle() == "steps-post"
-        lines.append(Series("" if label.startswith("_") else label, line.get_color(), places, values, is_step))
+        lines.append(Series(label, line.get_color(), places, values, is_step))
     read_series(axis, unit, lines, first)
 
 

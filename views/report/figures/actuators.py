@@ -9,7 +9,16 @@ import numpy as np
 
 from zenostat.metrics.labels import label, unit_label
 from zenostat.topics.energyplus_names import THERMOSTAT
-from zenostat.views.report.figures.base import LONG_DAYS, Curve, Figure, daily, day_numbers, draw, mark_days
+from zenostat.views.report.figures.base import (
+    LONG_DAYS,
+    Curve,
+    Figure,
+    daily,
+    day_numbers,
+    draw,
+    legend_text,
+    mark_days,
+)
 from zenostat.views.report.quantities import Floats
 from zenostat.views.report.readings import Series, read_lines, read_series
 from zenostat.views.report.theme import LIGHT, series_color
@@ -141,12 +150,13 @@ def _line(axis: Any, curve: Curve, values: Floats, edges: Floats, *, is_long: bo
         _, low, _, _ = daily(lowest, edges[:-1])
         middle, _, mean, _ = daily(means, edges[:-1])
         _, _, _, high = daily(highest, edges[:-1])
-        axis.plot(middle, mean, color=curve.color, linestyle=curve.dashes, label=curve.name)
+        axis.plot(middle, mean, color=curve.color, linestyle=curve.dashes, label=legend_text(curve.name))
         axis.fill_between(middle, low, high, color=curve.color, alpha=0.16, linewidth=0)
         return
     where, mean = _runs(edges, means)
     axis.plot(
-        where, mean, color=curve.color, linestyle=curve.dashes, drawstyle="steps-post", linewidth=1.3, label=curve.name
+        where, mean, color=curve.color, linestyle=curve.dashes, drawstyle="steps-post", linewidth=1.3,
+        label=legend_text(curve.name),
     )  # fmt: skip
     where, low, high = _runs(edges, lowest, highest)
     if (high > low).any():

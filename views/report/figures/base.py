@@ -131,6 +131,11 @@ LEGEND_ROW_PT = 13.0
 """Height of a row of a legend, points."""
 
 
+def legend_text(name: str) -> str:
+    """Return a name as the label of a line or bar; Matplotlib's legends leave out those that begin with `_`."""
+    return f"\N{ZERO WIDTH SPACE}{name}" if name.startswith("_") else name
+
+
 def legend_above(axis: Any, **settings: Any) -> int:
     """Put the legend above the axes, left, in as many rows as its texts need, and return their number.
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from zenostat.topics.plurals import counted
-from zenostat.views.report.figures.base import Curve, Figure, draw, legend_above
+from zenostat.views.report.figures.base import Curve, Figure, draw, legend_above, legend_text
 from zenostat.views.report.quantities import Floats
 from zenostat.views.report.theme import LIGHT
 
@@ -54,7 +54,7 @@ def degree_hours(curves: Sequence[Curve]) -> Figure | None:
         longest = max(float(max(high.max(), low.max())) for high, low in zip(above, below, strict=True))
         for row, curve in enumerate(curves):
             places = np.arange(len(shown)) + (row - (len(curves) - 1) / 2) * height
-            axis.barh(places, above[row][: len(shown)], height * 0.9, color=curve.color, label=curve.name)
+            axis.barh(places, above[row][: len(shown)], height * 0.9, color=curve.color, label=legend_text(curve.name))
             axis.barh(places, -below[row][: len(shown)], height * 0.9, color=curve.color)
         axis.axvline(0.0, color=LIGHT["muted"], linewidth=0.8)
         has_below = any(float(low.max()) >= _MIN_KH for low in below)

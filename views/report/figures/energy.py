@@ -14,6 +14,7 @@ from zenostat.views.report.figures.base import (
     draw,
     ink_on,
     legend_above,
+    legend_text,
     period_label,
     quiet,
     text_width,
@@ -105,7 +106,11 @@ def _end_use_table(curve: Curve) -> tuple[EndUseEnergy, ...]:
 
 def duration(curves: Sequence[Curve]) -> Figure | None:
     """Load duration: the power that is exceeded in each share of the time; None if no power is measured."""
-    powers = [(curve, curve.quantities.power_kw) for curve in curves if curve.quantities.power_kw is not None]
+    powers = [
+        (curve, power)
+        for curve in curves
+        if (power := curve.quantities.power_kw) is not None and np.isfinite(power).any()
+    ]
     if not powers:
         return None
     lines = [(curve, *load_duration(power)) for curve, power in powers]
@@ -117,10 +122,10 @@ def duration(curves: Sequence[Curve]) -> Figure | None:
             drawstyle = "default" if len(keep) < len(share) else "steps-post"
             axis.plot(
                 share[keep], falling[keep], color=curve.color, linestyle=curve.dashes, drawstyle=drawstyle,
-                label=f"{curve.name}, peak {falling[0]:,.1f} kW",
+                label=f"{legend_text(curve.name)}, peak {falling[0]:,.1f} kW",
             )  # fmt: skip
         axis.set_xlim(0, 100)
-        axis.set_ylim(0, max(falling[0] for _, _, falling in lines) * 1.05)
+        axis.set_ylim(0, max(falling[0] for _, _, falling in lines) * 1.05 or 1.0)
         axis.set_xticks([0, 25, 50, 75, 100], ["0 %", "25 %", "50 %", "75 %", "100 %"])
         axis.set_ylabel("kW")
         axis.set_xlabel("share of the time in which the power is at least as high")
@@ -166,7 +171,7 @@ def periods(curves: Sequence[Curve]) -> Figure | None:
             for row, curve in enumerate(curves):
                 axis.bar(
                     np.arange(len(starts)) + (row - (len(curves) - 1) / 2) * width, sums[fuel][row], width * 0.92,
-                    color=curve.color, label=curve.name,
+                    color=curve.color, label=legend_text(curve.name),
                 )  # fmt: skip
             axis.set_ylabel(f"{fuel_label(fuel)}, kWh")
             axis.yaxis.set_major_formatter("{x:,.0f}")

@@ -16,6 +16,7 @@ from zenostat.views.report.figures.base import (
     daily,
     draw,
     legend_above,
+    legend_text,
     mark_days,
 )
 from zenostat.views.report.quantities import Floats
@@ -46,7 +47,7 @@ def weather(episodes: Sequence[tuple[str, EpisodeWeather]], begin: np.datetime64
         axes = figure.subplots(1 + has_solar, 1, sharex=True, squeeze=False, height_ratios=[1.5, 1.0][: 1 + has_solar])
         for place, (label, series) in enumerate(shown):
             where: Any = offset + (np.arange(len(series.temperature)) + 1) * series.step_s / 86400.0
-            text = label if len(shown) > 1 else None
+            text = legend_text(label) if len(shown) > 1 else None
             _temperature(axes[0, 0], series.temperature, where, place, text, is_long=is_long, is_alone=len(shown) == 1)
             if has_solar:
                 _solar(axes[1, 0], series, where, place, len(shown), is_long=is_long)
