@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 from support.run_cli import run_in_process
-from support.trajectories import office_comparison
+from support.trajectories import office, office_comparison, run
 
-from zenostat.views.report import write_report
+from zenostat.views.report import Comparison, write_report
 
 pytest.importorskip("matplotlib")
 playwright = pytest.importorskip("playwright.sync_api", reason="pip install playwright")
@@ -310,4 +310,15 @@ def test_model_page__draws_the_building_and_names_the_zone_at_the_pointer(browse
     assert page.text_content("#label") == "Core_bottom: 984 m²"
     canvas.press("ArrowLeft")
     assert (messages, requests) == ([], [path.as_uri()])
+    page.close()
+
+
+@pytest.mark.slow
+def test_report__small_values_at_the_pointer_have_three_digits(browser: Any, tmp_path: Path) -> None:
+    of = office(steps=4)
+    small = run("rbc", of, [0.004, 0.0031, 0.0022, 0.001], [[24.0] * 4] * 2, [[0.0] * 4] * 2)
+    write_report(Comparison((small,)), tmp_path / "small.html")
+    page = browser.new_page()
+    page.goto((tmp_path / "small.html").as_uri())
+    assert said_at(page, "load-duration", 0.3)[1:] == ["rbc", "0.00310 kW"]
     page.close()

@@ -24,7 +24,9 @@ function unpack([low, high, packed], letters) {
 function series(entry) {
   const [low, high] = entry.y, y = unpack(entry.y, 2), places = entry.x || [0, 1];
   const x = places.length === 2 ? y.map((_, k) => places[0] + k * places[1]) : unpack(places, 4);
-  const digits = high > low ? Math.max(Math.min(Math.floor(-Math.log10((high - low) / 4094)), 2), 0) : 2;
+  const size = Math.floor(Math.log10(Math.max(Math.abs(low), Math.abs(high)) || 1));
+  const most = Math.min(Math.max(2, 2 - size), 20);  // three significant ones of the largest value
+  const digits = high > low ? Math.max(Math.min(Math.floor(-Math.log10((high - low) / 4094)), most), 0) : most;
   return {...entry, x, y, digits, isCells: !entry.x};
 }
 
