@@ -25,6 +25,22 @@ def test_rendering__axis_contains_its_values_and_has_at_least_two_round_ticks(
     assert all(bottom - slack <= tick <= top + slack for tick in ticks)
 
 
+@pytest.mark.parametrize("value", [1e15, -1e17, 1e300, 1e-320, 0.0])
+@pytest.mark.parametrize("from_zero", [True, False])
+def test_rendering__constant_of_any_size_has_an_axis(value: float, *, from_zero: bool) -> None:
+    bottom, top, _ = round_scale(value, value, None, 4, from_zero=from_zero)
+    assert bottom <= value <= top
+    assert bottom < top
+
+
+def test_rendering__small_values_fill_their_axis() -> None:
+    bottom, top, ticks = round_scale(0.010, 0.012, None, 4)
+    assert top - bottom < 0.003
+    assert ticks == pytest.approx([0.010, 0.011, 0.012])
+    bottom, top, _ = round_scale(21.50, 21.51, None, 4)
+    assert top - bottom > 0.1  # noise of a temperature does not
+
+
 @pytest.mark.parametrize(
     ("first", "last", "texts"),
     [

@@ -104,7 +104,7 @@ class Panel:
         weight: Share of the free height.
         from_zero: Whether the axis includes zero.
         is_filled: Whether the area between zero and the first curve is filled.
-        min_span: Smallest extent of the axis.
+        min_span: Smallest extent of the axis; None is that of `round_scale`.
         is_integer: Whether its values are whole numbers.
         includes: Values that the axis always includes.
         total: The text at the right of the title.
@@ -119,7 +119,7 @@ class Panel:
     weight: float = 1.0
     from_zero: bool = False
     is_filled: bool = False
-    min_span: float = 0.1
+    min_span: float | None = None
     is_integer: bool = False
     includes: tuple[float, ...] = ()
     total: Callable[[Window], str] = lambda _: ""

@@ -8,6 +8,10 @@ from datetime import datetime, timedelta
 _MINUS = "\N{MINUS SIGN}"
 _FACTORS = (1.0, 2.0, 2.5, 5.0)
 _MARGIN = 0.06
+_MIN_SPAN = 0.1
+_RESOLUTION = 1e-9
+"""Least extent of an axis as a part of its values, so that its limits differ."""
+_TINY = 1e-200
 _TICK_HOURS = (
     *(minutes / 60.0 for minutes in (1, 2, 5, 10, 15, 30)), 1.0, 2.0, 3.0, 6.0, 12.0, 24.0, 48.0, 168.0, 336.0, 672.0,
 )  # fmt: skip
@@ -17,9 +21,14 @@ _MONTHS = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct",
 
 
 def round_scale(
-    low: float, high: float, min_span: float, most: int, *, from_zero: bool = False
+    low: float, high: float, min_span: float | None, most: int, *, from_zero: bool = False
 ) -> tuple[float, float, list[float]]:
-    """Return lower and upper limit of an axis, and at most `most` (at least 2) round ticks within them."""
+    """Return lower and upper limit of an axis, and at most `most` (at least 2) round ticks within them.
+
+    The axis extends over at least `min_span`; if that is None, over a tenth of its values, but not more than 0.1.
+    """
+    size = max(abs(low), abs(high))
+    min_span = max(min(_MIN_SPAN, 0.1 * size) if min_span is None else min_span, _RESOLUTION * size, _TINY)
     if from_zero:
         low, high = min(low, 0.0), max(high, 0.0)
     if low == high == 0.0:
