@@ -121,8 +121,7 @@ def _mean_text(seconds: Sequence[float]) -> str:
     return f"{fmean(seconds):.1f}" if seconds else ""
 
 
-def interval_text(interval: Interval) -> str:
-    """Return an interval as text: `0.12 [0.08, 0.15]`."""
-    if math.isnan(interval.low):
-        return f"{interval.value:.3f}"
-    return f"{interval.value:.3f} [{interval.low:.3f}, {interval.high:.3f}]"
+def interval_text(interval: Interval, digits: int = 3) -> str:
+    """Return an interval as text, with some digits after the point: `0.120 [0.080, 0.150]`."""
+    value, low, high = (f"{number:.{digits}f}" for number in (interval.value, interval.low, interval.high))
+    return value if math.isnan(interval.low) else f"{value} [{low}, {high}]"

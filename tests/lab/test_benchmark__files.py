@@ -188,7 +188,7 @@ def test_benchmark_files__page_tells_what_the_rows_say(tmp_path: Path, monkeypat
     text = benchmark_page.page(benchmark_page.PAGE.read_text(encoding="utf-8"))
     assert "There are no intervals: they need at least three weather files and three seeds." in text
     assert "| ppo | 30 | 0.200 | 17.0 |" in text  # in a fifth of the episodes 5 % are saved, in the others 20 %
-    assert "| ppo | 0.100 | 0.100 | 0.100 | 0.100 | 0.100 | -0.050 |" in text  # minus `tuned`; last the warehouse
+    assert "| ppo | 0.1000 | 0.1000 | 0.1000 | 0.1000 | 0.1000 | -0.0500 |" in text  # minus `tuned`; last the warehouse
     assert "| sac | 0.150 |  |  |  |  |" in text
     assert "`sac` has 6 of 30 rows so far and is not in the tables." in text
     assert "| ppo | 1.0 | 1 | 7200.0 | 2.0 |" in text

@@ -16,6 +16,8 @@ from zenostat.lab.benchmark.run import same_controller
 from zenostat.lab.benchmark.scores import Interval, Scores, differences
 from zenostat.lab.benchmark.tables import Table, interval_text, saved_shares, tables
 
+_FINE = 4
+"""Digits after the point of differences of scores."""
 _COMPARED = ("tuned", "ppo", "oracle")
 PAGE = Path(__file__).parents[2] / "docs" / "benchmark.md"
 PLANNING = PAGE.with_name("mpc.md")
@@ -24,7 +26,7 @@ PUBLISHED = {name: FOLDER / f"{name}-{VERSION}.json" for name in ("full", "quick
 BOUNDS = FOLDER / f"bounds-{VERSION}"
 _MISSING = "There are no published rows of version {version} yet."
 _FIGURES = ("![Scores of each controller](benchmark/scores.svg)", "![Scores by building](benchmark/buildings.svg)")
-_CURVES = "![Evaluations of each training on the training weather; dashed: before the first step](benchmark/curves.svg)"
+_CURVES = "![Evaluations of each training on the training weather; points: before the first step](benchmark/curves.svg)"
 
 
 def published(name: str) -> Results | None:
@@ -101,6 +103,13 @@ def _unfinished(results: Results) -> Table | None:
             scores = score_rows(row for row in rows if row.controller in {name, "baseline"})
             by_name = {of.controller: of.overall for of in scores}
             cells.setdefault(name, {})[building] = interval_text(by_name[name])
+    if {"tuned", "ppo"} <= cells.keys():
+        for building in cells["tuned"].keys() & cells["ppo"]:
+            rows = [row for row in results.rows.values() if row.building == building]
+            scores = score_rows(row for row in rows if row.controller in {"baseline", "tuned", "ppo"})
+            of_name = {of.controller: of for of in scores}
+            difference, _ = differences(of_name["ppo"], of_name["tuned"])
+            cells.setdefault("ppo minus tuned", {})[building] = interval_text(difference, _FINE)
     lines = [(name, *(of.get(building, "") for building in BUILDINGS)) for name, of in cells.items()]
     title = "Scores of controllers that have all episodes of some buildings only"
     return Table(title, ("controller", *BUILDINGS.values()), tuple(lines)) if lines else None
@@ -154,9 +163,9 @@ def _learned(scores: Sequence[Scores]) -> Table | None:
     for name in names:
         overall, of_building = differences(by_name[name], by_name["tuned"])
         sides = [_side(of_building[building]) for building in buildings]
-        cells = [interval_text(of_building[building]) for building in buildings]
+        cells = [interval_text(of_building[building], _FINE) for building in buildings]
         counts = (f"{sides.count('above')} and {sides.count('below')} of {len(buildings)}",)
-        rows.append((name, interval_text(overall), *cells, *(counts if has_intervals else ())))
+        rows.append((name, interval_text(overall, _FINE), *cells, *(counts if has_intervals else ())))
     counted = ("buildings above and below 0, with the whole interval",) if has_intervals else ()
     columns = ("controller", "all", *(BUILDINGS.get(name, name) for name in buildings), *counted)
     return Table("Scores minus those of `tuned` in the same episodes", columns, tuple(rows))
