@@ -311,7 +311,7 @@ def test_gap__table_has_the_bound_and_leaves_out_episodes_without_a_gap() -> Non
     rows += [row("rbc", 1, -9.0), row("rbc", 2, -10.0), row("rbc", 3, -5.0)]
     known = [example(seed=seed, reward=reward) for seed, reward in ((1, -8.0), (2, -6.0), (3, -10.0), (4, -1.0))]
     table = gap_table(rows, {bound.key: bound for bound in known})
-    assert "over 2 episodes" in table.title
+    assert "over 2 of 3 episodes; 1 without a gap" in table.title
     assert "1 without a gap are left out" in table.title
     cells = {line[0]: line[1:] for line in table.rows}
     assert list(cells) == ["bound", "rbc", "baseline"]
