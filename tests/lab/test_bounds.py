@@ -311,14 +311,12 @@ def test_gap__table_has_the_bound_and_leaves_out_episodes_without_a_gap() -> Non
     rows += [row("rbc", 1, -9.0), row("rbc", 2, -10.0), row("rbc", 3, -5.0)]
     known = [example(seed=seed, reward=reward) for seed, reward in ((1, -8.0), (2, -6.0), (3, -10.0), (4, -1.0))]
     table = gap_table(rows, {bound.key: bound for bound in known})
-    assert "over 2 of 3 episodes; 1 without a gap" in table.title
-    assert "1 without a gap are left out" in table.title
+    assert table.title.endswith("over 2 of 3 episodes; 1 without a gap are left out")
     cells = {line[0]: line[1:] for line in table.rows}
     assert list(cells) == ["bound", "rbc", "baseline"]
-    assert cells["rbc"][0].startswith("0.250 [")  # the mean of 0.5 and 0
-    assert cells["bound"][0].startswith("1.000 [")
-    assert cells["bound"][1].startswith("0.300 [")  # the mean of 0.2 and 0.4
-    assert cells["baseline"][1].startswith("0.000 [")
+    assert cells["rbc"][0] == "0.250"  # the mean of 0.5 and 0; one weather file has no interval
+    assert cells["bound"][:2] == ("1.000", "0.300")  # the mean of 0.2 and 0.4
+    assert cells["baseline"][1] == "0.000"
     with pytest.raises(InvalidConfig, match="has a bound above the baseline control"):
         gap_table(rows, {bound.key: bound for bound in known[2:]})
     with pytest.raises(InvalidConfig, match="run the controller 'baseline' too"):
