@@ -9,6 +9,7 @@ lower the scores in all buildings together: Owen, "The pigeonhole bootstrap", An
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any
 
@@ -83,9 +84,13 @@ def relative_score(reward: float, baseline: float) -> float | None:
 
 def interquartile_mean(scores: Sequence[float] | NDArray[np.float64], axis: int = -1) -> Any:
     """Return the mean of the middle half: a quarter of the scores, rounded down, is cut off at each end."""
-    with requires_extra("benchmark", "the benchmark's scores", "SciPy"):
+    with _requires_scipy():
         from scipy.stats import trim_mean
     return trim_mean(np.asarray(scores, np.float64), 0.25, axis=axis)
+
+
+def _requires_scipy() -> AbstractContextManager[None]:
+    return requires_extra("benchmark", "the benchmark's scores", "SciPy")
 
 
 def bootstrap_interval(strata: Sequence[Matrix]) -> Interval:
@@ -103,8 +108,8 @@ def bootstrap_interval(strata: Sequence[Matrix]) -> Interval:
     Returns:
         No interval if there are fewer than `FEWEST` weather files or seeds, or an episode of them is missing.
     """
-    from scipy.special import stdtrit
-
+    with _requires_scipy():
+        from scipy.special import stdtrit
     values = _known(strata)
     value = float(interquartile_mean(values))
     _, weathers, seeds = strata[0].shape

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import random
 import secrets
 import tempfile
@@ -13,7 +12,7 @@ from typing import Any
 from zenostat.lab.benchmark.definition import BASELINE, BASELINES, REWARD, SETS, VERSION, Episode, is_prepared
 from zenostat.lab.benchmark.rerun import check_rows
 from zenostat.lab.benchmark.results import Results, changed_versions, episode_of, load_results
-from zenostat.lab.benchmark.results_file import ROUNDING, Row
+from zenostat.lab.benchmark.results_file import ROUNDING, Row, is_rounding
 from zenostat.lab.benchmark.run import name_of, stale_trainings
 from zenostat.lab.benchmark.scores import relative_reward
 from zenostat.lab.workers import Progress
@@ -146,10 +145,10 @@ def _faults(row: Row) -> list[str]:
     terms, metrics, total = row.terms, row.metrics, sum(row.terms.values())
     electricity, gas = metrics["hvac_electricity_kwh"], metrics["natural_gas_kwh"]
     checks = {
-        f"the terms add up to {total!r}, the reward is {row.reward!r}": _is_close(row.reward, total),
+        f"the terms add up to {total!r}, the reward is {row.reward!r}": is_rounding(row.reward, total),
         "a term is above 0": max(terms.values()) <= 0.0,
         "it ended early": not metrics["terminated"],
-        f"a peak of {metrics['peak_kw']!r} kW costs other than {terms['peak']!r} EUR": _is_close(
+        f"a peak of {metrics['peak_kw']!r} kW costs other than {terms['peak']!r} EUR": is_rounding(
             -terms["peak"], _DEMAND_PRICE * metrics["peak_kw"]
         ),
         f"{electricity!r} kWh of electricity cannot cost {terms['cost']!r} EUR": (
@@ -158,10 +157,6 @@ def _faults(row: Row) -> list[str]:
         f"{gas!r} kWh of gas cannot cost {terms['gas']!r} EUR": -terms["gas"] <= _GAS_PRICE * gas + ROUNDING,
     }
     return [text for text, holds in checks.items() if not holds]
-
-
-def _is_close(value: float, other: float) -> bool:
-    return math.isclose(value, other, rel_tol=ROUNDING, abs_tol=ROUNDING)
 
 
 def _other_baseline(results: Results, published: Results) -> tuple[list[str], list[str]]:
