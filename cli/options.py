@@ -17,6 +17,7 @@ from zenostat.bridge.transport.session import (
     OpenSession,
     certificate_file,
     default_endpoint,
+    names_certificate,
     open_session,
 )
 from zenostat.topics.errors import InvalidConfig
@@ -96,8 +97,7 @@ class BusOptions:
         )
 
     def _required(self, role: Role) -> Role | None:
-        is_named = self.certificate is not None or (self.keys is not None and self.keys.suffix == ".pem")
-        return None if role is Role.MONITOR and is_named else role
+        return None if role is Role.MONITOR and names_certificate(self.keys, self.certificate) else role
 
 
 DEFAULTS = BusOptions()

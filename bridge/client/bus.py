@@ -31,7 +31,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.trials import CommandValues, trial_request, tried_samples
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
-from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, open_session
+from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, names_certificate, open_session
 from zenostat.topics import keys
 from zenostat.topics.errors import EpisodeChanged, InvalidConfig, RequestRejected, UnknownName, did_you_mean
 from zenostat.topics.keys import Role
@@ -87,7 +87,7 @@ def connect(
     required = None if role is None else _member(Role, role, "role", _CLIENT_ROLES)
     folder = None if keys is None else Path(keys)
     with _thread_placement(placement, core):
-        if required is None and certificate is None and (folder is None or folder.suffix != ".pem"):
+        if required is None and not names_certificate(folder, certificate):
             required = Role.CONTROLLER
         session = open_session(connect=[endpoint], wait=wait, keys=folder, role=required, certificate=certificate)
     if session.warning:

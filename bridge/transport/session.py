@@ -178,6 +178,11 @@ def open_session(
         raise BusError(text) from None
 
 
+def names_certificate(keys: Path | None, certificate: str | None) -> bool:
+    """Return whether a certificate is named, so that no role needs to be."""
+    return certificate is not None or (keys is not None and keys.suffix == ".pem")
+
+
 def keys_folder(keys: Path | None) -> Path | None:
     """Return the folder of keys, also where a certificate in it is named."""
     return keys.parent if keys is not None and keys.suffix == ".pem" else keys
@@ -233,7 +238,7 @@ def _identity(keys: Path | None, role: Role | None, certificate: str | None, *, 
         if certificate is not None:
             raise InvalidConfig(f"certificate {certificate!r} needs the folder of its keys: keys=FOLDER (--keys)")
         return None
-    if role is Role.ANYONE or (role is None and certificate is None and keys.suffix != ".pem"):
+    if role is Role.ANYONE or (role is None and not names_certificate(keys, certificate)):
         raise InvalidConfig(f"keys need a role: {', '.join(role for role in Role if role is not Role.ANYONE)}")
     if listens and role is not Role.NODE:
         raise InvalidConfig(
