@@ -59,6 +59,11 @@ class AlarmSnapshot:
     records: list[list[Record]]
 
 
+def _kept(places: NDArray[np.bool_] | None, former: NDArray[np.bool_], present: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return the present values, but at some places the former ones; None: at no place."""
+    return present if places is None else np.where(places, former, present)
+
+
 class AlarmMonitor:
     """The alarms of a node; for its thread.
 
@@ -81,6 +86,7 @@ class AlarmMonitor:
         self._slots, self._width = slots, len(plant.sensors) + len(plant.meters)
         self._columns = np.array([point.column for point in self._points], np.intp)
         self._of_meter = self._columns >= len(plant.sensors)
+        self._has_meters = bool(self._of_meter.any())
         self._occupied = np.array([i for i, point in enumerate(self._points) if point.occupants is not None], np.intp)
         self._occupants = np.array([p.occupants for p in self._points if p.occupants is not None], np.intp)
         self._schedules = _schedules(self._points)
@@ -130,13 +136,13 @@ class AlarmMonitor:
         present = self._values = table[:, self._columns]
         # NaN is in no range.
         visit = ~((present >= self._low) & (present <= self._high)) | self._is_pending
-        unmeasured = self._of_meter & (np.array(step) == 0)[:, None]
+        unmeasured = self._of_meter & (np.array(step) == 0)[:, None] if self._has_meters and 0 in step else None
         if len(self._occupied) or self._schedules:
-            inhibited = np.where(unmeasured, self._inhibited, self._inhibition(table, step))
+            inhibited = _kept(unmeasured, self._inhibited, self._inhibition(table, step))
             visit |= inhibited != self._inhibited
             self._inhibited = inhibited
         if self._conditions:
-            suppressed = np.where(unmeasured, self._suppressed, self._conditions.hold(table, len(self._points)))
+            suppressed = _kept(unmeasured, self._suppressed, self._conditions.hold(table, len(self._points)))
             visit |= suppressed != self._suppressed
             self._suppressed = suppressed
         if self._has_time_limits:
@@ -145,7 +151,7 @@ class AlarmMonitor:
             self._is_restored = False
             self._screen_all()
             visit[:] = False
-        visit &= ~unmeasured
+        visit = _kept(unmeasured, np.zeros_like(visit), visit)
         if not visit.any():
             self._latest = [*zip(episode, step, strict=True)]
             return []
