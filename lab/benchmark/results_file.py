@@ -14,6 +14,8 @@ from zenostat.lab.benchmark.definition import VERSION, digest_of
 TITLE: Literal["zenostat benchmark"] = "zenostat benchmark"
 SHOWN_METRICS = ("occupied_outside_kh",)
 """Metrics that each row needs, because the tables show them."""
+TERMS = ("cost", "gas", "peak", "comfort")
+"""Terms of the reward of each row, EUR."""
 ROUNDING = 1e-6
 """Largest relative, or absolute, difference of numbers that are equal but for rounding."""
 _NOT_HASHED = "processor_s"

@@ -12,7 +12,7 @@ from typing import Any
 from zenostat.lab.benchmark.definition import BASELINE, BASELINES, REWARD, SETS, VERSION, Episode, is_prepared
 from zenostat.lab.benchmark.rerun import check_rows
 from zenostat.lab.benchmark.results import Results, changed_versions, episode_of, load_results
-from zenostat.lab.benchmark.results_file import ROUNDING, Row, is_rounding
+from zenostat.lab.benchmark.results_file import ROUNDING, TERMS, Row, is_rounding
 from zenostat.lab.benchmark.run import name_of, stale_trainings
 from zenostat.lab.benchmark.scores import relative_reward
 from zenostat.lab.workers import Progress
@@ -29,7 +29,6 @@ _PRICES = sorted(REWARD["weight"] * REWARD["lambda_cost"] * price for price in (
 ))  # fmt: skip
 _GAS_PRICE = REWARD["weight"] * REWARD["lambda_cost"] * REWARD["gas_price"]["value"]
 _DEMAND_PRICE = REWARD["weight"] * REWARD["lambda_peak"]
-_TERMS = ("cost", "gas", "peak", "comfort")
 _NEEDED = ("hvac_electricity_kwh", "natural_gas_kwh", "peak_kw", "terminated")
 
 
@@ -138,7 +137,7 @@ def _implausible(results: Results) -> list[str]:
 
 def _faults(row: Row) -> list[str]:
     """Return what cannot be in the numbers of a row."""
-    if absent := [name for name in _TERMS if name not in row.terms]:
+    if absent := [name for name in TERMS if name not in row.terms]:
         return [f"the term {absent[0]!r} is missing"]
     if absent := [name for name in _NEEDED if name not in row.metrics]:
         return [f"the metric {absent[0]!r} is missing"]

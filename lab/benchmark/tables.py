@@ -9,7 +9,7 @@ from statistics import fmean
 
 from zenostat.lab.benchmark.definition import BASELINE, BUILDINGS
 from zenostat.lab.benchmark.results import Results, episode_of
-from zenostat.lab.benchmark.results_file import Row
+from zenostat.lab.benchmark.results_file import TERMS, Row
 from zenostat.lab.benchmark.scores import Interval, Scores, compared_rows, relative_linear, score_rows
 
 
@@ -89,7 +89,7 @@ def _means(results: Results, scores: Sequence[Scores]) -> Table:
     lines = []
     for name in (of.controller for of in scores):
         chosen = compared[name]
-        terms = [0.0 - fmean(row.terms.get(term, 0.0) for row in chosen) for term in ("cost", "gas", "peak", "comfort")]
+        terms = [0.0 - fmean(row.terms.get(term, 0.0) for row in chosen) for term in TERMS]
         total = -fmean(row.reward for row in chosen)
         outside = fmean(row.metrics["occupied_outside_kh"] for row in chosen)
         lines.append((name, *(f"{value + 0.0:,.1f}" for value in (total, *terms, outside))))
