@@ -71,6 +71,7 @@ class EngineClient:
         self._orders_descriptor, self._frames_descriptor = self._orders.fileno(), self._frames.fileno()
         self._frame_bytes, self._frame_buffers = self.frame.buffer, [self.frame.buffer]
         self._polling = Polling(enabled=spec.poll)
+        self._placement = self.registry.placement if spec.poll else None
         self.registry.add(self)
         if self.registry.closing:
             self.interrupt()  # the node was told to end in the meantime
@@ -300,6 +301,8 @@ class EngineClient:
             self.receive()
             return
         self.last = kind == _LAST
+        if self._placement is not None:
+            self._placement.count(self._process.pid)
 
     def _receive_text(self, length: int) -> str:
         raw = bytearray(length)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from typing import Protocol
 
+from zenostat.bridge.runtime.contention import CorePlacement
 from zenostat.topics.errors import EngineDied
 
 UNRESPONSIVE_S = 10.0
@@ -34,6 +35,7 @@ class EngineRegistry:
 
     Attributes:
         closing: whether the node is ending; no more engines start.
+        placement: cores of its only engine, if these are fixed.
     """
 
     def __init__(self, unresponsive_s: float = UNRESPONSIVE_S) -> None:
@@ -41,6 +43,7 @@ class EngineRegistry:
         self._clients: set[Interruptible] = set()
         self._lock = threading.Lock()
         self.closing = False
+        self.placement: CorePlacement | None = None
 
     @property
     def unresponsive_s(self) -> float:

@@ -25,6 +25,7 @@ from zenostat.bridge.node.server import NodeServer, Observer
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.bridge.node.shutdown import SHUTDOWN_TIMEOUT_S, ShutdownGuard
 from zenostat.bridge.runtime import affinity
+from zenostat.bridge.runtime.contention import CorePlacement
 from zenostat.bridge.runtime.scratch import Scratch, sweep
 from zenostat.bridge.runtime.service_manager import reported
 from zenostat.bridge.runtime.signals import TERMINATION_SIGNALS, override_signals
@@ -161,6 +162,8 @@ class Node:
         if settings.cpu is None:
             self._engine_cpu, self.cpu = affinity.pick_cores(settings.affinity)
         affinity.set_affinity(self.cpu)
+        if settings.slots == 1 and self._engine_cpu is not None and self.cpu not in (None, self._engine_cpu):
+            self._registry.placement = CorePlacement(self._engine_cpu, self.cpu, self._cpus)
 
     def _open_bus(self) -> None:
         settings = self.settings
