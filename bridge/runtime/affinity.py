@@ -4,7 +4,8 @@ A step is strictly sequential (engine, node, controller, node, engine), so wake-
 thread that sleeps on another core takes 20 to 60 us to wake, one on the same core 5 us; a thread that polls does not
 have to wake. EnergyPlus runs a quarter slower on a core whose caches the bus threads share. Hence the default,
 `SEPARATE_CORES`: the engine polls on a core of its own, and the node polls on another one, which it shares with the bus
-threads of its controller. `docs/performance.md` has the measurements.
+threads of its controller. While other programs need these cores, `zenostat.bridge.runtime.contention` leaves node and
+engine to the operating system. `docs/performance.md` has the measurements.
 """
 
 from __future__ import annotations
