@@ -1,6 +1,7 @@
 """The scripts of the paper's experiments run, and write what their figures need."""
 
 import csv
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,8 @@ from zenostat.models import data_packs
 from zenostat.topics import yaml12
 
 PAPER = Path(__file__).parents[2] / "examples" / "paper"
+DOCS = PAPER.parents[1] / "docs"
+YEAR = 35_040
 
 
 def _rows(path: Path) -> list[dict[str, str]]:
@@ -92,3 +95,27 @@ def test_the_pages_first_command_and_its_figures__work_in_an_empty_folder_on_par
     drawn = subprocess.run(script, cwd=scratch, capture_output=True, text=True, timeout=280)
     assert (drawn.returncode, drawn.stderr) == (0, "")
     assert (scratch / "figures" / "paper-months.png").is_file()
+
+
+def test_published_trainings__tables_of_the_page_are_those_of_the_files(monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("matplotlib")
+    monkeypatch.syspath_prepend(str(PAPER))
+    script = importlib.import_module("trainings")
+    page = (DOCS / "paper.md").read_text(encoding="utf-8")
+    assert script.page_text(page, DOCS / "paper") == page
+
+
+def test_published_trainings__evaluations_are_of_whole_years_and_follow_the_reward() -> None:
+    for path in (DOCS / "paper").glob("*/evaluations.csv"):
+        rows = _rows(path)
+        assert [int(row["step"]) for row in rows] == [5 * YEAR * count for count in range(1, len(rows) + 1)]
+        for row in rows:
+            assert (int(row["steps"]), row["seed"]) == (YEAR, "1000")
+            power_w, deviation_k = float(row["hvac_electricity_kwh"]) / 8.76, float(row["mean_deviation_k"])
+            assert float(row["mean_reward"]) == pytest.approx(-0.5 * (5e-5 * power_w + deviation_k), abs=1e-9)
+
+
+def test_published_curves__have_each_episode_once() -> None:
+    for path in (DOCS / "paper").glob("*/curve.csv"):
+        steps = [int(row["step"]) for row in _rows(path)]
+        assert steps == [YEAR * count for count in range(1, len(steps) + 1)]

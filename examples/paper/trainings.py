@@ -1,0 +1,140 @@
+"""Publish the trainings of the paper's agents: their curves, a figure, and the tables of a page.
+
+    python examples/paper/trainings.py runs --out docs/paper --page docs/paper.md
+
+Copies `curve.csv` (return of each episode), `evaluations.csv` and `training.yaml` of each training (`runs/ppo`,
+`runs/ppo-1`, `runs/sac`, …), and `runs/agents.csv`: years of other weather noise with the best policies. The tables of
+the page are made of these files; `trainings.py docs/paper --page docs/paper.md` writes them again.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import statistics
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+from figures import YEAR, draw_training, power_w, read_rows
+
+from zenostat.views.report import theme
+
+ALGORITHMS = ("ppo", "sac", "td3")
+FILES = ("curve.csv", "evaluations.csv", "references.csv", "training.yaml")
+YEARS = 40
+"""Length of a training in episodes."""
+MINUS = "\N{MINUS SIGN}"
+IDENTITY = f"{MINUS}(0.5 · 5·10⁻⁵ · W + 0.5 · K)"
+BEGIN, END = "<!-- {} -->", "<!-- /{} -->"
+
+
+def trainings(runs: Path) -> list[Path]:
+    """Return the folders of trainings that have been evaluated, by algorithm and seed."""
+    return [
+        folder
+        for algorithm in ALGORITHMS
+        for folder in sorted(runs.glob(f"{algorithm}*"))
+        if (folder / "evaluations.csv").is_file() and read_rows(folder / "evaluations.csv")
+    ]
+
+
+def publish(runs: Path, out: Path) -> None:
+    """Copy the files of all trainings, without policies and checkpoints."""
+    for folder in trainings(runs):
+        (out / folder.name).mkdir(parents=True, exist_ok=True)
+        for name in FILES:
+            shutil.copyfile(folder / name, out / folder.name / name)
+    if (runs / "agents.csv").is_file():
+        shutil.copyfile(runs / "agents.csv", out / "agents.csv")
+
+
+def cells(rows: list[dict[str, Any]]) -> str:
+    """Return the mean reward, power and deviation of years, and the reward's identity, as cells of a table."""
+    reward = statistics.fmean(row["mean_reward"] for row in rows)
+    power = statistics.fmean(power_w(row) for row in rows)
+    deviation_k = statistics.fmean(row["mean_deviation_k"] for row in rows)
+    identity = -(0.5 * 5e-5 * power + 0.5 * deviation_k)
+    return f"{reward:.4f} | {power:,.0f} | {deviation_k:.4f} | {identity:.4f} |".replace("-", MINUS)
+
+
+def training_table(folders: list[Path]) -> list[str]:
+    """Return a table with the best and the last evaluation of each training, in the year of the evaluations."""
+    header = f"| training | evaluation, years | reward | W | K | {IDENTITY} | power against `baseline` |"
+    lines = [header, "|---|---|---|---|---|---|---|"]
+    reference = read_rows(folders[0] / "references.csv")[:1]
+    lines.append(f"| `baseline` | | {cells(reference)} |")
+    for folder in folders:
+        algorithm, _, seed = folder.name.partition("-")
+        rows = read_rows(folder / "evaluations.csv")
+        best = max(rows, key=lambda row: row["mean_reward"])
+        for row, kind in ((best, "best"), (rows[-1], "last")):
+            change = 100.0 * (power_w(row) / power_w(reference[0]) - 1.0)
+            name = f"{algorithm.upper()}, seed {seed or 0}"
+            lines.append(
+                f"| {name} | {kind}: {row['step'] / YEAR:.0f} | {cells([row])} {change:+.1f} % |".replace("-", MINUS)
+            )
+    return lines
+
+
+def agent_table(path: Path) -> list[str]:
+    """Return a table of the mean over years whose weather noise no training and no choice of a policy has seen."""
+    rows = read_rows(path)
+    lines = [
+        f"| controller | years | reward | W | K | {IDENTITY} | building, MWh a year |",
+        "|---|---|---|---|---|---|---|",
+    ]
+    by_controller: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        by_controller.setdefault(Path(str(row["controller"])).name, []).append(row)
+    for name, years in by_controller.items():
+        algorithm, _, seed = name.partition("-")
+        label = f"{algorithm.upper()}, seed {seed or 0}, best policy" if algorithm in ALGORITHMS else f"`{name}`"
+        building = statistics.fmean(row["electricity_kwh"] for row in years) / 1e3
+        lines.append(f"| {label} | {len(years)} | {cells(years)} {building:,.1f} |")
+    return lines
+
+
+def replace_block(text: str, name: str, lines: list[str]) -> str:
+    """Return a page with other lines between two comments.
+
+    Raises:
+        ValueError: the page lacks them.
+    """
+    before, _, rest = text.partition(BEGIN.format(name))
+    _, end, after = rest.partition(END.format(name))
+    if not end:
+        raise ValueError(f"the page needs {BEGIN.format(name)} and {END.format(name)}")
+    return "\n".join([before + BEGIN.format(name), "", *lines, "", END.format(name) + after])
+
+
+def page_text(text: str, published: Path) -> str:
+    """Return the page with the tables of published files."""
+    folders = trainings(published)
+    years = ", ".join(
+        f"{folder.name.upper()} {read_rows(folder / 'curve.csv')[-1]['step'] / YEAR:.0f}" for folder in folders
+    )
+    text = replace_block(text, "trainings", [*training_table(folders), "", f"Years trained of {YEARS}: {years}."])
+    return replace_block(text, "agents", agent_table(published / "agents.csv"))
+
+
+def main() -> None:
+    """Read the command line and write the files."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", type=Path)
+    parser.add_argument("--out", type=Path, metavar="FOLDER", help="copy the files here")
+    parser.add_argument("--page", type=Path, metavar="FILE", help="write the tables into this page")
+    options = parser.parse_args()
+    published = options.out or options.runs
+    if options.out:
+        publish(options.runs, options.out)
+    baseline = read_rows(trainings(published)[0] / "references.csv")[0]["mean_reward"]
+    if options.page:
+        options.page.write_text(page_text(options.page.read_text(encoding="utf-8"), published), encoding="utf-8")
+        with mpl.rc_context(theme.style("paper")):
+            path = options.page.parent / "images" / "paper-training.png"
+            draw_training(published, {"baseline": baseline, "paper's best PPO": -0.4310}, path)
+
+
+if __name__ == "__main__":
+    main()
