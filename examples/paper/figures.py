@@ -171,9 +171,9 @@ def print_table(rows: list[dict[str, Any]]) -> None:
     ours = {row["controller"]: (row["mean_reward"], power_w(row), row["mean_deviation_k"]) for row in rows}
     print("| controller | reward | power, W | deviation, K | -(0.5·5e-5·W + 0.5·K) |\n|---|---|---|---|---|")
     for source, table in (("paper", PUBLISHED), ("here", ours)):
-        for name, (reward, power_w, deviation_k) in table.items():
-            identity = -(0.5 * 5e-5 * power_w + 0.5 * deviation_k)
-            print(f"| {source}: {name} | {reward:.4f} | {power_w:,.0f} | {deviation_k:.4f} | {identity:.4f} |")
+        for name, (reward, power, deviation_k) in table.items():
+            identity = -(0.5 * 5e-5 * power + 0.5 * deviation_k)
+            print(f"| {source}: {name} | {reward:.4f} | {power:,.0f} | {deviation_k:.4f} | {identity:.4f} |")
 
 
 def main() -> None:

@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 
+import psutil
 import pytest
 from support.nodes import until
 
@@ -96,12 +97,16 @@ def test_threads_of_the_node__follow_the_engine_and_others_stay(spin: Spin) -> N
 
 def test_engine_that_sleeps__stays_on_its_core() -> None:
     placement = CorePlacement(CORES[0], CORES[1], CORES)
-    with subprocess.Popen([sys.executable, "-c", "import sys; sys.stdin.read()"], stdin=subprocess.PIPE) as engine:
+    code, pipe = "import sys; print(flush=True); sys.stdin.read()", subprocess.PIPE
+    with subprocess.Popen([sys.executable, "-c", code], stdin=pipe, stdout=pipe) as engine:
+        assert engine.stdin is not None
+        assert engine.stdout is not None
         os.sched_setaffinity(engine.pid, CORES[:1])
+        engine.stdout.readline()  # its start needs the core
+        until(lambda: psutil.Process(engine.pid).status() == psutil.STATUS_SLEEPING, "it sleeps")
         released = samples(placement, engine.pid)
         assert not any(released() for _ in range(2 * CorePlacement.WINDOW))
         assert os.sched_getaffinity(engine.pid) == {CORES[0]}
-        assert engine.stdin is not None
         engine.stdin.close()
 
 
