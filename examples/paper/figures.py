@@ -166,14 +166,19 @@ def power_w(row: dict[str, Any]) -> float:
     return float(-row["mean_reward.energy"] / (0.5 * 5e-5))
 
 
+def identity(power: float, deviation_k: float) -> float:
+    """Return the reward that follows from the mean power in W and the mean deviation in K."""
+    return -(0.5 * 5e-5 * power + 0.5 * deviation_k)
+
+
 def print_table(rows: list[dict[str, Any]]) -> None:
     """Print reward, power and deviation, and what the reward's identity makes of power and deviation."""
     ours = {row["controller"]: (row["mean_reward"], power_w(row), row["mean_deviation_k"]) for row in rows}
     print("| controller | reward | power, W | deviation, K | -(0.5·5e-5·W + 0.5·K) |\n|---|---|---|---|---|")
     for source, table in (("paper", PUBLISHED), ("here", ours)):
         for name, (reward, power, deviation_k) in table.items():
-            identity = -(0.5 * 5e-5 * power + 0.5 * deviation_k)
-            print(f"| {source}: {name} | {reward:.4f} | {power:,.0f} | {deviation_k:.4f} | {identity:.4f} |")
+            follows = identity(power, deviation_k)
+            print(f"| {source}: {name} | {reward:.4f} | {power:,.0f} | {deviation_k:.4f} | {follows:.4f} |")
 
 
 def main() -> None:

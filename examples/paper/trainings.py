@@ -16,11 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from figures import YEAR, draw_training, power_w, read_rows
+from figures import PUBLISHED, TRAINED, YEAR, draw_training, identity, power_w, read_rows
 
 from zenostat.views.report import theme
 
-ALGORITHMS = ("ppo", "sac", "td3")
 FILES = ("curve.csv", "evaluations.csv", "references.csv", "training.yaml")
 YEARS = 40
 """Length of a training in episodes."""
@@ -33,7 +32,7 @@ def trainings(runs: Path) -> list[Path]:
     """Return the folders of trainings that have been evaluated, by algorithm and seed."""
     return [
         folder
-        for algorithm in ALGORITHMS
+        for algorithm in TRAINED
         for folder in sorted(runs.glob(f"{algorithm}*"))
         if (folder / "evaluations.csv").is_file() and read_rows(folder / "evaluations.csv")
     ]
@@ -49,13 +48,18 @@ def publish(runs: Path, out: Path) -> None:
         shutil.copyfile(runs / "agents.csv", out / "agents.csv")
 
 
+def label(name: str) -> str:
+    """Return the label of a training by the name of its folder: `ppo-1` is PPO with the seed 1."""
+    algorithm, _, seed = name.partition("-")
+    return f"{algorithm.upper()}, seed {seed or 0}"
+
+
 def cells(rows: list[dict[str, Any]]) -> str:
     """Return the mean reward, power and deviation of years, and the reward's identity, as cells of a table."""
     reward = statistics.fmean(row["mean_reward"] for row in rows)
     power = statistics.fmean(power_w(row) for row in rows)
     deviation_k = statistics.fmean(row["mean_deviation_k"] for row in rows)
-    identity = -(0.5 * 5e-5 * power + 0.5 * deviation_k)
-    return f"{reward:.4f} | {power:,.0f} | {deviation_k:.4f} | {identity:.4f} |".replace("-", MINUS)
+    return f"{reward:.4f} | {power:,.0f} | {deviation_k:.4f} | {identity(power, deviation_k):.4f} |".replace("-", MINUS)
 
 
 def training_table(folders: list[Path]) -> list[str]:
@@ -65,14 +69,14 @@ def training_table(folders: list[Path]) -> list[str]:
     reference = read_rows(folders[0] / "references.csv")[:1]
     lines.append(f"| `baseline` | | {cells(reference)} |")
     for folder in folders:
-        algorithm, _, seed = folder.name.partition("-")
         rows = read_rows(folder / "evaluations.csv")
         best = max(rows, key=lambda row: row["mean_reward"])
         for row, kind in ((best, "best"), (rows[-1], "last")):
             change = 100.0 * (power_w(row) / power_w(reference[0]) - 1.0)
-            name = f"{algorithm.upper()}, seed {seed or 0}"
             lines.append(
-                f"| {name} | {kind}: {row['step'] / YEAR:.0f} | {cells([row])} {change:+.1f} % |".replace("-", MINUS)
+                f"| {label(folder.name)} | {kind}: {row['step'] / YEAR:.0f} | {cells([row])} {change:+.1f} % |".replace(
+                    "-", MINUS
+                )
             )
     return lines
 
@@ -88,10 +92,9 @@ def agent_table(path: Path) -> list[str]:
     for row in rows:
         by_controller.setdefault(Path(str(row["controller"])).name, []).append(row)
     for name, years in by_controller.items():
-        algorithm, _, seed = name.partition("-")
-        label = f"{algorithm.upper()}, seed {seed or 0}, best policy" if algorithm in ALGORITHMS else f"`{name}`"
+        title = f"{label(name)}, best policy" if name.startswith(TRAINED) else f"`{name}`"
         building = statistics.fmean(row["electricity_kwh"] for row in years) / 1e3
-        lines.append(f"| {label} | {len(years)} | {cells(years)} {building:,.1f} |")
+        lines.append(f"| {title} | {len(years)} | {cells(years)} {building:,.1f} |")
     return lines
 
 
@@ -128,12 +131,12 @@ def main() -> None:
     published = options.out or options.runs
     if options.out:
         publish(options.runs, options.out)
-    baseline = read_rows(trainings(published)[0] / "references.csv")[0]["mean_reward"]
     if options.page:
         options.page.write_text(page_text(options.page.read_text(encoding="utf-8"), published), encoding="utf-8")
+        baseline = read_rows(trainings(published)[0] / "references.csv")[0]["mean_reward"]
         with mpl.rc_context(theme.style("paper")):
             path = options.page.parent / "images" / "paper-training.png"
-            draw_training(published, {"baseline": baseline, "paper's best PPO": -0.4310}, path)
+            draw_training(published, {"baseline": baseline, "paper's best PPO": PUBLISHED["best PPO"][0]}, path)
 
 
 if __name__ == "__main__":

@@ -110,7 +110,7 @@ def test_engine_that_sleeps__stays_on_its_core() -> None:
         engine.stdin.close()
 
 
-def test_engine_that_has_ended__changes_nothing(spin: Spin) -> None:
+def test_engine_that_has_ended__changes_nothing() -> None:
     with subprocess.Popen([sys.executable, "-c", ""]) as engine:
         pass
     placement = CorePlacement(CORES[0], CORES[1], CORES)
