@@ -70,14 +70,29 @@ def evaluations(folder: Path) -> tuple[list[float], list[float]]:
     return [row["step"] / YEAR for row in rows], [row["mean_reward"] for row in rows]
 
 
-def draw_training(folder: Path, rules: dict[str, float], path: Path) -> None:
-    """Draw the reward of each evaluation during the trainings, with the rules over the same year as lines."""
+def trainings(folder: Path) -> list[Path]:
+    """Return the folders of trainings that have been evaluated, by algorithm and seed."""
+    return [
+        training
+        for algorithm in TRAINED
+        for training in sorted(folder.glob(f"{algorithm}*"))
+        if (training / "evaluations.csv").is_file() and read_rows(training / "evaluations.csv")
+    ]
+
+
+def draw_training(folders: list[Path], path: Path) -> None:
+    """Draw the reward of each evaluation during the trainings, with the baseline in the same year and the paper's."""
     figure, axes = plt.subplots(figsize=(theme.FULL_IN, 2.8), layout="constrained")
-    for place, name in enumerate(TRAINED, 1):
-        for number, seed in enumerate(sorted(folder.glob(f"{name}*/evaluations.csv"))):
-            label = name.upper() if number == 0 else None
-            axes.plot(*evaluations(seed.parent), marker="o", color=theme.series_color(place), label=label)
-    for place, (name, value) in enumerate(rules.items()):
+    labeled = set()
+    for folder in folders:
+        algorithm = folder.name.partition("-")[0]
+        label = None if algorithm in labeled else algorithm.upper()
+        labeled.add(algorithm)
+        color = theme.series_color(TRAINED.index(algorithm) + 1)
+        axes.plot(*evaluations(folder), marker="o", color=color, label=label)
+    baseline = read_rows(folders[0] / "references.csv")[0]["mean_reward"]
+    lines = {"baseline": baseline, "paper's best PPO": PUBLISHED["best PPO"][0]}
+    for place, (name, value) in enumerate(lines.items()):
         axes.axhline(value, color=theme.LIGHT["muted"], linestyle=theme.series_dashes(place + 2), label=name)
     axes.set(title="Evaluations during training", xlabel="years of training", ylabel="mean reward")
     axes.legend(ncols=5)
@@ -193,9 +208,8 @@ def main() -> None:
         draw_zones(runs, {"baseline": "Default control: 20 and 23 °C"}, options.out / "paper-default.png")
         rules = {"rule": "The rule of the paper", "incremental": "The controller incremental"}
         draw_zones(runs, rules, options.out / "paper-rule.png")
-        means = {LABELS.get(row["controller"], "rule"): row["mean_reward"] for row in year}
-        if any(options.runs.glob(f"{name}*/evaluations.csv") for name in TRAINED):
-            draw_training(options.runs, means, options.out / "paper-training.png")
+        if folders := trainings(options.runs):
+            draw_training(folders, options.out / "paper-training.png")
         if (trials := options.runs / "search" / "trials.csv").exists():
             complete = [row for row in read_rows(trials) if row["state"] == "COMPLETE"]
             draw_search(complete, options.out / "paper-search.png")

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
-from figures import PUBLISHED, TRAINED, YEAR, draw_training, identity, power_w, read_rows
+from figures import TRAINED, YEAR, draw_training, identity, power_w, read_rows, trainings
 
 from zenostat.views.report import theme
 
@@ -26,16 +26,6 @@ YEARS = 40
 MINUS = "\N{MINUS SIGN}"
 IDENTITY = f"{MINUS}(0.5 · 5·10⁻⁵ · W + 0.5 · K)"
 BEGIN, END = "<!-- {} -->", "<!-- /{} -->"
-
-
-def trainings(runs: Path) -> list[Path]:
-    """Return the folders of trainings that have been evaluated, by algorithm and seed."""
-    return [
-        folder
-        for algorithm in TRAINED
-        for folder in sorted(runs.glob(f"{algorithm}*"))
-        if (folder / "evaluations.csv").is_file() and read_rows(folder / "evaluations.csv")
-    ]
 
 
 def publish(runs: Path, out: Path) -> None:
@@ -133,10 +123,8 @@ def main() -> None:
         publish(options.runs, options.out)
     if options.page:
         options.page.write_text(page_text(options.page.read_text(encoding="utf-8"), published), encoding="utf-8")
-        baseline = read_rows(trainings(published)[0] / "references.csv")[0]["mean_reward"]
         with mpl.rc_context(theme.style("paper")):
-            path = options.page.parent / "images" / "paper-training.png"
-            draw_training(published, {"baseline": baseline, "paper's best PPO": PUBLISHED["best PPO"][0]}, path)
+            draw_training(trainings(published), options.page.parent / "images" / "paper-training.png")
 
 
 if __name__ == "__main__":
