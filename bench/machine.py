@@ -18,6 +18,7 @@ def _busy_s() -> float:
 
 
 def _own_s() -> dict[int, float]:
+    """Return the time of this process and each of its descendants, with the ended children that each waited for."""
     me = psutil.Process()
     spent = {}
     for process in [me, *me.children(recursive=True)]:
@@ -25,7 +26,7 @@ def _own_s() -> dict[int, float]:
             times = process.cpu_times()
         except psutil.NoSuchProcess:
             continue
-        spent[process.pid] = times.user + times.system
+        spent[process.pid] = sum(times[:4])
     return spent
 
 

@@ -57,6 +57,7 @@ def _zenostat(slots: int) -> Any:
 
 
 def _processor_s() -> float:
+    """Return the time of this process and its descendants, with the ended children that each waited for."""
     import psutil
 
     total = 0.0
@@ -65,7 +66,7 @@ def _processor_s() -> float:
             times = process.cpu_times()
         except psutil.NoSuchProcess:
             continue
-        total += times.user + times.system
+        total += sum(times[:4])
     return total
 
 
