@@ -84,7 +84,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__)
     parser.add_argument("parts", nargs="*", metavar="PART", help=f"{', '.join(PARTS)}; default: all")
     parser.add_argument("--quick", action="store_true", help="few rounds; the figures are not reliable")
-    parser.add_argument("--plot", type=Path, metavar="FOLDER", help="plot the results of the part growth into FOLDER")
+    parser.add_argument("--plot", type=Path, metavar="FOLDER", help="plot the results of growth and training here")
     options = parser.parse_args()
     if unknown := [part for part in options.parts if part not in PARTS]:
         parser.error(f"unknown part {', '.join(unknown)}; choose from {', '.join(PARTS)}")
@@ -95,9 +95,10 @@ def main() -> None:
         PARTS[part].show(results[part], console)
     seconds, loads = import_time()
     console.print(f"import zenostat: {seconds:.2f} s; loads of Rerun and EnergyPlus: {loads}")
-    if options.plot and "growth" in results:
-        for path in growth.plot(results["growth"], options.plot):
-            console.print(f"plot written to {path}")
+    for part, module in (("growth", growth), ("training", training)):
+        if options.plot and part in results:
+            for path in module.plot(results[part], options.plot):
+                console.print(f"plot written to {path}")
     console.print(f"results written to {_write({**results, 'quick': options.quick, 'import_s': seconds})}")
 
 

@@ -27,6 +27,12 @@ OURS, PEER, SLOTS = "zenostat", "sinergym", 8
 COLUMNS = ("steps", "s", "cpu_s", "us", "cpu_us")
 WINDOW = SLOTS
 """Number of episodes in a moving mean of returns: one of each slot."""
+EPISODE = 2_976
+"""Timesteps of an episode."""
+MONTHS = 8
+"""Episodes of each slot."""
+SHARE = 0.9
+"""The return to reach, as a share of what all kinds have gained at their best."""
 
 Episode = tuple[int, float, float, float]
 """Training step, seconds, processor seconds and return of a finished episode."""
@@ -34,17 +40,18 @@ Episode = tuple[int, float, float, float]
 
 def measure(*, quick: bool) -> dict[str, Any]:
     """Train both once per round, in turn."""
-    steps, count = (2 * SLOTS * 2_976, 1) if quick else (12 * SLOTS * 2_976, 3)
+    steps, count = (2 * SLOTS * EPISODE, 1) if quick else (MONTHS * SLOTS * EPISODE, 3)
     kinds = {OURS: sys.executable}
     if peer := os.environ.get("SINERGYM_PYTHON"):
         kinds[PEER] = peer
-    rounds = []
+    rounds, all_curves = [], []
     for number in range(count):
         load = OtherLoad()
         order = list(kinds) if number % 2 == 0 else list(reversed(kinds))
         curves = {kind: _train(kind, kinds[kind], steps) for kind in order}
+        all_curves.append({kind: curves[kind] for kind in kinds})
         rounds.append(pace.Round(_figures(curves), load.share()))
-    results = {"kinds": [*kinds], "steps": steps, "others": pace.other_load(rounds)}
+    results = {"kinds": [*kinds], "steps": steps, "others": pace.other_load(rounds), "curves": all_curves}
     results |= {name: pace.figures(rounds, name) for name in rounds[0].figures}
     if PEER in kinds:
         results |= {f"{name} ratio": pace.figures(rounds, f"{OURS} {name}", f"{PEER} {name}") for name in COLUMNS}
@@ -59,7 +66,10 @@ def _train(kind: str, interpreter: str, steps: int) -> list[Episode]:
         )  # fmt: skip
     if done.returncode:
         raise RuntimeError(f"{kind} failed:\n{done.stderr[-3000:]}")
-    return [tuple(row) for row in json.loads(done.stdout.splitlines()[-1])]
+    episodes: list[Episode] = [tuple(row) for row in json.loads(done.stdout.splitlines()[-1])]
+    if [episode[0] for episode in episodes[:SLOTS]] != [SLOTS * EPISODE] * SLOTS:
+        raise RuntimeError(f"{kind}: the first episodes end at {episodes[:SLOTS]}, not at {SLOTS * EPISODE:,} steps")
+    return episodes
 
 
 def smoothed(episodes: list[Episode]) -> list[float]:
@@ -75,14 +85,37 @@ def first_at(episodes: list[Episode], level: float) -> Episode:
 
 
 def _figures(curves: dict[str, list[Episode]]) -> dict[str, float]:
-    """Return, for each kind, steps and times up to the highest mean return that all have reached, and in all."""
-    level = min(max(smoothed(curve)) for curve in curves.values())
+    """Return, for each kind, steps and times up to a mean return that all have reached, and in all."""
+    means = [smoothed(curve) for curve in curves.values()]
+    first, best = statistics.fmean(mean[0] for mean in means), min(max(mean) for mean in means)
+    level = first + SHARE * (best - first)
     figures = {"level": level}
     for kind, curve in curves.items():
         reached, end = first_at(curve, level), curve[-1]
         figures |= {f"{kind} steps": reached[0], f"{kind} s": reached[1], f"{kind} cpu_s": reached[2]}
         figures |= {f"{kind} us": 1e6 * end[1] / end[0], f"{kind} cpu_us": 1e6 * end[2] / end[0]}
     return figures
+
+
+def plot(results: dict[str, Any], folder: Path) -> list[Path]:
+    """Write `perf-training.png`: the mean return by the time since the start, of each round."""
+    from matplotlib.figure import Figure
+
+    folder.mkdir(parents=True, exist_ok=True)
+    figure = Figure(figsize=(6.4, 3.6), layout="constrained")
+    axes = figure.subplots()
+    for place, kind in enumerate(results["kinds"]):
+        for number, curves in enumerate(results["curves"]):
+            minutes = [episode[1] / 60 for episode in curves[kind][WINDOW - 1 :]]
+            label = kind if number == 0 else None
+            axes.plot(minutes, smoothed(curves[kind]), color=f"C{place}", label=label)
+    axes.axhline(results["level"]["median"], color="0.5", linestyle="--", label="level of the table")
+    axes.set(xlabel="minutes since the start", ylabel=f"mean return of {WINDOW} episodes", xlim=(0, None))
+    axes.legend()
+    axes.grid(alpha=0.3)
+    target = folder / "perf-training.png"
+    figure.savefig(target, dpi=120)
+    return [target]
 
 
 def show(results: dict[str, Any], console: Console) -> None:

@@ -15,7 +15,7 @@ import time
 from typing import Any
 
 ID = "datacenter_dx-mixed-continuous-stochastic-v1"
-MONTH, DAYS = 7, 31
+MONTH, DAYS, STEPS_PER_HOUR = 7, 31, 4
 LOW, HIGH = -1.0, 1.0
 PARAMETERS = {"n_steps": 744, "batch_size": 248, "n_epochs": 10, "learning_rate": 3e-4, "gamma": 0.99}
 """A rollout is a quarter of an episode of 2,976 timesteps in each slot."""
@@ -40,8 +40,9 @@ def _one_sinergym(slot: int) -> Any:
     import sinergym  # noqa: F401
 
     logging.disable(logging.CRITICAL)
-    period = {"runperiod": (1, MONTH, 1991, DAYS, MONTH, 1991)}
-    env = gym.make(f"Eplus-{ID}", building_config=period, env_name=f"slot-{slot}")
+    # This replaces the id's own configuration, which also sets the timesteps.
+    config = {"timesteps_per_hour": STEPS_PER_HOUR, "runperiod": (1, MONTH, 1991, DAYS, MONTH, 1991)}
+    env = gym.make(f"Eplus-{ID}", building_config=config, env_name=f"slot-{slot}")
     return gym.wrappers.RescaleAction(env, np.float32(LOW), np.float32(HIGH))
 
 
@@ -51,8 +52,9 @@ def _zenostat(slots: int) -> Any:
 
     from zenostat.envs import as_sb3
 
-    period = {"begin": f"{MONTH:02}-01", "end": f"{MONTH:02}-{DAYS}", "noise_start": "third_day"}
-    env = gym.make_vec(f"zenostat:zenostat/{ID}", num_envs=slots, autoreset_mode="SameStep", **period)
+    arguments = {"begin": f"{MONTH:02}-01", "end": f"{MONTH:02}-{DAYS}", "steps_per_hour": STEPS_PER_HOUR}
+    arguments |= {"noise_start": "third_day"}
+    env = gym.make_vec(f"zenostat:zenostat/{ID}", num_envs=slots, autoreset_mode="SameStep", **arguments)
     return as_sb3(gym.wrappers.vector.RescaleAction(env, np.float32(LOW), np.float32(HIGH)))
 
 
