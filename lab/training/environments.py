@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack
 from functools import partial
 from typing import Any
@@ -27,6 +27,7 @@ from zenostat.topics import yaml12
 from zenostat.topics.errors import ErrorCollector, InvalidConfig
 from zenostat.topics.messages import Manifest
 
+_BUILDING = "zenostat/Building-v1"
 RESCALED = {"wrapper": "RescaleAction", "min_action": -1.0, "max_action": 1.0}
 """The wrapper of `normalization: {actions: true}`."""
 
@@ -48,12 +49,22 @@ def check_environment(config: TrainingConfig) -> None:
 
 
 def make_env(config: TrainingConfig, *, for_evaluation: bool = False) -> gym.Env[Any, Any]:
-    """Make one environment of a training within its wrappers; for evaluations without those that write logs."""
+    """Make one environment of a training within its wrappers.
+
+    One for evaluations has none that write logs, and also measures what metrics need, as `evaluate` does.
+    """
     arguments = config.environment(for_evaluation=for_evaluation)
+    if for_evaluation and is_building(arguments) and not {"connect", "link"} & arguments.keys():
+        arguments.setdefault("monitoring", True)
     env: gym.Env[Any, Any] = _wrapped(
         gym.make(pop_env_id(arguments), **arguments), config, for_evaluation=for_evaluation
     )
     return env
+
+
+def is_building(arguments: Mapping[str, Any]) -> bool:
+    """Return whether the arguments of `gym.make` are those of a building, rather than an environment of the user's."""
+    return bool(gym.spec(pop_env_id(dict(arguments))).entry_point == gym.spec(_BUILDING).entry_point)
 
 
 def make_slots(config: TrainingConfig) -> gym.vector.VectorEnv[Any, Any, Any]:

@@ -6,18 +6,14 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
-import gymnasium as gym
-
 from zenostat.agent_sdk.controllers import CONTROLLERS
 from zenostat.agent_sdk.controllers.policy import preserve_random_state
 from zenostat.agent_sdk.controllers.training_folder import REFERENCES
 from zenostat.lab.evaluate import Evaluation, evaluate
-from zenostat.lab.scenario_env import pop_env_id
 from zenostat.lab.training.config import TrainingConfig
 from zenostat.lab.training.curve import CurveFile
+from zenostat.lab.training.environments import is_building
 from zenostat.topics.errors import UnknownName, UsageError, did_you_mean
-
-_BUILDING = "zenostat/Building-v1"
 
 OnReferences = Callable[[dict[str, float]], None]
 """Called with the mean reward of an episode by reference."""
@@ -45,8 +41,8 @@ def evaluate_references(config: TrainingConfig, folder: Path) -> None:
     if not settings or not settings.references:
         return
     arguments = config.environment(for_evaluation=True)
-    if gym.spec(pop_env_id(dict(arguments))).entry_point != gym.spec(_BUILDING).entry_point:
-        return  # an environment of the user's own: only buildings have other controllers
+    if not is_building(arguments):  # nothing else has other controllers
+        return
     try:
         with preserve_random_state():
             result = evaluate(

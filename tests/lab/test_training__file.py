@@ -312,6 +312,24 @@ def test_training__references_run_through_the_evaluation_episodes(tmp_path: Path
     assert rows == [(row.controller, row.result.reward) for row in expected.rows]
 
 
+@pytest.mark.slow
+@pytest.mark.process
+def test_training__evaluation_of_offsets_of_zero_has_the_metrics_of_the_baseline(tmp_path: Path) -> None:
+    scenario = "ref-small-office-USA_CO_Denver-continuous-v1"
+    evaluation = {"every_steps": 24, "episodes": 1, "seed": 7, "references": ["baseline"], "at_start": True}
+    arguments = {"begin": "07-03", "end": "07-03", "steps_per_hour": 1, "relative": 3.0}
+    settings = {"scenario": scenario, "arguments": arguments, "evaluation": evaluation, "steps": 24}
+    train(read_training(fields("a2c", tmp_path, **settings, zero_start=True)))
+    first = []
+    for name in ("evaluations.csv", "references.csv"):
+        with (tmp_path / name).open() as file:
+            first.append(next(csv.DictReader(file)))
+    metrics = [name for name in first[0] if name in first[1] and name not in ("episode", "seed")]
+    assert {"mean_power_w", "hvac_electricity_kwh", "unmet_cooling_h", "peak_kw"} <= {*metrics}
+    evaluated, reference = ({name: row[name] for name in metrics} for row in first)
+    assert evaluated == reference
+
+
 def test_training__reference_that_is_no_bundled_controller_is_refused(tmp_path: Path) -> None:
     training = read_training(fields("a2c", tmp_path, evaluation={"references": ["baselin"]}))
     with pytest.raises(UnknownName, match=r"evaluation\.references: .* 'baselin'; did you mean 'baseline'"):
