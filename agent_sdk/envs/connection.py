@@ -41,6 +41,8 @@ class _Target:
     priority: int
     placement: Affinity
     core: int | None = None
+    local_node: int | None = None
+    """The process id of a local node."""
 
 
 class NodeConnection:
@@ -144,7 +146,7 @@ class NodeConnection:
         self._close.callback(local_node.close)
         assert local_node.manifest is not None
         self.local_node, self.manifest = local_node, local_node.manifest
-        self._target = _Target(local_node.endpoint, node, priority, placement, local_node.core)
+        self._target = _Target(local_node.endpoint, node, priority, placement, local_node.core, local_node.pid)
 
     def reset(self, *, seed: int | None) -> SampleView:
         """Start an episode, on a new node if the local one is just ending; see `ControllerLink.reset`."""
@@ -239,7 +241,11 @@ class NodeConnection:
         if self._bus is None:
             target = self._target
             bus = connect_bus(
-                target.endpoint, affinity=target.placement, core=target.core, keys=certificate_file(self._keys)
+                target.endpoint,
+                affinity=target.placement,
+                core=target.core,
+                local_node=target.local_node,
+                keys=certificate_file(self._keys),
             )
             self._bus = self._close.enter_context(bus)
         return self._bus

@@ -31,6 +31,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.trials import CommandValues, trial_request, tried_samples
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime.contention import FollowedPlacement, own_threads
 from zenostat.bridge.transport.session import DEFAULT_ENDPOINT, names_certificate, open_session
 from zenostat.topics import keys
 from zenostat.topics.errors import EpisodeChanged, InvalidConfig, RequestRejected, UnknownName, did_you_mean
@@ -63,6 +64,7 @@ def connect(
     wait: bool = False,
     affinity: Affinity = Affinity.SEPARATE_CORES,
     core: int | None = None,
+    local_node: int | None = None,
     keys: Path | str | None = None,
     role: Role | str | None = None,
     certificate: str | None = None,
@@ -74,6 +76,7 @@ def connect(
         wait: Keep trying in the background instead of failing.
         affinity: Placement of this process's bus threads; see `zenostat.bridge.runtime.affinity`.
         core: The node's core, if it is already known.
+        local_node: Process id of the node on that core; the bus threads leave the core while the node does.
         keys: A folder created by `zenostat keys init`, or a certificate in it (`FOLDER/NAME.pem`).
         role: A role that the certificate must have: `controller`, the default, or `operator`, `monitor`, `gateway`.
         certificate: Name of the certificate; by default that of the role.
@@ -86,13 +89,20 @@ def connect(
     placement = _member(Affinity, affinity, "affinity")
     required = None if role is None else _member(Role, role, "role", _CLIENT_ROLES)
     folder = None if keys is None else Path(keys)
+    follows = core is not None and local_node is not None and placement is Affinity.SEPARATE_CORES
+    before = {*own_threads()} if follows else set()
     with _thread_placement(placement, core):
         if required is None and not names_certificate(folder, certificate):
             required = Role.CONTROLLER
         session = open_session(connect=[endpoint], wait=wait, keys=folder, role=required, certificate=certificate)
     if session.warning:
         warnings.warn(session.warning, stacklevel=2)
-    return Bus(endpoint, session, placement)
+    bus = Bus(endpoint, session, placement)
+    if follows:
+        assert core is not None
+        assert local_node is not None
+        bus.placement = FollowedPlacement(local_node, core, [*{*own_threads()} - before])
+    return bus
 
 
 def _member(kind: type[E], value: str, what: str, known: Iterable[E] = ()) -> E:

@@ -15,6 +15,7 @@ from zenostat.bridge.client import fork_guard
 from zenostat.bridge.client.priorities import PriorityValue, decode_priorities, decode_remaining
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime.contention import FollowedPlacement
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.bridge.transport.access_control import Permission, may
 from zenostat.bridge.transport.request import M, PendingReply, send_request
@@ -90,6 +91,7 @@ class Connection:
         roles: The roles of its certificate; none without keys.
         session: The Zenoh session.
         affinity: Placement of its threads.
+        placement: Places them like the threads of a local node.
         timeout_s: Time after which a node that is present but does not answer fails a request with `PeerError`.
         via: Protocol of those for whom it sends requests, which recordings show as the way in; empty for itself.
         timer: For the checks of controllers that have waited for long; its thread starts with the first controller.
@@ -101,6 +103,7 @@ class Connection:
         self.timeout_s, self.via = _REQUEST_TIMEOUT_S, ""
         self._close, self._closed = ExitStack(), False
         self.affinity = affinity
+        self.placement: FollowedPlacement | None = None
         self._links: set[Link] = set()
         self.timer = self._close.enter_context(Timer())
         self.session = self._close.enter_context(session)

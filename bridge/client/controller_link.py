@@ -95,6 +95,7 @@ class ControllerLink:
             self.manifest = bus.manifest(node)
             self._open(bus.session)
             undo.pop_all()
+        self._placement = bus.placement
         same_host = self.manifest.host == affinity.host()
         self._polling = Polling(enabled=same_host and placement is Affinity.NODE)
 
@@ -280,6 +281,8 @@ class ControllerLink:
                 raise self._ended from None
             key = str(message.key_expr)
             if key == self._sample_key:
+                if self._placement is not None:
+                    self._placement.count()
                 return self._view(codec.decode(Sample, message.payload.to_bytes(), str(message.encoding)))
             self._on_message(key, message, resetting=resetting)
             if self._watchdog.is_due and (sample := self._query(resetting=resetting)) is not None:

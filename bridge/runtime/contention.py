@@ -3,7 +3,8 @@
 A fixed placement makes a step short on idle cores: each side polls on a core of its own. With two such nodes on two
 cores, or a controller that computes, an engine often waits for its core while the other one is idle, which the
 operating system would have chosen. Linux counts the time that a thread was ready and waited for a core
-(`/proc/<pid>/schedstat`). While that is much of the engine's time, the operating system places engine and node.
+(`/proc/<pid>/schedstat`). While that is much of the engine's time, the operating system places engine and node, and
+the bus threads of the controller that started them.
 """
 
 from __future__ import annotations
@@ -59,6 +60,8 @@ class CorePlacement:
             _place(pid, self._allowed)
 
     def _measure(self) -> None:
+        if self.released:  # an engine that was prefetched is pinned once more when its episode begins
+            _place(self._pid, self._allowed)
         run_ns, wait_ns = _times(self._pid)
         self._run_ns += max(run_ns - self._times[0], 0)
         self._wait_ns += max(wait_ns - self._times[1], 0)
@@ -76,17 +79,51 @@ class CorePlacement:
 
     def _release(self) -> None:
         self.released, self._paused = True, 0
-        self._threads = [thread for thread in _own_threads() if _cores(thread) == {self._node_core}]
+        self._threads = [thread for thread in own_threads() if _cores(thread) == {self._node_core}]
         for thread in (self._pid, *self._threads):
             _place(thread, self._allowed)
 
     def _pin(self) -> None:
         self.released = False
         _place(self._pid, {self._engine_core})
-        own = {*_own_threads()}
+        own = {*own_threads()}
         for thread in self._threads:
             if thread in own:
                 _place(thread, {self._node_core})
+
+
+class FollowedPlacement:
+    """Places threads like a node's own: on its core, or wherever the operating system places them.
+
+    Args:
+        node: process id of the node.
+        core: the node's core, on which the threads run at first.
+        threads: native ids of threads of this process.
+    """
+
+    SAMPLES = 512
+    """Samples between two looks at the node's cores: as many as between two decisions of `CorePlacement`."""
+
+    def __init__(self, node: int, core: int, threads: Sequence[int]) -> None:
+        self._node, self._core, self._threads = node, core, tuple(threads)
+        self._allowed = frozenset(os.sched_getaffinity(0)) | {core}
+        self._samples = 0
+        self._released = False
+
+    def count(self) -> None:
+        """Count a sample of the node; now and then, look at its cores."""
+        self._samples += 1
+        if self._samples < self.SAMPLES:
+            return
+        self._samples = 0
+        cores = _cores(self._node)
+        if not cores or (released := cores != {self._core}) == self._released:
+            return
+        self._released = released
+        own = {*own_threads()}
+        for thread in self._threads:
+            if thread in own:
+                _place(thread, self._allowed if released else {self._core})
 
 
 def _times(pid: int) -> tuple[int, int]:
@@ -98,7 +135,8 @@ def _times(pid: int) -> tuple[int, int]:
         return 0, 0
 
 
-def _own_threads() -> list[int]:
+def own_threads() -> list[int]:
+    """Return the native ids of this process's threads."""
     return [int(name) for name in os.listdir("/proc/self/task")]
 
 

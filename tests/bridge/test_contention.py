@@ -5,13 +5,15 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
+from typing import Any
 
+import gymnasium as gym
 import psutil
 import pytest
 from support.nodes import until
 
-from zenostat.bridge.runtime.contention import CorePlacement
+from zenostat.bridge.runtime.contention import CorePlacement, FollowedPlacement, own_threads
 
 CORES = sorted(os.sched_getaffinity(0))
 pytestmark = pytest.mark.skipif(len(CORES) < 2, reason="there is one core")
@@ -116,3 +118,65 @@ def test_engine_that_has_ended__changes_nothing() -> None:
     placement = CorePlacement(CORES[0], CORES[1], CORES)
     released = samples(placement, engine.pid)
     assert not any(released() for _ in range(2 * CorePlacement.WINDOW))
+
+
+def test_engine_that_is_pinned_while_released__is_released_again(spin: Spin) -> None:
+    placement = CorePlacement(CORES[0], CORES[1], CORES)
+    engine = spin()
+    spin()
+    released = samples(placement, engine)
+    until(released, "the engine is released")
+    os.sched_setaffinity(engine, CORES[:1])  # as an engine that was prefetched, when its episode begins
+    assert released()
+    assert os.sched_getaffinity(engine) == {*CORES}
+
+
+def test_threads_that_follow_a_node__leave_its_core_and_return_with_it(spin: Spin) -> None:
+    node, end = spin(), threading.Event()
+    thread = threading.Thread(target=end.wait)
+    thread.start()
+    try:
+        assert thread.native_id is not None
+        os.sched_setaffinity(thread.native_id, CORES[:1])
+        before = os.sched_getaffinity(0)
+        placement = FollowedPlacement(node, CORES[0], [thread.native_id])
+
+        def cores_after(node_cores: list[int]) -> set[int]:
+            os.sched_setaffinity(node, node_cores)
+            for _ in range(FollowedPlacement.SAMPLES):
+                placement.count()
+            return os.sched_getaffinity(thread.native_id or 0)
+
+        assert cores_after(CORES) == {*CORES}
+        assert cores_after(CORES[:1]) == {CORES[0]}
+        assert os.sched_getaffinity(0) == before
+    finally:
+        end.set()
+        thread.join()
+
+
+def test_threads_of_a_node_that_has_ended__stay() -> None:
+    with subprocess.Popen([sys.executable, "-c", ""]) as node:
+        pass
+    before = os.sched_getaffinity(0)
+    placement = FollowedPlacement(node.pid, CORES[0], [threading.get_native_id()])
+    for _ in range(2 * FollowedPlacement.SAMPLES):
+        placement.count()
+    assert os.sched_getaffinity(0) == before
+
+
+@pytest.mark.process
+def test_bus_threads_of_an_environment__follow_its_local_node() -> None:
+    before = {*own_threads()}
+    arguments: dict[str, Any] = {"begin": "07-01", "end": "07-31", "steps_per_hour": 4, "affinity": "apart"}
+    with closing(gym.make("zenostat/ref-small-office-USA_CO_Denver-continuous-v1", **arguments)) as env:
+        env.reset(seed=0)
+        (node,) = (child.pid for child in psutil.Process().children() if "zenostat.eplus_node" in child.cmdline())
+        (core,) = os.sched_getaffinity(node)
+        threads = [thread for thread in own_threads() if thread not in before]
+        pinned = [thread for thread in threads if os.sched_getaffinity(thread) == {core}]
+        assert pinned
+        os.sched_setaffinity(node, CORES)
+        for _ in range(FollowedPlacement.SAMPLES):
+            env.step(env.action_space.sample())
+        assert all(os.sched_getaffinity(thread) == {*CORES} for thread in pinned)
