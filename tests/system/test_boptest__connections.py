@@ -57,7 +57,7 @@ def test_boptest__requests_that_wait_for_one_of_their_test_do_not_block_the_serv
 
 
 def test_boptest__connections_without_a_complete_request_are_closed_unless_they_wait_for_an_answer(monkeypatch):
-    monkeypatch.setattr(server, "REQUEST_TIMEOUT_S", 0.2)
+    monkeypatch.setattr(server._Protocol, "request_timeout_s", 0.2)
     in_progress, may_go_on, answers = threading.Event(), threading.Event(), []
     head = b"POST /testcases/none/select HTTP/1.1\r\nHost: localhost\r\n"
     with serving() as client, ExitStack() as stack:

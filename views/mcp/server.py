@@ -24,7 +24,7 @@ with requires_extra("mcp", "the MCP server", "the MCP SDK"):
     from mcp.server.stdio import stdio_server
     from mcp.server.transport_security import TransportSecuritySettings
 
-    from zenostat.views.loopback import LoopbackServer, listen, names_of
+    from zenostat.bridge.http.server import LoopbackServer, listen, names_of
     from zenostat.views.room.access import Access, Guard
 
 DEFAULT_ADDRESS = "127.0.0.1:8700"

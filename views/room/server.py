@@ -5,12 +5,11 @@ from __future__ import annotations
 import asyncio
 from types import TracebackType
 
-from uvicorn.protocols.http.h11_impl import H11Protocol
-
 from zenostat.bridge.client.bus import Bus
+from zenostat.bridge.http.connections import BoundedH11
+from zenostat.bridge.http.server import LoopbackServer, listen
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
-from zenostat.views.loopback import LoopbackServer, listen
 from zenostat.views.room.access import Access
 from zenostat.views.room.app import DEFAULTS, Room, RoomSettings
 from zenostat.views.room.users import CERTIFICATE, BusUsers, PageTls, client_certificate
@@ -102,7 +101,7 @@ class RoomServer:
         self._socket.close()
 
 
-class _TlsProtocol(H11Protocol):
+class _TlsProtocol(BoundedH11):
     """HTTP over TLS: each request has the certificate of its connection in its state."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]

@@ -1,4 +1,4 @@
-"""HTTP servers for this machine: their sockets, and uvicorn in a process that handles signals itself."""
+"""HTTP servers, by default for this machine: their sockets, and uvicorn in a process that handles signals itself."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import asyncio
 import errno
 import ipaddress
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
 import uvicorn
 
+from zenostat.bridge.http.connections import BoundedH11
 from zenostat.bridge.runtime import service_manager
 from zenostat.topics.errors import AddressInUse, InvalidConfig
 
@@ -75,24 +76,24 @@ class LoopbackServer(uvicorn.Server):
 
     Args:
         app: the application.
-        end_streams: called before the server waits for requests to end.
+        end_streams: called before the server waits for requests to end; what it returns is awaited.
         settings: further settings of uvicorn, such as those of TLS.
     """
 
-    def __init__(self, app: Any, end_streams: Callable[[], None] = lambda: None, **settings: Any) -> None:
+    def __init__(
+        self, app: Any, end_streams: Callable[[], Awaitable[None] | None] = lambda: None, **settings: Any
+    ) -> None:
+        defaults = {"http": BoundedH11, "lifespan": "on", "server_header": False, "limit_concurrency": _MAX_CONNECTIONS}
         super().__init__(
             uvicorn.Config(
                 app,
                 log_level="error",
                 access_log=False,
                 proxy_headers=False,
-                server_header=False,
                 backlog=_BACKLOG,
-                limit_concurrency=_MAX_CONNECTIONS,
                 timeout_graceful_shutdown=_SHUTDOWN_S,
                 ws="none",
-                lifespan="on",
-                **settings,
+                **{**defaults, **settings},
             )
         )
         self._end_streams = end_streams
@@ -107,7 +108,8 @@ class LoopbackServer(uvicorn.Server):
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """End the streams, then wait for requests to end."""
         self._reported.close()
-        self._end_streams()
+        if (pending := self._end_streams()) is not None:
+            await pending
         await super().shutdown(sockets)
 
     @contextmanager

@@ -1,0 +1,1 @@
+"""HTTP servers of gateways and views: their sockets, and connections that end without requests."""
