@@ -29,7 +29,7 @@ WINDOW = SLOTS
 """Number of episodes in a moving mean of returns: one of each slot."""
 EPISODE = 2_976
 """Timesteps of an episode."""
-MONTHS = 8
+MONTHS = 6
 """Episodes of each slot."""
 SHARE = 0.9
 """The return to reach, as a share of what all kinds have gained at their best."""
