@@ -83,19 +83,19 @@ class LoopbackServer(uvicorn.Server):
     def __init__(
         self, app: Any, end_streams: Callable[[], Awaitable[None] | None] = lambda: None, **settings: Any
     ) -> None:
-        defaults = {"http": BoundedH11, "lifespan": "on", "server_header": False, "limit_concurrency": _MAX_CONNECTIONS}
-        super().__init__(
-            uvicorn.Config(
-                app,
-                log_level="error",
-                access_log=False,
-                proxy_headers=False,
-                backlog=_BACKLOG,
-                timeout_graceful_shutdown=_SHUTDOWN_S,
-                ws="none",
-                **{**defaults, **settings},
-            )
-        )
+        defaults = {
+            "http": BoundedH11,
+            "ws": "none",
+            "lifespan": "on",
+            "log_level": "error",
+            "access_log": False,
+            "proxy_headers": False,
+            "server_header": False,
+            "backlog": _BACKLOG,
+            "limit_concurrency": _MAX_CONNECTIONS,
+            "timeout_graceful_shutdown": _SHUTDOWN_S,
+        }
+        super().__init__(uvicorn.Config(app, **{**defaults, **settings}))
         self._end_streams = end_streams
         self._reported = ExitStack()
 

@@ -14,6 +14,7 @@ from zenostat.gateways.addresses import is_loopback
 from zenostat.gateways.boptest.app import Service
 
 _DEFAULT_ADDRESS = "127.0.0.1:8000"
+_SHUTDOWN_S = 5
 
 
 class HttpServer:
@@ -51,6 +52,7 @@ class HttpServer:
             http=_Protocol,
             lifespan="off",
             server_header=True,
+            timeout_graceful_shutdown=_SHUTDOWN_S,
         )
 
     def run(self) -> None:
