@@ -89,8 +89,9 @@ def connect(
     placement = _member(Affinity, affinity, "affinity")
     required = None if role is None else _member(Role, role, "role", _CLIENT_ROLES)
     folder = None if keys is None else Path(keys)
-    follows = core is not None and local_node is not None and placement is Affinity.SEPARATE_CORES
-    before = {*own_threads()} if follows else set()
+    if core is None or placement is not Affinity.SEPARATE_CORES:
+        local_node = None
+    before = set() if local_node is None else own_threads()
     with _thread_placement(placement, core):
         if required is None and not names_certificate(folder, certificate):
             required = Role.CONTROLLER
@@ -98,10 +99,8 @@ def connect(
     if session.warning:
         warnings.warn(session.warning, stacklevel=2)
     bus = Bus(endpoint, session, placement)
-    if follows:
-        assert core is not None
-        assert local_node is not None
-        bus.placement = FollowedPlacement(local_node, core, [*{*own_threads()} - before])
+    if core is not None and local_node is not None:
+        bus.placement = FollowedPlacement(local_node, core, own_threads() - before)
     return bus
 
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from contextlib import suppress
 from pathlib import Path
 
@@ -39,7 +40,7 @@ class CorePlacement:
     def __init__(self, engine_core: int, node_core: int, allowed: Sequence[int]) -> None:
         self._engine_core, self._node_core, self._allowed = engine_core, node_core, frozenset(allowed)
         self.released = False
-        self._threads: list[int] = []
+        self._threads: set[int] = set()
         self._pid = 0
         self._samples = self._measurements = self._paused = 0
         self._times = (0, 0)
@@ -79,17 +80,14 @@ class CorePlacement:
 
     def _release(self) -> None:
         self.released, self._paused = True, 0
-        self._threads = [thread for thread in own_threads() if _cores(thread) == {self._node_core}]
+        self._threads = {thread for thread in own_threads() if _cores(thread) == {self._node_core}}
         for thread in (self._pid, *self._threads):
             _place(thread, self._allowed)
 
     def _pin(self) -> None:
         self.released = False
         _place(self._pid, {self._engine_core})
-        own = {*own_threads()}
-        for thread in self._threads:
-            if thread in own:
-                _place(thread, {self._node_core})
+        _place_own(self._threads, {self._node_core})
 
 
 class FollowedPlacement:
@@ -104,8 +102,8 @@ class FollowedPlacement:
     SAMPLES = 512
     """Samples between two looks at the node's cores: as many as between two decisions of `CorePlacement`."""
 
-    def __init__(self, node: int, core: int, threads: Sequence[int]) -> None:
-        self._node, self._core, self._threads = node, core, tuple(threads)
+    def __init__(self, node: int, core: int, threads: AbstractSet[int]) -> None:
+        self._node, self._core, self._threads = node, core, threads
         self._allowed = frozenset(os.sched_getaffinity(0)) | {core}
         self._samples = 0
         self._released = False
@@ -120,10 +118,7 @@ class FollowedPlacement:
         if not cores or (released := cores != {self._core}) == self._released:
             return
         self._released = released
-        own = {*own_threads()}
-        for thread in self._threads:
-            if thread in own:
-                _place(thread, self._allowed if released else {self._core})
+        _place_own(self._threads, self._allowed if released else {self._core})
 
 
 def _times(pid: int) -> tuple[int, int]:
@@ -135,9 +130,9 @@ def _times(pid: int) -> tuple[int, int]:
         return 0, 0
 
 
-def own_threads() -> list[int]:
+def own_threads() -> set[int]:
     """Return the native ids of this process's threads."""
-    return [int(name) for name in os.listdir("/proc/self/task")]
+    return {int(name) for name in os.listdir("/proc/self/task")}
 
 
 def _cores(thread: int) -> set[int]:
@@ -147,6 +142,12 @@ def _cores(thread: int) -> set[int]:
         return set()
 
 
-def _place(thread: int, cores: frozenset[int] | set[int]) -> None:
+def _place(thread: int, cores: AbstractSet[int]) -> None:
     with suppress(OSError):  # it has ended, or a container has lost the core
         os.sched_setaffinity(thread, cores)
+
+
+def _place_own(threads: AbstractSet[int], cores: AbstractSet[int]) -> None:
+    """Place those threads that have not ended; another process may have the id of one that has."""
+    for thread in threads & own_threads():
+        _place(thread, cores)

@@ -46,22 +46,25 @@ def samples(placement: CorePlacement, engine: int) -> Callable[[], bool]:
     return released
 
 
-def test_engine_that_waits_for_its_core__is_released_and_later_pinned_again(spin: Spin) -> None:
+def released_engine(spin: Spin) -> tuple[int, CorePlacement, Callable[[], bool]]:
+    """Start an engine beside another program on its core and release it; return the condition of `samples` as well."""
     placement = CorePlacement(CORES[0], CORES[1], CORES)
     engine = spin()
     spin()
     released = samples(placement, engine)
     until(released, "the engine is released")
+    return engine, placement, released
+
+
+def test_engine_that_waits_for_its_core__is_released_and_later_pinned_again(spin: Spin) -> None:
+    engine, _, released = released_engine(spin)
     assert os.sched_getaffinity(engine) == {*CORES}
     until(lambda: not released(), "it is pinned again")
     assert os.sched_getaffinity(engine) == {CORES[0]}
 
 
 def test_next_engine__is_released_as_well(spin: Spin) -> None:
-    placement = CorePlacement(CORES[0], CORES[1], CORES)
-    engine = spin()
-    spin()
-    until(samples(placement, engine), "the engine is released")
+    _, placement, _ = released_engine(spin)
     after = spin()
     placement.count(after)
     assert os.sched_getaffinity(after) == {*CORES}
@@ -121,11 +124,7 @@ def test_engine_that_has_ended__changes_nothing() -> None:
 
 
 def test_engine_that_is_pinned_while_released__is_released_again(spin: Spin) -> None:
-    placement = CorePlacement(CORES[0], CORES[1], CORES)
-    engine = spin()
-    spin()
-    released = samples(placement, engine)
-    until(released, "the engine is released")
+    engine, _, released = released_engine(spin)
     os.sched_setaffinity(engine, CORES[:1])  # as an engine that was prefetched, when its episode begins
     assert released()
     assert os.sched_getaffinity(engine) == {*CORES}
@@ -139,7 +138,7 @@ def test_threads_that_follow_a_node__leave_its_core_and_return_with_it(spin: Spi
         assert thread.native_id is not None
         os.sched_setaffinity(thread.native_id, CORES[:1])
         before = os.sched_getaffinity(0)
-        placement = FollowedPlacement(node, CORES[0], [thread.native_id])
+        placement = FollowedPlacement(node, CORES[0], {thread.native_id})
 
         def cores_after(node_cores: list[int]) -> set[int]:
             os.sched_setaffinity(node, node_cores)
@@ -159,7 +158,7 @@ def test_threads_of_a_node_that_has_ended__stay() -> None:
     with subprocess.Popen([sys.executable, "-c", ""]) as node:
         pass
     before = os.sched_getaffinity(0)
-    placement = FollowedPlacement(node.pid, CORES[0], [threading.get_native_id()])
+    placement = FollowedPlacement(node.pid, CORES[0], {threading.get_native_id()})
     for _ in range(2 * FollowedPlacement.SAMPLES):
         placement.count()
     assert os.sched_getaffinity(0) == before
@@ -167,13 +166,13 @@ def test_threads_of_a_node_that_has_ended__stay() -> None:
 
 @pytest.mark.process
 def test_bus_threads_of_an_environment__follow_its_local_node() -> None:
-    before = {*own_threads()}
+    before = own_threads()
     arguments: dict[str, Any] = {"begin": "07-01", "end": "07-31", "steps_per_hour": 4, "affinity": "apart"}
     with closing(gym.make("zenostat/ref-small-office-USA_CO_Denver-continuous-v1", **arguments)) as env:
         env.reset(seed=0)
         (node,) = (child.pid for child in psutil.Process().children() if "zenostat.eplus_node" in child.cmdline())
         (core,) = os.sched_getaffinity(node)
-        threads = [thread for thread in own_threads() if thread not in before]
+        threads = own_threads() - before
         pinned = [thread for thread in threads if os.sched_getaffinity(thread) == {core}]
         assert pinned
         os.sched_setaffinity(node, CORES)
