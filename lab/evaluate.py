@@ -28,6 +28,7 @@ from zenostat.agent_sdk.rewards import Reward
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.lab.scenario_context import context_wrappers, within_context
+from zenostat.lab.scenario_env import add_monitoring
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.episode_weather import EpisodeWeather, query_weather
 from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices
@@ -253,8 +254,7 @@ def evaluate(
     settings = {**of_scenario(scenario), **overrides}
     if record is not None:
         settings["record"] = record
-    if not {"connect", "link"} & settings.keys():  # a node that runs elsewhere has what it has
-        settings.setdefault("monitoring", True)
+    add_monitoring(settings)
     wrappers = context_wrappers(wrappers or ())
     prices, emissions = read_prices(prices), read_emissions(emissions)
     factories = controller_factories(controllers)

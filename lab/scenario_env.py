@@ -24,3 +24,9 @@ def pop_env_id(arguments: dict[str, Any]) -> str:
         known = [env_id.removeprefix("zenostat/") for env_id in gym.registry if env_id.startswith("zenostat/")]
         raise UnknownName(f"there is no scenario {name!r}; {did_you_mean(name, known)}; see `zenostat scenarios`")
     return f"zenostat/{name}"
+
+
+def add_monitoring(arguments: dict[str, Any]) -> None:
+    """Let the node also measure what metrics need, unless the arguments decide it; one that runs elsewhere does not."""
+    if not {"connect", "link"} & arguments.keys():
+        arguments.setdefault("monitoring", True)

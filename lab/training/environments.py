@@ -18,7 +18,7 @@ from zenostat.agent_sdk.wrappers.checkpoint import LOGS
 from zenostat.agent_sdk.wrappers.names import attribute
 from zenostat.agent_sdk.wrappers.serialization import check_wrappers
 from zenostat.bridge.client.controller_link import ControllerLink
-from zenostat.lab.scenario_env import pop_env_id
+from zenostat.lab.scenario_env import add_monitoring, pop_env_id
 from zenostat.lab.training.config import TrainingConfig
 from zenostat.lab.training.episode_recorder import EpisodeRecorder
 from zenostat.lab.training.horizon import discount
@@ -54,8 +54,8 @@ def make_env(config: TrainingConfig, *, for_evaluation: bool = False) -> gym.Env
     One for evaluations has none that write logs, and also measures what metrics need, as `evaluate` does.
     """
     arguments = config.environment(for_evaluation=for_evaluation)
-    if for_evaluation and is_building(arguments) and not {"connect", "link"} & arguments.keys():
-        arguments.setdefault("monitoring", True)
+    if for_evaluation and is_building(arguments):
+        add_monitoring(arguments)
     env: gym.Env[Any, Any] = _wrapped(
         gym.make(pop_env_id(arguments), **arguments), config, for_evaluation=for_evaluation
     )
