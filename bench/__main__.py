@@ -95,9 +95,9 @@ def main() -> None:
         PARTS[part].show(results[part], console)
     seconds, loads = import_time()
     console.print(f"import zenostat: {seconds:.2f} s; loads of Rerun and EnergyPlus: {loads}")
-    for part, module in (("growth", growth), ("training", training)):
+    for part in ("growth", "training"):
         if options.plot and part in results:
-            for path in module.plot(results[part], options.plot):
+            for path in PARTS[part].plot(results[part], options.plot):
                 console.print(f"plot written to {path}")
     console.print(f"results written to {_write({**results, 'quick': options.quick, 'import_s': seconds})}")
 
