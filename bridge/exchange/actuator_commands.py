@@ -36,16 +36,17 @@ class Expiry:
 
 @dataclass(frozen=True, slots=True)
 class CommandSnapshot:
-    """The commanded values that are in effect at a sample; part of a snapshot."""
+    """The commanded values that are in effect at a sample, and the claims of their controllers; part of a snapshot."""
 
     array: PriorityArray
     expiries: tuple[Expiry, ...] = ()
     timesteps: int = 0
     commanded: bytes = b""
     source_index: bytes = b""
+    holders: tuple[ClaimHolder, ...] = ()
 
     def of_slot(self, slot: int, slots: int) -> CommandSnapshot:
-        """Return a snapshot for `slots` new slots, all with the commands of one slot."""
+        """Return a snapshot for `slots` new slots, all with the commands of one slot, without claims."""
         row = slice(slot * self.array.shape[1], (slot + 1) * self.array.shape[1])
         commanded = self.commanded[8 * row.start : 8 * row.stop] * slots
         sources = self.source_index[2 * row.start : 2 * row.stop] * slots

@@ -7,6 +7,7 @@ that a controller has set are relinquished when its claim ends.
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -165,6 +166,28 @@ class Claims:
         for claimant in self.by_name.values():
             claimant.source, claimant.inherited = self._array.source(claimant.name), frozenset()
             claimant.transition(ControllerTrigger.RESET)
+
+    def copies(self) -> tuple[ClaimHolder, ...]:
+        """Return copies of the claims, for a snapshot of the values that are in effect."""
+        return tuple(replace(claimant) for claimant in self.by_name.values())
+
+    def return_to(self, formers: Collection[ClaimHolder]) -> None:
+        """Begin an episode at a snapshot, whose values the array has again.
+
+        Values of a controller that had a claim then stay where somebody has a claim at its priority, who answers for
+        them from now on; the others are relinquished.
+
+        Args:
+            formers: copies of the claims at the snapshot.
+        """
+        self.begin_episode()
+        for former in formers:
+            kept = np.zeros_like(former.mask)
+            for claimant in self.by_name.values():
+                if claimant.priority == former.priority:
+                    kept |= claimant.mask
+                    claimant.inherited |= (former.inherited | {former.name}) - {claimant.name}
+            self._relinquish(former, except_for=kept)
 
     def remove(self, controller: str) -> None:
         """End a controller's claim and relinquish the values that it has set."""

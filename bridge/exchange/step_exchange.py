@@ -79,7 +79,7 @@ class StepExchange(ExchangeState):
         if commands is not None:
             self.commands.restore(commands)
             self.commanded, self.source_index = commands.commanded, commands.source_index
-            self.claims.begin_episode()
+            self.claims.return_to(commands.holders)
         self.step, self.modified, self.done = [*self.step], [*self.modified], [*self.done]
         for slot, step in (starts if starts is not None else dict.fromkeys(self.all_slots, 0)).items():
             self.step[slot] = step
@@ -130,7 +130,12 @@ class StepExchange(ExchangeState):
 
     def capture(self) -> CommandSnapshot:
         """Return the commands in effect at the current sample."""
-        return replace(self.commands.capture(), commanded=self.commanded, source_index=self.source_index)
+        return replace(
+            self.commands.capture(),
+            commanded=self.commanded,
+            source_index=self.source_index,
+            holders=self.claims.copies(),
+        )
 
     def copy(self) -> StepExchange:
         """Return an exchange at the same sample that changes independently; it counts no accepted messages."""

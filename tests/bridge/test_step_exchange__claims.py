@@ -4,8 +4,10 @@ import pytest
 from support.builders import NAN, advance, answer, claim, exchange
 from support.exchange_checks import KEEP, RELEASE, SET, check_event, running, same
 
+from zenostat.bridge.exchange.actuator_commands import CommandSnapshot
+from zenostat.bridge.exchange.step_exchange import StepExchange
 from zenostat.topics.errors import RequestRejected
-from zenostat.topics.messages import ControllerState, EventKind
+from zenostat.topics.messages import ControllerState, EventKind, Write
 
 
 def test_step_exchange__second_claim_on_a_level_is_refused_by_name() -> None:
@@ -151,3 +153,64 @@ def test_step_exchange__status_tells_of_each_claim() -> None:
         ("agent", 10, 2, True, ControllerState.CONNECTED, 2),
         ("helper", 9, 1, False, ControllerState.CONNECTED, 0),
     ]
+
+
+def check(at: StepExchange, values: list[float], sources: list[str]) -> None:
+    present, present_sources = advance(at)
+    assert same(present, values)
+    assert present_sources == sources
+
+
+def _return_to(at: StepExchange, snapshot: CommandSnapshot, step: int) -> None:
+    at.reset()
+    at.ready(0.0, {0: step}, snapshot)
+
+
+def test_return__to_a_snapshot_relinquishes_what_a_controller_that_has_left_had_set() -> None:
+    at = exchange()
+    claim(at, "agent", 10)
+    at.intake.write("heat", Write(value=18.0, priority=12, source="operator"), 0.0)
+    answer(at, "agent", [20.0, 25.0])
+    advance(at)
+    snapshot = at.capture()
+    claim(at, "other", 11)
+    at.fallback.on_disconnect("agent", 0.0)
+    _return_to(at, snapshot, 1)
+    answer(at, "other", [0.0, 0.0], [KEEP, KEEP])
+    check(at, [18.0, NAN], ["operator", ""])
+
+
+def test_return__to_a_snapshot_keeps_what_a_controller_with_the_same_claim_had_set() -> None:
+    at = exchange()
+    claim(at, "agent", 10)
+    claim(at, "guard", 5)
+    answer(at, "guard", [16.0, 0.0], [SET, KEEP])
+    answer(at, "agent", [20.0, 25.0])
+    advance(at)
+    snapshot = at.capture()
+    claim(at, "guard", 4)  # at another priority: its former value has nobody who would relinquish it
+    answer(at, "guard", [0.0, 0.0], [KEEP, KEEP])
+    answer(at, "agent", [21.0, 26.0])
+    assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
+    _return_to(at, snapshot, 1)
+    for name in ("agent", "guard"):
+        answer(at, name, [0.0, 0.0], [KEEP, KEEP])
+    assert advance(at) == ([20.0, 25.0], ["agent", "agent"])
+
+
+def test_return__to_a_snapshot_leaves_values_to_the_controller_that_has_taken_over() -> None:
+    at = exchange()
+    claim(at, "agent", 10)
+    answer(at, "agent", [20.0, 25.0])
+    advance(at)
+    snapshot = at.capture()
+    at.fallback.on_disconnect("agent", 0.0)
+    claim(at, "spare", 10, actuators=["cool"])
+    for _ in range(2):
+        _return_to(at, snapshot, 1)
+        answer(at, "spare", [0.0, 0.0], [KEEP, KEEP])
+        check(at, [NAN, 25.0], ["", "agent"])
+        snapshot = at.capture()
+    claim(at, "spare", 11)  # and it relinquishes them like its own
+    answer(at, "spare", [0.0, 0.0], [KEEP, KEEP])
+    check(at, [NAN, NAN], ["", ""])
