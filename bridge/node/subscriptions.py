@@ -212,8 +212,8 @@ class Subscriptions:
         If both are pending, commands and tasks take turns. Writes that have arrived are carried out first: Zenoh keeps
         the order of one session's messages, so what a controller wrote before its command is waiting by now.
         """
+        self._thread_id = threading.get_ident()
         if wait:
-            self._thread_id = threading.get_ident()
             self._is_waiting = True  # set before the check for tasks; `post` reads it after adding one
         if not self._tasks:
             message = self._recv() if wait else self._try_recv()
@@ -273,8 +273,13 @@ class Subscriptions:
         self._wake_if_waiting()
 
     def post_first(self, task: Callable[[], None]) -> None:
-        """Run a task in the server's thread before all other pending tasks."""
+        """Run a task in the server's thread before all other pending tasks.
+
+        From one of its tasks, it is the next thing that the thread does: no command and no write comes in between.
+        """
         self._tasks.appendleft(task)
+        if threading.get_ident() == self._thread_id:
+            self._turn += 1
         self._wake_if_waiting()
 
     def _wake_if_waiting(self) -> None:
