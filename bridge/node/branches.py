@@ -59,7 +59,19 @@ _NO_EPISODE = "there is nothing to fork: the episode is {}; reset it first"
 
 @dataclass(frozen=True, slots=True)
 class Snapshot:
-    """State of a node at one sample: a copy of its plant, the commands in effect, the injected faults, and alarms."""
+    """State of a node at one sample.
+
+    Attributes:
+        name: of the snapshot.
+        owner: the controller that asked for it.
+        episode, step: of each slot.
+        plant: a copy of the node's.
+        commands: those in effect.
+        received: the actuator values that the plant received last, after faults; empty if there was no timestep.
+        faults: those that are injected.
+        alarms: their states.
+        folder: for the files of the copy.
+    """
 
     name: str
     owner: str
@@ -67,6 +79,7 @@ class Snapshot:
     step: list[int]
     plant: RunningPlant
     commands: CommandSnapshot
+    received: bytes
     faults: FaultState | None
     alarms: AlarmSnapshot | None
     folder: Path
@@ -82,6 +95,7 @@ class Snapshot:
             [*exchange.step],
             server.plant.fork(range(exchange.slots), folder, baseline=True),
             exchange.capture(),
+            server.received,
             injection.state() if injection is not None else None,
             server.alarms.capture() if server.alarms is not None else None,
             folder,
@@ -262,6 +276,9 @@ class BranchManager:
             server.access = parent.access.of_branch(request.controller)
         present = parent.injection.state() if parent.injection is not None else None
         faults = (snapshot.faults if snapshot is not None else present) or NO_FAULTS
+        received = snapshot.received if snapshot is not None else parent.received
+        size = len(received) // parent.manifest.slots
+        server.received = received[request.slot * size : (request.slot + 1) * size] * slots
         try:
             server.inject(faults[0])
             if server.injection is not None:

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from time import monotonic
-from typing import TYPE_CHECKING
 
-from zenostat.bridge.exchange.actuator_commands import CommandSnapshot
 from zenostat.bridge.exchange.step_exchange import StepExchange
-from zenostat.bridge.node.branches import BranchManager
-from zenostat.bridge.node.fault_injection import NO_FAULTS, FaultState
+from zenostat.bridge.node.branches import BranchManager, Snapshot
 from zenostat.bridge.node.manifest import site_fields
 from zenostat.bridge.node.plant import AbandonablePlant, Plant
 from zenostat.bridge.node.recording import RecordingManager
 from zenostat.bridge.node.server import NodeServer, Stopped
 from zenostat.topics import keys
-from zenostat.topics.errors import RequestRejected, SimulatorError
+from zenostat.topics.errors import RequestRejected, ZenostatError
 from zenostat.topics.messages import (
     MAX_SEEDS,
     Ack,
@@ -28,9 +25,6 @@ from zenostat.topics.messages import (
     State,
     TakeSnapshot,
 )
-
-if TYPE_CHECKING:
-    from zenostat.bridge.alarms.monitor import AlarmSnapshot
 
 _PATIENCE_S = 10.0
 """Time that a reset waits at most for the end of a timestep; clients wait for their replies for longer."""
@@ -132,9 +126,10 @@ class EpisodeManager:
             raise RequestRejected("the engines have ended; reset all slots")
         untouched = [exchange.state is State.WAITING and not exchange.modified[slot] for slot in slots]
         exchange.reset(slots)
+        self._server.failure = self._server.failure_error = ""
         try:
             starts = self._plant.next_episode(slots, seeds, exchange.episode, untouched)
-        except SimulatorError as error:
+        except ZenostatError as error:
             self._server.fail(error)
             raise
         self._server.subscriptions.post_first(lambda: self._start_episodes(slots, seeds, reset.controller))
@@ -146,46 +141,44 @@ class EpisodeManager:
             return
         try:
             self._plant.start(slots)
-        except SimulatorError as error:
+        except ZenostatError as error:
             if server.stopping:
                 raise Stopped from None
             server.fail(error)
             return
-        self._begin(dict.fromkeys(slots, 0), source, seeds)
+        except Exception as error:  # one of this program shall not end the node
+            server.subscriptions.on_error(keys.RESET, source, error)
+            return
+        self._begin(dict.fromkeys(slots, 0), seeds, source)
         self._plant.clean_up()
 
     def _begin(
         self,
         steps: dict[int, int],
-        source: str,
         seeds: list[int | None],
-        faults: FaultState | None = None,
-        commands: CommandSnapshot | None = None,
-        snapshot: str = "",
-        alarms: AlarmSnapshot | None = None,
+        source: str,
+        snapshot: Snapshot | None = None,
     ) -> None:
         """Begin episodes whose first samples the plant has reached, and publish these.
 
         Args:
             steps: the first sample of each slot.
-            source: the controller that asked for the reset.
             seeds: by slot, for injected faults.
-            faults: those of a snapshot.
-            commands: those of a snapshot.
-            snapshot: its name.
-            alarms: those of a snapshot.
+            source: the controller that asked for the reset.
+            snapshot: to which the plant has returned.
         """
         server = self._server
-        server.exchange.ready(monotonic(), steps, commands)
+        server.exchange.ready(monotonic(), steps, None if snapshot is None else snapshot.commands)
         server.begin_episodes([*steps], seeds)
         previous = server.manifest
-        server.restore(faults, alarms)
+        if snapshot is not None:
+            server.restore(snapshot.faults, snapshot.received, snapshot.alarms)
         site = self._plant.site(0)
         if previous.weather != site.weather:
             server.describe(site_fields(site))
         if server.manifest != previous:
             server.publications.manifest(server.manifest)
-        self._recordings.begin_episodes(steps, seeds, source, snapshot)
+        self._recordings.begin_episodes(steps, seeds, source, "" if snapshot is None else snapshot.name)
         self._publish_start(source)
         server.publish()
 
@@ -228,11 +221,7 @@ class EpisodeManager:
         snapshot = self._branches.find(reset.snapshot)
         starts = self._plant.restore(snapshot.plant, [number + 1 for number in exchange.episode])
         exchange.reset()
-        steps = dict(enumerate(snapshot.step))
-        faults = snapshot.faults or NO_FAULTS
-        seeds: list[int | None] = [None] * len(slots)
-        commands, alarms = snapshot.commands, snapshot.alarms
-        self._begin(steps, reset.controller, seeds, faults, commands, snapshot.name, alarms)
+        self._begin(dict(enumerate(snapshot.step)), [None] * len(slots), reset.controller, snapshot)
         self._plant.clean_up()
         return Ack(episode=exchange.episode, episode_starts=starts)
 

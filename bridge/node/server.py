@@ -15,13 +15,14 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING
 
+import numpy as np
 import zenoh
 
 from zenostat.bridge.exchange.intake import RATE_LIMITED
 from zenostat.bridge.exchange.latency import LatencyWindow
 from zenostat.bridge.exchange.revocation import revoke
 from zenostat.bridge.exchange.step_exchange import StepExchange, Trigger
-from zenostat.bridge.node.fault_injection import FaultInjection, FaultState
+from zenostat.bridge.node.fault_injection import NO_FAULTS, FaultInjection, FaultState
 from zenostat.bridge.node.history import History
 from zenostat.bridge.node.pacing import Pacing
 from zenostat.bridge.node.plant import RunningPlant, WarningPlant
@@ -73,6 +74,7 @@ class NodeServer:
         samples: encodes samples.
         trials: answers the requests for trials.
         latest_sample: the encoded latest sample.
+        received: the actuator values that the plant received last, after faults; empty before the first timestep.
         on_event: called with each event.
     """
 
@@ -98,7 +100,7 @@ class NodeServer:
         self._recorder: Recorder | None = None
         self.pacing = Pacing(self)
         self.requests, self.trials = RequestHandlers(self), TrialSteps(self, folder / "trials")
-        self._last_commands = b""
+        self.received = b""
         self._step_latency, self._cycle = LatencyWindow(), LatencyWindow()
         self._sampled_s = 0.0
         self.access: Access | None = None
@@ -239,7 +241,7 @@ class NodeServer:
         commands = exchange.begin_step(began_s)
         if self.injection is not None:
             commands = self.injection.apply_to_commands(commands, exchange.step)
-        self._last_commands = commands
+        self.received = commands
         if self._recorder is not None:
             self._recorder.order(commands, exchange.active_slots)
         try:
@@ -258,7 +260,7 @@ class NodeServer:
 
     def finish_steps(self, commands: bytes) -> None:
         """Publish the present sample after several timesteps, of which these were the last commands."""
-        self._last_commands = commands
+        self.received = commands
         self.publish()
         self.publish_warnings()
         self._announce_end()
@@ -311,10 +313,6 @@ class NodeServer:
         if self._warnings is not None:
             self._warnings.drain_step_warnings()
         return self.latest_sample
-
-    def remember_commands(self, commands: bytes) -> None:
-        """Record the commands of a timestep that `step` did not simulate."""
-        self._last_commands = commands
 
     def observe(self) -> None:
         """Show the present state, which is not published."""
@@ -370,9 +368,19 @@ class NodeServer:
         if self.alarms is not None:
             self.alarms.reset(slots)
         self.exchange.fallback_active = False
-        self._last_commands, self._sampled_s = b"", 0.0
+        self._forget_received(slots)
+        self._sampled_s = 0.0
         self.failure = self.failure_error = ""
         self.pacing.begin()
+
+    def _forget_received(self, slots: Sequence[int]) -> None:
+        """Record that the plant has received nothing yet in some slots."""
+        if self.received and len(slots) < self.manifest.slots:
+            values = np.frombuffer(self.received).reshape(self.exchange.shape).copy()
+            values[list(slots)] = np.nan
+            self.received = values.tobytes()
+        else:
+            self.received = b""
 
     def on_disconnect(self, controller: str) -> None:
         """Record that a controller has left; the fallback policy applies after the grace period."""
@@ -434,19 +442,19 @@ class NodeServer:
             InvalidConfig: see `FaultInjection`.
         """
         self.injection = FaultInjection(faults, self.plant.description, self.manifest.slots) if faults.faults else None
-        if self.injection is not None and self._last_commands:
-            self.injection.remember_commands(self._last_commands)
+        if self.injection is not None and self.received:
+            self.injection.remember_commands(self.received)
         if self.injection is not None and previous is not None:
             self.injection.adopt(previous)
         if self.manifest.faults_injected != (self.injection is not None):
             self.describe({"faults_injected": self.injection is not None})
 
-    def restore(self, faults: FaultState | None, alarms: AlarmSnapshot | None) -> None:
-        """Restore the faults and the alarms of a snapshot; None leaves the present ones."""
-        if faults is not None:
-            self.inject(faults[0])
-            if self.injection is not None:
-                self.injection.restore(faults)
+    def restore(self, faults: FaultState | None, received: bytes, alarms: AlarmSnapshot | None) -> None:
+        """Restore the faults of a snapshot, the values that the plant had received last, and the alarms."""
+        self.received = received
+        self.inject((faults or NO_FAULTS)[0])
+        if self.injection is not None and faults is not None:
+            self.injection.restore(faults)
         if alarms is not None and self.alarms is not None:
             self.alarms.restore(alarms)
 

@@ -21,7 +21,7 @@ from zenostat.eplus_node.plan import describe, plan
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.fault_plan import FaultPlan
-from zenostat.topics.messages import Event, EventKind, Flag, PointValue, Sample
+from zenostat.topics.messages import CreateBranch, Event, EventKind, Flag, PointValue, Sample
 
 CORE, NORTH, EAST, SOUTH = (
     f"{zone}_air_temperature" for zone in ("core_zn", "perimeter_zn_3", "perimeter_zn_2", "perimeter_zn_1")
@@ -221,6 +221,35 @@ def test_fault_injection__fault_that_is_set_amid_an_episode_knows_what_was_heard
     assert command(52) == 27.0  # not what the building's own control would set
     got = stage.column(day(stage.link, between=cut, seed=1), SETPOINT, "effective")[1:]
     assert got.tolist() == [command(52 if 53 <= k < 62 else k) for k in range(LAST)]
+
+
+@pytest.mark.parametrize("place", ["snapshot", "branch"])
+def test_fault_injection__fault_after_a_snapshot_or_in_a_branch_knows_what_was_heard_before(
+    stage: Stage, place: str
+) -> None:
+    sample = stage.link.reset(seed=1)
+    for step in range(53):
+        sample.send({SETPOINT: command(step)})
+        sample = stage.link.receive()
+    drop = {"faults": [{"kind": "drop", "actuators": SETPOINT}]}
+    if place == "branch":
+        name = stage.bus.branch("office", CreateBranch())
+        stage.bus.faults(name, drop)
+        with stage.bus.controller(name) as link:
+            link.current().send({SETPOINT: 23.0})
+            effective = stage.column([link.receive().message], SETPOINT, "effective")
+        stage.bus.stop(name)
+    else:
+        snapshot = stage.bus.snapshot("office").snapshot
+        for _ in range(2):
+            sample.send({SETPOINT: 24.0})
+            sample = stage.link.receive()
+        sample = stage.link.reset(snapshot=snapshot)
+        stage.bus.faults("office", drop)
+        sample.send({SETPOINT: 23.0})
+        effective = stage.column([stage.link.receive().message], SETPOINT, "effective")
+        stage.bus.faults("office", None)
+    assert effective.tolist() == [command(52)] == [27.0]
 
 
 # What is told, and requests
