@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 from collections import deque
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,7 +15,7 @@ from zenostat.bridge.engine.launch import LOG
 from zenostat.eplus_node.config import kept_episodes
 from zenostat.eplus_node.plan import Plan
 from zenostat.models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw
-from zenostat.topics.errors import EngineDied, ForkFailed
+from zenostat.topics.errors import EngineDied, ForkFailed, SimulatorError, UsageError
 
 
 class EpisodeFolders:
@@ -50,14 +52,13 @@ class EpisodeFolders:
 
         Raises:
             EngineDied: the files cannot be written.
+            SimulatorError: the weather file has changed since the node started, and is not valid.
         """
-        try:
+        with _file_errors("an engine's files"):
             folder = self._create(f"episode-{episode:04}")
             weather = folder / "in.epw" if self.keep else folder.with_suffix(".epw")
             self._remove_oldest(folder)
             return self._factory.prepare(draw, folder, weather)
-        except OSError as error:
-            raise EngineDied(disk_full_message("an engine's files", error)) from None
 
     def prepare_waiting(self, source: int) -> tuple[EpisodeFiles, int]:
         """Write model and weather of an engine that waits to be forked with other noise.
@@ -66,28 +67,24 @@ class EpisodeFolders:
             Its files, and the offset in bytes from which the weather of an episode may differ.
 
         Raises:
-            EngineDied: the files cannot be written.
+            EngineDied, SimulatorError: see `prepare`.
         """
-        try:
+        with _file_errors("an engine's files"):
             folder = self._create(f"waiting-{source}")
             return self._factory.prepare_waiting(source, folder, folder.with_suffix(".epw"))
-        except OSError as error:
-            raise EngineDied(disk_full_message("an engine's files", error)) from None
 
     def prepare_noise(self, draw: WeatherDraw, waiting: EpisodeFiles, episode: int) -> EpisodeFiles:
         """Write the weather of an episode that continues from an engine that waits.
 
         Raises:
-            EngineDied: the file cannot be written.
+            EngineDied, SimulatorError: see `prepare`.
         """
         weather = self._folder / f"episode-{episode:04}.epw"
         while weather.exists():  # an engine may be reading it
             weather = weather.with_stem(f"{weather.stem}-")
-        try:
+        with _file_errors("an episode's weather"):
             self._folder.mkdir(parents=True, exist_ok=True)
             return EpisodeFiles(waiting.model, weather, self._factory.write_noise(draw, weather))
-        except OSError as error:
-            raise EngineDied(disk_full_message("an episode's weather", error)) from None
 
     def _create(self, name: str) -> Path:
         folder = self._folder / name
@@ -119,6 +116,17 @@ class EpisodeFolders:
                 files.weather.unlink()
 
 
+@contextmanager
+def _file_errors(files: str) -> Iterator[None]:
+    """Raise errors of an episode's files as those of the simulator: they end the episode, and not the node."""
+    try:
+        yield
+    except OSError as error:
+        raise EngineDied(file_error(files, error)) from None
+    except UsageError as error:
+        raise SimulatorError(f"the node cannot prepare {files}: {error}") from None
+
+
 def link_weather(files: EpisodeFiles, path: Path) -> EpisodeFiles:
     """Hard-link the weather file to `path` and return the files with that path.
 
@@ -129,7 +137,7 @@ def link_weather(files: EpisodeFiles, path: Path) -> EpisodeFiles:
         path.unlink(missing_ok=True)
         os.link(files.weather, path)
     except OSError as error:
-        raise ForkFailed(disk_full_message("a fork's weather", error)) from None
+        raise ForkFailed(file_error("a fork's weather", error)) from None
     return replace(files, weather=path)
 
 
@@ -143,10 +151,11 @@ def create_fork_folder(folder: Path) -> Path:
     try:
         folder.mkdir(parents=True)
     except OSError as error:
-        raise ForkFailed(disk_full_message("a fork's files", error)) from None
+        raise ForkFailed(file_error("a fork's files", error)) from None
     return folder
 
 
-def disk_full_message(files: str, error: OSError) -> str:
-    """Return the error text for files that the node cannot write."""
-    return f"the node has no room for {files}: {error}"
+def file_error(files: str, error: OSError) -> str:
+    """Return the error text for files that the node cannot write, or whose source it cannot read."""
+    is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+    return f"the node {'has no room for' if is_full else 'cannot prepare'} {files}: {error}"

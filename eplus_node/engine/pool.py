@@ -261,7 +261,7 @@ class EnginePool:
         ):
             return
         draw = self._next_draw = self._draws.next()
-        with suppress(EngineDied):  # no room for its files now; it starts when the episode begins
+        with suppress(SimulatorError):  # its files cannot be written now; it starts when the episode begins
             files = self._folders.prepare(draw, episode + 1)
             self._prefetched = PrefetchedEngine(draw, files, self._start_engine(files, self._spare))
 

@@ -1,8 +1,9 @@
 """The engine pool under failures: where the engine of an episode comes from, and which weather it has."""
 
 import os
+import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,7 @@ from zenostat.eplus_node.engine.fork_template import EngineTemplate
 from zenostat.eplus_node.engine.pool import EnginePool
 from zenostat.eplus_node.plan import Plan
 from zenostat.eplus_node.plan import plan as read_plan
+from zenostat.models.catalog import find_weather
 from zenostat.topics.errors import EngineDied, ForkFailed, SimulatorError
 from zenostat.topics.messages import EngineStart, State
 
@@ -72,7 +74,7 @@ def test_reset__without_room_for_files_fails_and_recovers(
     mine = plan(env, 1)
     straight = episode(env, mine, seed=4)
     for _ in range(2):
-        with no_room(env), pytest.raises(error, match="no room"):
+        with no_room(env), pytest.raises(error, match="cannot prepare"):
             env.reset(seed=9)
         assert env.link.bus.status("building").state is State.FAILED
     same(episode(env, mine, seed=4), straight)
@@ -98,6 +100,43 @@ def test_prefetch__that_fails_starts_the_engine_at_the_reset(scratch: Path) -> N
     env.close()
 
 
+def two_files(folder: Path) -> dict[str, Any]:
+    """Return the settings of two weather files with noise in turn, which each episode reads."""
+    files = [folder / f"{name}.epw" for name in ("first", "second")]
+    for file, name in zip(files, ("USA_CO_Denver", "USA_FL_Miami"), strict=True):
+        shutil.copy(find_weather(name).path, file)
+    noise = {"weather_noise": {"dry_bulb": {"sigma": 1.0, "tau_h": 24.0}}, "noise_start": "episode"}
+    return {"weather": [*map(str, files)], "weather_order": "sequence", **noise}
+
+
+HARMS: dict[str, Callable[[Path], object]] = {
+    "cut off": lambda file: file.write_bytes(file.read_bytes()[:20_000]),
+    "removed": Path.unlink,
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("harm", HARMS.values(), ids=HARMS)
+def test_weather__file_that_is_damaged_while_a_node_runs_fails_its_episode(
+    scratch: Path, harm: Callable[[Path], object]
+) -> None:
+    """The node names the file, goes on with the other one, and with this one once it is whole."""
+    env = make(SMALL, **FOUR, **two_files(scratch), output_dir=str(scratch / "kept"))  # nothing is prefetched
+    assert env.reset()[1]["weather"] == "first"
+    shutil.copy(scratch / "second.epw", scratch / "whole")
+    harm(scratch / "second.epw")
+    for _ in range(2):
+        with pytest.raises(SimulatorError, match=r"second\.epw"):
+            env.reset()
+        status = env.link.bus.status("building")
+        assert (status.state, "second.epw" in status.failure) == (State.FAILED, True)
+        assert env.reset()[1]["weather"] == "first"
+        assert not env.link.bus.status("building").failure
+    shutil.copy(scratch / "whole", scratch / "second.epw")
+    assert env.reset()[1]["weather"] == "second"
+    env.close()
+
+
 def _rests(process: psutil.Process) -> bool:
     before = process.cpu_times()
     time.sleep(0.3)
@@ -114,7 +153,7 @@ def test_snapshot_and_branch__without_room_leave_the_episode_running(scratch: Pa
     with env.snapshot() as kept:
         with no_room(env):
             for attempt in (env.snapshot, env.branch, lambda: env.reset(options={"snapshot": kept})):
-                with pytest.raises(ForkFailed, match="no room"):
+                with pytest.raises(ForkFailed, match="cannot prepare"):
                     attempt()
         same(go(env, mine[10:20]), straight[11:21])
         env.reset(options={"snapshot": kept})
@@ -224,4 +263,22 @@ def test_prefetched_engine__that_dies_within_a_reset_is_replaced(folder: Path, n
     assert pool.warnings
     for client in (first, second):
         client.close()
+    pool.close()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("harm", HARMS.values(), ids=HARMS)
+def test_prefetch__with_a_damaged_weather_file_leaves_the_episode_running(
+    folder: Path, harm: Callable[[Path], object]
+) -> None:
+    settings = {"building": "ref-small-office", "begin": "07-03", "end": "07-03", **two_files(folder)}
+    pool = EnginePool(read_plan(read_config(settings)), folder / "node", [EngineTemplate(), EngineTemplate()])
+    first = pool.engine(0)
+    harm(folder / "second.epw")
+    pool.prefetch(0)
+    first.confirm()
+    pool.next_episode(None, 1, untouched=())
+    with pytest.raises(SimulatorError, match=r"second\.epw"):
+        pool.next_episode(None, 2, untouched=())
+    first.close()
     pool.close()
