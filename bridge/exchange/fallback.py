@@ -10,6 +10,9 @@ from zenostat.topics.messages import ControllerState, Event, EventKind, Mode, Po
 
 _BYPASSED = ControllerState.BYPASSED
 
+DISCONNECTED = "disconnected"
+"""Reason in the event of a fallback after the grace period, as opposed to one after a deadline."""
+
 
 class FallbackRules:
     """Applies the fallback policy when controllers disconnect or miss the deadline.
@@ -58,7 +61,7 @@ class FallbackRules:
             answers.controllers.discard(name)  # its answer to the current sample is relinquished as well
         if exchange.deadline_s is None or any(c.state is not _BYPASSED for c in exchange.claims.required):
             answers.pending.discard(name)
-        event = self._fall_back(claimant, "disconnected")
+        event = self._fall_back(claimant, DISCONNECTED)
         return [event] if is_active else []
 
     def on_deadline(self, now_s: float) -> list[Event]:

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Any
 import msgpack
 import numpy as np
 
+from zenostat.bridge.exchange.fallback import DISCONNECTED
 from zenostat.bridge.exchange.revocation import revoke
 from zenostat.bridge.exchange.state import MAX_SOURCE_NAME
 from zenostat.bridge.exchange.step_exchange import IllegalTransition, Trigger
 from zenostat.bridge.node.branches import Snapshot
-from zenostat.bridge.node.fault_injection import NO_FAULTS
 from zenostat.bridge.node.plant import RepeatablePlant
 from zenostat.bridge.recording.reader import RecordedItem
 from zenostat.bridge.recording.verification import equal_bits
@@ -173,7 +173,7 @@ class Repetition:
         plant.clean_up()
         exchange.ready(now_s, dict(enumerate(snapshot.step)), snapshot.commands)
         server.begin_episodes([*range(exchange.slots)], [None] * exchange.slots)
-        server.restore(snapshot.faults or NO_FAULTS, snapshot.alarms)
+        server.restore(snapshot.faults, snapshot.received, snapshot.alarms)
 
     def _on_snapshot(self, record: RecordedSnapshot) -> None:
         if record.snapshot not in self._uses:
@@ -223,7 +223,7 @@ class Repetition:
             )
         last = server.plant.step(commands, exchange.active_slots)
         exchange.finish_step(last, now_s)
-        server.remember_commands(commands)
+        server.received = commands
 
     def _difference(self, recorded: dict[str, Any], present: dict[str, Any]) -> str:
         at = f"step {recorded['step'][0]} ({recorded['time'][0]})"
@@ -305,11 +305,10 @@ class Repetition:
         exchange, now_s, name = self._exchange, monotonic(), event.source
         if event.kind is EventKind.DISCONNECTED:
             exchange.fallback.on_disconnect(name, now_s)
-        elif event.kind is EventKind.FALLBACK and (holder := exchange.claims.by_name.get(name)) is not None:
-            if holder.state.is_connected:
-                exchange.fallback.on_deadline(now_s)
-            else:
-                exchange.fallback.bypass(name, now_s)
+        elif event.kind is EventKind.FALLBACK and event.text.startswith(f"{name} {DISCONNECTED};"):
+            exchange.fallback.bypass(name, now_s)
+        elif event.kind is EventKind.FALLBACK:
+            exchange.fallback.on_deadline(now_s)
         elif event.kind is EventKind.REVOKED:
             revoke(exchange, name)
         elif event.kind is EventKind.FAILED:
