@@ -122,15 +122,17 @@ class RecordedSender(Message):
 
 
 class RecordedAudit(Message):
-    """Digests of the entries of the audit log since the previous such record; see `bridge/recording/audit_chain.py`.
+    """Digests of the messages since the previous such record; see `bridge/recording/audit_chain.py`.
 
-    `first`: number of entries before them. `previous`: link of the previous record, 32 bytes; zeros in the first one.
-    `digests`: 32 bytes for each entry, in the order of the file.
+    `first`: number of entries of the audit log before them. `previous`: link of the previous record, 32 bytes; zeros in
+    the first one. `digests`: 32 bytes for each entry, in the order of the file. `messages`: one digest of all messages,
+    32 bytes; empty in recordings of earlier releases.
     """
 
     first: Count
     previous: Raw
     digests: Raw
+    messages: Raw = b""
 
 
 class RecordedRequest(Message):

@@ -1,10 +1,11 @@
-"""The hash chain of a recording's audit log: a removed, changed or moved entry is found when the file is verified.
+"""The hash chain of a recording: a removed, changed or moved message is found when the file is verified.
 
-An entry is a recorded message of any kind but samples, orders and the weather, which a simulation repeats. The digest
-of an entry is the SHA-256 of its topic, a zero byte, its time (8 bytes, little-endian) and its payload. With each
-chunk, the recorder writes a `RecordedAudit` with the digests of the entries since the previous one, and the link of
-that one; the link of a record is the SHA-256 of both. So each link depends on all entries before it, and a file that
-was cut off is unbroken up to its last chunk. The last link, the head, is in the file's summary.
+An entry of the audit log is a recorded message of any kind but samples, orders and the weather, which a simulation
+repeats. The digest of a message is the SHA-256 of its topic, a zero byte, its time (8 bytes, little-endian) and its
+payload. With each chunk, the recorder writes a `RecordedAudit` with the link of the previous one, the digests of the
+entries since then, which name the one that has changed, and the SHA-256 of the digests of all messages since then; the
+link of a record is the SHA-256 of the three. So each link depends on all messages before it, and a file that was cut
+off is unbroken up to its last chunk. The last link, the head, is in the file's summary.
 
 The chain has no secret: who can write the file can compute another chain. Whoever keeps the head elsewhere finds
 that as well.
@@ -20,6 +21,7 @@ from typing import TYPE_CHECKING
 
 from zenostat.topics import codec, recording
 from zenostat.topics.errors import BadMessage
+from zenostat.topics.plurals import counted
 from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import RecordedAudit
 
@@ -33,22 +35,26 @@ MAX_PROBLEMS = 20
 """Largest number of problems that are reported."""
 
 _START = bytes(SIZE)
-_NOT_CHAINED = frozenset(("Sample", "RecordedOrder", "RecordedWeather"))
 _AUDIT = RecordedAudit.__name__
+_NO_ENTRIES = frozenset(("Sample", "RecordedOrder", "RecordedWeather", _AUDIT))
 
 
-def is_chained(schema: str) -> bool:
+def is_entry(schema: str) -> bool:
     """Return whether messages of a class are entries of the audit log."""
-    return schema not in _NOT_CHAINED and schema != _AUDIT
+    return schema not in _NO_ENTRIES
 
 
 def digest(topic: bytes, time_ns: int, payload: bytes) -> bytes:
-    """Return the digest of an entry."""
+    """Return the digest of a message."""
     return sha256(b"%b\0%b%b" % (topic, time_ns.to_bytes(8, "little"), payload)).digest()
 
 
-def _link(previous: bytes, digests: bytes) -> bytes:
-    return sha256(previous + digests).digest()
+def _link(record: RecordedAudit) -> bytes:
+    return sha256(record.previous + record.digests + record.messages).digest()
+
+
+def _digest_of_all(digests: list[bytes]) -> bytes:
+    return sha256(b"".join(digests)).digest()
 
 
 class AuditChain:
@@ -62,32 +68,46 @@ class AuditChain:
     def __init__(self) -> None:
         self.head, self.entries = _START, 0
         self._topics: dict[int, bytes] = {}
+        self._entry_channels: set[int] = set()
         self._digests: list[bytes] = []
+        self._messages: list[bytes] = []
 
     def resume(self, record: RecordedAudit) -> None:
         """Go on after a record of the chain."""
         self.entries = record.first + len(record.digests) // SIZE
-        self.head = _link(record.previous, record.digests)
+        self.head = _link(record)
 
     def add_channel(self, channel: int, topic: str, schema: str) -> None:
-        """Chain the messages of a channel, unless they are of a class that is not chained."""
-        if is_chained(schema):
-            self._topics[channel] = replace_controls(topic).encode()  # as a reader has it
+        """Chain the messages of a channel, unless it is that of the chain."""
+        if schema == _AUDIT:
+            return
+        self._topics[channel] = replace_controls(topic).encode()  # as a reader has it
+        if is_entry(schema):
+            self._entry_channels.add(channel)
 
     def add(self, channel: int, time_ns: int, payload: bytes) -> None:
         """Add a message."""
         topic = self._topics.get(channel)
-        if topic is not None:
-            self._digests.append(digest(topic, time_ns, payload))
+        if topic is None:
+            return
+        each = digest(topic, time_ns, payload)
+        self._messages.append(each)
+        if channel in self._entry_channels:
+            self._digests.append(each)
 
     def seal(self) -> RecordedAudit | None:
-        """Return the record of the entries since the latest one; None if there are none."""
-        if not self._digests:
+        """Return the record of the messages since the latest one; None if there are none."""
+        if not self._messages:
             return None
-        record = RecordedAudit(first=self.entries, previous=self.head, digests=b"".join(self._digests))
+        record = RecordedAudit(
+            first=self.entries,
+            previous=self.head,
+            digests=b"".join(self._digests),
+            messages=_digest_of_all(self._messages),
+        )
         self.entries += len(self._digests)
-        self.head = _link(record.previous, record.digests)
-        self._digests = []
+        self.head = _link(record)
+        self._digests, self._messages = [], []
         return record
 
     def summary(self) -> dict[str, str]:
@@ -129,8 +149,8 @@ def check_audit(reader: RecordingReader) -> AuditResult:
     for item in reader.messages():
         if item.schema == _AUDIT:
             check.add_record(item)
-        elif is_chained(item.schema):
-            check.entries.append(item)
+        else:
+            check.add(item)
     return check.finish(reader.end.metadata)
 
 
@@ -140,10 +160,23 @@ class _Check:
     def __init__(self, *, has_chain: bool) -> None:
         self._has_chain, self._head, self._expected, self._previous = has_chain, _START, 0, ""
         self.entries: list[RecordedItem] = []
+        self._digests: list[bytes] = []
+        self._messages: list[bytes] = []
+        self._first: RecordedItem | None = None
+        self._covers_all = False
         self._problems: list[str] = []
 
+    def add(self, item: RecordedItem) -> None:
+        """Add a message that a record will follow."""
+        each = digest(item.topic.encode(), item.time_ns, item.payload)
+        self._messages.append(each)
+        self._first = self._first or item
+        if is_entry(item.schema):
+            self.entries.append(item)
+            self._digests.append(each)
+
     def add_record(self, item: RecordedItem) -> None:
-        """Compare the entries since the previous record with a record's digests."""
+        """Compare the messages since the previous record with a record's digests."""
         try:
             record = codec.decode(RecordedAudit, item.payload)
         except BadMessage as error:
@@ -155,17 +188,30 @@ class _Check:
         elif record.previous != self._head or record.first < self._expected:
             self._problems.append(f"the chain is not continued after entry {self._expected:,}{self._previous}")
         digests = [record.digests[at : at + SIZE] for at in range(0, len(record.digests), SIZE)]
-        self._compare(record.first, digests)
-        self._head, self._expected = _link(record.previous, record.digests), record.first + len(digests)
+        self._covers_all = bool(record.messages)
+        if digests != self._digests:
+            self._compare(record.first, digests)
+        elif record.messages and record.messages != _digest_of_all(self._messages):
+            self._report_others(item)
+        self._head, self._expected = _link(record), record.first + len(digests)
         if self.entries:
             self._previous = f" ({_describe(self.entries[-1])})"
-        self.entries.clear()
+        self._clear()
+
+    def _clear(self) -> None:
+        self.entries, self._digests, self._messages, self._first = [], [], [], None
+
+    def _report_others(self, record: RecordedItem) -> None:
+        """Report messages that are no entries, of which only all together have a digest."""
+        first = "at the beginning" if self._first is None else f"from {_time(self._first)}"
+        self._problems.append(
+            f"samples, orders or the weather {first} to {_time(record)} have changed, or messages there are missing, "
+            "added or in another order"
+        )
 
     def _compare(self, first: int, digests: list[bytes]) -> None:
         """Report each entry that has no digest, and each digest without its entry, by position."""
-        present = [digest(item.topic.encode(), item.time_ns, item.payload) for item in self.entries]
-        if present == digests:
-            return
+        present = self._digests
         known, recorded = set(present), set(digests)
         lost = [place for place, each in enumerate(digests) if each not in known]
         foreign = [place for place, each in enumerate(present) if each not in recorded]
@@ -208,6 +254,10 @@ class _Check:
                 f"{len(self.entries):,} entries after entry {self._expected:,} have no digest; the first is "
                 f"{_describe(self.entries[0])}"
             )
+        elif self._covers_all and self._first is not None:
+            problems.append(
+                f"the {counted(len(self._messages), 'message', ',')} from {_time(self._first)} on have no digest"
+            )
         count, head = summary.get(recording.AUDIT_ENTRIES, ""), summary.get(recording.AUDIT_HEAD, "")
         if count.isdecimal() and int(count) > self._expected:
             problems.append(f"entries {self._expected + 1:,} to {int(count):,} are missing with their digests")
@@ -217,5 +267,8 @@ class _Check:
 
 
 def _describe(item: RecordedItem) -> str:
-    time = datetime.fromtimestamp(item.time_ns / 1e9, UTC)
-    return f"{item.topic} at {time:%Y-%m-%d %H:%M:%S.%f} UTC"
+    return f"{item.topic} at {_time(item)}"
+
+
+def _time(item: RecordedItem) -> str:
+    return f"{datetime.fromtimestamp(item.time_ns / 1e9, UTC):%Y-%m-%d %H:%M:%S.%f} UTC"

@@ -9,18 +9,17 @@ from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from datetime import datetime
 from time import monotonic
-from typing import Any
 
-import msgpack
 import zenoh
 from zenoh.handlers import Callback
 
 from zenostat.bridge.node.names import check_name_is_free
 from zenostat.bridge.node.publications import Publications
+from zenostat.bridge.recording.checked_messages import decode
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.topics import codec, errors, keys
-from zenostat.topics.errors import InvalidConfig, RequestRejected
+from zenostat.topics.errors import BadMessage, InvalidConfig, PeerError, RequestRejected
 from zenostat.topics.messages import (
     ErrorReply,
     Event,
@@ -29,12 +28,14 @@ from zenostat.topics.messages import (
     Message,
     Mode,
     Policy,
+    Sample,
     ScenarioText,
     SemanticModel,
     State,
     Status,
     Systems,
 )
+from zenostat.topics.printable import replace_controls
 
 _SCHEMAS = frozenset(("Sample", "Event", "Manifest"))
 
@@ -82,7 +83,8 @@ class Replay:
         self._name = keys.check_name(name or reader.manifest.node, "the node's name")
         self._instance = str(session.zid())
         self.manifest = self._renamed(reader.manifest)
-        self._payload, self._sample = b"", dict[str, Any]()
+        self._payload = b""
+        self._sample: Sample | None = None
         self._semantic, self._semantic_model = semantic, b""
         self._close = ExitStack()
 
@@ -99,11 +101,10 @@ class Replay:
             timer = Timer()
             self._close.callback(timer.close)
             self._publications = self._close.enter_context(Publications(self._session, self.manifest, timer))
-            self._answer(keys.MANIFEST.at(self._name), self._answer_manifest)
-            self._answer(keys.SAMPLE.at(self._name), self._answer_sample)
             worker = ThreadPoolExecutor(1, "semantic")
             self._close.callback(worker.shutdown, cancel_futures=True)
-            self._answer(f"{keys.root(self._name)}/rpc/**", self._answer_request, worker)
+            for topic in (keys.MANIFEST, keys.SAMPLE, *(t for t in keys.TOPICS if t.delivery is keys.Delivery.QUERY)):
+                self._declare(topic, worker if topic is keys.SEMANTIC else None)
             token = keys.NODE_TOKEN.at(self._name, name=self._instance)
             self._close.enter_context(self._session.liveliness().declare_token(token))
             undo.pop_all()
@@ -114,54 +115,62 @@ class Replay:
 
     # Requests
 
-    def _answer(
-        self,
-        key: str,
-        answer: Callable[[str], tuple[type[Message], bytes]],
-        worker: ThreadPoolExecutor | None = None,
-    ) -> None:
-        """Answer queries; `worker` computes the semantic model, which takes a while."""
+    def _declare(self, topic: keys.Topic, worker: ThreadPoolExecutor | None) -> None:
+        """Answer the queries on a topic; `worker` computes the semantic model, which takes a while."""
 
-        def reply(query: zenoh.Query, asked: str) -> None:
+        def reply(query: zenoh.Query) -> None:
             with query:
                 try:
-                    kind, payload = answer(asked)
-                except RequestRejected as error:
+                    kind, payload = self._reply(topic, query)
+                except PeerError as error:
                     kind, payload = ErrorReply, codec.encode(ErrorReply(**errors.to_wire(error)))
-                query.reply(asked, payload, encoding=zenoh.Encoding(codec.encoding(kind)))
+                sender, name = topic.chunks_in(str(query.key_expr))
+                key = topic.at(self._name, name=name, sender=sender)
+                with suppress(zenoh.ZError):  # nothing that a stranger asks shall end the replay
+                    query.reply(key, payload, encoding=zenoh.Encoding(codec.encoding(kind)))
 
         def on_query(query: zenoh.Query) -> None:
-            # The query may be for all nodes, or all requests.
-            asked = key if "*" not in key else self._own_key(str(query.key_expr))
-            if worker is not None and asked == keys.SEMANTIC.at(self._name):
-                worker.submit(reply, query, asked)
+            if worker is not None:
+                worker.submit(reply, query)
             else:
-                reply(query, asked)
+                reply(query)
 
+        key = topic.everywhere(self._name)
         queryable = self._session.declare_queryable(key, Callback(on_query, indirect=False), complete=True)
         self._close.callback(queryable.undeclare)
 
-    def _own_key(self, key: str) -> str:
-        return f"{keys.root(self._name)}/{key.split('/', keys.NODE_CHUNK + 1)[-1]}"
+    def _reply(self, topic: keys.Topic, query: zenoh.Query) -> tuple[type[Message], bytes]:
+        """Return class and payload of the reply.
 
-    def _answer_manifest(self, _: str) -> tuple[type[Message], bytes]:
-        return Manifest, codec.encode(self.manifest)
+        Raises:
+            PeerError: the query is not valid, or a replay has no answer.
+        """
+        payload = query.payload.to_bytes() if query.payload is not None else b""
+        if topic in (keys.MANIFEST, keys.SAMPLE):
+            if payload:
+                raise BadMessage(f"{len(payload)} bytes; a query on {topic.key} has no payload")
+            return self._latest(topic)
+        if topic.message is not None:
+            codec.decode_request(topic.message, payload, str(query.encoding or ""))
+        return self._answer(topic)
 
-    def _answer_sample(self, _: str) -> tuple[type[Message], bytes]:
+    def _latest(self, topic: keys.Topic) -> tuple[type[Message], bytes]:
+        if topic is keys.MANIFEST:
+            return Manifest, codec.encode(self.manifest)
         if not self._payload:
             raise RequestRejected(f"{self._name} has not replayed a sample yet")
-        return keys.SAMPLE.message or Message, self._payload
+        return Sample, self._payload
 
-    def _answer_request(self, key: str) -> tuple[type[Message], bytes]:
-        if key == keys.STATUS.at(self._name):
+    def _answer(self, topic: keys.Topic) -> tuple[type[Message], bytes]:
+        if topic is keys.STATUS:
             return Status, codec.encode(self._status())
-        if key == keys.SCENARIO.at(self._name):
+        if topic is keys.SCENARIO:
             return ScenarioText, codec.encode(ScenarioText(text=self._reader.scenario))
-        if key == keys.GEOMETRY.at(self._name) and self._reader.geometry is not None:
+        if topic is keys.GEOMETRY and self._reader.geometry is not None:
             return Geometry, codec.encode(self._reader.geometry)
-        if key == keys.SYSTEMS.at(self._name) and self._reader.systems is not None:
+        if topic is keys.SYSTEMS and self._reader.systems is not None:
             return Systems, codec.encode(self._reader.systems)
-        if key == keys.SEMANTIC.at(self._name) and self._semantic is not None:
+        if topic is keys.SEMANTIC and self._semantic is not None:
             return SemanticModel, self._encoded_semantic(self._semantic)
         raise RequestRejected(f"{self._name} is the replay of a recording and takes no requests")
 
@@ -185,10 +194,10 @@ class Replay:
             mode=Mode.PACED,
             speed=manifest.speed,
             policy=Policy.WAIT,
-            episode=sample.get("episode", [0] * slots),
-            step=sample.get("step", [0] * slots),
+            episode=[0] * slots if sample is None else sample.episode,
+            step=[0] * slots if sample is None else sample.step,
             steps=manifest.steps,
-            time=sample.get("time", [manifest.begin] * slots),
+            time=[manifest.begin] * slots if sample is None else sample.time,
             controllers=[],
             accepted=0,
             rejected=0,
@@ -214,9 +223,9 @@ class Replay:
             if stop.wait(max(due_s - monotonic(), 0.0)):
                 return count
             self._publish(item)
-            if item.schema == "Sample":
+            if item.schema == "Sample" and (sample := self._sample) is not None:
                 count += 1
-                progress(self._sample["time"][0], self._sample["step"][0])
+                progress(replace_controls(sample.time[0]), sample.step[0])
         if not count:
             selection = "" if self._selected == ReplayRange() else " in the selected time"
             raise InvalidConfig(f"{self._reader.path} has no samples{selection}")
@@ -229,9 +238,9 @@ class Replay:
         for item in self._reader.messages(_SCHEMAS):
             wait_s = 0.0
             if item.schema == "Sample":
-                sample = msgpack.unpackb(item.payload)
-                is_selected = self._selected.contains(datetime.fromisoformat(sample["time"][0]))
-                present = sample["episode"][0], sample["elapsed_s"][0]
+                sample = decode(self._reader, Sample, item)
+                is_selected = self._selected.contains(datetime.fromisoformat(sample.time[0]))
+                present = sample.episode[0], sample.elapsed_s[0]
                 if self._speed is not None and present[0] == previous[0] and is_selected:
                     wait_s = max(present[1] - previous[1], 0.0) / self._speed
                 previous = present
@@ -244,14 +253,14 @@ class Replay:
 
     def _publish(self, item: RecordedItem) -> None:
         if item.schema == "Sample":
-            sample = msgpack.unpackb(item.payload)
+            sample = decode(self._reader, Sample, item)
             self._payload, self._sample = item.payload, sample
             self._publications.sample(item.payload)
-            time = datetime.fromisoformat(sample["time"][0])
-            self._publications.points(sample["values"], sample["episode"][0], sample["step"][0], time)
+            time = datetime.fromisoformat(sample.time[0])
+            self._publications.points(sample.values, sample.episode[0], sample.step[0], time)
         elif item.schema == "Event":
             with suppress(errors.BadMessage):
                 self._publications.event(codec.decode(Event, item.payload))
         else:
-            self.manifest = self._renamed(codec.decode(Manifest, item.payload))
+            self.manifest = self._renamed(decode(self._reader, Manifest, item))
             self._publications.manifest(self.manifest)

@@ -13,16 +13,16 @@ from datetime import timedelta
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.bridge.node.plant import PlantDescription, RepeatablePlant, RunningPlant
 from zenostat.bridge.recording.audit_chain import AuditResult, check_audit
+from zenostat.bridge.recording.checked_messages import decode
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
-from zenostat.topics import VERSION, codec
-from zenostat.topics.errors import BadMessage, InvalidRecording
-from zenostat.topics.messages import Flag
+from zenostat.topics import VERSION
+from zenostat.topics.errors import InvalidRecording
+from zenostat.topics.messages import Flag, Sample
 from zenostat.topics.plurals import counted
 from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import RecordedEpisode, RecordedOrder, RecordedSnapshot
@@ -242,24 +242,18 @@ class Verifier:
         for item in self._reader.messages({"RecordedEpisode", "RecordedOrder"}):
             if item.schema == "RecordedOrder":
                 self._total += 1
-            elif snapshot := self._decode(RecordedEpisode, item).snapshot:
+            elif snapshot := decode(self._reader, RecordedEpisode, item).snapshot:
                 self._uses[snapshot] = self._uses.get(snapshot, 0) + 1
-
-    def _decode(self, kind: type[Any], item: RecordedItem) -> Any:
-        try:
-            return codec.decode(kind, item.payload)
-        except BadMessage as error:
-            raise InvalidRecording(f"{self._reader.path} is damaged: {item.topic}: {error}") from None
 
     def _process(self, item: RecordedItem) -> None:
         if item.schema == "Sample":
-            self._on_sample(msgpack.unpackb(item.payload))
+            self._on_sample(decode(self._reader, Sample, item))
         elif item.schema == "RecordedOrder":
-            self._order = self._decode(RecordedOrder, item)  # an order without a sample: its timestep failed
+            self._order = decode(self._reader, RecordedOrder, item)  # an order without a sample: its timestep failed
         elif item.schema == "RecordedEpisode":
-            self._on_episode(self._decode(RecordedEpisode, item))
+            self._on_episode(decode(self._reader, RecordedEpisode, item))
         else:
-            self._on_snapshot(self._decode(RecordedSnapshot, item))
+            self._on_snapshot(decode(self._reader, RecordedSnapshot, item))
 
     # Episodes and snapshots
 
@@ -302,6 +296,8 @@ class Verifier:
         if self._uses.get(record.snapshot) and any(self._known):
             baseline = self._reader.manifest.baseline
             folder = self._folder / str(next(self._folders))  # a name from a file could be a path
+            if (previous := self._copies.pop(record.snapshot, None)) is not None:
+                previous.plant.close()  # a node that went on with a recording begins its numbers again
             copy = self._plant.fork(range(self._slots), folder, baseline=baseline)
             self._copies[record.snapshot] = _Copy(copy, [*self._step], [*self._known])
 
@@ -313,12 +309,12 @@ class Verifier:
 
     # Samples
 
-    def _on_sample(self, sample: dict[str, Any]) -> None:
+    def _on_sample(self, sample: Sample) -> None:
         order, self._order = self._order, None
         slots = [slot for slot in order.slots if self._known[slot]] if order is not None else []
         if order is not None and slots:
             if isinstance(self._plant, ExpectingPlant):
-                row = np.frombuffer(sample["fault_free_values"] or sample["values"])
+                row = np.frombuffer(sample.fault_free_values or sample.values)
                 self._plant.expect(dict(zip(self._reader.manifest.names, row.tolist(), strict=False)))
             last = self._plant.step(self._commands(order.values), slots)
             self._last = dict(zip(slots, last, strict=True))
@@ -342,37 +338,33 @@ class Verifier:
         ]
         return commands.tobytes()
 
-    def _compare(self, sample: dict[str, Any]) -> None:
+    def _compare(self, sample: Sample) -> None:
         plant = self._plant
         for slot in range(self._slots):
             if self._known[slot]:
                 self._compare_time(sample, slot)
-        recorded = sample["fault_free_values"] or sample["values"]
+        recorded = sample.fault_free_values or sample.values
         self._compare_values(sample, recorded, plant.values(), self._values, "")
-        self._compare_values(sample, sample["effective"], plant.effective, self._effective, "effective ")
-        if sample["baseline"] and plant.has_baseline:
-            self._compare_values(sample, sample["baseline"], plant.baseline_values(), self._values, "baseline ")
+        self._compare_values(sample, sample.effective, plant.effective, self._effective, "effective ")
+        if sample.baseline and plant.has_baseline:
+            self._compare_values(sample, sample.baseline, plant.baseline_values(), self._values, "baseline ")
             effective = plant.baseline_effective()
-            self._compare_values(
-                sample, sample["baseline_effective"], effective, self._effective, "baseline effective "
-            )
+            self._compare_values(sample, sample.baseline_effective, effective, self._effective, "baseline effective ")
 
-    def _compare_time(self, sample: dict[str, Any], slot: int) -> None:
+    def _compare_time(self, sample: Sample, slot: int) -> None:
         step = self._step[slot]
         elapsed = step * self._timestep
         pairs = (
-            ("step", sample["step"][slot], step),
-            ("time", sample["time"][slot], (self._begin + elapsed).isoformat()),
-            ("elapsed_s", sample["elapsed_s"][slot], elapsed.total_seconds()),
-            ("end of the episode", bool(sample["flags"][slot] & _TRUNCATED), self._last.get(slot, False)),
+            ("step", sample.step[slot], step),
+            ("time", sample.time[slot], (self._begin + elapsed).isoformat()),
+            ("elapsed_s", sample.elapsed_s[slot], elapsed.total_seconds()),
+            ("end of the episode", bool(sample.flags[slot] & _TRUNCATED), self._last.get(slot, False)),
         )
         for name, recorded, present in pairs:
             if recorded != present:
                 self._set_difference(sample, slot, name, recorded, present)
 
-    def _compare_values(
-        self, sample: dict[str, Any], recorded: bytes, present: bytes, columns: _Columns, prefix: str
-    ) -> None:
+    def _compare_values(self, sample: Sample, recorded: bytes, present: bytes, columns: _Columns, prefix: str) -> None:
         if columns.is_same and recorded == present:
             return
         theirs = np.frombuffer(recorded).reshape(self._slots, columns.recorded_width)[:, columns.theirs]
@@ -404,9 +396,9 @@ class Verifier:
             for index, name in enumerate(selected.names)
         }
 
-    def _set_difference(self, sample: dict[str, Any], slot: int, name: str, recorded: Any, present: Any) -> None:
+    def _set_difference(self, sample: Sample, slot: int, name: str, recorded: Any, present: Any) -> None:
         if self.result.difference is None:
-            episode, step, time = sample["episode"][slot], sample["step"][slot], replace_controls(sample["time"][slot])
+            episode, step, time = sample.episode[slot], sample.step[slot], replace_controls(sample.time[slot])
             self.result.difference = Difference(episode, slot, step, time, name, recorded, present)
 
 

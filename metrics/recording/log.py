@@ -32,6 +32,9 @@ _REQUESTED = (
 _HIDDEN = ("controller", "source", "values", "operations", "episode")
 _ERROR = codec.encoding(ErrorReply)
 
+_MAX_SUBJECT = 500
+"""Largest number of characters of a subject: a message that was rejected can have megabytes."""
+
 
 @dataclass(slots=True)
 class LogEntry:
@@ -173,6 +176,9 @@ class LogBuilder:
 
     def _entry(self, time_ns: int, simulated: str, source: str, kind: str, subject: str) -> LogEntry:
         proven, via = self._senders.get(source, ("", ""))
+        subject = (
+            subject if len(subject) <= _MAX_SUBJECT else f"{subject[:_MAX_SUBJECT]}… ({len(subject):,} characters)"
+        )
         return LogEntry(_utc(time_ns), simulated, source, kind, subject, proven=proven, via=via)
 
     def finish(self) -> tuple[LogEntry, ...]:

@@ -90,6 +90,53 @@ def test_audit_chain__changed_entry_is_named(change: Callable[[RecordedItem], Re
     assert problem.startswith(expected)
 
 
+@pytest.mark.parametrize("kind", ["changed", "renamed", "later", "removed", "repeated", "moved", "among entries"])
+def test_audit_chain__messages_that_are_no_entries_are_covered_as_well(kind: str) -> None:
+    items, summary = _recorded()
+    place = [place for place, item in enumerate(items) if item.schema == "Sample"][5]
+    item = items[place]
+    changed = {
+        "changed": [item._replace(payload=b"1 2")],
+        "renamed": [item._replace(topic="orders", schema="RecordedOrder")],
+        "later": [item._replace(time_ns=item.time_ns + 1)],
+        "removed": [],
+        "repeated": [item, item],
+    }
+    if kind in changed:
+        items[place : place + 1] = changed[kind]
+    else:
+        other = place + (2 if kind == "moved" else 1)
+        items[place], items[other] = items[other], items[place]
+    (problem,) = _check(items, summary).problems
+    assert problem.startswith("samples, orders or the weather from 1970-01-01 00:00:00.000000 UTC to 1970")
+
+
+def test_audit_chain__samples_after_the_last_record_have_no_digest() -> None:
+    items, _ = _recorded()
+    items.append(RecordedItem("sample", "Sample", 99, b"forged"))
+    (problem,) = _check(items, {}).problems
+    assert problem.startswith("the 1 message from 1970-01-01")
+
+
+def test_audit_chain__of_an_earlier_release_covers_the_entries() -> None:
+    """Its links are those of records without the digest of all messages."""
+    chain, items = AuditChain(), list[RecordedItem]()
+    chain.add_channel(WRITES, "actuator/panel/a", "Write")
+    for number in range(3):
+        chain.add(WRITES, number, b"26.5")
+        record = chain.seal()
+        assert record is not None
+        earlier = record.model_copy(update={"messages": b""})
+        chain.resume(earlier)
+        items.append(RecordedItem("sample", "Sample", number, b"%d" % number))
+        items.append(RecordedItem("actuator/panel/a", "Write", number, b"26.5"))
+        items.append(RecordedItem("audit", "RecordedAudit", number, codec.encode(earlier)))
+    assert _check(items, chain.summary()).problems == []
+    items[4] = items[4]._replace(payload=b"26.6")
+    (problem,) = _check(items, chain.summary()).problems
+    assert problem.startswith("entry 2 has changed")
+
+
 def test_audit_chain__moved_and_added_entries_are_named() -> None:
     items, summary = _recorded()
     places = _entries(items)

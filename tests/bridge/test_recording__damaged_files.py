@@ -11,7 +11,7 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 from support.recordings import chunk_ends, record_samples, rewrite
 
-from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
 from zenostat.topics.errors import InvalidRecording
 from zenostat.topics.recording import SUMMARY
 
@@ -20,9 +20,13 @@ SAMPLES = 700
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A recording in several chunks of 50 messages."""
+    """A recording in several chunks of 50 samples."""
     folder = tmp_path_factory.mktemp("recordings")
-    return rewrite(record_samples(folder / "source.mcap", SAMPLES), folder / "whole.mcap")
+
+    def samples(_: int, item: RecordedItem) -> bytes | None:
+        return item.payload if item.schema == "Sample" else None
+
+    return rewrite(record_samples(folder / "source.mcap", SAMPLES), folder / "whole.mcap", samples)
 
 
 def read(path: Path) -> tuple[list[int], RecordingReader]:
