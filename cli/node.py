@@ -124,7 +124,7 @@ def node(
         _run_resumed(context, settings, is_endpoint_explicit=listen is not None)
         return
     if resume is not None:
-        settings |= _resume_or_record(resume)
+        settings |= _resume_or_record(context, resume)
     _run(_with_plant(settings, set_value, plant_argument), is_endpoint_explicit=listen is not None)
 
 
@@ -159,14 +159,19 @@ def _with_plant(
     return {**settings, "plant_arguments": arguments, "shrink_caches": shrink_caches}
 
 
-def _resume_or_record(resume: Path) -> dict[str, Any]:
-    """Return the settings to go on with a recording, or to start it if there is nothing in it yet."""
+def _resume_or_record(context: typer.Context, resume: Path) -> dict[str, Any]:
+    """Return the settings to go on with a recording, or to start it if there is nothing in it yet.
+
+    Options that are not on the command line are those of the recorded node.
+    """
     from zenostat.topics.extras import requires_extra
 
     with requires_extra("recording", "a recording", "mcap and zstandard"):
         from zenostat.bridge.recording.continuation import has_messages
+        from zenostat.eplus_node.resume import recorded_settings
     if has_messages(resume):
-        return {"resume": resume}
+        recorded = recorded_settings(resume)
+        return {"resume": resume} | {name: recorded[name] for name in recorded if not _is_explicit(context, name)}
     return {"resume": None, "record": resume, "record_overwrite": True}
 
 
@@ -179,7 +184,7 @@ def _run_resumed(context: typer.Context, settings: dict[str, Any], *, is_endpoin
     conflicting = [
         f"--{name.removesuffix('_s').replace('_', '-')}"
         for name in context.params
-        if name not in _RESUMED_OPTIONS and getattr(context.get_parameter_source(name), "name", "") == "COMMANDLINE"
+        if name not in _RESUMED_OPTIONS and _is_explicit(context, name)
     ]
     if conflicting:
         raise InvalidConfig(
@@ -189,6 +194,11 @@ def _run_resumed(context: typer.Context, settings: dict[str, Any], *, is_endpoin
     kept = {name: value for name, value in settings.items() if name in (*_RESUMED_OPTIONS, "listen", "connect")}
     config = read_resumed({name: value for name, value in kept.items() if name in NodeSettings.model_fields})
     _serve(config, resumed_node, is_endpoint_explicit=is_endpoint_explicit)
+
+
+def _is_explicit(context: typer.Context, name: str) -> bool:
+    """Return whether an option is on the command line."""
+    return getattr(context.get_parameter_source(name), "name", "") == "COMMANDLINE"
 
 
 def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:

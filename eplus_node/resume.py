@@ -28,16 +28,23 @@ def read_resumed(settings: Mapping[str, Any]) -> NodeSettings:
         InvalidRecording: it cannot be read, or is that of a district.
         InvalidConfig: a setting is not valid.
     """
-    path = Path(settings["resume"])
+    try:
+        return NodeSettings.model_validate({**settings, **recorded_settings(Path(settings["resume"]))})
+    except ValidationError as error:
+        raise InvalidConfig(describe_validation_errors(error)) from None
+
+
+def recorded_settings(path: Path) -> dict[str, Any]:
+    """Return the settings of a recorded node, with which another one can go on.
+
+    Raises:
+        InvalidRecording: it cannot be read, or is that of a district.
+    """
     with RecordingReader(path) as reader:
         manifest, kind = reader.manifest, reader.provenance.get("kind")
     if kind == "district":
         raise InvalidRecording(f"{path} recorded a district, and only a node with one plant can go on with a recording")
-    recorded = {name: getattr(manifest, name if name != "name" else "node") for name in RECORDED_SETTINGS}
-    try:
-        return NodeSettings.model_validate({**settings, **recorded})
-    except ValidationError as error:
-        raise InvalidConfig(describe_validation_errors(error)) from None
+    return {name: getattr(manifest, name if name != "name" else "node") for name in RECORDED_SETTINGS}
 
 
 def resumed_node(settings: NodeSettings, observer: Observer | None = None, *, program: bool = False) -> Node:

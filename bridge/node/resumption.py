@@ -205,9 +205,7 @@ class Resumption:
     def check(self, manifest: Manifest) -> None:
         """Raise `InvalidRecording` if the new node's settings or points are not those of the ended one."""
         differing = [name for name in _FIXED if getattr(manifest, name) != getattr(self.manifest, name)]
-        texts = [
-            f"its {name} is {getattr(self.manifest, name)!r}, not {getattr(manifest, name)!r}" for name in differing
-        ]
+        texts = [f"its {name} is {getattr(self.manifest, name)}, not {getattr(manifest, name)}" for name in differing]
         if manifest.names != self.manifest.names or manifest.actuators != self.manifest.actuators:
             texts.append("its points are not those of the plant")
         if texts:

@@ -312,6 +312,43 @@ def test_resume__python_class_goes_on(scratch: Path, tank: dict[str, Any]) -> No
         assert bus.status("tank").step == [60]
 
 
+def _leave_without_answer(bus: zenostat.Bus) -> int:
+    """Step while a controller that has left misses the deadline of each step, long before the end of its grace time."""
+    with bus.controller("tank", name="filler", priority=12) as link:
+        sample = link.reset(seed=1)
+        with bus.controller("tank", name="guard", priority=10) as guard:
+            guard.current().send({"pump": 50.0})
+            sample.send({"pump": 10.0})
+            sample = link.receive()
+        for number in range(3):
+            sample.send({"pump": 20.0 + number})
+            sample = link.receive()
+        return sample.step
+
+
+@pytest.mark.slow
+def test_resume__command_takes_the_settings_of_the_recorded_plant(scratch: Path, tank: dict[str, Any]) -> None:
+    path, endpoint = scratch / "tank.mcap", f"tcp/127.0.0.1:{free_port()}"
+    policy = {"policy": "relinquish", "grace_s": 3600.0, "deadline_s": 0.2}
+    with node_on_bus(scratch / "first", **tank, **policy, record=str(path)) as (node, bus):
+        step = _leave_without_answer(bus)
+        until(lambda: (1, step) in samples(path), "the recorder has written the last step")
+        node.kill()
+    assert EventKind.FALLBACK in kinds(path)
+    options = ["--name", "tank", "--plant", tank["plant"], "--plant-argument", "area=3.0", "--listen", endpoint]
+    other = run("node", *options, "--resume", str(path), "--policy", "hold", columns=500)
+    assert "its policy is relinquish, not hold" in other.stderr
+    with subprocess.Popen([*ZENOSTAT, "node", *options, "--resume", str(path)]) as resumed:
+        try:
+            until(lambda: run("status", "tank", "--connect", endpoint).returncode == 0, "the node goes on")
+            with zenostat.connect(endpoint, affinity=Affinity.OFF) as bus:
+                status, manifest = bus.status("tank"), bus.manifest("tank")
+            assert status.step[0] >= step
+            assert (manifest.policy, manifest.grace_s, manifest.deadline_s) == tuple(policy.values())
+        finally:
+            resumed.terminate()
+
+
 @pytest.mark.slow
 def test_resume__rejected_messages_beyond_those_with_published_events_have_no_effect(
     scratch: Path, tank: dict[str, Any]
