@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from time import monotonic, sleep
 from typing import TYPE_CHECKING, Any
 
-import msgpack
 import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.bridge.client.bus import Bus
-from zenostat.topics import codec
-from zenostat.topics.errors import BadMessage, InvalidConfig, InvalidRecording
+from zenostat.bridge.recording.checked_messages import decode
+from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.messages import CommandOp, Manifest, Mode
 from zenostat.topics.points import bounds
@@ -108,7 +108,7 @@ def _check_values(reader: RecordingReader, manifest: Manifest, columns: NDArray[
     limits = np.array([bounds(actuator) for actuator in manifest.actuators]).reshape(-1, 2)
     count = 0
     for item in reader.messages({"RecordedOrder"}):
-        values = _table(reader, msgpack.unpackb(item.payload)["values"])[:, columns]
+        values = _table(reader, decode(reader, RecordedOrder, item).values)[:, columns]
         outside = np.argwhere((values < limits[:, 0]) | (values > limits[:, 1]))
         if len(outside):
             slot, index = outside[0].tolist()
@@ -142,21 +142,23 @@ class _Drive:
         self._start: RecordedEpisode | None = None
         self._is_known = False
         self._snapshots: dict[str, str] = {}
+        self._uses = Counter(
+            record.snapshot
+            for item in reader.messages({"RecordedEpisode"})
+            if (record := decode(reader, RecordedEpisode, item)).snapshot
+        )
         self._steps = self._episodes = self._unknown = 0
         self._skipped: list[str] = []
         self._due_s = monotonic()
 
     def run(self) -> DriveResult:
         for item in self._reader.messages(_SCHEMAS):
-            try:
-                if item.schema == "RecordedEpisode":
-                    self._on_start(codec.decode(RecordedEpisode, item.payload))
-                elif item.schema == "RecordedSnapshot":
-                    self._on_snapshot(codec.decode(RecordedSnapshot, item.payload))
-                else:
-                    self._on_order(codec.decode(RecordedOrder, item.payload))
-            except BadMessage as error:
-                raise InvalidRecording(f"{self._reader.path} is damaged: {item.topic}: {error}") from None
+            if item.schema == "RecordedEpisode":
+                self._on_start(decode(self._reader, RecordedEpisode, item))
+            elif item.schema == "RecordedSnapshot":
+                self._on_snapshot(decode(self._reader, RecordedSnapshot, item))
+            else:
+                self._on_order(decode(self._reader, RecordedOrder, item))
         if self._unknown:
             self._skipped.insert(0, f"{self._unknown:,} timesteps of episodes whose start is not in the recording")
         if self._reader.end.text:
@@ -182,6 +184,9 @@ class _Drive:
             return
         if record.snapshot:
             self._link.reset(snapshot=self._snapshots[record.snapshot])
+            self._uses[record.snapshot] -= 1
+            if not self._uses[record.snapshot]:
+                self._drop(record.snapshot)
         else:
             is_whole = len(record.slots) == self._reader.manifest.slots
             self._link.reset(seed=[*record.seeds], slots=None if is_whole else [*record.slots])
@@ -191,8 +196,18 @@ class _Drive:
     def _on_snapshot(self, record: RecordedSnapshot) -> None:
         if self._is_known:
             self._reset_pending()
+        if not self._uses[record.snapshot]:
+            return
+        if record.snapshot in self._snapshots:  # a node that went on with a recording begins its numbers again
+            self._drop(record.snapshot)
+        if self._is_known:
             taken = self._link.bus.snapshot(self._link.manifest.node, controller=self._link.name)
             self._snapshots[record.snapshot] = taken.snapshot
+
+    def _drop(self, snapshot: str) -> None:
+        """Drop a snapshot to which the recording does not return again: the node allows only some at a time."""
+        link = self._link
+        link.bus.drop(link.manifest.node, self._snapshots.pop(snapshot), controller=link.name)
 
     def _on_order(self, record: RecordedOrder) -> None:
         if not self._is_known:

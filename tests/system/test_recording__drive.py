@@ -13,6 +13,7 @@ from support.run_cli import run_in_process as run
 import zenostat
 from zenostat import recording
 from zenostat.bridge.recording.reader import RecordingReader
+from zenostat.lab.drive import drive
 from zenostat.topics import codec
 from zenostat.topics.errors import InvalidConfig, InvalidRecording
 from zenostat.topics.messages import Manifest, Mode
@@ -79,6 +80,55 @@ def test_recording__twin_repeats_the_trajectory_to_the_bit(driven: Path, twin: A
     assert not np.array_equal(mine[0].values, mine[1].values)  # the slots have other noise
     sources = {name.partition("-")[0] for name in copy.episodes[-1].sources}
     assert sources - {""} == {"replay"}
+
+
+TANK = """
+class Tank:
+    step_s, steps = 60, 100
+    sensors = {"level": "m"}
+    actuators = {"pump": ("W", 0.0, 100.0, 0.0)}
+
+    def reset(self, seed):
+        self.level = 1.0
+        return {"level": self.level}
+
+    def step(self, commands):
+        self.level += commands["pump"] / 1000.0
+        return {"level": self.level}
+
+    def save(self):
+        return self.level
+
+    def restore(self, state):
+        self.level = state
+"""
+
+
+@pytest.mark.slow
+def test_recording__node_with_room_for_one_snapshot_repeats_those_that_were_used(scratch: Path) -> None:
+    (scratch / "tank.py").write_text(TANK)
+    settings = {"plant": f"{scratch}/tank.py:Tank", "name": "tank", "branches": 1}
+    path = scratch / "tank.mcap"
+    with (
+        node_on_bus(scratch / "first", **settings, record=str(path)) as (_, bus),
+        bus.controller("tank", name="filler") as link,
+    ):
+        sample = link.reset(seed=1)
+        for number in range(8):
+            snapshot = bus.snapshot("tank", controller=link.name).snapshot
+            sample.send({"pump": 10.0 * number})
+            sample = link.receive()
+            if number in (3, 5):
+                sample = link.reset(snapshot=snapshot)
+            bus.drop("tank", snapshot, controller=link.name)
+        bus.stop_recording("tank")
+    with node_on_bus(scratch / "second", **settings, record=str(scratch / "copy.mcap")) as (_, bus):
+        result = drive(path, bus, "tank")
+        assert not bus.status("tank").snapshots
+        bus.stop_recording("tank")
+    assert (result.steps, result.episodes) == (8, 3)
+    mine, other = (recording.load(each).episodes for each in (path, scratch / "copy.mcap"))
+    assert [e.values.tobytes() for e in mine if len(e) > 1] == [e.values.tobytes() for e in other if len(e) > 1]
 
 
 def order_out_of_bounds(_: int, item: Any) -> bytes:
