@@ -109,8 +109,9 @@ class _Missing(Effect):
 
 class _Quantize(Effect):
     def disturb(self, values: Floats) -> Floats:
-        rounded: Floats = np.rint(values / self.fault.resolution) * self.fault.resolution
-        return rounded
+        with np.errstate(over="ignore", invalid="ignore"):
+            rounded: Floats = np.rint(values / self.fault.resolution) * self.fault.resolution
+        return np.where(np.isfinite(rounded), rounded, values)  # a finer resolution than that of a float64
 
 
 class _Clip(Effect):

@@ -19,7 +19,7 @@ from zenostat.bridge.faults.schedule import FaultSchedule, FaultTransition, Step
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, did_you_mean
 from zenostat.topics.fault_plan import FaultPlan, PointFault, Stuck
 from zenostat.topics.messages import Actuator
-from zenostat.topics.points import bound_arrays, contains, describe_bounds
+from zenostat.topics.points import LARGEST, bound_arrays, contains, describe_bounds
 
 State = dict[str, Any]
 """State of the faults in one slot, as data that can be pickled."""
@@ -147,7 +147,10 @@ class PointFaults:
                 if out is values:
                     out = values.copy()
                 old = out[:, effect.columns]
-                new = effect.disturb(old)
+                with np.errstate(over="ignore", invalid="ignore"):
+                    new = effect.disturb(old)
+                if not effect.memory.size:  # it has computed the values, and a sensor measures no infinity
+                    new = np.where(np.isinf(new) & np.isfinite(old), np.copysign(LARGEST, new), new)
                 out[:, effect.columns] = new if on.all() else np.where(on[:, None], new, old)
             elif effect.is_stateful:
                 effect.disturb(out[:, effect.columns])

@@ -18,6 +18,7 @@ from zenostat.topics import codec, yaml12
 from zenostat.topics.calendar import WEEKDAYS
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.fault_plan import KINDS, FaultPlan
+from zenostat.topics.points import LARGEST
 
 ROOT = Path(__file__).parents[2]
 
@@ -60,6 +61,10 @@ SOME = {"from_step": 1, "to_step": 3}
         (room("clip", high=21.0), [-90.0, 30.0], [-90.0, 21.0]),
         (room("spike", amplitude=5.0, probability=1.0, two_sided=False), [20.0, 21.0], [25.0, 26.0]),
         (room("drop", when=SOME), [20.0] * 4, [20.0, NAN, NAN, 20.0]),
+        # no sensor measures an infinity, and a resolution finer than a float64's changes nothing
+        (room("gain", factor=1e308), [20.0, -20.0], [LARGEST, -LARGEST]),
+        (room("drift", rate_per_h=1e308), [20.0, 20.0, 20.0], [20.0, 0.25e308, 0.5e308]),
+        (room("quantize", resolution=5e-324), [20.1, -0.3], [20.1, -0.3]),
         # a delay knows what was before its window
         (room("delay", steps=2, when={"from_step": 3, "to_step": 5}), [0, 1, 2, 3, 4, 5], [0, 1, 2, 1, 2, 5]),
     ],
