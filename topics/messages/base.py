@@ -45,7 +45,10 @@ _NO_SCHEMAS = ("metadata", "serialization", "config", "default", "expected", "me
 
 
 def _printable(schema: Any) -> Any:
-    """Return a copy of a part of a core schema in which control characters of its texts are replaced."""
+    """Return a copy of a part of a core schema in which control characters of its texts are replaced.
+
+    Texts and truth values are strict: bytes are no text, and "off" is not false.
+    """
     if isinstance(schema, list | tuple):
         return type(schema)(map(_printable, schema))
     if not isinstance(schema, dict):
@@ -55,6 +58,8 @@ def _printable(schema: Any) -> Any:
         return {name: _printable(value) for name, value in schema.items()}
     if kind == "function-after" and schema["function"].get("function") in _REPLACING:
         return schema
+    if kind in ("str", "bool"):
+        schema = {"strict": True, **schema}
     if kind == "str" and "pattern" not in schema:  # no pattern of a message allows a control character
         return no_info_after_validator_function(replace_controls, schema)
     return {name: value if name in _NO_SCHEMAS else _printable(value) for name, value in schema.items()}
