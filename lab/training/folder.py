@@ -91,6 +91,50 @@ def check_same(saved: TrainingConfig, config: TrainingConfig, folder: Path) -> N
         raise InvalidConfig(f"{folder} is another training and cannot be resumed: {'; '.join(differing[:5])}")
 
 
+def check_same_scenario(folder: Path, wrappers: list[dict[str, Any]], scenario: str) -> None:
+    """Check that the environment of a training is the one with which its folder was written.
+
+    Building and weather may be in other folders; the checkpoint tells whether they simulate the same. Fields that only
+    another version of Zenostat writes are not compared.
+
+    Args:
+        folder: of a training that is resumed.
+        wrappers: all wrappers of the environment.
+        scenario: its text; "" without one.
+
+    Raises:
+        InvalidConfig: they differ; the text names the fields.
+    """
+    saved, present = _environment_fields(folder), yaml12.parse(scenario, "the node's scenario") if scenario else {}
+    before, now = _comparable(saved), _comparable({**present, "wrappers": wrappers})
+    is_same_version = read_versions(folder).get("zenostat") == VERSION
+    names = {**before, **now} if is_same_version else before
+    differing = [
+        f"{name} was {before.get(name, 'not set')}, now {now.get(name, 'not set')}"
+        for name in names
+        if before.get(name) != now.get(name)
+    ]
+    if differing:
+        raise InvalidConfig(
+            f"{folder} was trained with another scenario, and cannot be resumed: {'; '.join(differing[:5])}"
+        )
+
+
+def _environment_fields(folder: Path) -> dict[str, Any]:
+    scenario = folder / SCENARIO
+    fields = yaml12.read_mapping(scenario) if scenario.exists() else {}
+    return fields | yaml12.read_mapping(folder / WRAPPERS)
+
+
+def _comparable(fields: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the fields of a scenario by their paths, without the folders of its files."""
+    names = {name: fields[name] for name in ("building", "weather") if name in fields}
+    for name, value in names.items():
+        files = [value] if isinstance(value, str) else value
+        names[name] = [file.replace("\\", "/").rpartition("/")[2] for file in files]
+    return _flat({**fields, **names})
+
+
 def _flat(fields: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     flat: dict[str, Any] = {}
     for name, value in fields.items():

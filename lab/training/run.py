@@ -189,6 +189,8 @@ class _Run:
         mark_normalized(model)
         if config.zero_start:
             begin_at(model, zero_actions(env.env, "zero_start"))
+        if resume:
+            files.check_same_scenario(folder, env.wrappers(), env.scenario())
         files.create(folder, config, env.wrappers(), env.scenario())
         begin = 0 if checkpoint is None else checkpoint.step
         model.set_logger(make_logger(config, folder, begin))
