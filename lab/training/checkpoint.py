@@ -7,7 +7,8 @@ import os
 import pickle
 import random
 import shutil
-from collections.abc import Mapping
+from collections import deque
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from copy import deepcopy
 from dataclasses import dataclass, field
@@ -22,7 +23,9 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.buffers import ReplayBuffer
 from stable_baselines3.common.save_util import load_from_zip_file
 
+from zenostat.agent_sdk.rewards import BoundReward
 from zenostat.agent_sdk.wrappers import restore_wrappers, save_wrappers
+from zenostat.agent_sdk.wrappers.names import inside, layers
 from zenostat.lab.training.environments import TrainingEnv, simulated_state
 from zenostat.lab.training.episode_recorder import RunningEpisodes, repeat
 from zenostat.topics.errors import InvalidConfig
@@ -139,6 +142,9 @@ def capture(model: BaseAlgorithm, env: TrainingEnv, counters: Mapping[str, Any],
         "returns": None if env.normalization is None else env.normalization.returns,
         "counters": dict(counters),
         "reference_wrappers": [wrapper_state(each) for each in env.both[1:]],
+        "monitor": [env.monitor.episode_returns, env.monitor.episode_lengths],
+        "memories": [[getattr(*each) for each in _memories(env)] for env in env.both],
+        "rewards": [_reward_state(each) for each in env.both],
     }
     buffer = getattr(model, "replay_buffer", None)
     return Checkpoint(
@@ -172,12 +178,70 @@ def restore_environment(checkpoint: Checkpoint, env: TrainingEnv, seed: int) -> 
                 path = Path(folder) / WRAPPERS
                 path.write_text(text, encoding="utf-8")
                 restore_wrappers(each, path)
+    _restore_memories(checkpoint.state, env)
     if env.normalization is not None:
         saved = pickle.loads(checkpoint.normalization)  # noqa: S301  # pickled, as is the model beside it
         for name, value in saved.__dict__.items():
             if name in ("obs_rms", "ret_rms", "old_obs", "old_reward"):
                 setattr(env.normalization, name, value)
         env.normalization.returns = checkpoint.state["returns"]
+
+
+def _restore_memories(state: Mapping[str, Any], env: TrainingEnv) -> None:
+    """Restore what depends on earlier episodes, and was not repeated with the running ones.
+
+    Those have been repeated with the maxima of a reward, the statistics and the random numbers of a new environment.
+    """
+    if "memories" not in state:  # a checkpoint of an earlier release
+        return
+    env.monitor.episode_returns, env.monitor.episode_lengths = deepcopy(state["monitor"])
+    for each, values, reward in zip(env.both, state["memories"], state["rewards"], strict=True):
+        for (layer, name), value in zip(_memories(each), values, strict=True):
+            present = getattr(layer, name)
+            if isinstance(present, deque):
+                present.clear()
+                present.extend(deepcopy(value))
+            else:
+                setattr(layer, name, deepcopy(value))
+        if reward is not None and (bound := _reward(each)) is not None:
+            bound.restore(reward)
+
+
+_MEMORIES = {
+    "DelayObservation": ("observation_queue",),
+    "FrameStackObservation": ("obs_queue", "stacked_obs"),
+    "RecordEpisodeStatistics": ("episode_returns",),
+}
+"""Attributes of Gymnasium's wrappers with what they have observed in the running episode."""
+
+
+def _memories(env: Any) -> Iterator[tuple[Any, str]]:
+    """Yield each layer of an environment with such an attribute, and its name."""
+    for place in inside(env.unwrapped) or [env]:
+        for layer in layers(place):
+            if type(layer).__module__.startswith("gymnasium."):
+                for name in _MEMORIES.get(type(layer).__name__, ()):
+                    if hasattr(layer, name):
+                        yield layer, name
+
+
+def _reward(env: Any) -> BoundReward | None:
+    """Return the bound reward of a building's environment; None if it has none."""
+    reward = getattr(getattr(env.unwrapped, "_state", None), "reward", None)
+    return reward if isinstance(reward, BoundReward) else None
+
+
+def _reward_state(env: Any) -> dict[str, Any] | None:
+    """Return the state of the reward; None without any, or if that of a reward of the user's cannot be copied."""
+    reward = _reward(env)
+    if reward is None:
+        return None
+    try:
+        state = reward.state()
+        pickle.dumps(state)
+    except Exception:  # of code of the user's; the state is that of a new episode then
+        return None
+    return state
 
 
 def restore_model(checkpoint: Checkpoint, model: BaseAlgorithm) -> None:

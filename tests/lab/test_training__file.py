@@ -29,6 +29,7 @@ from zenostat.lab.training import ALGORITHMS, load_policy, read_training, resume
 from zenostat.lab.training.horizon import horizon_warning, scale_warning  # noqa: E402
 from zenostat.lab.training.parameters import make_model  # noqa: E402
 from zenostat.lab.training.run import check_training  # noqa: E402
+from zenostat.topics import yaml12  # noqa: E402
 
 pytestmark = pytest.mark.usefixtures("one_torch_thread")
 
@@ -118,6 +119,11 @@ def test_training__resumed_training_equals_an_uninterrupted_one(name: str, slots
     changes: dict[str, Any] = {"slots": slots, "evaluation": {"every_steps": 50}, "checkpoint_steps": 70}
     if slots == 1:
         changes["wrappers"] = [{"wrapper": "NormalizeObservation"}]
+    check_resumed(name, tmp_path, changes)
+
+
+def check_resumed(name: str, tmp_path: Path, changes: dict[str, Any]) -> None:
+    """Stop a training within an episode and resume it; compare it with one that was not interrupted."""
     whole = train(read_training(fields(name, tmp_path / "whole", **changes)))
     stop = threading.Event()
     cut = train(
@@ -132,7 +138,45 @@ def test_training__resumed_training_equals_an_uninterrupted_one(name: str, slots
     assert again.finished
     assert same(content(whole.folder / "model.zip"), content(again.folder / "model.zip"))
     for file in ("curve.csv", "evaluations.csv"):
-        assert (whole.folder / file).read_text() == (again.folder / file).read_text()
+        if (whole.folder / file).exists():
+            assert (whole.folder / file).read_text() == (again.folder / file).read_text()
+
+
+STACKED = [
+    {"wrapper": "NormalizeObservation"},
+    {"wrapper": "FrameStackObservation", "stack_size": 5},
+    {"wrapper": "FlattenObservation"},
+]
+
+
+@pytest.mark.parametrize(
+    ("wrappers", "slots"),
+    [([], 1), ([], 3), (STACKED, 1), ([STACKED[0], {"wrapper": "DelayObservation", "delay": 3}], 1)],
+    ids=["reward", "reward of slots", "frames", "delay"],
+)
+def test_training__what_earlier_episodes_have_left_is_resumed(
+    wrappers: list[dict[str, Any]], slots: int, tmp_path: Path
+) -> None:
+    """The maxima of a reward, and observations of the running episode that were scaled by statistics of then."""
+    arguments = {**DAY, "climate": Climate(noise_k=2.0), "reward": {"kind": "normalized"}}
+    changes = {"arguments": arguments, "wrappers": wrappers, "slots": slots, "checkpoint_steps": 70}
+    check_resumed("a2c", tmp_path, changes | {"normalization": {"rewards": False}, "evaluation": False})
+
+
+def test_training__is_not_resumed_with_another_scenario_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    scenario = {"building": "ref-small-office", "weather": ["USA_CO_Denver"], "begin": "07-03", "end": "07-03"}
+    scenario |= {"steps_per_hour": 1, "reward": {"kind": "linear"}}
+    file.write_text(yaml12.dump(scenario))
+    training = fields("a2c", tmp_path / "run", scenario=str(file), arguments={}, steps=5)
+    train(read_training(training))
+    longer = training | {"steps": 10}
+    for changed in ({"reward": {"kind": "exponential"}}, {"end": "07-04"}):
+        file.write_text(yaml12.dump({**scenario, **changed}))
+        with pytest.raises(InvalidConfig, match=rf"another scenario.*{next(iter(changed))}"):
+            train(read_training(longer), resume=True)
+    file.write_text(yaml12.dump(scenario))
+    assert train(read_training(longer), resume=True).step == 10
 
 
 def test_training__evaluations_are_counted_in_episodes(tmp_path: Path) -> None:
