@@ -250,6 +250,7 @@ def test_fault_injection__fault_after_a_snapshot_or_in_a_branch_knows_what_was_h
         effective = stage.column([stage.link.receive().message], SETPOINT, "effective")
         stage.bus.faults("office", None)
     assert effective.tolist() == [command(52)] == [27.0]
+    day(stage.link)  # the next test begins after an episode
 
 
 # What is told, and requests
