@@ -245,16 +245,28 @@ def as_array(action: ArrayLike, dtype: type[np.float64] | None) -> NDArray[Any]:
         raise InvalidAction(f"action {action!r} is not an array of numbers: {error}") from None
 
 
+_ZERO = 4.0 * float(np.finfo(np.float32).eps)
+"""Part of an action's range up to which an offset is zero: a scaled float32 action is no more exact than that."""
+
+
+def _range(action: Action) -> float:
+    """Return the range of an action; 0 without bounds."""
+    return 0.0 if action.low is None or action.high is None else action.high - action.low
+
+
 class _Offsets:
     """The actuators of relative actions, and the points of their values under baseline control."""
 
     def __init__(self, manifest: Manifest) -> None:
-        relative = {name for action in manifest.task.actions if action.relative for name in action.actuators}
+        task_actions = [action for action in manifest.task.actions if action.relative]
+        relative = {name for action in task_actions for name in action.actuators}
         chosen = [(i, a) for i, a in enumerate(manifest.actuators) if a.name in relative]
         points = value_index(manifest)
         self._columns = np.array([i for i, _ in chosen], np.intp)
         self._points = np.array([points[str(a.baseline_sensor)] for _, a in chosen], np.intp)
         self._low, self._high = bound_arrays([a for _, a in chosen])
+        ranges = {name: _range(action) for action in task_actions for name in action.actuators}
+        self._resolution = np.array([_ZERO * ranges[a.name] for _, a in chosen])
         sensors = {sensor.name: sensor for sensor in manifest.sensors}
         self.is_scheduled = all(
             str(a.baseline_sensor) in sensors and sensors[str(a.baseline_sensor)].lead_s for _, a in chosen
@@ -263,7 +275,7 @@ class _Offsets:
     def add(self, values: NDArray[np.float64], codes: NDArray[np.uint8], points: NDArray[np.float64]) -> None:
         """Replace offsets by absolute values within the actuators' bounds, and those of 0 by relinquishing."""
         offsets, columns = values[:, self._columns], self._columns
-        is_zero = offsets == 0.0
+        is_zero = np.abs(offsets) <= self._resolution
         absolute = np.clip(points[:, self._points] + offsets, self._low, self._high)
         values[:, columns] = np.where(is_zero, 0.0, absolute)
         codes[:, columns] = np.where(is_zero, CommandOp.RELINQUISH, CommandOp.SET)

@@ -146,12 +146,18 @@ def _is_pair(value: Any) -> str:
     return "@pair" if isinstance(value, list | tuple) else "@number"
 
 
+MAX_OFFSET = 1e9
+"""Largest bound of an offset; actions are float32."""
+
+
 def _check_offsets(value: Any) -> Any:
     pairs = value.values() if isinstance(value, dict) else (value,)
     for pair in pairs:
         low, high = pair if isinstance(pair, tuple) else (-pair, pair)
         if not (low <= 0.0 <= high and low < high):
             raise ValueError(f"bounds of an offset are {low:g} to {high:g}; they must include 0, which is the baseline")
+        if max(-low, high) > MAX_OFFSET:
+            raise ValueError(f"bounds of an offset are {low:g} to {high:g}; at most {MAX_OFFSET:g} to both sides")
     return value
 
 

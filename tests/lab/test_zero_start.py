@@ -77,3 +77,61 @@ def test_zero_start__actions_have_to_be_offsets(tmp_path: Path) -> None:
     config = read_training(fields(tmp_path, wrappers=[], paired_reward=False, zero_start=True))
     with pytest.raises(InvalidConfig, match=r"zero_start: .*is no offset.*relative actions or ResidualAction"):
         train(config)
+
+
+RESIDUAL = {"wrapper": "ResidualAction", "controller": "fixed", "offset": 2.0}
+SCALED = {"wrapper": "RescaleAction", "min_action": -1.0, "max_action": 3.0}
+MOVED = {
+    "wrapper": "IncrementalAction",
+    "increments": {"zone_1_cooling_setpoint": 0.5},
+    "initial": {"zone_1_cooling_setpoint": 0.0},
+}
+
+
+@pytest.mark.parametrize("slots", [1, 2])
+@pytest.mark.parametrize("wrappers", [[SCALED, {"wrapper": "CyclicTime"}], [MOVED, SCALED]])
+def test_zero_actions__are_offsets_of_zero_behind_any_wrappers(
+    wrappers: list[dict[str, Any]], slots: int, tmp_path: Path
+) -> None:
+    settings = {"paired_reward": False, "normalization": False, "slots": slots}
+    behind = TrainingEnv(read_training(fields(tmp_path / "a", wrappers=[RESIDUAL, *wrappers], **settings)))
+    rule = TrainingEnv(read_training(fields(tmp_path / "b", wrappers=[RESIDUAL], **settings)))
+    zeros, rewards = zero_actions(behind.env, "zero_start"), []
+    assert zeros.any()
+    for env, action in ((behind, zeros), (rule, np.zeros_like(zeros))):
+        env.monitor.seed(3)
+        env.monitor.reset()
+        rewards.append([env.monitor.step(np.tile(action, (slots, 1)))[1].tolist() for _ in range(30)])
+        env.close()
+    assert rewards[0] == rewards[1]
+
+
+@pytest.mark.parametrize(
+    ("wrappers", "text"),
+    [
+        ([{**MOVED, "initial": {"zone_1_cooling_setpoint": 1.0}}], "begins with an offset of 1 for zone_1_cooling"),
+        ([{"wrapper": "DiscretizeAction", "bins": 3}], "needs continuous actions"),
+    ],
+)
+def test_zero_actions__refuse_wrappers_whose_zero_is_another(
+    wrappers: list[dict[str, Any]], text: str, tmp_path: Path
+) -> None:
+    changes = {"wrappers": [RESIDUAL, *wrappers], "paired_reward": False, "normalization": False}
+    env = TrainingEnv(read_training(fields(tmp_path, algorithm="ppo", **changes)))
+    with pytest.raises(InvalidConfig, match=f"zero_start.*{text}"):
+        zero_actions(env.env, "zero_start")
+    env.close()
+
+
+@pytest.mark.parametrize("algorithm", ["sac", "ppo"])
+def test_begin_at__bound_is_no_action_of_a_tanh(algorithm: str, tmp_path: Path) -> None:
+    config = read_training(fields(tmp_path, algorithm=algorithm, parameters=SMALL, paired_reward=False))
+    env = TrainingEnv(config)
+    model = make_model(config, env.outermost)
+    bound = model.action_space.low.copy()
+    if algorithm == "ppo":
+        begin_at(model, bound)
+    else:
+        with pytest.raises(InvalidConfig, match=r"zero is at a bound of the actions.*the tanh of SAC's policy"):
+            begin_at(model, bound)
+    env.close()

@@ -59,6 +59,20 @@ def test_relative__zero_is_the_baseline_to_the_bit() -> None:
 
 
 @pytest.mark.slow
+def test_relative__zero_of_a_scaled_action_is_the_baseline_to_the_bit() -> None:
+    """Behind RescaleAction with bounds that float32 does not divide, zero comes back as 1e-8 to 1e-7 K."""
+    plain, trajectories, low, high = BuildingEnv(**settings(relative=(-2.0, 3.4))), [], -2.0, 3.4
+    scaled = gym.wrappers.RescaleAction(plain, np.float32(-1), np.float32(1))
+    zero = np.full(plain.action_space.shape, -1.0 + 2.0 * -low / (high - low), np.float32)
+    assert scaled.action(zero).any()
+    for env, action in ((plain, np.zeros_like(zero)), (scaled, zero)):
+        env.reset(seed=1)
+        trajectories.append([env.step(action)[0].tobytes() for _ in range(40)])
+    plain.close()
+    assert trajectories[0] == trajectories[1]
+
+
+@pytest.mark.slow
 def test_relative__offsets_add_to_the_schedule_of_the_same_timestep() -> None:
     env = BuildingEnv(**settings())
     try:
