@@ -7,15 +7,17 @@ normalization of observations, and a header as JSON. `zenostat.training.export_p
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
-from zipfile import BadZipFile, ZipFile
+from zipfile import ZipFile, ZipInfo
 
 import numpy as np
 from gymnasium.spaces import Box
+from numpy.lib import format as npy
 from numpy.typing import NDArray
 
 from zenostat.agent_sdk.controllers.base import Controller
@@ -145,17 +147,32 @@ def load_network(path: str | Path) -> NetworkPolicy:
         path.open("rb").close()
     try:
         with ZipFile(path) as archive:
-            size = sum(member.file_size for member in archive.infolist())
-        if size > _MAX_BYTES:
-            raise ValueError(f"{size:,} bytes; at most {_MAX_BYTES:,} expected")
-        with np.load(path, allow_pickle=False) as file:
-            arrays: Arrays = {name: file[name] for name in file.files}
+            members = archive.infolist()
+            size = sum(member.file_size for member in members)
+            if size > _MAX_BYTES:
+                raise ValueError(f"{size:,} bytes; at most {_MAX_BYTES:,} expected")
+            arrays = {member.filename.removesuffix(".npy"): _array(archive, member) for member in members}
         header = json.loads(arrays.pop(_HEADER).tobytes())
         policy = _read(header, arrays)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, EOFError, RecursionError, BadZipFile) as error:
+    except Exception as error:  # zipfile, zlib and NumPy raise a dozen unrelated classes for damaged files
         raise InvalidConfig(f"{path} is not a policy that Zenostat exported: {type(error).__name__}: {error}") from None
     check_wrappers(policy.wrappers)
     return policy
+
+
+def _array(archive: ZipFile, member: ZipInfo) -> NDArray[Any]:
+    """Return an array of the file; nothing is allocated for more values than the file has."""
+    with archive.open(member) as file:
+        if npy.read_magic(file) != (1, 0):  # type: ignore[no-untyped-call,unused-ignore]
+            raise ValueError(f"{member.filename} is not an array of NumPy's format 1.0")
+        shape, is_fortran, dtype = npy.read_array_header_1_0(file)  # type: ignore[no-untyped-call,unused-ignore]
+        if dtype.hasobject:
+            raise ValueError(f"{member.filename} has objects; numbers expected")
+        content = file.read()
+    size = math.prod(shape) * dtype.itemsize
+    if size != len(content):
+        raise ValueError(f"{member.filename} has {len(content):,} bytes of values; {size:,} expected for {shape}")
+    return np.frombuffer(content, dtype).reshape(shape, order="F" if is_fortran else "C")
 
 
 def _read(header: Mapping[str, Any], arrays: Arrays) -> NetworkPolicy:
