@@ -23,6 +23,7 @@ from zenostat.lab.config_file import (
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import safe_name
+from zenostat.topics.messages import MAX_SEEDS
 
 TrainingSeed = Annotated[int, Field(strict=True, ge=0, lt=2**32)]
 """NumPy's global generator, which stable-baselines3 seeds, accepts 32 bits."""
@@ -73,6 +74,8 @@ class Evaluation(ConfigPart):
     def _one_interval(self) -> Evaluation:
         if self.every_steps is not None and self.every_episodes is not None:
             raise ValueError("every_steps and every_episodes exclude each other; remove one of them")
+        if self.seed + self.episodes > MAX_SEEDS:
+            raise ValueError(f"the last of {self.episodes} episodes from seed {self.seed} on has one above 2**64 - 1")
         return self
 
 
@@ -120,7 +123,7 @@ class TrainingConfig(ConfigPart):
     wandb: dict[str, Any] = Field(default_factory=dict)
     output: str | None = None
     device: str = "cpu"
-    threads: Count | None = None
+    threads: Annotated[int, Field(strict=True, ge=1, le=1024)] | None = None
 
     @property
     def folder(self) -> Path:

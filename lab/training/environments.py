@@ -15,7 +15,7 @@ from zenostat.agent_sdk.envs.arguments import check_agent_fields, of_scenario
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
 from zenostat.agent_sdk.wrappers import action_names_of, apply_wrappers, wrappers_of
 from zenostat.agent_sdk.wrappers.checkpoint import LOGS
-from zenostat.agent_sdk.wrappers.names import attribute
+from zenostat.agent_sdk.wrappers.names import attribute, reject_wrappers
 from zenostat.agent_sdk.wrappers.serialization import check_wrappers
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.lab.scenario_env import add_monitoring, pop_env_id
@@ -41,6 +41,10 @@ def check_environment(config: TrainingConfig) -> None:
     """
     errors = ErrorCollector()
     errors.collect(lambda: check_wrappers(config.wrappers))
+    arguments = config.evaluation.arguments if config.evaluation else {}
+    for where, chosen in (("arguments", config.arguments), ("evaluation.arguments", arguments)):
+        if "reward" in chosen and chosen["reward"] is None:
+            errors.errors.append(InvalidConfig(f"{where}.reward: a training needs a reward, and this is none"))
     scenarios = [config.scenario, (config.evaluation and config.evaluation.scenario) or config.scenario]
     for scenario in dict.fromkeys(scenarios):
         errors.collect(partial(pop_env_id, of_scenario(scenario)))
@@ -109,6 +113,10 @@ class TrainingEnv:
             self.env = self.stepped = make(config)
             undo.callback(self.env.close)
             self._reference: Any = None
+            reject_wrappers(self.env, ["RewardVector"], "a training needs one reward; remove {}")
+            if config.evaluation:
+                text = "{} leaves out of the infos what evaluations need; remove it, or set evaluation: false"
+                reject_wrappers(self.env, ["NumericInfos"], text)
             if config.paired_reward:
                 self._reference = make(config)
                 undo.callback(self._reference.close)

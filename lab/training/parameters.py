@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 import typing
 import warnings
 from collections.abc import Callable, Mapping
@@ -12,6 +13,7 @@ import gymnasium as gym
 import numpy as np
 import torch
 from pydantic import ConfigDict, TypeAdapter, ValidationError
+from stable_baselines3 import DQN
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.noise import ActionNoise, NormalActionNoise, OrnsteinUhlenbeckActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
@@ -50,6 +52,7 @@ _POSITIVE = (
     "batch_size", "buffer_size", "learning_rate", "max_grad_norm", "n_epochs", "n_steps", "policy_delay",
     "stats_window_size", "target_kl", "target_update_interval", "train_freq",
 )  # fmt: skip
+_NOT_NEGATIVE = ("clip_range", "clip_range_vf", "learning_starts", "vf_coef")
 _CONTINUOUS = ("ddpg", "sac", "td3")
 _OF_SPACES = ("observation_space", "action_space", "lr_schedule")
 """Arguments of policies that algorithms supply."""
@@ -82,6 +85,7 @@ def check_algorithm(config: TrainingConfig) -> None:
     algorithm = algorithm_class(config.algorithm)
     errors = ErrorCollector()
     errors.collect(lambda: policy_name(config))
+    errors.collect(lambda: _check_device(config.device))
     errors.collect(lambda: _check_names(algorithm, config))
     frequency = config.parameters.get("train_freq")
     if config.slots > 1 and isinstance(frequency, list) and "episode" in frequency:
@@ -94,6 +98,16 @@ def check_algorithm(config: TrainingConfig) -> None:
         make_model(config, DummyVecEnv([lambda: _EmptyEnv(action)] * config.slots))
 
 
+def _check_device(device: str) -> None:
+    """Raise `InvalidConfig` for a device that this machine does not have; stable-baselines3 would take the CPU."""
+    kind = device.partition(":")[0]
+    is_missing = (kind == "cuda" and not torch.cuda.is_available()) or (
+        kind == "mps" and not torch.backends.mps.is_available()
+    )
+    if is_missing:
+        raise InvalidConfig(f"device: PyTorch has no {kind} on this machine; use cpu, or auto for the best that it has")
+
+
 def policy_name(config: TrainingConfig) -> str:
     """Return the policy of a training; by default `MlpPolicy`, or `MlpLstmPolicy` for recurrent algorithms.
 
@@ -101,9 +115,12 @@ def policy_name(config: TrainingConfig) -> str:
         InvalidConfig: the algorithm does not have that policy.
     """
     policies = algorithm_class(config.algorithm).policy_aliases
-    name = config.policy or next(policy for policy in policies if policy.startswith("Mlp"))
+    of_vectors = [policy for policy in policies if policy.startswith("Mlp")]
+    name = config.policy or of_vectors[0]
     if name not in policies:
-        raise InvalidConfig(f"policy: {config.algorithm} has no {name!r}; {did_you_mean(name, policies)}")
+        raise InvalidConfig(f"policy: {config.algorithm} has no {name!r}; {did_you_mean(name, of_vectors)}")
+    if name not in of_vectors:
+        raise InvalidConfig(f"policy: {name} is not for observations that are vectors; use {' or '.join(of_vectors)}")
     return name
 
 
@@ -120,7 +137,8 @@ def make_model(config: TrainingConfig, env: Any) -> BaseAlgorithm:
         arguments["policy_kwargs"] = {"log_std_init": LOG_STD_INIT, **(arguments.get("policy_kwargs") or {})}
     try:
         return algorithm(policy_name(config), env, seed=config.seed, device=config.device, **arguments)
-    except (AssertionError, ValueError, TypeError, RuntimeError) as error:
+    except (ArithmeticError, AssertionError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError,
+            ValueError) as error:  # fmt: skip
         raise InvalidConfig(f"{config.algorithm}: {error}") from None
 
 
@@ -132,6 +150,8 @@ def check_action_space(config: TrainingConfig, space: gym.Space[Any], names: tup
     """
     is_box, is_one_choice = isinstance(space, gym.spaces.Box), isinstance(space, gym.spaces.Discrete)
     label = f"{config.scenario} has " + (f"{'continuous' if is_box else 'discrete'} actions ({', '.join(names)})")
+    if is_box and not all(space.shape or (1,)):
+        raise InvalidConfig(f"{config.scenario} has no actions: a training needs at least one actuator")
     others = "; ppo, a2c and recurrent-ppo accept both kinds"
     if config.algorithm == "dqn" and not is_one_choice:
         fields = "`arguments: {discrete: 5, control: building}`"
@@ -152,10 +172,22 @@ def _check_names(algorithm: type[BaseAlgorithm], config: TrainingConfig) -> None
             errors.append(f"parameters: {config.algorithm} has no {name!r}; {did_you_mean(name, known)}")
         elif name == "policy_kwargs" and isinstance(value, Mapping):
             errors += _check_policy_names(algorithm, config, value)
+        elif _is_schedule(value) and "Callable" not in str(hints[name]):
+            errors.append(f"parameters.{name}: a constant expected, got {value!r}")
         elif name not in ("action_noise", "policy_kwargs") and not _is_schedule(value):
             errors += _check_value(f"parameters.{name}", hints[name], value)
+        errors += [f"parameters.{name}: finite numbers expected, got {value!r}"] if _has_other_numbers(value) else []
     if errors:
         raise InvalidConfig("\n".join(errors))
+
+
+def _has_other_numbers(value: Any) -> bool:
+    """Return whether a value is or contains NaN or an infinity."""
+    if isinstance(value, Mapping):
+        return any(map(_has_other_numbers, value.values()))
+    if isinstance(value, list | tuple):
+        return any(map(_has_other_numbers, value))
+    return isinstance(value, float) and not math.isfinite(value)
 
 
 def _check_policy_names(
@@ -166,11 +198,26 @@ def _check_policy_names(
         return []
     policy = algorithm.policy_aliases[policy_name(config)]
     known = [name for name in list(inspect.signature(policy.__init__).parameters)[1:] if name not in _OF_SPACES]
-    return [
+    errors = [
         f"parameters.policy_kwargs: {config.algorithm} has no {name!r}; {did_you_mean(name, known)}"
         for name in arguments
         if name not in known
     ]
+    return errors + _check_layers(algorithm, arguments.get("net_arch"))
+
+
+def _check_layers(algorithm: type[BaseAlgorithm], layers: Any) -> list[str]:
+    """Return an error if `net_arch` is neither a list of sizes, nor one for each network of the algorithm."""
+    if layers is None:
+        return []
+    networks = ("pi", "vf") if issubclass(algorithm, OnPolicyAlgorithm) else ("pi", "qf")
+    lists = list(layers.values()) if isinstance(layers, Mapping) else [layers]
+    are_named = not isinstance(layers, Mapping) or (set(layers) <= {*networks} and algorithm is not DQN)
+    are_sizes = all(isinstance(each, list) and all(type(size) is int and size > 0 for size in each) for each in lists)
+    if are_named and are_sizes:
+        return []
+    by_network = "" if algorithm is DQN else f", or {{{networks[0]}: [64, 64], {networks[1]}: [64, 64]}}"
+    return [f"parameters.policy_kwargs.net_arch: sizes of layers such as [64, 64]{by_network} expected, got {layers!r}"]
 
 
 def _hints(algorithm: type[BaseAlgorithm]) -> dict[str, Any]:
@@ -192,6 +239,8 @@ def _check_value(where: str, hint: Any, value: Any) -> list[str]:
             return [f"{where}: a number from 0 to 1 expected, got {value}"]
         if name in _POSITIVE and not value > 0:
             return [f"{where}: a number above 0 expected, got {value}"]
+        if name in _NOT_NEGATIVE and value < 0:
+            return [f"{where}: a number of at least 0 expected, got {value}"]
     return []
 
 
@@ -225,13 +274,16 @@ def _linear(name: str, value: Any) -> LinearSchedule:
 
 def _noise(value: Any, actions: gym.Space[Any]) -> ActionNoise:
     """Return noise on actions between -1 and 1, as the algorithms have them: `{kind: normal, sigma: 0.1}`."""
-    if not isinstance(value, Mapping) or value.get("kind") not in _NOISES:
+    kind = value.get("kind") if isinstance(value, Mapping) else None
+    if not isinstance(value, Mapping) or not isinstance(kind, str) or kind not in _NOISES:
         kinds = " or ".join(_NOISES)
         raise InvalidConfig(f"parameters.action_noise: {{kind: {kinds}, sigma: 0.1}} expected, got {value!r}")
     size = int(np.prod(actions.shape or (1,)))
-    noise, arguments = _NOISES[value["kind"]], {name: number for name, number in value.items() if name != "kind"}
+    noise, arguments = _NOISES[kind], {name: number for name, number in value.items() if name != "kind"}
     try:
         mean, deviation = np.full(size, float(arguments.pop("mean", 0.0))), np.full(size, float(arguments.pop("sigma")))
+        if deviation[0] < 0.0:
+            raise ValueError("sigma is negative")
         action_noise: ActionNoise = noise(mean, deviation, **arguments)
     except (KeyError, TypeError, ValueError) as error:
         raise InvalidConfig(f"parameters.action_noise: {error} in {dict(value)!r}; sigma is required") from None

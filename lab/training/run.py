@@ -145,7 +145,10 @@ def train(
     """
     check_training(config, resume=resume)
     folder = config.folder
-    folder.mkdir(parents=True, exist_ok=True)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except (OSError, ValueError) as error:  # a name that the system does not accept
+        raise InvalidConfig(f"output: cannot create the folder {str(folder)[:200]!r}: {error}") from None
     with ExitStack() as stack:
         stack.callback(_remove_if_empty, folder)
         stack.enter_context(locked(folder / training_folder.LOCK, f"{folder}: another process is training there"))

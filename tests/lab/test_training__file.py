@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import threading
 from itertools import product
 from pathlib import Path
@@ -257,6 +258,20 @@ def test_training__folder_is_neither_overwritten_nor_resumed_with_another_traini
         ("ppo", {"scenario": "5zone"}, "there is no scenario '5zone'"),
         ("sac", {"parameters": {"train_freq": [1, "episode"]}, "slots": 2}, "count steps"),
         ("ppo", {"policy": "MlpLstmPolicy"}, "ppo has no 'MlpLstmPolicy'"),
+        ("ppo", {"policy": "MultiInputPolicy"}, "MultiInputPolicy is not for observations that are vectors"),
+        ("ppo", {"parameters": {"ent_coef": math.nan}}, r"parameters\.ent_coef: finite numbers expected, got nan"),
+        ("ppo", {"parameters": {"policy_kwargs": {"log_std_init": math.inf}}}, "policy_kwargs: finite numbers"),
+        ("ppo", {"parameters": {"gamma": {"linear": [0.9, 0.99]}}}, r"parameters\.gamma: a constant expected"),
+        ("ppo", {"parameters": {"clip_range": -0.1}}, r"parameters\.clip_range: a number of at least 0"),
+        ("ppo", {"parameters": {"policy_kwargs": {"net_arch": [64, 0]}}}, r"net_arch: sizes .*, or \{pi: .*, vf: "),
+        ("sac", {"parameters": {"policy_kwargs": {"net_arch": {"vf": [8]}}}}, r"net_arch: sizes .*, or \{pi: .*, qf: "),
+        ("dqn", {"parameters": {"policy_kwargs": {"net_arch": {"pi": [8]}}}}, r"net_arch: sizes of layers such as "),
+        ("sac", {"parameters": {"buffer_size": 10**15}}, "sac: Unable to allocate"),
+        ("td3", {"parameters": {"action_noise": {"kind": ["normal"]}}}, "kind: normal or ornstein-uhlenbeck"),
+        ("td3", {"parameters": {"action_noise": {"kind": "normal", "sigma": -1.0}}}, "sigma is negative"),
+        ("ppo", {"arguments": {"reward": None}}, r"arguments\.reward: a training needs a reward"),
+        ("ppo", {"threads": 10**9}, "threads: Input should be less than or equal to 1024"),
+        ("ppo", {"evaluation": {"seed": 2**64 - 1, "episodes": 2}}, "the last of 2 episodes from seed"),
     ],
 )
 def test_training__bad_input_is_reported_before_anything_starts(
@@ -275,6 +290,32 @@ def test_training__algorithm_that_cannot_have_the_actions_states_what_can(tmp_pa
     with pytest.raises(InvalidConfig, match="sac needs continuous actions, and Fake-v1 has discrete actions"):
         train(read_training(sac))
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        (
+            {"wrappers": [{"wrapper": "RewardVector", "terms": ["energy", "comfort"]}]},
+            "reward; remove RewardVector",
+        ),
+        ({"wrappers": [{"wrapper": "NumericInfos"}], "evaluation": {}}, "NumericInfos leaves out .*evaluations need"),
+        ({"output": "/proc/here"}, "output: cannot create the folder '/proc/here'"),
+        ({"output": "a\0b"}, "output: cannot create the folder"),
+    ],
+)
+def test_training__what_only_its_environment_and_folder_show_is_one_error(
+    changes: dict[str, Any], text: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        train(read_training({**fields("ppo", tmp_path / "run"), "arguments": DAY, **changes}))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
+def test_training__device_that_is_missing_is_an_error(tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfig, match="device: PyTorch has no cuda on this machine"):
+        check_training(read_training({**fields("ppo", tmp_path), "device": "cuda"}))
 
 
 def test_training__folder_has_one_training_at_a_time(tmp_path: Path) -> None:
