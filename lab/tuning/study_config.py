@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,6 +17,8 @@ from zenostat.topics.errors import InvalidConfig
 _Number = Annotated[float, Field(strict=True)]
 Sampler = Literal["tpe", "random", "grid", "cma-es"]
 Direction = Literal["maximize", "minimize"]
+MAX_POINTS = 100_000
+"""Largest number of points of a grid, each of which is a trial."""
 
 
 class Range(ConfigPart):
@@ -61,14 +64,17 @@ class Range(ConfigPart):
         """Return the values of a grid.
 
         Raises:
-            InvalidConfig: a range without a step.
+            InvalidConfig: a range without a step, or with more values than a grid may have points.
         """
         if self.choices is not None:
             return list(self.choices)
         step = self.step or (1 if self.is_integer and not self.log else None)
         if step is None or self.low is None or self.high is None:
             raise InvalidConfig("a grid needs choices, or low, high and step")
-        return [self.low + i * step for i in range(int((self.high - self.low) / step + 1e-9) + 1)]
+        span = self.high - self.low
+        if not span <= step * MAX_POINTS:
+            raise InvalidConfig(f"more than {MAX_POINTS:,} values, the most points that a grid may have")
+        return [self.low + i * step for i in range(int(span / step + 1e-9) + 1)]
 
 
 def _as_choices(value: Any) -> Any:
@@ -165,6 +171,8 @@ class StudyConfig(ConfigPart, ABC):
                 columns.append(searched.values())
             except InvalidConfig as error:
                 raise InvalidConfig(f"parameters.{name}: {error}") from None
+        if (points := math.prod(map(len, columns))) > MAX_POINTS:
+            raise InvalidConfig(f"the grid has {points:,} points; at most {MAX_POINTS:,} expected")
         return [dict(zip(self.parameters, values, strict=True)) for values in itertools.product(*columns)]
 
     def checked(self, what: str) -> Any:

@@ -28,16 +28,19 @@ class TrainingStudy(StudyConfig):
     training: dict[str, Any] | str
 
     def training_of(self, values: Mapping[str, Any], output: Path) -> TrainingConfig:
-        """Return the training with these values of the searched parameters."""
-        assert isinstance(self.training, dict)
-        fields: dict[str, Any] = {**self.training, "output": str(output)}
-        for path, value in values.items():
-            fields = with_field(fields, path, value)
-        config = read_training(fields)
+        """Return the training of a trial with these values of the searched parameters."""
+        config = self._whole_training_of(values, output)
         if not config.evaluation:
             return config
         alone = config.evaluation.model_copy(update={"references": ()})  # the same in each trial
         return config.model_copy(update={"evaluation": alone})
+
+    def _whole_training_of(self, values: Mapping[str, Any], output: Path) -> TrainingConfig:
+        assert isinstance(self.training, dict)
+        fields: dict[str, Any] = {**self.training, "output": str(output)}
+        for path, value in values.items():
+            fields = with_field(fields, path, value)
+        return read_training(fields)
 
     def checked(self, what: str) -> Any:
         """Return the study with its number of trials; see `StudyConfig.checked`.
@@ -61,5 +64,5 @@ class TrainingStudy(StudyConfig):
         return {"training": self.training_of(values, folder / "training").plain()}
 
     def best_fields(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Return the fields of a training file."""
-        return self.training_of(values, self.folder / "best").plain()
+        """Return the fields of a training file, its references included."""
+        return self._whole_training_of(values, self.folder / "best").plain()

@@ -46,8 +46,23 @@ def test_tuning__grid_has_all_combinations_in_order(tmp_path: Path) -> None:
     assert [tuple(point.values()) for point in queued] == points
     with pytest.raises(InvalidConfig, match=r"parameters\.learning_rate: a grid needs choices"):
         study(tmp_path, sampler="grid", trials=None)
+    for low, high, step in ((0, 10**9, 1), (0.0, 1.0, 1e-300), (0, 10**30, 1)):
+        endless = {"parameters.gamma": {"low": low, "high": high, "step": step}}
+        with pytest.raises(InvalidConfig, match=r"parameters\.gamma: more than 100,000 values"):
+            study(tmp_path, parameters=endless, sampler="grid", trials=None)
+    many = {f"parameters.{name}": {"low": 1, "high": 1000, "step": 1} for name in ("n_steps", "n_epochs")}
+    with pytest.raises(InvalidConfig, match="the grid has 1,000,000 points; at most 100,000"):
+        study(tmp_path, parameters=many, sampler="grid", trials=None)
     with pytest.raises(InvalidConfig, match="trials: 3, but a grid has all of its 6 points"):
         study(tmp_path, parameters=searched, sampler="grid", trials=3)
+
+
+def test_tuning__best_training_has_its_references_again(tmp_path: Path) -> None:
+    """Trials have none, since these are the same in each."""
+    config = study(tmp_path)
+    values = {"parameters.learning_rate": 1e-3, "parameters.n_steps": 5}
+    assert config.trial_fields(values, tmp_path)["training"]["evaluation"]["references"] == []
+    assert config.best_fields(values)["evaluation"]["references"] == ["baseline"]
 
 
 @pytest.mark.parametrize(
