@@ -152,9 +152,11 @@ def _find(text: str, kind: _Kind, bundled: Sequence[Entry]) -> Entry:
 def _find_by_path(text: str, kind: _Kind) -> Entry:
     try:
         path = Path(text).expanduser()
-    except RuntimeError as error:  # ~name of an unknown user
-        raise UnknownName(f"no {kind.noun} file at {text}: {error}") from None
-    if path.is_dir():
+        is_folder = path.is_dir()
+    except (OSError, RuntimeError) as error:  # ~name of an unknown user, or a name that is too long
+        reason = error.strerror if isinstance(error, OSError) else error
+        raise UnknownName(f"no {kind.noun} file at {text[:200]}: {reason}") from None
+    if is_folder:
         names = sorted(file.name for file in path.iterdir() if file.suffix.lower() in kind.suffixes)
         has = f"its {kind.noun} files: {', '.join(names[:5])}" if names else f"it has no {kind.noun} file"
         raise UnknownName(f"{path.absolute()} is a folder, and a file is expected; {has}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from datetime import date
@@ -181,7 +182,7 @@ class Reader(SectionReader):
             self.add_error(f"{setting}: expected the name of a file, got {text!r}")
             return ""
         nearby = self.path.parent / Path(text)
-        if nearby.is_file():
+        if os.path.isfile(nearby):  # false for a name that the system does not accept
             return str(nearby.resolve())
         packed = [entry for entry in entries() if entry.pack == PACK]
         for entry in packed:
@@ -239,7 +240,7 @@ class Reader(SectionReader):
         try:
             d1, m1, y1, d2, m2, y2 = period
             begin, end = date(y1, m1, d1), date(y2, m2, d2)
-        except (TypeError, ValueError) as error:
+        except (OverflowError, TypeError, ValueError) as error:
             self.add_error(f"building_config.runperiod: expected {_RUN_PERIOD}, got {period!r} ({error})")
             return {}
         if end < begin:

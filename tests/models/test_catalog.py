@@ -143,6 +143,8 @@ def test_missing_path__is_named_in_full(text: str) -> None:
 def test_catalog__home_that_is_not_there_is_unknown() -> None:
     with pytest.raises(UnknownName):
         find_building("~nobody-of-that-name/house.idf")
+    with pytest.raises(UnknownName, match="File name too long"):
+        find_building("x" * 3000 + ".idf")
 
 
 def test_catalog__file_of_another_kind_is_refused_with_the_right_one(tmp_path: Path) -> None:

@@ -227,6 +227,12 @@ def test_sinergym__one_of_several_by_the_end_of_its_id(root):
         scenario_of(config, "hot-discret")
 
 
+def test_scenarios_of__numbers_and_names_that_no_system_accepts_are_errors(own):
+    path = own(building_file="x" * 3000, building_config=f"{{runperiod: [1, 1, {10**30}, 3, 4, 1991]}}")
+    with pytest.raises(InvalidConfig, match=r"building_file: no file 'xxx[\s\S]*building_config\.runperiod: expected"):
+        scenarios_of(path)
+
+
 def test_scenarios_of__reports_all_errors_of_a_file_at_once(own, tmp_path, monkeypatch):
     monkeypatch.setenv("ZENOSTAT_CACHE", str(tmp_path / "empty"))
     path = own(
