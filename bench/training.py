@@ -39,7 +39,7 @@ Episode = tuple[int, float, float, float]
 
 
 def measure(*, quick: bool) -> dict[str, Any]:
-    """Train both once per round, in turn."""
+    """Train both once per round, in turn; the round's number is the seed."""
     steps, count = (2 * SLOTS * EPISODE, 1) if quick else (MONTHS * SLOTS * EPISODE, 3)
     kinds = {OURS: sys.executable}
     if peer := os.environ.get("SINERGYM_PYTHON"):
@@ -48,7 +48,7 @@ def measure(*, quick: bool) -> dict[str, Any]:
     for number in range(count):
         load = OtherLoad()
         order = list(kinds) if number % 2 == 0 else list(reversed(kinds))
-        curves = {kind: _train(kind, kinds[kind], steps) for kind in order}
+        curves = {kind: _train(kind, kinds[kind], steps, number) for kind in order}
         all_curves.append({kind: curves[kind] for kind in kinds})
         rounds.append(pace.Round(_figures(curves), load.share()))
     results = {"kinds": [*kinds], "steps": steps, "others": pace.other_load(rounds), "curves": all_curves}
@@ -58,10 +58,10 @@ def measure(*, quick: bool) -> dict[str, Any]:
     return results
 
 
-def _train(kind: str, interpreter: str, steps: int) -> list[Episode]:
+def _train(kind: str, interpreter: str, steps: int, seed: int) -> list[Episode]:
     with tempfile.TemporaryDirectory(prefix="zenostat-bench-") as folder:
         done = subprocess.run(
-            [interpreter, "-P", str(PROGRAM), kind, str(steps), str(SLOTS)],
+            [interpreter, "-P", str(PROGRAM), kind, str(steps), str(SLOTS), str(seed)],
             capture_output=True, text=True, check=False, env={**os.environ, "TMPDIR": folder},
         )  # fmt: skip
     if done.returncode:
@@ -130,4 +130,8 @@ def show(results: dict[str, Any], console: Console) -> None:
         table.add_row(kind, *(f"{value:,.0f}" for value in values))
     if PEER in results["kinds"]:
         table.add_row("ratio", *(f"{results[f'{name} ratio']['median']:.2f}" for name in COLUMNS))
+        for seed, curves in enumerate(results["curves"]):
+            figures = _figures(curves)
+            ratios = (f"{figures[f'{OURS} {name}'] / figures[f'{PEER} {name}']:.2f}" for name in COLUMNS)
+            table.add_row(f"ratio of seed {seed}", *ratios)
     console.print(table)

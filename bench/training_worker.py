@@ -1,8 +1,9 @@
-"""Train PPO on the paper's data center: `python training_worker.py KIND STEPS SLOTS`.
+"""Train PPO on the paper's data center: `python training_worker.py KIND STEPS SLOTS SEED`.
 
-KIND is `zenostat` or `sinergym`. The program prints a line of JSON: for each finished training episode the training
-step, the seconds and the processor seconds since the start of learning, and the episode's return. It imports nothing
-else of this folder, so that it runs under another interpreter, too.
+KIND is `zenostat` or `sinergym`, SEED that of the algorithm and of the first episodes. The program prints a line of
+JSON: for each finished training episode the training step, the seconds and the processor seconds since the start of
+learning, and the episode's return. It imports nothing else of this folder, so that it runs under another interpreter,
+too.
 """
 
 from __future__ import annotations
@@ -74,7 +75,7 @@ def _processor_s() -> float:
 
 def main() -> None:
     """Train as the command line says."""
-    kind, steps, slots = sys.argv[1], int(sys.argv[2]), int(sys.argv[3])
+    kind, (steps, slots, seed) = sys.argv[1], map(int, sys.argv[2:])
     output = os.dup(1)
     os.dup2(2, 1)  # other output of the programs goes to standard error
     os.chdir(tempfile.mkdtemp(prefix="zenostat-bench-", dir=os.environ["TMPDIR"]))
@@ -99,7 +100,7 @@ def main() -> None:
 
     env = VecNormalize(VecMonitor({"sinergym": _sinergym, "zenostat": _zenostat}[kind](slots)))
     try:
-        PPO("MlpPolicy", env, seed=0, device="cpu", **PARAMETERS).learn(steps, callback=Episodes())
+        PPO("MlpPolicy", env, seed=seed, device="cpu", **PARAMETERS).learn(steps, callback=Episodes())
     finally:
         env.close()
     os.write(output, json.dumps(rows).encode() + b"\n")
