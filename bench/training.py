@@ -51,10 +51,17 @@ def measure(*, quick: bool) -> dict[str, Any]:
         curves = {kind: _train(kind, kinds[kind], steps, number) for kind in order}
         all_curves.append({kind: curves[kind] for kind in kinds})
         rounds.append(pace.Round(_figures(curves), load.share()))
-    results = {"kinds": [*kinds], "steps": steps, "others": pace.other_load(rounds), "curves": all_curves}
-    results |= {name: pace.figures(rounds, name) for name in rounds[0].figures}
+    results = {
+        "kinds": [*kinds],
+        "steps": steps,
+        "others": pace.spread([one.other_load for one in rounds]),
+        "curves": all_curves,
+    }
+    figures = [one.figures for one in rounds]  # of all rounds: each has another seed
+    results |= {name: pace.spread([each[name] for each in figures]) for name in figures[0]}
     if PEER in kinds:
-        results |= {f"{name} ratio": pace.figures(rounds, f"{OURS} {name}", f"{PEER} {name}") for name in COLUMNS}
+        ratios = {name: [each[f"{OURS} {name}"] / each[f"{PEER} {name}"] for each in figures] for name in COLUMNS}
+        results |= {f"{name} ratio": pace.spread(values) for name, values in ratios.items()}
     return results
 
 
