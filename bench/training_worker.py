@@ -33,6 +33,25 @@ def _sinergym(slots: int) -> Any:
     return SubprocVecEnv([partial(_one_sinergym, slot) for slot in range(slots)], start_method="spawn")
 
 
+def _with_sun_on_design_days() -> None:
+    """Let Sinergym size the building as it is sized here.
+
+    It writes two fields of a design day under names that EnergyPlus does not know (`…_taub` and `…_taud` without the
+    last underscore). Without them there is no sun on the summer design day, and the systems are 4 % smaller.
+    """
+    from sinergym.config.modeling import ModelJSON
+
+    adapt = ModelJSON.adapt_building_to_epw
+
+    def corrected(self: Any, *args: Any, **kwargs: Any) -> None:
+        adapt(self, *args, **kwargs)
+        for day in self.building["SizingPeriod:DesignDay"].values():
+            for name in [name for name in day if name.endswith(("_taub", "_taud"))]:
+                day[f"{name}_"] = day.pop(name)
+
+    ModelJSON.adapt_building_to_epw = corrected
+
+
 def _one_sinergym(slot: int) -> Any:
     import logging
 
@@ -41,6 +60,7 @@ def _one_sinergym(slot: int) -> Any:
     import sinergym  # noqa: F401
 
     logging.disable(logging.CRITICAL)
+    _with_sun_on_design_days()
     # This replaces the id's own configuration, which also sets the timesteps.
     config = {"timesteps_per_hour": STEPS_PER_HOUR, "runperiod": (1, MONTH, 1991, DAYS, MONTH, 1991)}
     env = gym.make(f"Eplus-{ID}", building_config=config, env_name=f"slot-{slot}")

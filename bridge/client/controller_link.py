@@ -244,6 +244,9 @@ class ControllerLink:
     def receive(self) -> SampleView:
         """Wait for the next sample.
 
+        A controller that has just connected waits for the first sample of an episode that somebody begins. For the
+        present sample, which a node in lockstep may be waiting for it to answer, it has `current`.
+
         Raises:
             NodeLost: The node is gone.
             SimulatorError: EnergyPlus failed; the text contains its messages.
@@ -354,7 +357,7 @@ class ControllerLink:
             InvalidAction: Unknown actuator, wrong shape, or a value that is not finite.
         """
         if self._latest is None:
-            raise PeerError("there is no sample to answer yet; call receive() or reset() first")
+            raise PeerError("there is no sample to answer yet; call current() or reset() first")
         if self._ended is not None:
             raise self._ended
         if self._done:
