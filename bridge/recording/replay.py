@@ -218,12 +218,12 @@ class Replay:
             InvalidConfig: the selected part has no sample.
         """
         count, due_s = 0, monotonic()
-        for wait_s, item in self._schedule():
+        for wait_s, item, sample in self._schedule():
             due_s += wait_s
             if stop.wait(max(due_s - monotonic(), 0.0)):
                 return count
-            self._publish(item)
-            if item.schema == "Sample" and (sample := self._sample) is not None:
+            self._publish(item, sample)
+            if sample is not None:
                 count += 1
                 progress(replace_controls(sample.time[0]), sample.step[0])
         if not count:
@@ -231,12 +231,12 @@ class Replay:
             raise InvalidConfig(f"{self._reader.path} has no samples{selection}")
         return count
 
-    def _schedule(self) -> Iterator[tuple[float, RecordedItem]]:
-        """Yield each message of the selected part, and the time in seconds to wait before it."""
+    def _schedule(self) -> Iterator[tuple[float, RecordedItem, Sample | None]]:
+        """Yield the time in seconds to wait before each message of the selected part, the message, and its sample."""
         previous_ns, previous = 0, (-1, 0.0)
         is_selected = self._selected.begin is None
         for item in self._reader.messages(_SCHEMAS):
-            wait_s = 0.0
+            wait_s, sample = 0.0, None
             if item.schema == "Sample":
                 sample = decode(self._reader, Sample, item)
                 is_selected = self._selected.contains(datetime.fromisoformat(sample.time[0]))
@@ -249,11 +249,10 @@ class Replay:
             if self._speed is None and previous_ns:
                 wait_s = max(item.time_ns - previous_ns, 0) / 1e9
             previous_ns = item.time_ns
-            yield wait_s, item
+            yield wait_s, item, sample
 
-    def _publish(self, item: RecordedItem) -> None:
-        if item.schema == "Sample":
-            sample = decode(self._reader, Sample, item)
+    def _publish(self, item: RecordedItem, sample: Sample | None) -> None:
+        if sample is not None:
             self._payload, self._sample = item.payload, sample
             self._publications.sample(item.payload)
             time = datetime.fromisoformat(sample.time[0])

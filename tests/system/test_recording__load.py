@@ -273,7 +273,7 @@ def test_recording__part_is_replayed_under_another_name_at_its_pace(
         zenostat.connect(endpoint, affinity="off") as bus,
     ):
         assert bus.manifest("again").node == "again"
-        waits = [wait_s for wait_s, item in replay._schedule() if item.schema == "Sample"]
+        waits = [wait_s for wait_s, _, sample in replay._schedule() if sample is not None]
         assert waits == pytest.approx([900.0 / 1e6] * 5)
         assert replay.run(threading.Event()) == 5
         assert bus.latest("again").time == ["2017-07-03T03:00:00"]
