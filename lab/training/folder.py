@@ -5,7 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -82,13 +82,9 @@ def check_same(saved: TrainingConfig, config: TrainingConfig, folder: Path) -> N
         InvalidConfig: fields differ that determine the results; the text names them.
     """
     before, now = _flat(saved.plain()), _flat(config.plain())
-    differing = [
-        f"{name} was {before.get(name, 'not set')}, now {now.get(name, 'not set')}"
-        for name in {**before, **now}
-        if name.partition(".")[0] not in _FREE and before.get(name) != now.get(name)
-    ]
-    if differing:
-        raise InvalidConfig(f"{folder} is another training and cannot be resumed: {'; '.join(differing[:5])}")
+    names = [name for name in {**before, **now} if name.partition(".")[0] not in _FREE]
+    if differences := _differences(before, now, names):
+        raise InvalidConfig(f"{folder} is another training and cannot be resumed: {differences}")
 
 
 def check_same_scenario(folder: Path, wrappers: list[dict[str, Any]], scenario: str) -> None:
@@ -108,16 +104,18 @@ def check_same_scenario(folder: Path, wrappers: list[dict[str, Any]], scenario: 
     saved, present = _environment_fields(folder), yaml12.parse(scenario, "the node's scenario") if scenario else {}
     before, now = _comparable(saved), _comparable({**present, "wrappers": wrappers})
     is_same_version = read_versions(folder).get("zenostat") == VERSION
-    names = {**before, **now} if is_same_version else before
+    if differences := _differences(before, now, {**before, **now} if is_same_version else before):
+        raise InvalidConfig(f"{folder} was trained with another scenario, and cannot be resumed: {differences}")
+
+
+def _differences(before: Mapping[str, Any], now: Mapping[str, Any], names: Iterable[str]) -> str:
+    """Return the first of the fields with these names that differ, with both values; empty if none do."""
     differing = [
         f"{name} was {before.get(name, 'not set')}, now {now.get(name, 'not set')}"
         for name in names
         if before.get(name) != now.get(name)
     ]
-    if differing:
-        raise InvalidConfig(
-            f"{folder} was trained with another scenario, and cannot be resumed: {'; '.join(differing[:5])}"
-        )
+    return "; ".join(differing[:5])
 
 
 def _environment_fields(folder: Path) -> dict[str, Any]:
