@@ -62,6 +62,7 @@ def measure(*, quick: bool) -> dict[str, Any]:
     if PEER in kinds:
         ratios = {name: [each[f"{OURS} {name}"] / each[f"{PEER} {name}"] for each in figures] for name in COLUMNS}
         results |= {f"{name} ratio": pace.spread(values) for name, values in ratios.items()}
+        results["ratios"] = ratios
     return results
 
 
@@ -137,8 +138,6 @@ def show(results: dict[str, Any], console: Console) -> None:
         table.add_row(kind, *(f"{value:,.0f}" for value in values))
     if PEER in results["kinds"]:
         table.add_row("ratio", *(f"{results[f'{name} ratio']['median']:.2f}" for name in COLUMNS))
-        for seed, curves in enumerate(results["curves"]):
-            figures = _figures(curves)
-            ratios = (f"{figures[f'{OURS} {name}'] / figures[f'{PEER} {name}']:.2f}" for name in COLUMNS)
-            table.add_row(f"ratio of seed {seed}", *ratios)
+        for seed, ratios in enumerate(zip(*results["ratios"].values(), strict=True)):
+            table.add_row(f"ratio of seed {seed}", *(f"{ratio:.2f}" for ratio in ratios))
     console.print(table)
