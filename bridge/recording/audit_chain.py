@@ -196,9 +196,6 @@ class _Check:
         self._head, self._expected = _link(record), record.first + len(digests)
         if self.entries:
             self._previous = f" ({_describe(self.entries[-1])})"
-        self._clear()
-
-    def _clear(self) -> None:
         self.entries, self._digests, self._messages, self._first = [], [], [], None
 
     def _report_others(self, record: RecordedItem) -> None:

@@ -46,9 +46,10 @@ def zero_actions(env: Any, option: str) -> NDArray[np.float32]:
     space = _action_space(env)
     if not isinstance(space, gym.spaces.Box):
         raise InvalidConfig(f"{option} needs continuous actions, not {space}")
-    offsets = chain[len(chain) - 1 if residual is None else residual]
-    inner, zeros = _action_space(offsets), np.zeros(_action_space(offsets).shape, np.float32)
-    for layer in reversed(chain[: chain.index(offsets)]):  # from the offsets outwards
+    place = len(chain) - 1 if residual is None else residual
+    inner = _action_space(chain[place])
+    zeros = np.zeros(inner.shape, np.float32)
+    for layer in reversed(chain[:place]):  # from the offsets outwards
         outer = _action_space(layer)
         if isinstance(layer, _RESCALED):
             share = (zeros.astype(np.float64) - inner.low) / (inner.high.astype(np.float64) - inner.low)

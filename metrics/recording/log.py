@@ -176,9 +176,8 @@ class LogBuilder:
 
     def _entry(self, time_ns: int, simulated: str, source: str, kind: str, subject: str) -> LogEntry:
         proven, via = self._senders.get(source, ("", ""))
-        subject = (
-            subject if len(subject) <= _MAX_SUBJECT else f"{subject[:_MAX_SUBJECT]}… ({len(subject):,} characters)"
-        )
+        if (length := len(subject)) > _MAX_SUBJECT:
+            subject = f"{subject[:_MAX_SUBJECT]}… ({length:,} characters)"
         return LogEntry(_utc(time_ns), simulated, source, kind, subject, proven=proven, via=via)
 
     def finish(self) -> tuple[LogEntry, ...]:
