@@ -4,8 +4,9 @@ An entry of the audit log is a recorded message of any kind but samples, orders 
 repeats. The digest of a message is the SHA-256 of its topic, a zero byte, its time (8 bytes, little-endian) and its
 payload. With each chunk, the recorder writes a `RecordedAudit` with the link of the previous one, the digests of the
 entries since then, which name the one that has changed, and the SHA-256 of the digests of all messages since then; the
-link of a record is the SHA-256 of the three. So each link depends on all messages before it, and a file that was cut
-off is unbroken up to its last chunk. The last link, the head, is in the file's summary.
+link of a record is the SHA-256 of the three. The link before the first one is the digest of what the file has before
+its messages: versions and attachments. So each link depends on all that is before it, and a file that was cut off is
+unbroken up to its last chunk. The last link, the head, is in the file's summary.
 
 The chain has no secret: who can write the file can compute another chain. Whoever keeps the head elsewhere finds
 that as well.
@@ -35,6 +36,8 @@ MAX_PROBLEMS = 20
 """Largest number of problems that are reported."""
 
 _START = bytes(SIZE)
+"""The link before the first one in recordings of earlier releases, whose chain has only messages."""
+
 _AUDIT = RecordedAudit.__name__
 _NO_ENTRIES = frozenset(("Sample", "RecordedOrder", "RecordedWeather", _AUDIT))
 
@@ -47,6 +50,16 @@ def is_entry(schema: str) -> bool:
 def digest(topic: bytes, time_ns: int, payload: bytes) -> bytes:
     """Return the digest of a message."""
     return sha256(b"%b\0%b%b" % (topic, time_ns.to_bytes(8, "little"), payload)).digest()
+
+
+def beginning(about: Mapping[str, str], attachments: Mapping[str, bytes]) -> bytes:
+    """Return the digest of what a file has before its messages, by names: its metadata and its attachments.
+
+    It is the SHA-256 of the digests of all names and contents (as those of messages at time 0), ordered by name.
+    """
+    texts = {name: text.encode() for name, text in about.items()}
+    each = [digest(name.encode(), 0, part) for group in (texts, attachments) for name, part in sorted(group.items())]
+    return _digest_of_all(each)
 
 
 def _link(record: RecordedAudit) -> bytes:
@@ -71,6 +84,10 @@ class AuditChain:
         self._entry_channels: set[int] = set()
         self._digests: list[bytes] = []
         self._messages: list[bytes] = []
+
+    def begin(self, about: Mapping[str, str], attachments: Mapping[str, bytes]) -> None:
+        """Begin the chain with what the file has before its messages."""
+        self.head = beginning(about, attachments)
 
     def resume(self, record: RecordedAudit) -> None:
         """Go on after a record of the chain."""
@@ -145,7 +162,7 @@ class AuditResult:
 
 def check_audit(reader: RecordingReader) -> AuditResult:
     """Read a recording to its end, and check the chain of its audit log."""
-    check = _Check(has_chain=recording.AUDIT in reader.about)
+    check = _Check(reader.beginning, has_chain=recording.AUDIT in reader.about)
     for item in reader.messages():
         if item.schema == _AUDIT:
             check.add_record(item)
@@ -157,8 +174,9 @@ def check_audit(reader: RecordingReader) -> AuditResult:
 class _Check:
     """The chain while it is read."""
 
-    def __init__(self, *, has_chain: bool) -> None:
-        self._has_chain, self._head, self._expected, self._previous = has_chain, _START, 0, ""
+    def __init__(self, beginning: bytes, *, has_chain: bool) -> None:
+        self._has_chain, self._head, self._expected, self._previous = has_chain, beginning, 0, ""
+        self._has_records = False
         self.entries: list[RecordedItem] = []
         self._digests: list[bytes] = []
         self._messages: list[bytes] = []
@@ -182,8 +200,16 @@ class _Check:
         except BadMessage as error:
             self._problems.append(f"the record after entry {self._expected:,} cannot be read ({error})")
             return
-        self._has_chain = True
-        if record.first > self._expected:
+        is_first = not self._has_records and not record.first
+        self._has_chain = self._has_records = True
+        if is_first and record.previous not in (self._head, _START):
+            self._problems.append(
+                "what the file has before its messages has changed: its versions, manifest, scenario, provenance, "
+                "geometry or systems"
+            )
+        elif is_first:
+            pass
+        elif record.first > self._expected:
             self._problems.append(f"entries {self._expected + 1:,} to {record.first:,} are missing with their digests")
         elif record.previous != self._head or record.first < self._expected:
             self._problems.append(f"the chain is not continued after entry {self._expected:,}{self._previous}")

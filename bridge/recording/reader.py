@@ -22,6 +22,7 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
+from zenostat.bridge.recording import audit_chain
 from zenostat.bridge.recording.file import MAGIC, open_regular
 from zenostat.topics import codec, recording
 from zenostat.topics.errors import BadMessage, InvalidConfig, InvalidRecording
@@ -134,7 +135,7 @@ class RecordingReader:
                 break
             self._read_head_record(opcode, body, attached)
             position = self._file.tell()
-        self._begin = position
+        self._begin, self._attached = position, attached
         if not self.about or recording.PROVENANCE not in attached:
             raise InvalidRecording(f"{self.path} ends before its first message; nothing can be read from it")
         try:
@@ -160,7 +161,7 @@ class RecordingReader:
             elif opcode == Opcode.METADATA:
                 metadata = Metadata.read(stream)
                 if metadata.name == recording.ABOUT:
-                    self.about = _printable(metadata.metadata)
+                    self._raw_about, self.about = metadata.metadata, _printable(metadata.metadata)
                     self._check_version()
             elif opcode == Opcode.ATTACHMENT:
                 attachment = Attachment.read(stream)
@@ -192,6 +193,11 @@ class RecordingReader:
         if length > self._size - self._file.tell():
             return None
         return opcode, self._file.read(length)
+
+    @property
+    def beginning(self) -> bytes:
+        """Digest of what the file has before its messages, with which the chain of the audit log begins."""
+        return audit_chain.beginning(self._raw_about, self._attached)
 
     # Messages
 

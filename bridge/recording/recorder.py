@@ -294,8 +294,10 @@ class Recorder:
             "root": self._root,
             recording.AUDIT: recording.AUDIT_HASH,
         }
+        attachments = self._attachments()
+        self._chain.begin(about, attachments)
         writer.add_metadata(recording.ABOUT, about)
-        for name, content in self._attachments().items():
+        for name, content in attachments.items():
             writer.add_attachment(name, _media_type(name), content, time_ns())
 
     def _check_file(self, *, at_once: bool = False) -> None:

@@ -5,17 +5,20 @@ from types import SimpleNamespace
 
 import pytest
 
-from zenostat.bridge.recording.audit_chain import AuditChain, AuditResult, check_audit, digest
+from zenostat.bridge.recording.audit_chain import AuditChain, AuditResult, beginning, check_audit, digest
 from zenostat.bridge.recording.reader import RecordedItem, RecordingEnd
 from zenostat.topics import codec, recording
 from zenostat.topics.recording import RecordedAudit
 
 WRITES, SAMPLES = 1, 2
+ABOUT = {recording.AUDIT: "sha256", "zenostat": "1.0"}
+ATTACHMENTS = {"manifest.json": b"{}", "scenario.yaml": b"id: a"}
 
 
 def _recorded(chunks: int = 3, entries: int = 4) -> tuple[list[RecordedItem], dict[str, str]]:
     """Items of a recording with some entries in each chunk, samples between them, and its summary."""
     chain, items, time_ns = AuditChain(), list[RecordedItem](), 0
+    chain.begin(ABOUT, ATTACHMENTS)
     chain.add_channel(WRITES, "actuator/panel/a", "Write")
     chain.add_channel(SAMPLES, "sample", "Sample")
     for chunk in range(chunks):
@@ -31,10 +34,21 @@ def _recorded(chunks: int = 3, entries: int = 4) -> tuple[list[RecordedItem], di
     return items, chain.summary()
 
 
-def _check(items: list[RecordedItem], summary: dict[str, str], *, has_chain: bool = True) -> AuditResult:
-    end = RecordingEnd(is_complete=bool(summary), metadata=summary)
-    about = {recording.AUDIT: "sha256"} if has_chain else {}
-    return check_audit(SimpleNamespace(about=about, messages=lambda: iter(items), end=end))  # type: ignore[arg-type]
+def _check(
+    items: list[RecordedItem],
+    summary: dict[str, str],
+    *,
+    has_chain: bool = True,
+    about: dict[str, str] = ABOUT,
+    attachments: dict[str, bytes] = ATTACHMENTS,
+) -> AuditResult:
+    reader = SimpleNamespace(
+        about=about if has_chain else {},
+        beginning=beginning(about, attachments),
+        messages=lambda: iter(items),
+        end=RecordingEnd(is_complete=bool(summary), metadata=summary),
+    )
+    return check_audit(reader)  # type: ignore[arg-type]
 
 
 def _entries(items: list[RecordedItem]) -> list[int]:
@@ -109,6 +123,26 @@ def test_audit_chain__messages_that_are_no_entries_are_covered_as_well(kind: str
         items[place], items[other] = items[other], items[place]
     (problem,) = _check(items, summary).problems
     assert problem.startswith("samples, orders or the weather from 1970-01-01 00:00:00.000000 UTC to 1970")
+
+
+@pytest.mark.parametrize(
+    ("about", "attachments"),
+    [
+        (ABOUT | {"zenostat": "1.1"}, ATTACHMENTS),
+        (ABOUT | {"root": "zenostat/room"}, ATTACHMENTS),
+        (ABOUT, ATTACHMENTS | {"scenario.yaml": b"id: b"}),
+        (ABOUT, ATTACHMENTS | {"geometry.msgpack": b""}),
+        (ABOUT, {"manifest.json": b"{}", "scenario.yml": b"id: a"}),
+        (ABOUT, {"manifest.json": b"{}"}),
+    ],
+)
+def test_audit_chain__begins_with_versions_and_attachments(
+    about: dict[str, str], attachments: dict[str, bytes]
+) -> None:
+    items, summary = _recorded()
+    (problem,) = _check(items, summary, about=about, attachments=attachments).problems
+    assert problem.startswith("what the file has before its messages has changed")
+    assert _check(items, summary, attachments=dict(reversed(ATTACHMENTS.items()))).problems == []  # in any order
 
 
 def test_audit_chain__samples_after_the_last_record_have_no_digest() -> None:

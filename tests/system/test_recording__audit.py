@@ -2,9 +2,9 @@
 
 import json
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 from typing import Any
 
 import mcap.reader
@@ -93,8 +93,10 @@ def test_verify__whole_audit_log_is_unbroken(recorded: Any) -> None:
     assert (done.returncode, done.stdout) == (0, f"{result}\n")
 
 
-def without(source: Path, target: Path, drop: Callable[[int, str], bool]) -> Path:
-    """Write a recording anew with MCAP's own library, without some messages, as if they had never been recorded."""
+def without(
+    source: Path, target: Path, drop: Callable[[int, str], bool], attached: Mapping[str, bytes] = MappingProxyType({})
+) -> Path:
+    """Write a recording anew with MCAP's own library, without some messages, and with some attachments replaced."""
     with source.open("rb") as file, target.open("wb") as out:
         reader = mcap.reader.make_reader(file)
         writer = mcap.writer.Writer(out)
@@ -104,7 +106,8 @@ def without(source: Path, target: Path, drop: Callable[[int, str], bool]) -> Pat
             if metadata.name != recording_format.SUMMARY:
                 writer.add_metadata(metadata.name, metadata.metadata)
         for attachment in reader.iter_attachments():
-            writer.add_attachment(0, 0, attachment.name, attachment.media_type, attachment.data)
+            data = attached.get(attachment.name, attachment.data)
+            writer.add_attachment(0, 0, attachment.name, attachment.media_type, data)
         schemas: dict[int, int] = {}
         channels: dict[int, int] = {}
         sequence = 0
@@ -152,6 +155,12 @@ def test_verify__line_that_was_removed_with_the_mcap_library_is_named(recorded: 
     shown = run("log", str(cut))
     assert f"entry {position} is missing" in shown.stderr
     assert shown.returncode == 0
+
+    scenario = {recording_format.SCENARIO: b"id: of-somebody-else"}
+    other = without(recorded.path, tmp_path / "other.mcap", lambda *_: False, scenario)
+    done = run("verify", str(other), "--audit-only")
+    assert done.returncode == 1
+    assert done.stdout.startswith("audit log: broken: what the file has before its messages has changed")
 
     audit = without(recorded.path, tmp_path / "audit.mcap", lambda _, topic: topic.endswith("/audit"))
     with RecordingReader(audit) as reader:
