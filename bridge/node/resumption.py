@@ -20,14 +20,15 @@ from pydantic import ValidationError
 from zenostat.bridge.node.plant import Plant, RepeatablePlant
 from zenostat.bridge.node.repetition import Repetition
 from zenostat.bridge.python_plant.shipped import PANDAPOWER, shipped_option
+from zenostat.bridge.recording.checked_messages import decode
 from zenostat.bridge.recording.complete_part import Written
 from zenostat.bridge.recording.continuation import read_written
 from zenostat.bridge.recording.file import changed_files, open_written, recorded_digests
 from zenostat.bridge.recording.reader import RecordedItem, RecordingReader
-from zenostat.topics import codec, yaml12
+from zenostat.topics import yaml12
 from zenostat.topics.alarm_rules import AlarmRules
 from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import BadMessage, InvalidRecording
+from zenostat.topics.errors import InvalidRecording
 from zenostat.topics.messages import (
     Manifest,
     State,
@@ -117,9 +118,9 @@ class Resumption:
             elif item.schema == "RecordedState":
                 state = self._decode_state(item)
             elif item.schema == "RecordedSnapshot":
-                taken[self._decode(RecordedSnapshot, item.payload).snapshot] = len(starts) - 1
+                taken[decode(self.reader, RecordedSnapshot, item).snapshot] = len(starts) - 1
             elif item.schema == "RecordedEpisode":
-                record = self._decode(RecordedEpisode, item.payload)
+                record = decode(self.reader, RecordedEpisode, item)
                 if record.snapshot:
                     self._uses.add(record.snapshot)
                     valid = min(valid, taken.get(record.snapshot, -1))
@@ -144,12 +145,6 @@ class Resumption:
             self.alarm_rules = None if rules is None else AlarmRules.model_validate(rules)
         except ValidationError as error:
             raise self._error(f"its alarm rules: {describe_validation_errors(error)}") from None
-
-    def _decode(self, kind: type[Any], payload: bytes) -> Any:
-        try:
-            return codec.decode(kind, payload)
-        except BadMessage as error:
-            raise self._error(f"it is damaged: {error}") from None
 
     def _decode_state(self, item: RecordedItem) -> RecordedState:
         try:  # the claims of a large plant have more entries than messages on the bus may have
