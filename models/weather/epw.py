@@ -1,6 +1,7 @@
 """Read and write EPW weather files; columns can be replaced, and everything else stays byte for byte.
 
 The format is the EPW data dictionary of EnergyPlus's Auxiliary Programs: 8 header lines, then 35 cells per line.
+Like EnergyPlus, it also reads lines without the last one to three of them, as older files have them.
 This module does not use an EPW library: readers such as pvlib's cannot write the rest of a file back unchanged, and do
 not check its rows against its header.
 """
@@ -23,6 +24,8 @@ from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean, lis
 Floats = NDArray[np.float64]
 
 WIDTH = 35
+MIN_WIDTH = 32
+"""Smallest number of cells of a line: files of the format's first years end with the days since the last snowfall."""
 _TEXT = (5, 27)  # the source flags and the weather codes, which are nine separate digits rather than a number
 NUMBER_COLUMNS = [index for index in range(WIDTH) if index not in _TEXT]
 """Positions of the columns that are numbers."""
@@ -126,7 +129,9 @@ class Weather:
         rows: the data lines verbatim, without line endings.
         end: the line ending.
         tail: the text after the last row's cells.
-        table: numbers of all columns except the text columns, float64 (33, rows), read-only.
+        table: numbers of all columns except the text columns, float64 (33, rows), read-only; the last columns, which
+            the lines may lack, have their missing values.
+        width: number of cells of each line, 32 to 35.
     """
 
     path: Path
@@ -136,6 +141,7 @@ class Weather:
     end: str
     tail: str
     table: Floats
+    width: int = WIDTH
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -159,13 +165,20 @@ class Weather:
         values: Floats = self.table[NUMBER_COLUMNS.index(index)]
         return values
 
+    def check_has(self, index: int, values: Floats) -> None:
+        """Raise `InvalidConfig` if the file's lines lack the column at a position, which would get other values."""
+        if index >= self.width and (values != self.numbers(index)[: len(values)]).any():
+            name = next(name for name, column in COLUMNS.items() if column.index == index)
+            raise InvalidConfig(f"{self.path} has no column {name}: its lines have {self.width} of {WIDTH} cells")
+
 
 def read(path: Path) -> Weather:
     """Read and validate the weather file `path`.
 
     Raises:
         InvalidConfig: the file is not an EPW file, has too few or too many rows for DATA PERIODS, rows out of order,
-            or cells that are missing or not numbers. The text has the lines, their content and what was expected.
+            or cells that are missing (except the last one to three of all lines) or not numbers. The text has the
+            lines, their content and what was expected.
     """
     text = path.read_bytes().decode("latin-1")
     # With line ends of both kinds, a CR belongs to the last cell, where numbers may have blanks.
@@ -185,34 +198,56 @@ def read(path: Path) -> Weather:
     if errors or table is None:
         raise InvalidConfig(_report(path, errors))
     table.setflags(write=False)
-    return Weather(path, header, tuple(lines[:HEADER_LINES]), rows, end, "".join(end + t for t in lines[last:]), table)
+    return Weather(
+        path,
+        header,
+        tuple(lines[:HEADER_LINES]),
+        rows,
+        end,
+        "".join(end + t for t in lines[last:]),
+        table,
+        _width(rows[0]),
+    )
 
 
 def _parse_rows(rows: list[str]) -> Floats | None:
     """Parse all numbers, (33, rows); None if a row has the wrong number of cells or a cell is not a finite number."""
-    if not rows or any(row.count(",") != WIDTH - 1 for row in rows):
+    width = _expected_width(rows)
+    if not rows or any(_width(row) != width for row in rows):
         return None
+    present = [index for index in NUMBER_COLUMNS if index < width]
     try:
-        table = np.loadtxt(rows, delimiter=",", comments=None, usecols=NUMBER_COLUMNS, ndmin=2)
+        table = np.loadtxt(rows, delimiter=",", comments=None, usecols=present, ndmin=2)
     except ValueError:
         return None
     if table.shape[0] != len(rows) or not np.isfinite(table).all():
         return None
-    return np.ascontiguousarray(table.T)
+    absent = [column.missing for column in COLUMNS.values() if column.index >= width]
+    return np.vstack([table.T, *(np.full((1, len(rows)), missing) for missing in absent)])
+
+
+def _width(row: str) -> int:
+    return row.count(",") + 1
+
+
+def _expected_width(rows: list[str]) -> int:
+    """Return the number of cells of the first row if rows may have it, otherwise that of the format."""
+    width = _width(rows[0]) if rows else WIDTH
+    return width if MIN_WIDTH <= width <= WIDTH else WIDTH
 
 
 def _cell_errors(rows: list[str]) -> list[str]:
     names = dict(enumerate(_TIMES)) | {column.index: name for name, column in COLUMNS.items()}
-    errors = []
+    errors, width = [], _expected_width(rows)
     for number, row in enumerate(rows, HEADER_LINES + 1):
         cells = row.split(",")
-        if len(cells) != WIDTH:
-            errors.append(f"line {number} has {len(cells)} cells, expected {WIDTH}")
+        if len(cells) != width:
+            errors.append(f"line {number} has {len(cells)} cells, expected {width}")
             continue
         errors += [
             f"line {number}: {names[index]} is {cells[index].strip()!r}, expected a number"
             for index in NUMBER_COLUMNS
-            if not _is_number(cells[index])
+            if index < width and not _is_number(cells[index])
         ]
     return errors
 
@@ -293,9 +328,12 @@ def write(weather: Weather, path: Path, changed: Mapping[str, Floats]) -> None:
 
     Raises:
         UnknownName: there is no such column.
-        InvalidConfig: an array has another shape, or contains NaN or infinities.
+        InvalidConfig: an array has another shape, or contains NaN or infinities; the file's lines lack a column that
+            is not all missing.
     """
     columns = {find_column(name).index: _validated(name, values, len(weather)) for name, values in changed.items()}
+    for index in [index for index in columns if index >= weather.width]:
+        weather.check_has(index, columns.pop(index))
     rows = _replace_columns(weather, columns) if columns else weather.rows
     text = weather.end.join([*weather.head, *rows]) + weather.tail
     path.write_bytes(text.encode("latin-1"))
@@ -303,7 +341,7 @@ def write(weather: Weather, path: Path, changed: Mapping[str, Floats]) -> None:
 
 def _replace_columns(weather: Weather, columns: dict[int, Floats]) -> list[str]:
     """Return the rows with columns replaced. One flat list of cells: a list for each row takes three times as long."""
-    splits = min(max(columns) + 1, WIDTH - 1)
+    splits = min(max(columns) + 1, weather.width - 1)
     width = splits + 1
     cells = list(chain.from_iterable(row.split(",", splits) for row in weather.rows))
     for index, values in columns.items():

@@ -37,7 +37,7 @@ class FixedWidthWeather:
     def __init__(self, weather: Weather) -> None:
         self.weather = weather
         fields = [[field.strip() for field in row.split(",")] for row in weather.rows]
-        padded = [index for index in NUMBER_COLUMNS if index >= _FIRST_COLUMN]
+        padded = [index for index in NUMBER_COLUMNS if _FIRST_COLUMN <= index < weather.width]
         self._width = max(_MIN_WIDTH, max((len(row[index]) for row in fields for index in padded), default=0))
         for row in fields:
             for index in padded:
@@ -62,12 +62,15 @@ class FixedWidthWeather:
 
         Raises:
             UnknownName: there is no such column.
-            InvalidConfig: a value does not fit into the width of its field.
+            InvalidConfig: a value does not fit into the width of its field, or the file's lines lack its column.
         """
         buffer = bytearray(self.data)
         characters = np.frombuffer(buffer, np.uint8)
         for name, values in changed.items():
             index = find_column(name).index
+            if index >= self.weather.width:
+                self.weather.check_has(index, values)
+                continue
             changed_rows = np.arange(first, first + len(values)) % len(self.weather)
             differs = np.flatnonzero(values != self.weather.numbers(index)[changed_rows])
             offsets = self._offsets(index)[changed_rows[differs]]

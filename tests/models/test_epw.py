@@ -13,6 +13,7 @@ from zenostat.models.scenario.run_period import Period
 from zenostat.models.weather.epw import COLUMNS, find_column, read, write
 from zenostat.models.weather.fixed_width import FixedWidthWeather
 from zenostat.models.weather.header import DesignConditions, Header, check_complete, check_covers, read_header
+from zenostat.models.weather.noise import ColumnNoise, with_noise
 from zenostat.models.weather.records import check_records
 from zenostat.topics.errors import InvalidConfig, UnknownName
 
@@ -227,6 +228,45 @@ def test_epw__values_that_cannot_be_written_are_refused(folder: Path, values: np
     assert not (folder / "out.epw").exists()
 
 
+def shortened(lines: list[str], width: int) -> list[str]:
+    return [*lines[:8], *(",".join(row.split(",")[:width]) for row in lines[8:])]
+
+
+@pytest.mark.parametrize("width", [32, 33, 34])
+def test_epw__lines_without_the_last_cells_are_read_as_energyplus_does(folder: Path, width: int) -> None:
+    path, whole = edited(folder, lambda lines: shortened(lines, width)), read(DENVER)
+    weather = read(path)
+    assert weather.width == width
+    for name, column in COLUMNS.items():
+        expected = whole.column(name) if column.index < width else column.missing
+        assert (weather.column(name) == expected).all()
+    write(weather, folder / "same.epw", {name: weather.column(name) for name in COLUMNS})
+    assert (folder / "same.epw").read_bytes() == path.read_bytes()
+    noisy = with_noise(weather, {"temperature": ColumnNoise(sigma=2.0)}, np.random.default_rng(0)).columns
+    write(weather, folder / "noisy.epw", noisy)
+    padded = FixedWidthWeather(weather)
+    padded.write(folder / "padded.epw", noisy)
+    assert np.array_equal(read(folder / "padded.epw").table, read(folder / "noisy.epw").table)
+    last = {"liquid_precipitation_quantity": np.zeros(YEAR)}
+    words = f"no column liquid_precipitation_quantity: its lines have {width} of"
+    with pytest.raises(InvalidConfig, match=words):
+        write(weather, folder / "no.epw", last)
+    with pytest.raises(InvalidConfig, match=words):
+        padded.write(folder / "no.epw", last)
+    assert not (folder / "no.epw").exists()
+
+
+def test_epw__short_lines_give_the_same_simulation_padded_and_not(folder: Path) -> None:
+    short = edited(folder, lambda lines: shortened(lines, 32))
+    FixedWidthWeather(read(short)).write(folder / "padded.epw", {})
+    runs = []
+    for name, path in (("whole", DENVER), ("short", short), ("padded", folder / "padded.epw")):
+        (folder / name).mkdir()
+        runs.append(run(folder / name, path, date(2017, 7, 3), date(2017, 7, 4)).values[0])
+    assert np.array_equal(runs[1], runs[2])
+    assert np.array_equal(runs[0], runs[1])  # of the dry bulb
+
+
 # Files that are not sound
 
 
@@ -253,6 +293,9 @@ def cell(line: int, index: int, text: str) -> Callable[[list[str]], list[str]]:
         (lambda lines: [*lines[:-1], lines[-2], ""], "there are 8761 rows"),
         (lambda lines: [*lines[:-2], lines[-2][:80]], r"line 8768 has \d+ cells, expected 35"),
         (lambda lines: [*lines[:9], lines[9] + ",0", *lines[10:]], "line 10 has 36 cells, expected 35"),
+        (lambda lines: shortened(lines, 31), "line 9 has 31 cells, expected 35"),
+        (lambda lines: [*lines[:9], *shortened(lines, 32)[9:]], "line 10 has 32 cells, expected 35"),
+        (lambda lines: [*shortened(lines, 32)[:9], *lines[9:]], "line 10 has 35 cells, expected 32"),
         (cell(1000, 6, "warm"), "line 1000: dry_bulb_temperature is 'warm', expected a number"),
         (cell(1000, 34, ""), "line 1000: liquid_precipitation_quantity is '', expected a number"),
         (cell(9, 8, "nan"), "line 9: relative_humidity is 'nan'"),
