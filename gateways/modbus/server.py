@@ -270,6 +270,8 @@ class ModbusServer:
         read_address, count = _fields(data[:4], ">HH")
         _check(1 <= count <= 125)
         address, values = _written_registers(data[4:], 121)
+        # Nothing is written unless both parts can be carried out.
+        await self._model.read_registers(Table.HOLDING_REGISTER, read_address, count)
         await self._model.write_registers(peer, address, values)
         return _pack_registers(await self._model.read_registers(Table.HOLDING_REGISTER, read_address, count))
 

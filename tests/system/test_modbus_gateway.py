@@ -180,6 +180,12 @@ def test_modbus_gateway__invalid_requests_have_modbus_exceptions_and_move_nothin
         "no such input": (2, client.read_input_registers(size, count=1, device_id=UNIT)),
         "no such coil": (2, client.read_coils(len(manifest.actuators), count=1, device_id=UNIT)),
         "no such discrete input": (2, client.read_discrete_inputs(16 + width // 2, count=1, device_id=UNIT)),
+        "written, but cannot be read": (
+            2,
+            client.readwrite_registers(
+                read_address=width, read_count=1, write_address=at, values=_registers(25.0), device_id=UNIT
+            ),
+        ),
         "no such function": (1, client.mask_write_register(address=at, and_mask=0, or_mask=0, device_id=UNIT)),
     }.items():
         code, answer = reply
