@@ -276,7 +276,7 @@ class NodeApplication(Application):
             return
         if not is_confirmed and not cov.lifetime:
             self.cancel_subscription(cov)  # it would never end
-        elif is_outdated and is_confirmed:
+        elif is_outdated:  # the last state always follows
             self._cov_detections[cov.obj_id].send_cov_notifications(cov)
 
     def is_subscribed(self, kind: type) -> bool:

@@ -3,6 +3,7 @@
 import asyncio
 import math
 import socket
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -250,6 +251,38 @@ async def test_bacnet_gateway__fast_simulation_sends_few_notifications_and_the_l
                 pass
             duration_s = asyncio.get_running_loop().time() - begin
             assert gateway.counts.notifications <= duration_s / COV_INTERVAL_S + 2
+        serving.cancel()
+
+
+@pytest.mark.slow  # BACnet's own retries take 12 s
+async def test_bacnet_gateway__subscriber_that_has_not_confirmed_gets_the_last_state(paused_bus: Bus) -> None:
+    def values(datagram: bytes) -> tuple[int, float] | None:
+        """Number of a confirmed COV notification's request, and the present value in it."""
+        head, mark, value = datagram[6:].partition(bytes.fromhex("09552e44"))  # property 85, a real
+        return (head[2], struct.unpack(">f", value[:4])[0]) if mark and head[0] >> 4 == 0 else None
+
+    async with served(paused_bus.endpoint) as (gateway, reader, port):
+        serving = asyncio.create_task(gateway.run())
+        # Subscribe COV: process 7, analog value 2 (the step), confirmed, for 120 s.
+        subscribe = bytes.fromhex("0104 0005 2a05 0907 1c00800002 2901 3978")
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as subscriber:
+            subscriber.bind(("127.0.0.1", 0))
+            subscriber.settimeout(30.0)
+            subscriber.sendto(b"\x81\x0a" + (4 + len(subscribe)).to_bytes(2) + subscribe, ("127.0.0.1", port))
+
+            async def notified() -> tuple[int, float]:
+                while (found := values(await asyncio.to_thread(subscriber.recv, 2000))) is None:
+                    pass
+                return found
+
+            first, value = await notified()
+            assert value == 0.0
+            assert await reader.write(ADVANCE, 1.0) == "ok"
+            await asyncio.sleep(2 * COV_INTERVAL_S)
+            request, value = first, 0.0
+            while request == first:  # nothing is confirmed until the stack gives up
+                request, value = await notified()
+            assert value == 1.0
         serving.cancel()
 
 
