@@ -8,6 +8,7 @@ from pathlib import Path
 
 from zenostat.cosim.file import RESERVED, Connection, DistrictFile, kind_of, read_district
 from zenostat.cosim.graph import Graph, components, find_cycle, graph_of, is_loop, levels
+from zenostat.topics import keys
 from zenostat.topics.errors import did_you_mean
 from zenostat.topics.model_file import FileErrors
 
@@ -87,6 +88,9 @@ def _check_plants(file: DistrictFile, errors: FileErrors) -> None:
         kinds, location = kind_of(plant), ("plants", name)
         if name in RESERVED:
             errors.add(location, f"a plant cannot have the name {name!r}, which the district's own points begin with")
+        if kinds not in (("node",), ("market",)) and len(node := f"{file.spec.name}.{name}") > keys.MAX_NAME:
+            text = f"plant {name!r}: its node would be named DISTRICT.PLANT, with {len(node)} characters of at most"
+            errors.add(location, f"{text} {keys.MAX_NAME}; shorten its name or the district's")
         if len(kinds) != 1:
             text = f"is {' and '.join(kinds)} at once" if kinds else "says not what it is"
             errors.add(location, f"plant {name!r} {text}; expected one of {_KINDS}")

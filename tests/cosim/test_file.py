@@ -90,6 +90,7 @@ def test_file__each_mistake_of_a_connection_has_its_line(folder: Path, connectio
             "name: town\nplants:\n  a: {building: ref-small-office, plant: 'a.py:A'}\n",
             "FILE:3: plant 'a' is building and plant at once; expected one of",
         ),
+        (f"name: {'t' * 127}\nplants:\n  a: {{plant: tank.py}}\n", "FILE:3: plant 'a': its node would be named"),
         ("name: town\nplants:\n  a: {begin: 07-03}\n", "FILE:3: plant 'a' says not what it is; expected one of"),
         ("plants:\n  loop: {plant: 'a.py:A'}\n", "FILE:2: a plant cannot have the name 'loop'"),
         ("plants:\n  a.b: {plant: 'a.py:A'}\n", "FILE:2: "),
