@@ -18,7 +18,7 @@ from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.metrics.labels import unused_name
 from zenostat.metrics.parquet import write_table
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
-from zenostat.topics.messages import Manifest
+from zenostat.topics.messages import Aggregation, Manifest
 
 Floats = NDArray[np.float64]
 
@@ -189,8 +189,8 @@ class Trajectory:
     def resample(self, interval: timedelta) -> Trajectory:
         """Return the run in longer timesteps, which its manifest has as well; what fills no timestep is left out.
 
-        Of the timesteps that form one, sensors and values of actuators are means, meters, rewards and terms are sums,
-        and all else is that of the last one. Actions are left out.
+        Of the timesteps that form one, sensors and values of actuators are means; meters, sensors that are sums,
+        rewards and terms are sums; and all else is that of the last one. Actions are left out.
 
         Raises:
             InvalidConfig: The interval is not a multiple of the timestep, or longer than the run.
@@ -203,6 +203,7 @@ class Trajectory:
                 f"cannot resample {self.steps} timesteps of {manifest.step_s:g} s to {interval.total_seconds():g} s"
             )
         stop = first + steps * count
+        is_sum = [sensor.aggregation is Aggregation.SUM for sensor in manifest.sensors] + [True] * len(manifest.meters)
 
         def summed(entries: Floats) -> Floats:
             sums: Floats = entries[first:stop].reshape(steps, count, *entries.shape[1:]).sum(axis=1)
@@ -214,7 +215,7 @@ class Trajectory:
         def points(rows: Floats | None) -> Any:
             table = means(rows)
             if table is not None:
-                table[1:, len(manifest.sensors) :] *= count
+                table[1:, is_sum] *= count
             return table
 
         plain = replace(self, actions=None, rewards=None, terms={})

@@ -12,7 +12,7 @@ from zenostat.metrics.episode_weather import read_weather
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import InvalidConfig, UnknownName, UsageError
-from zenostat.topics.messages import WeatherSeries
+from zenostat.topics.messages import Aggregation, WeatherSeries
 
 OFFICE = office(("core",), steps=4)
 VALUES = [24.0, 2.0, 1e6, 5e5, 4e5, 3e5, 3e5]
@@ -103,6 +103,17 @@ def test_trajectory__longer_timesteps_have_means_of_sensors_and_sums_of_meters_a
     assert hourly.manifest.step_s == 3600.0
     with pytest.raises(InvalidConfig, match="9 timesteps of 900 s to 1000 s"):
         recorded().resample(timedelta(seconds=1000))
+
+
+def test_trajectory__longer_timesteps_have_sums_of_sensors_that_are_sums() -> None:
+    whole = recorded()
+    hours = whole.manifest.sensors[1].model_copy(update={"aggregation": Aggregation.SUM, "unit": "h"})
+    sensors = [whole.manifest.sensors[0], hours, *whole.manifest.sensors[2:]]
+    hourly = replace(whole, manifest=whole.manifest.model_copy(update={"sensors": sensors})).resample(
+        timedelta(hours=1)
+    )
+    assert hourly.values[1:, 0].tolist() == [2.5, 6.5]  # a mean as before
+    assert hourly.values[:, 1].tolist() == [2.0, 8.0, 8.0]
 
 
 def test_trajectory__table_has_rewards_in_the_rows_of_the_samples_that_close_their_timesteps() -> None:
