@@ -193,7 +193,7 @@ def _zone(name: str | None) -> ZoneInfo | None:
         return None
     try:
         return ZoneInfo(name)
-    except (ZoneInfoNotFoundError, ValueError):
+    except (ZoneInfoNotFoundError, ValueError, OSError):  # a folder of the database is no file
         raise InvalidConfig(f"time_zone: {name!r} is no IANA time zone, such as America/Denver") from None
 
 
@@ -212,9 +212,7 @@ def _standard(
             f"{where}: {stamp} does not exist in {zone.key}, whose clock jumps to {back} there; the timestamps are "
             "not local time with daylight saving: remove time_zone if they are standard time"
         )
-    offset, saving = local.utcoffset(), local.dst()
-    assert offset is not None
-    standard = (offset - (saving or timedelta())) / _HOUR
+    standard = _standard_offset_h(zone, stamp.year)
     if standard != utc_offset_h:
         raise InvalidConfig(
             f"time_zone: {zone.key} has the standard time UTC{standard:+g}, the weather file UTC{utc_offset_h:+g}; use "
@@ -226,6 +224,15 @@ def _standard(
     )
     # Of the hour that a clock shows twice, the second one follows the first one in the file.
     return second if before is not None and first <= before else first
+
+
+def _standard_offset_h(zone: ZoneInfo, year: int) -> float:
+    """Return the hours of a zone's standard time against UTC: its clock in that half of the year in which it is behind.
+
+    `dst()` has none for Europe/Dublin, whose database calls the time of the summer the standard.
+    """
+    offsets = (datetime(year, month, 1, tzinfo=zone).utcoffset() or timedelta() for month in (1, 7))
+    return min(offsets) / _HOUR
 
 
 def _order_error(

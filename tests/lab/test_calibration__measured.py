@@ -27,11 +27,11 @@ def configuration(**changes: Any) -> Calibration:
     return read_calibration({**fields, **changes})
 
 
-def read(path: Path, lines: list[str], *targets: Series, **changes: Any) -> MeasuredData:
+def read(path: Path, lines: list[str], *targets: Series, utc_offset_h: float = -7.0, **changes: Any) -> MeasuredData:
     path.write_text("\n".join(lines) + "\n")
     config = configuration(**changes)
     _, headings = read_headings(path, config)
-    return read_measured(path, config, headings, targets, -7.0)
+    return read_measured(path, config, headings, targets, utc_offset_h)
 
 
 def rows(times: list[str], *values: str) -> list[str]:
@@ -120,6 +120,26 @@ def test_read_measured__converts_the_repeated_hour_of_quarters(file: Path) -> No
         read(file, ["time,meter [kWh]", *rows([*times[:-1], times[-2]], "1")], METER, time_zone="America/Denver")
 
 
+@pytest.mark.parametrize(
+    ("zone", "utc_offset_h", "begin"),
+    [
+        ("Europe/Dublin", 0.0, datetime(2017, 7, 2, 23)),  # summer time is the standard of its database
+        ("Europe/Berlin", 1.0, datetime(2017, 7, 2, 23)),
+        ("Australia/Sydney", 10.0, datetime(2017, 7, 3)),  # its winter
+        ("Asia/Kolkata", 5.5, datetime(2017, 7, 3)),
+    ],
+)
+def test_read_measured__standard_time_is_that_of_the_winter(
+    file: Path, zone: str, utc_offset_h: float, begin: datetime
+) -> None:
+    times = [f"2017-07-03 {hour:02}:00" for hour in range(3)]
+    data = read(
+        file, ["time,meter [kWh]", *rows(times, "1")], METER, utc_offset_h=utc_offset_h, time_zone=zone,
+        missing="leave_out", periods=[["2017-07-02", "2017-07-03"]],
+    )  # fmt: skip
+    assert data.begins[0] == begin
+
+
 def test_read_measured__converts_timestamps_with_an_offset(file: Path) -> None:
     times = [f"2017-03-12T{hour:02}:00:00Z" for hour in range(7, 24)]
     times += [f"2017-03-13T{hour:02}:00:00Z" for hour in range(7)]
@@ -156,6 +176,7 @@ def test_read_measured__converts_timestamps_with_an_offset(file: Path) -> None:
         (["time,meter [kWh]", *rows([hour[:-2] + "07" for hour in HOURS], "1")], {},
          "line 2: 2017-03-12 00:07:00 is no multiple of 60 min after midnight"),
         (["time,meter [kWh]", *rows(HOURS, "1")], {"time_zone": "Europe/Berlin"}, "the weather file UTC-7"),
+        (["time,meter [kWh]", *rows(HOURS, "1")], {"time_zone": "America"}, "'America' is no IANA time zone"),
         (["time,meter [kWh]", *rows(HOURS, "1")], {"time_zone": "America/Denver"},
          "line 4: 2017-03-12 02:00:00 does not exist in America/Denver"),
         (["time,meter [kWh]", *rows(HOURS, "1")], {"columns": {"metre": "x"}}, "no header 'metre' in line 1"),
