@@ -204,10 +204,17 @@ class HourlyFile(TimeSeries):
     @cached_property
     def _numbers(self) -> list[float]:
         rows = self._rows()
-        index = self._column_index(dict(rows).get(self.header_row, []))
+        header = dict(rows).get(self.header_row, [])
+        index = self._column_index(header)
         below = [(line, row) for line, row in rows if line > self.header_row and row]
         numbers = [_number(row[index] if index < len(row) else "", self.decimal) for _, row in below]
         invalid = [line for (line, _), number in zip(below, numbers, strict=True) if number is None]
+        wider = next((line for line, row in below if self.header_row and any(row[len(header) :])), None)
+        if wider is not None and self.decimal != self.delimiter == ",":
+            raise InvalidConfig(
+                f"{self.csv}: line {wider} has more cells than the header, line {self.header_row}; if the comma is the "
+                "decimal separator, set delimiter and decimal, as {csv: prices.csv, delimiter: ;, decimal: ','}"
+            )
         if invalid:
             more = f" and {len(invalid) - _MAX_LISTED} more" if invalid[_MAX_LISTED:] else ""
             lines = ", ".join(map(str, invalid[:_MAX_LISTED])) + more

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -115,13 +116,27 @@ def _file(path: Path, unit: str) -> TimeSeries:
     if path.suffix in (".yaml", ".yml"):
         return _yaml_file(path, unit)
     with user_file(path), path.open(encoding="utf-8-sig", newline="") as file:
-        first = next(csv.reader(file), [])
+        first, second = [*itertools.islice(csv.reader(file), 2), [], []][:2]
     try:
         float(first[-1]) if first else 0.0
         header_row = 0
     except ValueError:
         header_row = 1
+    if not header_row and len(first) == 2 == len(second) and not _is_later(second[0], first[0]):
+        raise InvalidConfig(
+            f"{path}: its lines have two numbers and no header, and the first ones are no times ({first[0]}, "
+            f"{second[0]}); if the comma is the decimal separator, describe the file in YAML, as {{csv: {path.name}, "
+            "column: 1, header_row: 0, delimiter: ;, decimal: ','}"
+        )
     return HourlyFile(csv=path, column=max(len(first), 1), header_row=header_row, unit=unit)
+
+
+def _is_later(time: str, before: str) -> bool:
+    """Return whether a first cell can be a time after another one; only numbers are compared."""
+    try:
+        return float(time) > float(before)
+    except ValueError:
+        return True
 
 
 def _yaml_file(path: Path, unit: str) -> TimeSeries:

@@ -103,9 +103,10 @@ def _as_days(value: Any) -> Any:
     if not isinstance(value, list | tuple) or len(value) != 2:
         raise ValueError("first and last day expected, as [2017-01-09, 2017-01-22]")
     try:
-        first, last = (each if isinstance(each, date) else date.fromisoformat(str(each)) for each in value)
+        # A datetime is a date as well, and its text is none.
+        first, last = (each if type(each) is date else date.fromisoformat(str(each)) for each in value)
     except ValueError:
-        raise ValueError(f"days as 2017-01-09 expected, got {value[0]!r} and {value[1]!r}") from None
+        raise ValueError(f"days as 2017-01-09 expected, got {value[0]} and {value[1]}") from None
     if last < first:
         raise ValueError(f"{last} is before {first}")
     return first, last
@@ -236,11 +237,10 @@ class Calibration(StudyConfig):
         return config
 
     def with_starts(self, neutral: Mapping[str, float | None]) -> Calibration:
-        """Return the study with the model as it is as its first trial, where the ranges contain it."""
+        """Return the study with the model as it is as its first trial, where the ranges, with their steps, have it."""
         parameters = dict(self.parameters)
         for name, value in neutral.items():
-            low, high = parameters[name].ends
-            if parameters[name].start is None and value is not None and low <= value <= high:
+            if parameters[name].start is None and value is not None and parameters[name].contains(value):
                 parameters[name] = parameters[name].model_copy(update={"start": value})
         return self.model_copy(update={"parameters": parameters})
 

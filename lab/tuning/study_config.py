@@ -19,6 +19,8 @@ Sampler = Literal["tpe", "random", "grid", "cma-es"]
 Direction = Literal["maximize", "minimize"]
 MAX_POINTS = 100_000
 """Largest number of points of a grid, each of which is a trial."""
+_TOLERANCE = 1e-9
+"""Part of a step by which a multiple of it may be off, for its rounding."""
 
 
 class Range(ConfigPart):
@@ -51,6 +53,8 @@ class Range(ConfigPart):
             self.low is None or self.high is None or not self.low <= self.start <= self.high
         ):
             raise ValueError("start has to lie between low and high")
+        if self.start is not None and not self.contains(self.start):
+            raise ValueError(f"start = {self.start:g} is no multiple of {self.step:g} from low = {self.low:g} on")
         if self.is_integer and isinstance(self.start, float):
             raise ValueError(f"start = {self.start:g} is no whole number, but low and high are: write {self.low}.0")
         return self
@@ -59,6 +63,13 @@ class Range(ConfigPart):
     def is_integer(self) -> bool:
         """Whether the numbers are whole."""
         return isinstance(self.low, int) and isinstance(self.high, int) and not isinstance(self.step, float)
+
+    def contains(self, value: float) -> bool:
+        """Return whether a number lies between both ends of the range, and at a multiple of its step."""
+        if self.low is None or self.high is None or not self.low <= value <= self.high:
+            return False
+        steps = 0.0 if self.step is None else (value - self.low) / self.step
+        return abs(steps - round(steps)) < _TOLERANCE
 
     def values(self) -> list[Any]:
         """Return the values of a grid.
@@ -74,7 +85,7 @@ class Range(ConfigPart):
         span = self.high - self.low
         if not span <= step * MAX_POINTS:
             raise InvalidConfig(f"more than {MAX_POINTS:,} values, the most points that a grid may have")
-        return [self.low + i * step for i in range(int(span / step + 1e-9) + 1)]
+        return [self.low + i * step for i in range(int(span / step + _TOLERANCE) + 1)]
 
 
 def _as_choices(value: Any) -> Any:

@@ -71,7 +71,7 @@ def mean_metric(results: Sequence[Any], metric: str) -> float:
     """Return the mean of a metric over episodes.
 
     Raises:
-        InvalidConfig: the episodes do not have it.
+        InvalidConfig: the episodes do not have it, or it is not a number in one of them.
     """
     import numpy as np
 
@@ -79,7 +79,10 @@ def mean_metric(results: Sequence[Any], metric: str) -> float:
     if None in values:
         names = [name for name, value in results[0].metrics().items() if value is not None]
         raise InvalidConfig(f"metric: the evaluations have no {metric!r}; {did_you_mean(metric, names)}")
-    return float(np.mean(np.array(values, np.float64)))
+    numbers = np.array(values, np.float64)
+    if np.isnan(numbers).any():
+        raise InvalidConfig(f"metric: {metric} is NaN in episode {int(np.isnan(numbers).argmax()) + 1}")
+    return float(np.mean(numbers))
 
 
 def run_request(folder: Path, run: Callable[[dict[str, Any]], dict[str, Any]]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +13,6 @@ from zenostat.models.points.monitoring import with_monitoring
 from zenostat.models.points.selection import Points, find_variable, select_points
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 
-_CSV_HEADER = re.compile(r"(?P<key>[^:]+):(?P<variable>.+)")
 _FIELDS = ("point", "meter", "variable", "key")
 
 
@@ -88,9 +86,12 @@ class TargetFinder:
         folded = {meter.name.casefold(): meter for meter in self._catalog.meters}
         if name.casefold() in folded:
             return _of_meter(name, folded[name.casefold()])
-        match = _CSV_HEADER.fullmatch(name)
-        if match is not None and match["key"].casefold() in {v.key.casefold() for v in self._catalog.variables}:
-            return self._variable(place, match["variable"], match["key"])
+        keys = {v.key.casefold() for v in self._catalog.variables}
+        parts = name.split(":")
+        for number in range(len(parts) - 1, 0, -1):  # a key may have colons as well
+            key, variable = ":".join(parts[:number]), ":".join(parts[number:])
+            if key.casefold() in keys:
+                return self._variable(place, variable, key)
         names = [sensor.name for sensor in self._points.sensors] + [meter.name for meter in self._points.meters]
         hint = did_you_mean(name, [*names, *(meter.name for meter in self._catalog.meters)])
         raise UnknownName(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import multiprocessing
+from datetime import date, datetime
 from pathlib import Path
 from typing import Any
 
@@ -47,6 +48,27 @@ def run(output: Path, model: LinearModel | None = None, noise: float = 0.0, **ch
     config = configuration(output, **changes)
     data = measurements(write_measured(output.with_suffix(".csv"), noise=noise), config)
     return calibrate(config, data, model or LinearModel())
+
+
+# The file
+
+
+def test_configuration__periods_are_days(tmp_path: Path) -> None:
+    for day in (datetime(2017, 1, 9, 12), "2017-01-09T12:00", 3):
+        with pytest.raises(InvalidConfig, match=r"periods.*days as 2017-01-09 expected, got 2017-01-02 and "):
+            configuration(tmp_path, periods=[[date(2017, 1, 2), day]])
+
+
+def test_configuration__first_trial_is_the_model_as_it_is_where_the_steps_have_it(tmp_path: Path) -> None:
+    ranges = {"low": 0.5, "high": 2.0}
+    space = {
+        "a": {"edit": "lighting", **ranges, "step": 0.1}, "b": {"edit": "equipment", **ranges, "step": 0.4},
+        "c": {"edit": "infiltration", **ranges}, "d": {"edit": "cooling_setpoint", **ranges},
+    }  # fmt: skip
+    config = configuration(tmp_path, parameters=space).with_starts(dict.fromkeys("abc", 1.0) | {"d": 0.0})
+    assert {name: parameter.start for name, parameter in config.parameters.items()} == {
+        "a": 1.0, "b": None, "c": 1.0, "d": None,
+    }  # fmt: skip
 
 
 # Formulas

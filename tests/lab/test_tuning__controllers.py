@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import signal
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,6 +24,7 @@ from zenostat.lab.tuning import RULE_SEARCH_SPACE, tune_controller  # noqa: E402
 from zenostat.lab.tuning.controller_episodes import ControllerEpisodes  # noqa: E402
 from zenostat.lab.tuning.study import Tuning  # noqa: E402
 from zenostat.lab.tuning.study_figures import write_results  # noqa: E402
+from zenostat.lab.tuning.trial import mean_metric  # noqa: E402
 from zenostat.lab.tuning.tuning_file import load_tuning, read_tuning  # noqa: E402
 
 FAKE: dict[str, Any] = {"zones": 1, "end": "07-03", "steps_per_hour": 2, "control": "building"}
@@ -38,6 +41,13 @@ def study(output: Path, **changes: Any) -> Any:
 
 
 # Within one process
+
+
+def test_mean_metric__that_is_no_number_is_an_error_with_the_episode() -> None:
+    episodes = [SimpleNamespace(metrics=lambda value=value: {"reward": value}) for value in (1.0, math.nan, 3.0)]
+    assert mean_metric([episodes[0], episodes[2]], "reward") == 2.0
+    with pytest.raises(InvalidConfig, match="metric: reward is NaN in episode 2"):
+        mean_metric(episodes, "reward")
 
 
 def test_tune_controller__value_is_the_mean_over_the_episodes_of_a_new_controller() -> None:
@@ -163,6 +173,10 @@ def test_tune_controller__class_with_a_required_parameter_needs_it_fixed() -> No
         ({"parameters": {"marign": [1.0]}}, "RuleBasedController has no parameter 'marign'; did you mean 'margin'"),
         ({"parameters": {"margin": {"low": 1.0}}}, "margin: either low and high, or choices expected"),
         ({"parameters": {"margin": {"low": 0.0, "high": 1.0, "start": 2.0}}}, "start has to lie between low and high"),
+        (
+            {"parameters": {"margin": {"low": 0.6, "high": 1.6, "step": 0.25, "start": 1.0}}},
+            "start = 1 is no multiple of 0.25 from low = 0.6 on",
+        ),
         ({"parameters": {"margin": {"low": 0, "high": 1, "start": 0.5}}}, "start = 0.5 is no whole number, but low"),
         ({"fixed": {"margin": 1.0}}, "margin is both searched and fixed; remove one of both"),
         ({"trials": 0}, "trials=0"),

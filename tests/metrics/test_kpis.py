@@ -236,7 +236,13 @@ def test_kpis__forms_of_a_rate(tmp_path: Path) -> None:
     plain.write_text("\n".join(map(str, hours)))
     dated.write_text("hour,price\n" + "\n".join(f"{hour},{price}" for hour, price in enumerate(hours)))
     described.write_text("csv: dated.csv\ncolumn: price\nunit: EUR/kWh\n")
+    (tmp_path / "comma.csv").write_text("\n".join(f"{price:.2f}".replace(".", ",") for price in hours))
+    comma = tmp_path / "comma.yaml"
+    comma.write_text("csv: comma.csv\ncolumn: 1\nheader_row: 0\ndelimiter: ;\ndecimal: ','\n")
+    numbered = tmp_path / "numbered.csv"
+    numbered.write_text("\n".join(f"{hour},{price}" for hour, price in enumerate(hours)))
     forms = {
+        "fuel_oil_1": comma, "fuel_oil_2": numbered,
         "electricity": plain, "gas": str(dated), "propane": hours, "coal": described, "diesel": 0.25,
         "gasoline": {"value": 250.0, "unit": "EUR/MWh"},
     }  # fmt: skip
@@ -245,6 +251,7 @@ def test_kpis__forms_of_a_rate(tmp_path: Path) -> None:
     assert [rates[fuel].at(at) for fuel in ("electricity", "natural_gas", "propane", "coal")] == pytest.approx(
         [0.17] * 4
     )
+    assert [rates[fuel].at(at) for fuel in ("fuel_oil_1", "fuel_oil_2")] == pytest.approx([0.17] * 2)
     assert rates["diesel"].at(at) == rates["gasoline"].at(at) == pytest.approx(0.25)
     assert read_prices(rates) == rates
     assert read_emissions({"gas": {"value": 200.0, "unit": "g/kWh"}})["natural_gas"].at(at) == pytest.approx(0.2)
@@ -264,13 +271,17 @@ def test_kpis__forms_of_a_rate(tmp_path: Path) -> None:
         ({"gas": "no.csv"}, r"gas: there is no file .*/no\.csv"),
         ({"gas": "SHORT"}, "gas: .*a year has 8760 hours.*the file has 24"),
         ({"gas": "TEXT"}, "gas: .*has no number in line 3"),
+        ({"gas": "COMMA"}, "gas: .*two numbers and no header.*if the comma is the decimal separator"),
+        ({"gas": "COMMA_BELOW"}, "gas: .*line 2 has more cells than the header, line 1; if the comma is the decimal"),
         (0.3, "a mapping from fuels to numbers or time series expected, got 0.3"),
     ],
 )
 def test_kpis__mistakes_are_one_sentence(rates: Any, text: str, tmp_path: Path) -> None:
     (tmp_path / "short.csv").write_text("\n".join(["0.1"] * 24))
     (tmp_path / "text.csv").write_text("price\n0.1\nnan\n" + "\n".join(["0.1"] * 8758))
-    files = {"SHORT": tmp_path / "short.csv", "TEXT": tmp_path / "text.csv"}
+    (tmp_path / "comma.csv").write_text("\n".join(["0,25"] * 8760))
+    (tmp_path / "comma_below.csv").write_text("price\n" + "\n".join(["0,25"] * 8760))
+    files = {name.upper(): tmp_path / f"{name}.csv" for name in ("short", "text", "comma", "comma_below")}
     if isinstance(rates, dict):
         rates = {fuel: files.get(rate, rate) if isinstance(rate, str) else rate for fuel, rate in rates.items()}
     for read in (read_prices, read_emissions):

@@ -118,6 +118,14 @@ def test_parameters__errors_name_what_would_be_right(edit: Any, objects: str | N
     assert error in str(caught.value)
 
 
+def test_targets__headers_of_energyplus_csv_may_have_keys_with_colons() -> None:
+    finder = TargetFinder(read_building(find_building("ref-small-office")), find_weather("USA_IL_Chicago").path)
+    fan = finder.find("a column", "psz-ac:1_fan:Fan Electricity Rate")
+    assert (fan.variable, fan.key.casefold(), fan.unit) == ("Fan Electricity Rate", "psz-ac:1_fan", "W")
+    zone = finder.find("a column", "CORE_ZN:Zone Mean Air Temperature")
+    assert (zone.variable, zone.unit) == ("Zone Mean Air Temperature", "degC")
+
+
 # Runs
 
 
