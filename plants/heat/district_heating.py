@@ -8,7 +8,7 @@ balance is linear and its solution exact.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import exp, isfinite
+from math import exp, expm1, isfinite
 from typing import Any
 
 from zenostat.topics.errors import InvalidConfig
@@ -19,6 +19,8 @@ WATER_J_KG_K = 4186.0
 KELVIN = 273.15
 SETPOINT_LIMIT_C = 95.0
 COP_LIMITS = (1.0, 8.0)
+_SMALL = 1e-3
+"""Ratio of a timestep to a time constant up to which the mean of a response is a series."""
 
 
 class DistrictHeating:
@@ -118,19 +120,14 @@ class DistrictHeating:
         demands = {name: commands[f"{name}_demand"] for name in self._demands}
         flows, supply_factor, return_c = self._flows(demands)
         total = sum(flows.values()) * WATER_J_KG_K
-        conductance = total + self._tank_loss_w_k  # W/K
-        gains = total * return_c + self._tank_loss_w_k * self._ambient_c  # W
-        decay = exp(-conductance * self.step_s / self._capacity_j_k)
+        begin_c, warming_s_k = self._tank_c, self.step_s / self._capacity_j_k  # K per W
+        losses = total * (begin_c - return_c) + self._tank_loss_w_k * (begin_c - self._ambient_c)  # W, at the begin
+        at_end, on_average = _responses((total + self._tank_loss_w_k) * warming_s_k)
         if heat_w is None:
-            heat_w = self._heat_to(commands["setpoint"], gains, conductance, decay)
-        begin_c = self._tank_c
-        if conductance:
-            steady_c = (heat_w + gains) / conductance
-            self._tank_c = steady_c + (begin_c - steady_c) * decay
-            mean_c = (heat_w + gains - self._capacity_j_k * (self._tank_c - begin_c) / self.step_s) / conductance
-        else:
-            self._tank_c += heat_w * self.step_s / self._capacity_j_k
-            mean_c = 0.5 * (begin_c + self._tank_c)
+            needed_w = losses + (commands["setpoint"] - begin_c) / (warming_s_k * at_end)
+            heat_w = min(max(needed_w, 0.0), self._power_w)
+        self._tank_c = begin_c + (heat_w - losses) * warming_s_k * at_end
+        mean_c = begin_c + (heat_w - losses) * warming_s_k * on_average
         supply_c = self._ground_c + (mean_c - self._ground_c) * supply_factor
         heats = {name: flow * WATER_J_KG_K * max(supply_c - self._return_c, 0.0) for name, flow in flows.items()}
         efficiency = self._present_efficiency(mean_c, commands["outdoor_temperature"])
@@ -169,14 +166,6 @@ class DistrictHeating:
         flows = {name: min(demand / (WATER_J_KG_K * lift_k), self._flow_kg_s) for name, demand in demands.items()}
         return flows, factor, self._ground_c + (self._return_c - self._ground_c) * factor
 
-    def _heat_to(self, setpoint_c: float, gains: float, conductance: float, decay: float) -> float:
-        """Return the heat that brings the tank to its setpoint within the timestep, within the source's power."""
-        if conductance:
-            heat_w = (setpoint_c - self._tank_c * decay) / (1.0 - decay) * conductance - gains
-        else:
-            heat_w = (setpoint_c - self._tank_c) * self._capacity_j_k / self.step_s
-        return min(max(heat_w, 0.0), self._power_w)
-
     def _present_efficiency(self, tank_c: float, outdoor_c: float) -> float:
         """Return heat over fuel, or the COP: a constant part of the Carnot cycle's T_hot / (T_hot - T_cold)."""
         if self._source == "boiler":
@@ -191,6 +180,17 @@ class DistrictHeating:
     def restore(self, state: float) -> None:
         """Continue from a state that `save` returned."""
         self._tank_c = state
+
+
+def _responses(x: float) -> tuple[float, float]:
+    """Return (1 - exp(-x)) / x, and (1 - that) / x: parts of a linear change, at its end and on average.
+
+    With heat h at the begin and the conductance k, a tank of the capacity C changes by h t / C times these in the time
+    t, with x = k t / C; without a conductance by h t / C and half of that. The second is a series where x is small.
+    """
+    at_end = -expm1(-x) / x if x else 1.0
+    on_average = (1.0 - at_end) / x if x > _SMALL else 0.5 - x * (1.0 - x * (1.0 - x / 5.0) / 4.0) / 6.0
+    return at_end, on_average
 
 
 def _check(relation: str, low: float, **values: Any) -> None:

@@ -42,6 +42,20 @@ def test_district_heating__steady_state_is_the_balance_of_source_demand_and_loss
     assert values["electricity"] == pytest.approx(values["source_heat"] / values["efficiency"] * 300.0)
 
 
+@pytest.mark.parametrize("demand_w", [0.0, 1e-15, 1e-12, 1e-9, 1e-6, 1e-3, 1.0])
+@pytest.mark.parametrize("tank_loss_w_k", [0.0, 1e-13, 1e-9, 1e-3])
+def test_district_heating__smallest_flows_and_losses_are_exact(demand_w: float, tank_loss_w_k: float) -> None:
+    """A tank that has its setpoint keeps it, also where a conductance is next to none: the source covers the rest."""
+    plant = DistrictHeating(pipe_m=0.0, tank_loss_w_k=tank_loss_w_k, consumers={"a": 0.0})
+    plant.reset(0)
+    values = plant.step({"setpoint": 70.0, "outdoor_temperature": 0.0, "a_demand": demand_w})
+    assert values["supply_temperature"] == pytest.approx(70.0 if demand_w else 10.0, abs=1e-9)
+    assert values["tank_temperature"] == pytest.approx(70.0, abs=1e-12)
+    assert values["efficiency"] == pytest.approx(0.5 * 343.15 / 70.0, rel=1e-12)
+    assert values["a_heat"] == pytest.approx(demand_w, rel=1e-9)
+    assert values["source_heat"] == pytest.approx(demand_w + tank_loss_w_k * 55.0, rel=1e-9)
+
+
 @pytest.mark.parametrize("source", ["boiler", "heat_pump"])
 def test_district_heating__energy_balances_in_each_timestep(source: str) -> None:
     plant = DistrictHeating(source=source, power_w=60e3, efficiency=0.5)
