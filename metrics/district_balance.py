@@ -172,14 +172,13 @@ def _reader(part: Trajectory) -> Callable[[str], Floats]:
 
 def _grid(plant: str, part: Trajectory) -> CarrierBalance:
     kwh, names = _reader(part), part.manifest.names
-    flows = part.fault_free_values[1:, names.index("converged")]  # no energy flows where it has not converged
     devices = [name.removesuffix("_power") for name in names if name.endswith("_power")]
     batteries = [name for name in devices if f"{name}_state_of_charge" in names]
     generation = [name for name in devices if f"{name}_available" in names]
     rest = [name for name in devices if name not in (*batteries, *generation)]
 
     def total(points: Sequence[str]) -> float:
-        return sum(_sum(kwh(point) * flows) for point in points)
+        return sum(_sum(kwh(point)) for point in points)
 
     return CarrierBalance(
         plant,

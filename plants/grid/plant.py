@@ -16,6 +16,8 @@ from zenostat.plants.grid.schema import Load, OnDivergence, Price, bounds_of
 from zenostat.topics.errors import PlantFailed
 
 _METERS = {"electricity": ("J", 0.0, None), "electricity_exported": ("J", 0.0, None), "losses_energy": ("J", 0.0, None)}
+_SOURCE = ("import", "export", "losses")
+"""Sensors of powers, in the order of the meters."""
 
 
 class GridPlant:
@@ -89,7 +91,7 @@ class GridPlant:
         sensors: dict[str, tuple[str | float | None, ...]] = {}
         sensors |= {f"{name}_voltage": ("pu", 0.0, None, "mean") for name in grid.buses}
         sensors |= {f"{name}_loading": ("percent", 0.0, None, "mean") for name in (*grid.lines, *grid.transformers)}
-        sensors |= dict.fromkeys(("import", "export"), ("W", 0.0, None, "mean"))
+        sensors |= dict.fromkeys(_SOURCE[:2], ("W", 0.0, None, "mean"))
         powers = (*grid.loads, *grid.pv, *grid.batteries, *grid.chargers)
         sensors |= dict.fromkeys(("losses", *(f"{name}_power" for name in powers)), ("W", *free, "mean"))
         sensors |= {f"{name}_available": ("W", 0.0, None) for name in grid.pv}
@@ -157,14 +159,15 @@ class GridPlant:
         return {**self._good, **self._states(), **self._metered(), "converged": 1.0}
 
     def _keep(self, error: DivergedPowerFlow) -> dict[str, float]:
-        """Keep the last good state, in a timestep without energy; or fail."""
+        """Keep the last good voltages and loadings, in a timestep in which no power flows; or fail."""
         text = f"the power flow of step {self._steps} does not converge; {error}"
         if self.grid.on_divergence is OnDivergence.STOP:
             raise PlantFailed(f"grid {self.model_name}: {text}")
-        self._texts.append(f"{text}; the last good state is kept")
+        self._texts.append(f"{text}; the last good voltages are kept, and no power flows")
         for charger in self._chargers.values():
             charger.charge({}, self._steps * self.step_s)
-        return {**self._good, **self._states(), **dict.fromkeys(_METERS, 0.0), "converged": 0.0}
+        nothing = {name: 0.0 for name in self._good if name in _SOURCE or name.endswith("_power")}
+        return {**self._good, **nothing, **self._states(), **dict.fromkeys(_METERS, 0.0), "converged": 0.0}
 
     def _powers(self, commands: Mapping[str, float], begin_s: float, end_s: float) -> dict[str, float]:
         """Return the mean power that each load, PV system and battery draws, W."""
@@ -197,8 +200,7 @@ class GridPlant:
 
     def _metered(self) -> dict[str, float]:
         """Return the energies of a timestep, J."""
-        sensors = ("import", "export", "losses")
-        return {meter: self._good[name] * self.step_s for meter, name in zip(_METERS, sensors, strict=True)}
+        return {meter: self._good[name] * self.step_s for meter, name in zip(_METERS, _SOURCE, strict=True)}
 
     def _states(self) -> dict[str, float]:
         """Return what is known at the end of a timestep, and the price and the available power of the next one."""

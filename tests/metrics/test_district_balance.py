@@ -26,15 +26,15 @@ from zenostat.views.report.totals_section import MINUS, NONE
 
 Columns = dict[str, tuple[str, list[float]]]
 GRID: Columns = {  # W in two timesteps of half an hour and in one without a solution
-    "import": ("W", [9e3, 4000.0, 0.0, 7000.0]),
-    "export": ("W", [9e3, 0.0, 1000.0, 7000.0]),
-    "losses": ("W", [9e3, 200.0, 100.0, 7000.0]),
-    "shop_power": ("W", [9e3, 3000.0, 2000.0, 7000.0]),
-    "roof_power": ("W", [9e3, 1000.0, 5000.0, 7000.0]),
-    "roof_available": ("W", [9e3, 1000.0, 5000.0, 7000.0]),
-    "store_power": ("W", [9e3, 800.0, -2100.0, 7000.0]),
+    "import": ("W", [9e3, 4000.0, 0.0, 0.0]),
+    "export": ("W", [9e3, 0.0, 1000.0, 0.0]),
+    "losses": ("W", [9e3, 200.0, 100.0, 0.0]),
+    "shop_power": ("W", [9e3, 3000.0, 2000.0, 0.0]),
+    "roof_power": ("W", [9e3, 1000.0, 5000.0, 0.0]),
+    "roof_available": ("W", [9e3, 1000.0, 5000.0, 0.0]),
+    "store_power": ("W", [9e3, 800.0, -2100.0, 0.0]),
     "store_state_of_charge": ("fraction", [0.5, 0.5, 0.4, 0.4]),
-    "car_power": ("W", [9e3, 1000.0, 4000.0, 7000.0]),
+    "car_power": ("W", [9e3, 1000.0, 4000.0, 0.0]),
     "car_connected": ("on_off", [1.0, 1.0, 1.0, 1.0]),
     "converged": ("on_off", [1.0, 1.0, 1.0, 0.0]),
 }
