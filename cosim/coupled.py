@@ -203,11 +203,11 @@ class GuardedPlant:
             self._trial_error = error
 
     def finish_trial(self) -> list[Rows]:
-        """Wait for this trial; a plant that is lost returns its last values.
+        """Wait for this trial; a plant that is lost returns its last values, one whose copies fail NaN.
 
         Raises:
             ForkFailed: the plant cannot be copied.
-            EngineDied: the plant is lost and the district stops, or its copies fail whenever it is back.
+            EngineDied: the plant is lost and the district stops, or is lost again whenever it is back.
         """
         for _ in range(_MAX_FAILURES):
             if not self.is_available:
@@ -218,6 +218,9 @@ class GuardedPlant:
                     return self.plant.finish_trial()
                 except ForkFailed as failed:
                     raise ForkFailed(f"plant {self.name!r} cannot try a step: {failed}") from None
+                except SimulatorError as failed:  # of a copy; if the plant itself failed, its step will say so
+                    self._warn_once(f"plant {self.name!r} has no values in a trial: {failed}")
+                    return [_undefined(rows) for rows in self._held_trial()]
                 except LOST as lost:
                     error = lost
             self._react(error)
@@ -303,6 +306,10 @@ class GuardedPlant:
             rows = self.plant.finish()
         self._last = rows
         return rows
+
+
+def _undefined(rows: Rows) -> Rows:
+    return Rows(np.full_like(rows.values, np.nan), np.full_like(rows.effective, np.nan))
 
 
 class RepeatedPlant(GuardedPlant):

@@ -348,8 +348,16 @@ class FoundPlant(NodePlant):
         super().close()
         self._threads.shutdown()
 
+    def finish(self) -> Rows:
+        """Receive the sample of each timestep; `NodeLost` if somebody has ended the node's lockstep."""
+        rows = super().finish()
+        if (mode := self.link.mode) is not Mode.LOCKSTEP:
+            by = f" by {self.link.paced_by}" if self.link.paced_by else ""
+            raise NodeLost(f"node {self._node!r} was set to the mode {mode}{by}, and does not wait for the district")
+        return rows
+
     def _reset(self, seed: int) -> Rows:
-        if self.link.manifest.mode is not Mode.LOCKSTEP:
+        if self.link.mode is not Mode.LOCKSTEP:
             self.bus.pace(self._node, mode=Mode.LOCKSTEP, source=_CONTROLLER)
         return super()._reset(seed)
 

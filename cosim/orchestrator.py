@@ -40,7 +40,7 @@ _REASONS = {
     Outcome.UNDEFINED: "a plant has no value",
 }
 
-_STATE = ("rows", "loops", "_flows", "_ledgers", "_orders", "_step", "_clearings")
+_STATE = ("rows", "loops", "_flows", "_ledgers", "_orders", "_step", "_clearings", "_demands", "_silent", "_overridden")
 """Attributes of the orchestrator that change from step to step: mappings, lists of what has `copy`, and a number."""
 
 
@@ -131,6 +131,9 @@ class Orchestrator:
         self._warnings: list[str] = []
         self._step = 0
         self._clearings: dict[str, Clearing] = {}
+        self._demands: dict[str, Floats] = {}
+        self._silent: dict[str, frozenset[str]] = {}
+        self._overridden = frozenset[str]()
 
     # Episodes
 
@@ -141,6 +144,10 @@ class Orchestrator:
         self.loops = [LoopState() for _ in self.loops]
         self._flows = [self._initial(transfer) for transfer in self._transfers]
         self._ledgers = [Ledger(f"{i.plant}.{i.actuator.name}", i.actuator.unit) for i in self._binding.inputs]
+        self._demands = {name: np.zeros(len(market.plants)) for name, market in self._binding.markets.items()}
+        self._silent, self._overridden = {}, frozenset()
+        for name, market in self._binding.markets.items():
+            self._demands[name] = self._known_demands(market, self.rows)
 
     def _initial(self, transfer: Transfer) -> _Flow:
         """Return the state of a connection at sample 0."""
@@ -187,7 +194,7 @@ class Orchestrator:
         """
         self._step += 1
         done: dict[str, Rows] = {}
-        loops = iter(range(len(self.loops)))
+        loops, solved = iter(range(len(self.loops))), list[tuple[Block, int, Solution]]()
         for group in self._binding.topology.groups:
             single = [block.plants[0] for block in group if not block.solved]
             for name in single:
@@ -195,17 +202,20 @@ class Orchestrator:
                 if name in self._binding.markets:
                     self._clear(self._binding.markets[name], commands, done)
             yield
-            self._solve_all([(block, next(loops)) for block in group if block.solved], commands, done)
+            solved += self._solve_all([(block, next(loops)) for block in group if block.solved], commands, done)
             for name in single:
                 done[name] = self._plants[name].finish()
         for name, market in self._binding.markets.items():
-            demands = market.demands({plant: done[plant].values for plant in market.plants})
+            demands = self._demands[name] = self._settled_demands(market, done)
             done[name] = self._market(name).settle(self._clearings[name], float(demands.sum()))
         self.rows = done
         for transfer, flow in zip(self._transfers, self._flows, strict=True):
             self._settle(transfer, flow)
+        for block, number, solution in solved:
+            self._report(block, self.loops[number], solution)
         for target, ledger in zip(self._binding.inputs, self._ledgers, strict=True):
             self._settle_input(target, ledger)
+        self._warn_of_overridden()
 
     def _begin(self, plant: str, own: Mapping[str, Floats], done: Mapping[str, Rows]) -> None:
         self._orders[plant] = self._commands(plant, own, done)
@@ -253,9 +263,9 @@ class Orchestrator:
         """Find the price of a step, which the plants after it get."""
         plant, spec = self._market(market.name), market.spec
         if spec.bids is Bids.LINEAR:
-            last = {name: self.rows[name].values for name in market.plants}
             slopes = np.array([bidder.slope_w for bidder in spec.bidders])
-            demand: Demand = LinearBids(slopes, float(self.rows[market.name].values[-1, PRICE]), market.demands(last))
+            price = float(self.rows[market.name].values[-1, PRICE])
+            demand: Demand = LinearBids(slopes, price, self._demands[market.name])
         else:
             demand = partial(self._bids, market, own, done)
         clearing = self._unless_lost(market.plants, lambda: clear(demand, spec, plant.limit_w))
@@ -274,18 +284,37 @@ class Orchestrator:
             row = np.zeros((1, len(SENSORS)))
             row[0, PRICE] = price
             rows[market.name] = Rows(row, np.empty((1, 0)))
-        tried: list[dict[str, Floats]] = [{} for _ in prices]
+        tried: list[dict[str, Rows]] = [{} for _ in prices]
         bidders = [*dict.fromkeys(market.plants)]
         for name in bidders:
             self._plants[name].begin_trial([self._commands(name, own, rows) for rows in settled])
         for name in bidders:
             for values, sample in zip(tried, self._plants[name].finish_trial(), strict=True):
-                values[name] = sample.values
-        return np.array([market.demands(values).sum() for values in tried])
+                values[name] = sample
+        return np.array([self._known_demands(market, values).sum() for values in tried])
+
+    def _known_demands(self, market: Market, rows: Mapping[str, Rows]) -> Floats:
+        """Return the demand of each bidder in W; of one without a value the last one."""
+        demands = market.demands({name: rows[name].values for name in market.plants})
+        return np.where(np.isfinite(demands), demands, self._demands[market.name])
+
+    def _settled_demands(self, market: Market, rows: Mapping[str, Rows]) -> Floats:
+        """Return the demands of a step; an event names a bidder that begins to have no value."""
+        demands = market.demands({name: rows[name].values for name in market.plants})
+        silent = {bidder.demand for bidder, w in zip(market.spec.bidders, demands, strict=True) if not isfinite(w)}
+        self._warnings += [
+            f"market {market.name!r}: its bidder {point!r} has no value in step {self._step}; the last one holds until "
+            "it has one"
+            for point in sorted(silent - self._silent.get(market.name, frozenset()))
+        ]
+        self._silent[market.name] = frozenset(silent)
+        return self._known_demands(market, rows)
 
     # Loops
 
-    def _solve_all(self, loops: Sequence[tuple[Block, int]], own: Mapping[str, Floats], done: dict[str, Rows]) -> None:
+    def _solve_all(
+        self, loops: Sequence[tuple[Block, int]], own: Mapping[str, Floats], done: dict[str, Rows]
+    ) -> list[tuple[Block, int, Solution]]:
         """Solve loops that do not depend on each other, at the same time, and step their plants."""
         if len(loops) < 2:
             solved = [self._solve(block, number, own, done) for block, number in loops]
@@ -293,9 +322,9 @@ class Orchestrator:
             with ThreadPoolExecutor(len(loops)) as pool:  # each thread has the plants of one loop
                 running = [pool.submit(self._solve, block, number, own, done) for block, number in loops]
             solved = [future.result() for future in running]
-        for (block, number), (solution, rows) in zip(loops, solved, strict=True):
+        for _, rows in solved:
             done |= rows
-            self._report(block, self.loops[number], solution)
+        return [(*loop, solution) for loop, (solution, _) in zip(loops, solved, strict=True)]
 
     def _solve(
         self, block: Block, number: int, own: Mapping[str, Floats], before: Mapping[str, Rows]
@@ -364,18 +393,26 @@ class Orchestrator:
         return solve(problem, start, depth=self._solver.depth, damping=self._solver.damping, secants=secants)
 
     def _report(self, block: Block, state: LoopState, solution: Solution) -> None:
-        state.trials, state.error = solution.trials, solution.best.error
-        state.is_solved, state.secants = solution.is_solved, solution.secants
+        """Note the result of a loop; its plants may have stepped otherwise than in its best trial, if one was lost."""
+        error = self._committed_error(block) if solution.is_solved else solution.best.error
+        state.trials, state.error, state.is_solved = solution.trials, error, solution.is_solved and error <= 1.0
+        state.secants = solution.secants if state.is_solved else ()
         state.total += solution.trials
         state.steps += 1
-        if solution.is_solved:
+        if state.is_solved:
             return
         state.unsolved += 1
-        residual = f"; its residual is {state.error:.3g} times the tolerance" if isfinite(state.error) else ""
+        residual = f"; its residual is {error:.3g} times the tolerance" if isfinite(error) else ""
+        reason = "a plant did not step as in its trial" if solution.is_solved else _REASONS[solution.outcome]
         self._warnings.append(
             f"loop {block.name!r} is not solved in step {self._step} after {solution.trials} trials, since "
-            f"{_REASONS[solution.outcome]}{residual}"
+            f"{reason}{residual}"
         )
+
+    def _committed_error(self, block: Block) -> float:
+        """Return the largest ratio of a loop's residual in the step to its tolerance; NaN where there is none."""
+        flows = [(self._flows[position], self._transfers[position].tolerance or 0.0) for position in block.solved]
+        return float(np.max([np.max(np.abs(flow.residual) / tolerance) for flow, tolerance in flows]))
 
     # Balances
 
@@ -435,6 +472,23 @@ class Orchestrator:
         for value in self._orders[target.plant][:, target.column].tolist():
             ledger.received.add(value * step_s)
             ledger.clipped.add(-value * step_s)
+
+    def _warn_of_overridden(self) -> None:
+        """Add an event for each input that begins to have another value than that of its connections."""
+        present = {}
+        for target in self._binding.inputs:
+            ordered = self._orders[target.plant][:, target.column]
+            effective = self.rows[target.plant].effective[:, target.column]
+            others = effective[np.isfinite(effective) & np.isfinite(ordered) & (effective != ordered)]
+            if len(others) and self._plants[target.plant].is_available:
+                present[f"{target.plant}.{target.actuator.name}"] = float(others[-1])
+        self._warnings += [
+            f"actuator {name!r} has the value {value:g} in step {self._step} and not that of its connection, which the "
+            "balance has: somebody commands it at a higher priority"
+            for name, value in present.items()
+            if name not in self._overridden
+        ]
+        self._overridden = frozenset(present)
 
     @property
     def received(self) -> Floats:

@@ -43,6 +43,7 @@ from zenostat.topics.messages import (
     Event,
     EventKind,
     Flag,
+    Manifest,
     Reset,
     Sample,
     State,
@@ -73,6 +74,8 @@ class ControllerLink:
         manifest: The node's manifest.
         name: This controller's name on the bus.
         accepted: The node's answer to the latest reset.
+        mode: When the node's timesteps begin, as far as its messages have been received.
+        paced_by: Who has set it, or paused or resumed the node, since this controller is connected; empty if unknown.
     """
 
     accepted: Ack
@@ -93,6 +96,7 @@ class ControllerLink:
         with ExitStack() as undo:
             undo.callback(self.close)
             self.manifest = bus.manifest(node)
+            self.mode, self.paced_by = self.manifest.mode, ""
             self._open(bus.session)
             undo.pop_all()
         self._placement = bus.placement
@@ -140,6 +144,7 @@ class ControllerLink:
             NodeLost: The node was restarted with other points.
         """
         manifest = self.bus.manifest(self.manifest.node)
+        self.mode = manifest.mode
         self._node.lost = False  # first, so that a second loss from here on is noticed
         if manifest.instance != self.manifest.instance:
             check_interface(manifest, self.manifest)
@@ -313,9 +318,15 @@ class ControllerLink:
         if key == self._wake.key and self._node.lost:
             self._ended = NodeLost(f"node {node!r} is gone{self._where()}")
             raise self._ended
+        if key == keys.MANIFEST.at(node):
+            self.mode = codec.decode(Manifest, message.payload.to_bytes(), str(message.encoding)).mode
+            self.paced_by = ""  # the event that follows names who
+            return
         if key != keys.EVENT.at(node):
             return
         event = codec.decode(Event, message.payload.to_bytes(), str(message.encoding))
+        if event.kind is EventKind.PACE and event.source:
+            self.paced_by = event.source
         if event.kind is EventKind.FAILED and not (resetting and event.episode != self.accepted.episode[0]):
             self._ended = from_wire({"error": event.error, "message": event.text})
             raise self._ended

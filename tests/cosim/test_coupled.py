@@ -11,7 +11,7 @@ from support.coupled_plants import FakeCoupled, district_file, free, manifest_of
 from zenostat.cosim.coupled import GuardedPlant, Rows
 from zenostat.cosim.file import OnLost
 from zenostat.cosim.orchestrator import Orchestrator
-from zenostat.topics.errors import EngineDied, PlantFailed
+from zenostat.topics.errors import EngineDied, NodeLost, PlantFailed
 
 STEPS = 8
 
@@ -120,18 +120,62 @@ class FailingTrials(FakeCoupled):
 
 
 @pytest.mark.parametrize("on_lost", OnLost)
-def test_trial__that_fails_again_and_again_does_not_wait_for_ever(folder: Path, on_lost: OnLost) -> None:
+def test_trial__that_fails_has_no_value_and_is_no_loss(folder: Path, on_lost: OnLost) -> None:
+    """Only copies fail: the plants step with the best trial, and the loop is not solved."""
     manifest = manifest_of({"x": "W"}, {"u": ("W", None, None)})
     plants = {"a": FailingTrials(manifest, mixed, first=[1.0]), "b": FakeCoupled(manifest, mixed, first=[-3.0])}
-    plants["a"].is_back = True
-    orchestrator, _, _ = orchestrated(district_file(folder, LOOP), plants, on_lost)
-    if on_lost is OnLost.GO_ON:
-        trajectory(orchestrator, plants, 2)
-        assert any("too hot" in text for text in orchestrator.drain_warnings())
-    else:
-        with pytest.raises(EngineDied, match=r"plant 'a'.*too hot"):
-            trajectory(orchestrator, plants, 2)
-    assert len(plants["a"].seeds) < 10
+    orchestrator, _, guarded = orchestrated(district_file(folder, LOOP), plants, on_lost)
+    trajectory(orchestrator, plants, 2)
+    assert guarded["a"].is_available
+    assert not orchestrator.loops[0].is_solved
+    assert orchestrator.loops[0].unsolved == 2
+    texts = orchestrator.drain_warnings()
+    assert texts[0] == "plant 'a' has no values in a trial: ValueError: too hot"  # once
+    assert [text.partition(", since ")[2] for text in texts[1:]] == ["a plant has no value"] * 2
+    assert plants["a"].seeds == plants["b"].seeds == [7]  # nothing begins again
+
+
+class LostAtStep(FakeCoupled):
+    """Its node is gone when it is to step, and not in the trials before."""
+
+    def finish(self) -> Rows:
+        raise NodeLost("node 'node' is gone")
+
+
+def test_loop__whose_plant_is_lost_after_its_solution_is_not_solved(folder: Path) -> None:
+    manifest = manifest_of({"x": "W"}, {"u": ("W", None, None)})
+    plants = {"a": LostAtStep(manifest, mixed, first=[1.0]), "b": FakeCoupled(manifest, mixed, first=[-3.0])}
+    orchestrator, _, guarded = orchestrated(district_file(folder, LOOP), plants, OnLost.GO_ON)
+    trajectory(orchestrator, plants, 1)
+    assert not guarded["a"].is_available
+    loop = orchestrator.loops[0]
+    assert (loop.is_solved, loop.unsolved) == (False, 1)
+    assert loop.error == abs(orchestrator.residuals[1]) / 1e-9 > 1.0
+    assert "since a plant did not step as in its trial" in orchestrator.drain_warnings()[-1]
+
+
+class Overridden(FakeCoupled):
+    """Somebody commands its actuator at a higher priority."""
+
+    held: float | None = None
+
+    def finish(self) -> Rows:
+        rows = super().finish()
+        return rows if self.held is None else Rows(rows.values, np.full_like(rows.effective, self.held))
+
+
+def test_input__with_a_value_that_is_not_that_of_its_connection_is_an_event(folder: Path) -> None:
+    manifest = manifest_of({"x": "W"}, {"u": ("W", None, None)})
+    plants = {name: Overridden(manifest, mixed, first=[1.0]) for name in ("a", "b")}
+    orchestrator, _, _ = orchestrated(district_file(folder, LOOP), plants)
+    texts: list[str] = []
+    for step, held in enumerate((None, 5.0, 5.0, None, 0.0), 1):
+        plants["b"].held = held
+        trajectory(orchestrator, plants, 1)
+        texts += [f"{step}: {text}" for text in orchestrator.drain_warnings() if "actuator" in text]
+    assert [text[:44] for text in texts] == [
+        "2: actuator 'b.u' has the value 5 in step 2 ", "5: actuator 'b.u' has the value 0 in step 5 ",
+    ]  # fmt: skip
 
 
 def test_reset__plant_is_available_again(folder: Path) -> None:

@@ -1,5 +1,6 @@
 """Markets: the price that clears, against hand calculations and properties; in a district, on trials."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -170,6 +171,23 @@ def test_market__one_request_has_all_prices_and_none_without_congestion(folder: 
     orchestrator.step(free(plants))
     assert market_row(orchestrator)["trials"] == plants["a"].tries == 1
     assert market_row(orchestrator)["price"] == 0.0
+
+
+@pytest.mark.parametrize("bids", ["trials", "linear"])
+def test_market__bidder_without_a_value_has_the_last_one(folder: Path, bids: str) -> None:
+    """Of 1100 W and 1100 W, the sensor of the second loses its value: the price is that of the first and 1100 W."""
+    orchestrator, plants = district(folder, limit=1e6, bids=bids)
+    orchestrator.step(free(plants))
+    plants["b"]._step = lambda state, _: (state, [math.nan])
+    for _ in range(2):
+        orchestrator.step(free(plants))
+    row = market_row(orchestrator)
+    assert (row["price"], row["cleared"]) == (0.0, 1.0)
+    assert row["demand"] == 1300.0 + 1100.0
+    texts = [text for text in orchestrator.drain_warnings() if text.startswith("market")]
+    assert texts == ["market 'market': its bidder 'b.x' has no value in step 2; the last one holds until it has one"]
+    orchestrator.start(dict.fromkeys(plants, 1))
+    assert orchestrator._demands["market"].tolist() == [1000.0, 1000.0]
 
 
 def test_market__limit_is_an_actuator_and_a_market_that_does_not_clear_says_so(folder: Path) -> None:

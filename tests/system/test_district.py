@@ -28,7 +28,7 @@ from zenostat.evaluation import connection_balances
 from zenostat.recording import load
 from zenostat.topics import codec
 from zenostat.topics.errors import EngineDied, InvalidConfig, InvalidRecording
-from zenostat.topics.messages import Event, EventKind, State
+from zenostat.topics.messages import Event, EventKind, Mode, State
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PLANTS = """
@@ -377,6 +377,34 @@ def test_district__search_for_a_lost_node_does_not_delay_steps(scratch: Path, mo
         stack.enter_context(NodeProgram(scratch / "home", **home))
         answers.set()
         until(step, "the plant is back")
+
+
+@pytest.mark.parametrize("pace", [{"mode": "free"}, {"mode": "paced", "speed": 1e5}])
+def test_district__plant_on_a_bus_that_somebody_paces_is_lost(scratch: Path, pace: dict[str, Any]) -> None:
+    """It would go on without the commands, and have samples of long ago; once more in lockstep, it is back."""
+    (scratch / "plants.py").write_text(LONG)
+    with ExitStack() as stack:
+        program = stack.enter_context(NodeProgram(scratch / "home", plant=f"{scratch}/plants.py:House", name="home"))
+        plant = stack.enter_context(closing(FoundPlant("home", program.endpoint, None)))
+        bus = stack.enter_context(zenostat.connect(program.endpoint, affinity="off"))
+        guarded = GuardedPlant("house", plant, OnLost.WAIT, timeout_s=60.0, stop=threading.Event())
+        guarded.reset(3)
+
+        def step() -> np.ndarray:
+            guarded.begin(np.array([[5.0, -4.0]]))
+            return guarded.finish().values[-1]
+
+        expected = [step() for _ in range(6)]
+        guarded.reset(3)
+        found = [step() for _ in range(2)]
+        bus.pace("home", source="ada", **pace)
+        until(lambda: bus.latest("home").step[0] > 2, "it goes on by itself")
+        found += [step() for _ in range(4)]
+        assert np.array_equal(found, expected)
+        (warning,) = guarded.drain_warnings()
+        assert "was lost, and is back" in warning
+        assert f"node 'home' was set to the mode {pace['mode']} by ada, and does not wait for the district" in warning
+        assert bus.manifest("home").mode is Mode.LOCKSTEP
 
 
 @pytest.mark.slow
