@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.boptest.points import KELVIN
-from zenostat.gateways.boptest.simulation import DAY_S, YEAR, Simulation
+from zenostat.gateways.boptest.simulation import DAY_S, YEAR, Simulation, wrapped
 from zenostat.metrics.comfort import DEFAULT_BAND_DEGC, Comfort
 from zenostat.metrics.kpis import CO2_LIMIT_PPM
 from zenostat.metrics.roles import ZoneRoles, roles
@@ -121,12 +121,15 @@ class ZoneSchedules:
         self._columns[name] = (column, factor, offset)
 
     def at(self, name: str, baseline: Baseline, times_s: Floats) -> Floats:
-        """Return a point at some times: its value in the timestep that begins then, or that contains the time."""
+        """Return a point at some times: its value in the timestep that begins then, or that contains the time.
+
+        After the run period, it is that of a year ago.
+        """
         column, factor, offset = self._columns[name]
         if column is None:
             return np.full(len(times_s), offset)
-        rows = ((times_s - baseline.begin_s) // baseline.step_s).astype(np.intp) + 1
-        last = baseline.reach(int(rows[-1]))
+        rows = ((wrapped(times_s) - baseline.begin_s) // baseline.step_s).astype(np.intp) + 1
+        last = baseline.reach(int(rows.max()))
         values: Floats = baseline.trajectory.fault_free_values[np.minimum(rows, last), column] * factor + offset
         return values
 

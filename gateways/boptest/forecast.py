@@ -13,7 +13,7 @@ from zenostat.gateways.boptest import forecast_errors
 from zenostat.gateways.boptest.baseline import Baseline, ZoneSchedules
 from zenostat.gateways.boptest.parsing import BadRequest, unknown_names
 from zenostat.gateways.boptest.prices import Rates, rate_at
-from zenostat.gateways.boptest.simulation import YEAR_S
+from zenostat.gateways.boptest.simulation import YEAR_S, wrapped
 from zenostat.gateways.boptest.weather import Weather
 
 Floats = NDArray[np.float64]
@@ -98,7 +98,7 @@ class Forecaster:
         if name in self._weather.points:
             return self._weather.at(name, times_s)
         if name in self._rates.points:
-            return rate_at(self._rates.points[name][0], times_s)
+            return rate_at(self._rates.points[name][0], wrapped(times_s))
         return self._schedules.at(name, baseline, times_s)
 
     def _uncertain(self, name: str, level: str, times_s: Floats, horizon_s: float, seed: int | None) -> Floats:

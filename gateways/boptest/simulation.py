@@ -42,6 +42,16 @@ _NODE = "building"
 _RELINQUISH = int(CommandOp.RELINQUISH)
 
 
+RUN_END_S = 2 * YEAR_S
+"""End of each run period."""
+
+
+def wrapped(times_s: Floats) -> Floats:
+    """Return times after the end of the run period as those of its last year at which the same data hold."""
+    years: Floats = np.maximum(np.ceil((times_s - RUN_END_S) / YEAR_S), 0.0)
+    return times_s - YEAR_S * years
+
+
 def moment(time_s: float) -> datetime:
     """Return local standard time for seconds since 1 January."""
     return YEAR + timedelta(seconds=time_s)

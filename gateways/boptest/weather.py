@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.gateways.boptest.points import KELVIN
-from zenostat.gateways.boptest.simulation import DAY_S, YEAR_S
+from zenostat.gateways.boptest.simulation import DAY_S, YEAR_S, wrapped
 
 Floats = NDArray[np.float64]
 
@@ -92,9 +92,9 @@ class Weather:
         return _DERIVED[name] if name in _DERIVED else _COLUMNS[name][3:]
 
     def at(self, name: str, times_s: Floats) -> Floats:
-        """Return a point's values at some times, linear between two rows; past the last row, its value."""
+        """Return a point's values at some times, linear between two rows; after the run period, those of a year ago."""
         if name in self._index:
-            position = (times_s - self._begin_s) / self._interval_s
+            position = (wrapped(times_s) - self._begin_s) / self._interval_s
             rows: Floats = np.interp(position, np.arange(self._table.shape[1]), self._table[self._index[name]])
             return rows
         return self._solar(times_s)[name]

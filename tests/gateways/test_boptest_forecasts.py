@@ -7,9 +7,11 @@ import numpy as np
 import pytest
 
 from zenostat.gateways.boptest import forecast_errors
+from zenostat.gateways.boptest.baseline import ZoneSchedules
 from zenostat.gateways.boptest.forecast import Forecaster
 from zenostat.gateways.boptest.parsing import BadRequest
 from zenostat.gateways.boptest.prices import rate_at, read_rates
+from zenostat.gateways.boptest.simulation import YEAR_S
 from zenostat.gateways.boptest.test_periods import find_test_periods
 from zenostat.gateways.boptest.weather import COLUMNS, Weather, wet_bulb
 from zenostat.topics.errors import InvalidConfig
@@ -82,6 +84,40 @@ def weather(**columns):
         name: np.resize(np.asarray(values, float), hours) for name, values in columns.items()
     }
     return Weather(0.0, 3600.0, all_columns, 40.0, -105.0, -7.0)
+
+
+def test_boptest_forecasts__data_after_the_run_period_are_those_of_its_second_year():
+    hours = np.arange(2 * 8760, dtype=float)
+    columns = {name: np.full(len(hours), np.nan) for name in COLUMNS} | {"dry_bulb_temperature": hours}
+    series = Weather(0.0, 3600.0, columns, 40.0, -105.0, -7.0)
+    rates = read_rates()
+    dynamic = next(name for name in rates.points if "Dynamic" in name and "Price" in name)
+    ends = []
+
+    class Ahead:
+        begin_s, step_s = 30 * DAY_S, 3600
+
+        def reach(self, row):
+            ends.append(row)
+            return min(row, 2 * 8760 - 30 * 24)
+
+        trajectory = SimpleNamespace(fault_free_values=np.arange(2 * 8760.0 - 30 * 24 + 1)[:, None])
+
+    schedules = ZoneSchedules.__new__(ZoneSchedules)
+    schedules._columns, schedules.points = {"LowerSetp[core]": (0, 1.0, 0.0)}, {"LowerSetp[core]": ("K", "")}
+    forecaster = Forecaster(series, rates, schedules)
+    names = ["TDryBul", "LowerSetp[core]", dynamic]
+    now_s, interval_s = 600 * DAY_S, 5 * DAY_S + 3600
+    forecast = forecaster.forecast(names, now_s, 2.9 * YEAR_S, interval_s, {}, Ahead())
+    assert forecast["time"][-1] > 4 * YEAR_S
+    for place, time_s in enumerate(forecast["time"]):
+        same = time_s
+        while same > 2 * YEAR_S:
+            same -= YEAR_S
+        assert forecast["TDryBul"][place] == pytest.approx(273.15 + max(same / 3600 - 1, 0))
+        assert forecast["LowerSetp[core]"][place] == min((same - 30 * DAY_S) // 3600 + 1, 2 * 8760 - 30 * 24)
+        assert forecast[dynamic][place] == rate_at(rates.points[dynamic][0], np.array([float(same)]))[0]
+    assert max(ends) <= 2 * 8760 - 30 * 24 + 1
 
 
 @pytest.mark.parametrize("seed", [0, 7])
