@@ -162,7 +162,7 @@ class AuditResult:
 
 def check_audit(reader: RecordingReader) -> AuditResult:
     """Read a recording to its end, and check the chain of its audit log."""
-    check = _Check(reader.beginning, has_chain=recording.AUDIT in reader.about)
+    check = _Check(beginning(reader.versions, reader.attachments), has_chain=recording.AUDIT in reader.about)
     for item in reader.messages():
         if item.schema == _AUDIT:
             check.add_record(item)

@@ -22,7 +22,6 @@ from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Header, Metadata, Schema
 
-from zenostat.bridge.recording import audit_chain
 from zenostat.bridge.recording.file import MAGIC, open_regular
 from zenostat.topics import codec, recording
 from zenostat.topics.errors import BadMessage, InvalidConfig, InvalidRecording
@@ -77,6 +76,8 @@ class RecordingReader:
     Attributes:
         path: of the file.
         about: versions with which it was recorded, by name.
+        versions: the same with control characters, which the audit log's chain begins with.
+        attachments: content of the attachments by name, which follow there.
         root: the root of the node's keys.
         manifest: at the begin of the recording.
         scenario: the text of the scenario; empty if the plant has none.
@@ -135,7 +136,7 @@ class RecordingReader:
                 break
             self._read_head_record(opcode, body, attached)
             position = self._file.tell()
-        self._begin, self._attached = position, attached
+        self._begin, self.attachments = position, attached
         if not self.about or recording.PROVENANCE not in attached:
             raise InvalidRecording(f"{self.path} ends before its first message; nothing can be read from it")
         try:
@@ -161,7 +162,7 @@ class RecordingReader:
             elif opcode == Opcode.METADATA:
                 metadata = Metadata.read(stream)
                 if metadata.name == recording.ABOUT:
-                    self._raw_about, self.about = metadata.metadata, _printable(metadata.metadata)
+                    self.versions, self.about = metadata.metadata, _printable(metadata.metadata)
                     self._check_version()
             elif opcode == Opcode.ATTACHMENT:
                 attachment = Attachment.read(stream)
@@ -193,11 +194,6 @@ class RecordingReader:
         if length > self._size - self._file.tell():
             return None
         return opcode, self._file.read(length)
-
-    @property
-    def beginning(self) -> bytes:
-        """Digest of what the file has before its messages, with which the chain of the audit log begins."""
-        return audit_chain.beginning(self._raw_about, self._attached)
 
     # Messages
 

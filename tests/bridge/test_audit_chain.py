@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from zenostat.bridge.recording.audit_chain import AuditChain, AuditResult, beginning, check_audit, digest
+from zenostat.bridge.recording.audit_chain import AuditChain, AuditResult, check_audit, digest
 from zenostat.bridge.recording.reader import RecordedItem, RecordingEnd
 from zenostat.topics import codec, recording
 from zenostat.topics.recording import RecordedAudit
@@ -44,7 +44,8 @@ def _check(
 ) -> AuditResult:
     reader = SimpleNamespace(
         about=about if has_chain else {},
-        beginning=beginning(about, attachments),
+        versions=about,
+        attachments=attachments,
         messages=lambda: iter(items),
         end=RecordingEnd(is_complete=bool(summary), metadata=summary),
     )
