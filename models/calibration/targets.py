@@ -87,9 +87,9 @@ class TargetFinder:
         if name.casefold() in folded:
             return _of_meter(name, folded[name.casefold()])
         keys = {v.key.casefold() for v in self._catalog.variables}
-        parts = name.split(":")
-        for number in range(len(parts) - 1, 0, -1):  # a key may have colons as well
-            key, variable = ":".join(parts[:number]), ":".join(parts[number:])
+        chunks = name.split(":")
+        for number in range(len(chunks) - 1, 0, -1):  # a key may have colons as well
+            key, variable = ":".join(chunks[:number]), ":".join(chunks[number:])
             if key.casefold() in keys:
                 return self._variable(place, variable, key)
         names = [sensor.name for sensor in self._points.sensors] + [meter.name for meter in self._points.meters]

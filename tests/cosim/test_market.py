@@ -175,7 +175,7 @@ def test_market__one_request_has_all_prices_and_none_without_congestion(folder: 
 
 @pytest.mark.parametrize("bids", ["trials", "linear"])
 def test_market__bidder_without_a_value_has_the_last_one(folder: Path, bids: str) -> None:
-    """Of 1100 W and 1100 W, the sensor of the second loses its value: the price is that of the first and 1100 W."""
+    """The sensor of the second loses its value after 1100 W, and the first goes on to 1300 W."""
     orchestrator, plants = district(folder, limit=1e6, bids=bids)
     orchestrator.step(free(plants))
     plants["b"]._step = lambda state, _: (state, [math.nan])

@@ -271,9 +271,9 @@ async def test_bacnet_gateway__subscriber_that_has_not_confirmed_gets_the_last_s
             subscriber.sendto(b"\x81\x0a" + (4 + len(subscribe)).to_bytes(2) + subscribe, ("127.0.0.1", port))
 
             async def notified() -> tuple[int, float]:
-                while (found := values(await asyncio.to_thread(subscriber.recv, 2000))) is None:
+                while (request_value := values(await asyncio.to_thread(subscriber.recv, 2000))) is None:
                     pass
-                return found
+                return request_value
 
             first, value = await notified()
             assert value == 0.0

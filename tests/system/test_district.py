@@ -396,11 +396,11 @@ def test_district__plant_on_a_bus_that_somebody_paces_is_lost(scratch: Path, pac
 
         expected = [step() for _ in range(6)]
         guarded.reset(3)
-        found = [step() for _ in range(2)]
+        received = [step() for _ in range(2)]
         bus.pace("home", source="ada", **pace)
         until(lambda: bus.latest("home").step[0] > 2, "it goes on by itself")
-        found += [step() for _ in range(4)]
-        assert np.array_equal(found, expected)
+        received += [step() for _ in range(4)]
+        assert np.array_equal(received, expected)
         (warning,) = guarded.drain_warnings()
         assert "was lost, and is back" in warning
         assert f"node 'home' was set to the mode {pace['mode']} by ada, and does not wait for the district" in warning
