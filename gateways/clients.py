@@ -16,6 +16,7 @@ from ipaddress import IPv4Network, IPv6Network, ip_address, ip_network
 from pathlib import Path
 from stat import S_IRWXG, S_IRWXO
 from typing import Annotated, Any, Self
+from zlib import crc32
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, model_validator
 
@@ -31,6 +32,8 @@ EVERYTHING = "*"
 """Pattern of all points; a request on no single point needs it, and no other pattern permits it."""
 
 _MAX_INSTANCE = 4_194_302
+_USER = 55
+"""Characters of an MQTT user's name in that of its commands, before a checksum."""
 _TOKEN = re.compile(r"[\x21-\x7e]{16,512}")
 _NAME = r"^[A-Za-z0-9_][A-Za-z0-9_\-]{0,63}$"
 
@@ -139,11 +142,17 @@ class Clients:
     # Names; empty for a client that is not in the file
 
     def of_mqtt(self, user: str) -> str:
-        """Return the name of an MQTT user; without a file and `--allow`, it is the user's own."""
+        """Return the name of an MQTT user; without a file and `--allow`, it is the user's own.
+
+        A name that cannot be a part of a source is changed, and gets a checksum, so that no two users have one source.
+        """
         for name, spec in self.specs.items():
             if spec.mqtt == user:
                 return name
-        return "" if self.is_restricted else safe_name(user).replace(".", "_")[:64]
+        if self.is_restricted:
+            return ""
+        own = safe_name(user).replace(".", "_")[:_USER]
+        return own if own == user else f"{own}_{crc32(user.encode()):08x}"
 
     def of_sender(self, sender: str) -> str:
         """Return the client under whose name, or a name below it, a sender is; empty if no client is."""

@@ -174,8 +174,6 @@ class NodeClient:
             self.counts.rejected += 1
             raise
         self.counts.writes += 1
-        if value is None:
-            self._written.remove(actuator, priority)
         return ack
 
     async def relinquish_written(self) -> Relinquished:

@@ -44,7 +44,10 @@ class Relinquished:
 
 
 class WrittenCommands:
-    """The sources of the latest commands, by actuator and priority."""
+    """The sources of the latest commands, by actuator and priority.
+
+    A command that has been relinquished stays among them, since a return to a snapshot brings it back.
+    """
 
     def __init__(self) -> None:
         self._sources: dict[tuple[str, int], str] = {}
@@ -55,10 +58,6 @@ class WrittenCommands:
     def add(self, actuator: str, priority: int, source: str) -> None:
         """Note a command, before it is sent: without a reply, it may have been accepted nevertheless."""
         self._sources[actuator, priority] = source or ANONYMOUS
-
-    def remove(self, actuator: str, priority: int) -> None:
-        """Forget a command that has been relinquished."""
-        self._sources.pop((actuator, priority), None)
 
     async def relinquish(self, ask: Ask, manifest: Manifest) -> Relinquished:
         """Relinquish the commands that are still in force; see `NodeClient.relinquish_written`.
@@ -79,7 +78,6 @@ class WrittenCommands:
                 done.rejected[command] = str(error)
             else:
                 done.count += 1
-                self.remove(actuator, priority)
         if done.rejected and (await ask(keys.STATUS, Query(), Status)).state in (State.ENDED, State.FAILED):
             done.rejected.clear()
         return done

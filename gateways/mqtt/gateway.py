@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from contextlib import AsyncExitStack
+from contextlib import AsyncExitStack, suppress
 from typing import TypeVar
 
 import aiomqtt
@@ -24,6 +24,7 @@ from zenostat.gateways.mqtt.messages import (
     manifest_json,
     number,
     read_command,
+    read_manifest,
     rejected,
     sample_json,
 )
@@ -33,7 +34,15 @@ from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.notices import Notices
 from zenostat.gateways.points import effective_value, readings
 from zenostat.gateways.tasks import cancel
-from zenostat.topics.errors import AccessDenied, BadMessage, BusError, NodeLost, RequestRejected, ZenostatError
+from zenostat.topics.errors import (
+    AccessDenied,
+    BadMessage,
+    BusError,
+    NameInUse,
+    NodeLost,
+    RequestRejected,
+    ZenostatError,
+)
 from zenostat.topics.keys import own_name
 from zenostat.topics.messages import Event, Manifest
 
@@ -68,6 +77,7 @@ class MqttGateway:
 
     Raises:
         BusError: on entering the context, the broker cannot be reached or rejects the connection.
+        NameInUse: on entering the context, the gateway of another node publishes below the same topic.
 
     Attributes:
         counts: counts of messages.
@@ -109,6 +119,11 @@ class MqttGateway:
         self._listen(listeners.presence, self._on_change)
         self._listen(listeners.manifests, self._on_change)
         self._client = await self._connect()
+        try:
+            await self._check_unused(self._client)
+        except BaseException:
+            await disconnect(self._client)
+            raise
         self._close.push_async_callback(self._say_goodbye)
         return self
 
@@ -173,6 +188,27 @@ class MqttGateway:
 
     async def _connect(self) -> BrokerClient:
         return await connect(self._broker, f"{self._root}/status", self._on_rejected)
+
+    async def _check_unused(self, client: BrokerClient) -> None:
+        """Raise `NameInUse` if the gateway of another node publishes below the same topic."""
+        names, stored = ("status", "manifest"), dict[str, bytes]()
+        with suppress(aiomqtt.MqttError):  # it may not read there; if the connection is lost, there will be another one
+            for name in names:  # a broker sends what it has stored at once
+                await client.subscribe(f"{self._root}/{name}", qos=1)
+            for name in names:
+                await client.unsubscribe(f"{self._root}/{name}")
+        while len(client.messages):
+            message = await anext(client.messages)
+            if message.retain and isinstance(message.payload, bytes):
+                stored[str(message.topic)] = message.payload
+        status, manifest = (stored.get(f"{self._root}/{name}", b"") for name in names)
+        own, other = self._node.manifest, read_manifest(manifest)
+        if status == b"online" and other is not None and other != (own.node, own.instance):
+            raise NameInUse(
+                f"a gateway of node {other[0]!r} publishes below {self._root}/ on the broker {self._broker}; choose "
+                f"another topic with --topic. If it has ended without the broker's notice, remove {self._root}/status: "
+                "publish an empty retained message there"
+            )
 
     def _on_rejected(self, text: str) -> None:
         self.counts.refused += 1
@@ -363,6 +399,8 @@ class MqttGateway:
                     f"response topic {received.own_topic[:_SHOWN]!r} is a gateway's own; choose one that is not below "
                     f"{own}, or {self._result_topic(received.actuator, received.user)}"
                 )
+            if received.user == "":
+                raise BadMessage("the topic has an empty user: client/USER/actuator/NAME/set, or actuator/NAME/set")
             client = "" if received.user is None else self._clients.of_mqtt(received.user)
             self._clients.check(client, (received.actuator,))
             own_source = self._node.source_of(client)

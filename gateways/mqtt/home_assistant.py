@@ -52,6 +52,7 @@ def discovery(manifest: Manifest, root: str, prefix: str = "homeassistant") -> I
         kind = "sensor" if reading.index < len(manifest.sensors) else "meter"
         content = _entity(manifest, root, ids[reading.name], label(reading.name)) | _quantity(reading)
         content |= {"state_topic": f"{root}/{kind}/{reading.name}", "state_class": "measurement"}
+        content["value_template"] = "{{ 'None' if value == 'null' else value }}"  # its word for an unknown state
         yield f"{prefix}/sensor/{ids[reading.name]}/config", json.dumps(content)
     actuator_ids = _ids(manifest, [actuator.name for actuator in manifest.actuators])
     for actuator in manifest.actuators:
@@ -144,7 +145,7 @@ def _quantity(reading: Reading) -> dict[str, Any]:
 def _number(manifest: Manifest, root: str, actuator: Actuator, identifier: str) -> dict[str, Any]:
     topic = f"{root}/actuator/{actuator.name}"
     content = _entity(manifest, root, identifier, label(actuator.name))
-    content |= {"state_topic": topic, "command_topic": f"{topic}/set", "mode": "box"}
+    content |= {"state_topic": topic, "command_topic": f"{topic}/set", "mode": "box", "payload_reset": "null"}
     content["min"] = -1e9 if actuator.low is None else actuator.low
     content["max"] = 1e9 if actuator.high is None else actuator.high
     content["step"] = 0.1 if actuator.unit == "degC" else 0.001

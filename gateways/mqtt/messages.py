@@ -12,7 +12,9 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.points import Reading, effective_value
 from zenostat.topics import codec
 from zenostat.topics.errors import BadMessage, ZenostatError
+from zenostat.topics.keys import MAX_NAME
 from zenostat.topics.messages import Event, Manifest, Write
+from zenostat.topics.printable import replace_controls
 
 MAX_PAYLOAD_BYTES = 4096
 """Largest payload of a command."""
@@ -79,11 +81,21 @@ def event_json(event: Event) -> str:
     return json.dumps(event.model_dump(mode="json"))
 
 
+def read_manifest(payload: bytes) -> tuple[str, str] | None:
+    """Return the node and its instance in a manifest that is stored on a broker; None if it is none."""
+    try:
+        content = json.loads(payload)
+        return replace_controls(str(content["node"])[:MAX_NAME]), str(content["instance"])
+    except (ValueError, RecursionError, LookupError, TypeError):
+        return None
+
+
 def manifest_json(manifest: Manifest, readings: list[Reading]) -> str:
     """Return names, units and bounds of all points as JSON."""
     return json.dumps(
         {
             "node": manifest.node,
+            "instance": manifest.instance,
             "building": manifest.building,
             "timestep_s": manifest.step_s,
             "readings": [{"name": reading.name, "unit": reading.unit} for reading in readings],

@@ -2,11 +2,13 @@
 
 import re
 from pathlib import Path
+from zlib import crc32
 
 import pytest
 
 from zenostat.gateways.clients import UNRESTRICTED, Clients, read_clients
 from zenostat.topics.errors import AccessDenied, InvalidConfig
+from zenostat.topics.keys import is_name
 
 TOKEN = "0123456789abcdef"
 FILE = f"""\
@@ -94,7 +96,12 @@ def test_clients__default_is_everything_on_loopback_and_nothing_over_a_network()
 
 
 def test_clients__users_name_themselves_where_there_is_no_file() -> None:
-    assert UNRESTRICTED.of_mqtt("Panel.7/x") == "panel_7_x"  # one part of a name below the gateway's
+    assert UNRESTRICTED.of_mqtt("wall-panel_2") == "wall-panel_2"
+    assert UNRESTRICTED.of_mqtt("Panel.7/x") == f"panel_7_x_{crc32(b'Panel.7/x'):08x}"  # one part of a source
+    odd = ["", ".", "-", "ü", "*", "a b", "a.b", "a/b", "a_b", "A_b", "x", "u" * 64, "u" * 65, "u" * 66]
+    names = {UNRESTRICTED.of_mqtt(user) for user in odd}
+    assert len(names) == len(odd)
+    assert all(is_name(name) and len(name) <= 64 for name in names)
     clients = read_clients(None, ["panel=core_*"], is_exposed=False, name_themselves=True)
     assert (clients.of_mqtt("panel"), clients.of_mqtt("other")) == ("panel", "")
     assert (clients.of_sender("panel.screen"), clients.of_sender("panels")) == ("panel", "")

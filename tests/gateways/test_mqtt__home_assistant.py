@@ -1,11 +1,14 @@
 """Discovery messages of Home Assistant: each point has an id of its own."""
 
 import json
+import math
 from collections.abc import Sequence
 
+import pytest
 from support.builders import manifest
 
 from zenostat.gateways.mqtt.home_assistant import discovery, discovery_topics, is_discovery
+from zenostat.gateways.mqtt.messages import number
 from zenostat.topics.messages import Actuator, Sensor
 
 ROOT = "zenostat/office"
@@ -35,6 +38,23 @@ def test_home_assistant__names_that_differ_in_a_dot_have_ids_of_their_own() -> N
     assert both[f"{ROOT}/sensor/zone_T"] == alone[f"{ROOT}/sensor/zone_T"] == "zenostat_office_zone_T"
     assert both == ids(["zone_T", "other", "zone.T"], ["valve_a", "valve.a"]), "whatever the order"
     assert ids(["zone.T"])[f"{ROOT}/sensor/zone.T"] == "zenostat_office_zone_T"
+
+
+def test_home_assistant__value_that_is_unknown_is_its_own_word_for_it() -> None:
+    """Its sensors take `None` for unknown, and its numbers what is set as `payload_reset`."""
+    jinja2 = pytest.importorskip("jinja2")
+    described = manifest(
+        sensors=[Sensor(name="zone", unit="degC")], actuators=[Actuator(name="valve", unit="fraction")]
+    )
+    contents = {topic.split("/")[1]: json.loads(text) for topic, text in discovery(described, ROOT)}
+    template = jinja2.Template(contents["sensor"]["value_template"])
+    assert [template.render(value=number(value)) for value in (math.nan, None, 21.5, 1e-7)] == [
+        "None",
+        "None",
+        "21.5",
+        "1e-07",
+    ]
+    assert contents["number"]["payload_reset"] == number(None)
 
 
 def test_home_assistant__other_messages_are_not_taken_for_those_of_a_gateway() -> None:

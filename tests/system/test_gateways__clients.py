@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from zlib import crc32
 
 import pytest
 from pymodbus.client import ModbusTcpClient
@@ -187,7 +188,13 @@ def test_mqtt__users_are_their_own_names_without_a_file(stepping_bus: Bus, tmp_p
             topic = f"zenostat/office/client/Panel.1/actuator/{COOLING}"
             broker.publish(f"{topic}/set", "26.5")
             until(lambda: payloads(messages, f"{topic}/result"), "the command has a result")
-        assert stepping_bus.priorities("office")[COOLING][7] == (26.5, "mqtt.panel_1")
+            assert stepping_bus.priorities("office")[COOLING][7] == (26.5, f"mqtt.panel_1_{crc32(b'Panel.1'):08x}")
+            empty = f"zenostat/office/client//actuator/{COOLING}"
+            broker.publish(f"{empty}/set", "24")
+            until(lambda: payloads(messages, f"{empty}/result"), "the command has a result")
+            assert json.loads(payloads(messages, f"{empty}/result")[0])["message"].startswith(
+                "the topic has an empty user"
+            )
 
 
 @pytest.mark.slow

@@ -27,8 +27,10 @@ from zenostat.gateways.mqtt.gateway import MqttGateway
 from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.tasks import cancel
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Reset
 
 pytestmark = needs_broker
+PLANT = "zenostat.agent_sdk.testing.fake_plant:FakePlant"
 COOLING, TEMPERATURE = "core_zn_cooling_setpoint", "core_zn_air_temperature"
 
 
@@ -409,6 +411,41 @@ def test_mqtt_gateway__example_sets_back_at_night(bus: Bus, served: RunningGatew
     assert program.returncode == 0
     times = [line.split(": ") for line in out.splitlines() if "2" in line[:1]]
     assert [(time[11:16], what) for time, what in times[1:]] == [("06:00", "day"), ("20:00", "night")]
+
+
+@pytest.mark.parametrize("other", ["annex", "office"])
+def test_mqtt_gateway__topic_of_another_nodes_gateway_is_refused(
+    bus: Bus, served: RunningGateway, broker: Broker, tmp_path: Path, other: str
+) -> None:
+    """Also if the other node has the same name, on another bus, where no gateway can see the first one."""
+    until(lambda: broker.retained("zenostat/office/status") == "online", "it is online")
+    values = f"zenostat/office/sensor/{TEMPERATURE}", "zenostat/office/manifest", "zenostat/office/status"
+    before = [broker.retained(topic) for topic in values]
+    arguments = ("--broker", f"127.0.0.1:{broker.port}", "--topic", "zenostat/office")
+    with NodeProgram(tmp_path / "other", plant=PLANT, name=other) as node:
+        done = run_in_process("gateway", "mqtt", other, "--connect", node.endpoint, *arguments)
+        assert done.returncode == 1
+        assert "a gateway of node 'office' publishes below zenostat/office/ on the broker" in done.stderr
+        assert "choose another topic with --topic" in done.stderr
+        assert [broker.retained(topic) for topic in values] == before
+        broker.publish("annex/status", "online", retain=True)  # of a gateway that ended while the broker was away
+        broker.publish("annex/manifest", "no JSON", retain=True)
+        with RunningGateway("mqtt", other, "--connect", node.endpoint, *arguments[:2], "--topic", "annex"):
+            until(lambda: "actuators" in (broker.retained("annex/manifest") or ""), "it is served under another topic")
+
+
+def test_mqtt_gateway__command_that_a_snapshot_brings_back_is_relinquished_at_the_end(bus: Bus, broker: Broker) -> None:
+    command = f"fourth/actuator/{COOLING}/set"
+    with gateway(bus.endpoint, broker, "--topic", "fourth", "--source", "fourth"):
+        until(lambda: broker.retained("fourth/status") == "online", "it is online")
+        broker.publish(command, "27")
+        until(lambda: bus.priorities("office")[COOLING][7] == (27.0, "fourth"), "it is commanded")
+        snapshot = bus.snapshot("office").snapshot
+        broker.publish(command, "null")
+        until(lambda: bus.priorities("office")[COOLING][7].value is None, "it is relinquished")
+        bus.reset("office", Reset(snapshot=snapshot))
+        until(lambda: bus.priorities("office")[COOLING][7] == (27.0, "fourth"), "it is back")
+    assert bus.priorities("office")[COOLING][7].value is None
 
 
 def test_mqtt_gateway__killed_gateway_is_offline_by_its_last_will(bus: Bus, broker: Broker) -> None:
