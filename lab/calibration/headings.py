@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import re
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -54,15 +55,9 @@ def read_headings(path: Path, config: Calibration) -> tuple[str, list[Heading]]:
     for name, count in Counter(header).items():
         if count > 1:
             raise InvalidConfig(f"{path}, line 1: the header {name!r} occurs {count} times; rename all but one")
-    names = {_split(cell)[0]: cell for cell in header}
     if time not in header:
         raise InvalidConfig(f"{path}, line 1: there is no column {time!r}; {did_you_mean(time, header)}")
-    settings = {}
-    for name, column in config.columns.items():
-        if name not in header and name not in names:
-            hint = did_you_mean(name, [cell for cell in header if cell != time])
-            raise InvalidConfig(f"columns: {path.name} has no header {name!r} in line 1; {hint}")
-        settings[name if name in header else names[name]] = column
+    settings = {_header(name, header, time, path): column for name, column in config.columns.items()}
     headings = []
     for cell in header:
         column = settings.get(cell, Column())
@@ -72,6 +67,18 @@ def read_headings(path: Path, config: Calibration) -> tuple[str, list[Heading]]:
     if not headings:
         raise InvalidConfig(f"{path}, line 1: no column is left to compare with; set one of `columns` to its point")
     return time, headings
+
+
+def _header(name: str, header: Sequence[str], time: str, path: Path) -> str:
+    """Return the header that `columns` names, perhaps without its unit."""
+    named = [name] if name in header else [cell for cell in header if _split(cell)[0] == name]
+    if len(named) > 1:
+        several = " and ".join(map(repr, named))
+        raise InvalidConfig(f"columns: {name!r} stands for {several} in line 1 of {path.name}; write one with its unit")
+    if not named:
+        hint = did_you_mean(name, [cell for cell in header if cell != time])
+        raise InvalidConfig(f"columns: {path.name} has no header {name!r} in line 1; {hint}")
+    return named[0]
 
 
 def _split(header: str) -> tuple[str, str | None]:

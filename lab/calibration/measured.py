@@ -175,6 +175,8 @@ def _stamps(
         where = f"{path}, line {line}"
         try:
             stamp = datetime.strptime(text, config.time_format) if config.time_format else datetime.fromisoformat(text)
+            if not _YEARS.start <= stamp.year < _YEARS.stop:
+                raise ValueError
         except ValueError:
             wanted = config.time_format or "ISO 8601, as 2017-01-09 13:00, or time_format in the parameters file"
             raise InvalidConfig(f"{where}: {text!r} is no timestamp; expected {wanted}") from None
@@ -188,10 +190,16 @@ def _stamps(
     return lines, stamps
 
 
+_YEARS = range(1583, 9999)
+"""Years of a timestamp: with the calendar of the simulation, and with a day before and after each."""
+
+
 def _zone(name: str | None) -> ZoneInfo | None:
     if name is None:
         return None
     try:
+        if name == "localtime":  # that of the machine
+            raise ValueError
         return ZoneInfo(name)
     except (ZoneInfoNotFoundError, ValueError, OSError):  # a folder of the database is no file
         raise InvalidConfig(f"time_zone: {name!r} is no IANA time zone, such as America/Denver") from None
@@ -269,6 +277,12 @@ def _intervals(
     path: Path, config: Calibration, lines: Sequence[int], stamps: Sequence[datetime], interval: timedelta | None
 ) -> tuple[list[datetime], list[datetime]]:
     """Return begins and ends of the rows, which are whole hours, or whole parts of an hour."""
+    apart = min(after - before for before, after in pairwise(stamps))
+    if config.interval is not None and interval is not None and apart > interval:
+        raise InvalidConfig(
+            f"{path}: interval is {config.interval}, but the timestamps are {apart} apart or more; leave it out, or "
+            "set it to that"
+        )
     grid = min(interval or _HOUR, _DAY)
     if _HOUR % grid and grid % _HOUR:
         minutes = grid / timedelta(minutes=1)
@@ -297,7 +311,7 @@ def _values(path: Path, rows: Sequence[tuple[int, list[str]]], place: int, headi
         if text.casefold() in ("", "nan", "na", "null"):
             continue
         try:
-            values[number] = float(text)
+            values[number] = float(text.replace("_", "?"))  # Python's own mark within numbers
         except ValueError:
             raise InvalidConfig(
                 f"{path}, line {line}, column {heading.header!r}: {text!r} is no number; expected one as 12.5, or an "

@@ -47,6 +47,9 @@ class Range(ConfigPart):
             raise ValueError("either low and high, or choices expected")
         if self.low is not None and self.high is not None and not self.low <= self.high:
             raise ValueError("low is above high")
+        span = 0.0 if self.low is None or self.high is None else self.high - self.low
+        if span and self.step is not None and self.step > span + _TOLERANCE * self.step:
+            raise ValueError(f"step = {self.step:g} is longer than the range from {self.low:g} to {self.high:g}")
         if self.log and (self.step is not None or (self.low is not None and self.low <= 0)):
             raise ValueError("log needs a low above 0 and no step")
         if self.start is not None and (

@@ -258,7 +258,7 @@ def places(objects: Objects, parameter: ModelParameter) -> list[tuple[FieldEdit,
 
 
 def _matching(objects: Objects, edit: FieldEdit) -> Iterator[tuple[str, Mapping[str, Any]]]:
-    pattern = edit.objects.casefold()
+    pattern = edit.objects.casefold().replace("[", "[[]")  # only * and ? are wildcards
     for name, fields in objects.get(edit.type, {}).items():
         if fnmatchcase(name.casefold(), pattern):
             yield name, fields

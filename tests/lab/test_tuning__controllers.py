@@ -177,6 +177,7 @@ def test_tune_controller__class_with_a_required_parameter_needs_it_fixed() -> No
             {"parameters": {"margin": {"low": 0.6, "high": 1.6, "step": 0.25, "start": 1.0}}},
             "start = 1 is no multiple of 0.25 from low = 0.6 on",
         ),
+        ({"parameters": {"margin": {"low": 1, "high": 10, "step": 20}}}, "step = 20 is longer than the range from 1"),
         ({"parameters": {"margin": {"low": 0, "high": 1, "start": 0.5}}}, "start = 0.5 is no whole number, but low"),
         ({"fixed": {"margin": 1.0}}, "margin is both searched and fixed; remove one of both"),
         ({"trials": 0}, "trials=0"),

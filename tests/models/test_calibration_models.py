@@ -68,6 +68,10 @@ def test_edits_of__changes_the_selected_numbers() -> None:
     assert edited(read_parameter("p", "lighting", "core*"), 2.0) == {
         "Lights": {"Core lights": {"watts_per_floor_area": 20.0}}
     }
+    named = {"Lights": {"Core [x] lights": {"lighting_level": 10.0}, "Core x lights": {"lighting_level": 10.0}}}
+    assert edits_of(named, read_parameter("p", "lighting", "core [X] l?ghts"), 2.0) == {
+        "Lights": {"Core [x] lights": {"lighting_level": 20.0}}
+    }
     assert edited(read_parameter("p", "insulation"), 2.0) == {
         "Material": {"Wall insulation": {"conductivity": 0.025}},
         "Material:NoMass": {"Roof Insulation": {"thermal_resistance": 8.0}},
