@@ -44,6 +44,7 @@ from zenostat.topics.messages import (
     EventKind,
     Flag,
     Manifest,
+    Mode,
     Reset,
     Sample,
     State,
@@ -74,8 +75,8 @@ class ControllerLink:
         manifest: The node's manifest.
         name: This controller's name on the bus.
         accepted: The node's answer to the latest reset.
-        mode: When the node's timesteps begin, as far as its messages have been received.
-        paced_by: Who has set it, or paused or resumed the node, since this controller is connected; empty if unknown.
+        paced_by: Who has set the node's mode, or paused or resumed it, since this controller is connected; empty if
+            unknown.
     """
 
     accepted: Ack
@@ -96,7 +97,7 @@ class ControllerLink:
         with ExitStack() as undo:
             undo.callback(self.close)
             self.manifest = bus.manifest(node)
-            self.mode, self.paced_by = self.manifest.mode, ""
+            self._mode, self._described, self.paced_by = self.manifest.mode, b"", ""
             self._open(bus.session)
             undo.pop_all()
         self._placement = bus.placement
@@ -122,6 +123,18 @@ class ControllerLink:
         self._take_claim()
 
     @property
+    def mode(self) -> Mode:
+        """When the node's timesteps begin, as far as its messages have been received.
+
+        Raises:
+            BadMessage: Its latest manifest is not valid.
+        """
+        described, self._described = self._described, b""
+        if described:
+            self._mode = codec.decode(Manifest, described).mode
+        return self._mode
+
+    @property
     def lost(self) -> bool:
         """Whether the node has left the bus since this controller last claimed its actuators."""
         return self._node.lost
@@ -144,7 +157,7 @@ class ControllerLink:
             NodeLost: The node was restarted with other points.
         """
         manifest = self.bus.manifest(self.manifest.node)
-        self.mode = manifest.mode
+        self._mode, self._described = manifest.mode, b""
         self._node.lost = False  # first, so that a second loss from here on is noticed
         if manifest.instance != self.manifest.instance:
             check_interface(manifest, self.manifest)
@@ -319,7 +332,7 @@ class ControllerLink:
             self._ended = NodeLost(f"node {node!r} is gone{self._where()}")
             raise self._ended
         if key == keys.MANIFEST.at(node):
-            self.mode = codec.decode(Manifest, message.payload.to_bytes(), str(message.encoding)).mode
+            self._described = message.payload.to_bytes()
             self.paced_by = ""  # the event that follows names who
             return
         if key != keys.EVENT.at(node):
