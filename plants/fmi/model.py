@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.models.cache import cached_dir
-from zenostat.plants.fmi.variables import NUMERIC, bounds, number
+from zenostat.plants.fmi.variables import FLOATING, NUMERIC, number, settable_bounds
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.extras import import_extra
 
@@ -180,9 +180,10 @@ def check_starts(description: Any, starts: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _fmpy_value(variable: Any, value: Any) -> Any:
-    if variable.type == "Boolean":
-        return [bool(number(part)) for part in value] if isinstance(value, list) else bool(number(value))
-    return value
+    if variable.type not in NUMERIC:
+        return value
+    kind = bool if variable.type == "Boolean" else float if variable.type in FLOATING else int
+    return [kind(number(part)) for part in value] if isinstance(value, list) else kind(number(value))
 
 
 def _start_error(variable: Any, value: Any) -> str:
@@ -209,7 +210,7 @@ def _number_error(variable: Any, value: Any) -> str:
         count *= int(size)
     if len(parts) != count:
         return f"{count} value{'s' if count > 1 else ''} expected"
-    low, high = bounds(variable)
+    low, high = settable_bounds(variable)
     for part in parts:
         try:
             numeric = number(part)
@@ -221,6 +222,6 @@ def _number_error(variable: Any, value: Any) -> str:
             limits = [f"at least {low:g}"] if low is not None else []
             limits += [f"at most {high:g}"] if high is not None else []
             return f"out of bounds; {' and '.join(limits)} expected"
-        if variable.type not in {"Real", "Float32", "Float64", "Boolean"} and numeric != int(numeric):
+        if variable.type not in {*FLOATING, "Boolean"} and numeric != int(numeric):
             return "a whole number expected"
     return ""

@@ -16,7 +16,9 @@ NUMERIC = {
     "UInt32", "Int64", "UInt64",
 }  # fmt: skip
 """Types of FMI whose values are numbers."""
-_FLOATING = {"Real", "Float32", "Float64"}
+FLOATING = {"Real", "Float32", "Float64"}
+_EXACT_BITS = 53
+"""Whole numbers up to this number of bits are exact as the values of points, which are float64."""
 _UNBOUNDED = 1e60
 """Modelica's infinity, which its tools export as a bound."""
 UNIT_NAMES = {"": "1", "-": "1", "%": "percent"}
@@ -50,7 +52,7 @@ class Variable:
     @property
     def is_floating(self) -> bool:
         """Whether its values are floating-point numbers."""
-        return self.kind in _FLOATING
+        return self.kind in FLOATING
 
     @property
     def is_fixed(self) -> bool:
@@ -139,7 +141,7 @@ def inputs(description: Any, starts: dict[str, Any], names: PointNames) -> list[
 def _pairs(variables: dict[str, Any]) -> Iterator[tuple[str, str]]:
     for name, variable in variables.items():
         partner = name.removesuffix(_VALUE) + _ACTIVATION
-        if not name.endswith(_VALUE) or variable.type not in _FLOATING or variable.shape or partner not in variables:
+        if not name.endswith(_VALUE) or variable.type not in FLOATING or variable.shape or partner not in variables:
             continue
         if variables[partner].type == "Boolean" and not variables[partner].shape:
             yield name, partner
@@ -153,10 +155,12 @@ def _variable(
     stem: str = "",
     activation: Variable | None = None,
 ) -> Variable:
-    low, high = bounds(variable)
+    low, high = bounds(variable) if starts is None else settable_bounds(variable)
     shape = tuple(int(size) for size in variable.shape or ())
     elements = [""] if not shape else [f"[{','.join(map(str, i))}]" for i in product(*(range(1, n + 1) for n in shape))]
     start = () if starts is None else _start_values(variable, starts.get(variable.name, variable.start), (low, high))
+    if len(start) not in (0, 1, prod(shape)):
+        raise InvalidConfig(f"{variable.name}: its start has {len(start)} values; {prod(shape)} expected")
     return Variable(
         name=variable.name,
         reference=variable.valueReference,
@@ -216,6 +220,22 @@ def bounds(variable: Any) -> tuple[float | None, float | None]:
         items = [_number_of(variable, "enumeration", item.value) for item in declared.items]
         return min(items), max(items)
     return _bound(variable, "min"), _bound(variable, "max")
+
+
+def settable_bounds(variable: Any) -> tuple[float | None, float | None]:
+    """Return the bounds of a variable within those of its type: FMI's functions cut a number off that exceeds these.
+
+    Raises:
+        InvalidConfig: a bound is not a number.
+    """
+    low, high = bounds(variable)
+    if variable.type in FLOATING or variable.type in ("Boolean", "Enumeration"):
+        return low, high
+    bits = 32 if variable.type == "Integer" else int(variable.type.strip("UInt"))
+    is_unsigned = variable.type.startswith("U")
+    end = 2.0 ** min(bits if is_unsigned else bits - 1, _EXACT_BITS)
+    least, most = 0.0 if is_unsigned else -end, end - 1.0
+    return least if low is None else max(low, least), most if high is None else min(high, most)
 
 
 def _bound(variable: Any, side: str) -> float | None:

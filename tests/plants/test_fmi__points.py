@@ -13,7 +13,7 @@ from zenostat.topics.errors import InvalidConfig, PlantFailed
 fmpy = pytest.importorskip("fmpy")
 
 from zenostat.plants.fmi.plant import FmuPlant  # noqa: E402
-from zenostat.plants.fmi.variables import PointNames, point_name  # noqa: E402
+from zenostat.plants.fmi.variables import PointNames, inputs, point_name  # noqa: E402
 
 STEP_S = 60.0
 
@@ -93,6 +93,32 @@ def test_fmu__input_with_one_possible_value_keeps_it_and_is_no_actuator(module_s
     assert plant.step({"heat": 0.0})["power"] == 1000.0
 
 
+@pytest.mark.parametrize(
+    ("kind", "limits", "expected"),
+    [
+        ("UInt8", "", (0.0, 255.0)), ("Int8", "", (-128.0, 127.0)), ("Int16", 'max="9"', (-32768.0, 9.0)),
+        ("Int32", 'min="-7"', (-7.0, 2147483647.0)), ("UInt64", "", (0.0, 2.0**53 - 1.0)),
+        ("Int64", "", (-(2.0**53), 2.0**53 - 1.0)), ("Float32", "", (None, None)),
+    ],
+)  # fmt: skip
+def test_fmu__whole_numbers_have_the_bounds_of_their_type(
+    module_scratch: Path, kind: str, limits: str, expected: tuple[float | None, float | None]
+) -> None:
+    """FMI's functions would cut a number off that exceeds these."""
+    extra = f'<{kind} name="n" valueReference="60" causality="input" variability="discrete" {limits} start="1"/>'
+    path = build_tank(module_scratch, f"bounded-{kind}.fmu", 3, extra=extra)
+    parameter = next(
+        part for part in inputs(fmpy.read_model_description(str(path)), {}, PointNames()) if part.name == "n"
+    )
+    assert (parameter.low, parameter.high) == expected
+
+
+def test_fmu__array_needs_a_start_for_each_element(module_scratch: Path) -> None:
+    array = '<Float64 name="a" valueReference="60" causality="input" start="1 2"><Dimension start="3"/></Float64>'
+    with pytest.raises(InvalidConfig, match="a: its start has 2 values; 3 expected"):
+        FmuPlant(str(build_tank(module_scratch, "array.fmu", 3, extra=array)))
+
+
 # Settings
 
 
@@ -116,6 +142,7 @@ def test_fmu__start_values_of_parameters_and_inputs_are_set(tank: Path) -> None:
         ({"set": ["heat"]}, r"set = \['heat'\]: values by name expected"),
         ({"set": "heat"}, "set = 'heat': values by name expected"),
         ({"set": {"mode": 1.5}}, "mode = 1.5: a whole number expected"),
+        ({"set": {"deed": 3e9}}, "deed = 3000000000.0: out of bounds; at least 0 and at most 9 expected"),
         ({"set": {"power": 1.0}}, "power = 1.0: it is an output that the FMU calculates"),
         ({"set": {"heat": [1.0, 2.0]}}, "1 value expected"),
         ({"set": {"los": 1.0, "heat": -1.0}}, "los(?s:.*)heat = -1.0: out of bounds"),
@@ -135,6 +162,11 @@ def test_fmu__start_values_of_parameters_and_inputs_are_set(tank: Path) -> None:
 def test_fmu__wrong_argument_is_named(tank: Path, arguments: dict[str, Any], text: str) -> None:
     with pytest.raises(InvalidConfig, match=text):
         FmuPlant(str(tank), **arguments)
+
+
+def test_fmu__whole_number_may_be_written_as_another_number(tank: Path) -> None:
+    for value in (7, 7.0, "7.0"):
+        assert FmuPlant(str(tank), set={"deed": value}).actuators["deed"] == ("1", 0.0, 9.0, 7.0)
 
 
 def test_fmu__without_a_step_size_states_which_one_it_gets(module_scratch: Path) -> None:
