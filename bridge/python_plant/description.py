@@ -8,6 +8,7 @@ import inspect
 import json
 import re
 import sys
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime, timedelta
@@ -218,7 +219,13 @@ def _actions(plant: Any, actuators: Sequence[str], errors: list[str]) -> tuple[s
     errors += [
         f"actions: no actuator {name!r}; {did_you_mean(name, actuators)}" for name in actions if name not in actuators
     ]
+    errors += _repeated("actions", actions)
     return tuple(actions)
+
+
+def _repeated(attribute: str, names: Sequence[str]) -> list[str]:
+    """Return an error for each name that a list has more than once."""
+    return [f"{attribute}: {name!r} occurs {count} times" for name, count in Counter(names).items() if count > 1]
 
 
 def _diagram(plant: Any, errors: list[str]) -> dict[str, Any] | None:
@@ -340,6 +347,7 @@ def _time(plant: Any, errors: list[str]) -> tuple[str, ...]:
     errors += [
         f"time: no time feature {name!r}; {did_you_mean(str(name), known)}" for name in time if name not in known
     ]
+    errors += _repeated("time", [str(name) for name in time])
     return tuple(map(str, time))
 
 

@@ -229,7 +229,11 @@ class PlantHost:
         self._frames.sendall(PROCESS_ID.pack(reply))
 
     def _restore(self, path: Path) -> None:
-        self._step, numbers, state = pickle.loads(path.read_bytes())  # noqa: S301  # written by `_save` of this node
+        raw = path.read_bytes()  # written by `_save` of this node
+        try:
+            self._step, numbers, state = pickle.loads(raw)  # noqa: S301
+        except Exception as error:  # whatever the user's classes raise
+            raise PlantError(f"the state of {self._name}.save() cannot be loaded again: {error!r}") from None
         self._call("restore", self._plant.restore, state)
         self._out[2:] = array("d", numbers)
 

@@ -53,6 +53,11 @@ def test_python_plant__class_needs_a_timestep_points_and_two_methods() -> None:
     assert not description.has_state
 
 
+def test_python_plant__action_is_named_once() -> None:
+    assert describe(with_attributes(actions=["heater"])).actions == ("heater",)
+    assert errors_of(with_attributes(actions=["heater", "heater"]))[0].endswith("actions: 'heater' occurs 2 times")
+
+
 def test_python_plant__empty_class_gets_everything_that_it_lacks_in_one_error() -> None:
     class Empty:
         pass
@@ -105,6 +110,7 @@ def test_python_plant__begin_is_a_datetime_or_its_text_without_a_time_zone() -> 
 def test_python_plant__time_features_have_the_names_of_the_contract() -> None:
     assert described(time=["hour", "day_of_week"]).time == ("hour", "day_of_week")
     assert "did you mean 'hour'" in errors_of(with_attributes(time=("hours",)))[0]
+    assert errors_of(with_attributes(time=("hour", "month", "hour")))[0].endswith("time: 'hour' occurs 2 times")
     for wrong in ("hour", 0.0, None):  # an attribute of that name may well be the plant's clock
         (error,) = errors_of(with_attributes(time=wrong))
         assert "a tuple of time features expected" in error

@@ -32,6 +32,7 @@ from zenostat.topics.errors import (
     InvalidConfig,
     PlantFailed,
     RequestRejected,
+    SimulatorError,
     ZenostatError,
 )
 from zenostat.topics.messages import CreateBranch, State
@@ -47,7 +48,7 @@ class Tank:
     duration_s = 600.0
     sensors = {"temperature": ("degC", 0.0, 100.0), "noise": "1"}
     meters = {"electricity": "J"}
-    actuators = {"heater": ("W", 0.0, 3000.0), "valve": ("1", 0.0, 1.0, 0.25), "deed": ("1", 0.0, 20.0)}
+    actuators = {"heater": ("W", 0.0, 3000.0), "valve": ("1", 0.0, 1.0, 0.25), "deed": ("1", 0.0, 21.0)}
 
     def __init__(self, loss=LOSS, deed=""):
         self.loss = loss
@@ -90,6 +91,8 @@ class Tank:
             threading.Thread(target=time.sleep, args=(1e6,), daemon=True).start()
         if deed == "keep":
             self.kept = threading.Lock()
+        if deed == "keep unreadable":
+            self.kept = Unreadable()
         if deed == "break":
             self.broken = True
         if deed in WRONG:
@@ -114,7 +117,11 @@ class Tank:
 WRONG = {"nan": float("nan"), "inf": float("inf"), "text": "20.0", "none": None, "huge": 10**400}
 DEEDS = ["", "raise", "exit", "leave", "kill", "hang", "compute", "print", "thread", "keep", "break", *WRONG]
 DEEDS += ["compute for ever"]
-DEEDS += ["missing", "unknown", "list"]
+DEEDS += ["missing", "unknown", "list", "keep unreadable"]
+
+class Unreadable:
+    def __reduce__(self):
+        return int, ("no number",)
 
 class Forkable(Tank):
     forkable = True
@@ -136,7 +143,7 @@ class Daily(Tank):
     duration_s = 10 * 86400.0
 '''
 DEEDS = ["", "raise", "exit", "leave", "kill", "hang", "compute", "print", "thread", "keep", "break"]
-DEEDS += ["nan", "inf", "text", "none", "huge", "compute for ever", "missing", "unknown", "list"]
+DEEDS += ["nan", "inf", "text", "none", "huge", "compute for ever", "missing", "unknown", "list", "keep unreadable"]
 SOON = {"unresponsive_s": 2.0}
 
 
@@ -437,6 +444,17 @@ def test_python_plant__pending_trial_can_be_cancelled(own: BuildingEnv) -> None:
 
 
 @pytest.mark.slow
+def test_python_plant__state_that_cannot_be_loaded_again_is_named(own: BuildingEnv) -> None:
+    own.reset(seed=1)
+    own.step(action(valve=0.0, heater=100.0, deed="keep unreadable"))
+    with pytest.raises(
+        SimulatorError, match=r"the state of Tank.save\(\) cannot be loaded again: ValueError\(.*no number"
+    ):
+        own.snapshot()
+    assert trajectory(own, 1) == calculated(1, 2)[1:]
+
+
+@pytest.mark.slow
 def test_python_plant__class_that_can_no_longer_be_copied_goes_on(own: BuildingEnv, forkable: BuildingEnv) -> None:
     own.reset(seed=1)
     own.step(action(valve=0.0, heater=100.0, deed="keep"))
@@ -462,7 +480,7 @@ def test_python_plant__class_that_cannot_be_copied_states_what_it_lacks(own: Bui
     with pytest.raises(PlantFailed, match=r"(?s)Tank.restore\(\) raised an error.*the tank leaks"):
         own.snapshot()
     assert trajectory(own, 1) == calculated(1, 2)[1:]
-    assert len(hosts_of(own.local_node.pid)) == 1
+    until(lambda: len(hosts_of(own.local_node.pid)) == 1, "the copy has ended")
     with pytest.raises(EngineDied):
         own.step(action(deed="kill"))
 
