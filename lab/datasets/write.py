@@ -97,6 +97,7 @@ def write_dataset(
         owned = None if isinstance(env, gym.Env) else env()
         environment: gym.Env[Any, Any] = owned if owned is not None else env  # type: ignore[assignment]
         try:
+            _check_spaces(environment)
             building = _building(environment)
             created = {name: make_controller(f, building.manifest, arguments[name]) for name, f in factories.items()}
             settings = {name: {"parameters": arguments[name], "episodes": episodes} for name in created}
@@ -115,6 +116,16 @@ def write_dataset(
             if owned is not None:
                 owned.close()
         return path
+
+
+def _check_spaces(env: gym.Env[Any, Any]) -> None:
+    """Raise `InvalidConfig` if observations or actions are no arrays, before anything is simulated."""
+    for what, space in (("observations", env.observation_space), ("actions", env.action_space)):
+        if space.shape is None:
+            raise InvalidConfig(
+                f"a data set has {what} that are arrays, not of {type(space).__name__}: leave out the wrapper that "
+                "makes them so, or flatten them (gymnasium.wrappers.FlattenObservation)"
+            )
 
 
 @contextmanager

@@ -33,6 +33,17 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.usefixtures("folder")
+def test_write_dataset__observations_that_are_no_arrays_are_refused_before_anything_is_simulated() -> None:
+    env = fake()
+    space = gym.spaces.Dict({"all": env.observation_space})
+    named = gym.wrappers.TransformObservation(env, lambda observation: {"all": observation}, space)
+    with pytest.raises(
+        InvalidConfig, match="a data set has observations that are arrays, not of Dict: leave out the wra"
+    ):
+        write_dataset(named, ["rbc"], ID)
+
+
 def hashes(folder: Path) -> dict[str, str]:
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}
