@@ -124,9 +124,10 @@ class RecordedSender(Message):
 class RecordedAudit(Message):
     """Digests of the messages since the previous such record; see `bridge/recording/audit_chain.py`.
 
-    `first`: number of entries of the audit log before them. `previous`: link of the previous record, 32 bytes; in
-    the first one the digest of the file's versions and attachments, zeros in recordings of earlier releases. `digests`: 32 bytes for each entry, in the order of the file. `messages`: one digest of all messages,
-    32 bytes; empty in recordings of earlier releases.
+    `first`: number of entries of the audit log before them. `previous`: link of the previous record, 32 bytes; in the
+    first one the digest of the file's versions and attachments, zeros in recordings of earlier releases. `digests`: 32
+    bytes for each entry, in the order of the file. `messages`: one digest of all messages, 32 bytes; empty in
+    recordings of earlier releases.
     """
 
     first: Count

@@ -22,7 +22,8 @@ class DemandLimiter:
 
     The limit is `limit_kw`, or the highest power of the calendar month so far where that is higher: what is paid
     already cannot be saved. The share rises linearly from 0 at `start` times the limit to 1 at the limit. It falls by
-    at most `RECOVERY_K_PER_H` divided by the greatest adjustment.
+    at most `RECOVERY_K_PER_H` divided by the greatest adjustment. Without `limit_kw` and a threshold, the first power
+    of a month is at the limit.
 
     Sources: global temperature adjustment of all zones, as in Motegi, Piette, Watson, Kiliccote and Xu, "Introduction
     to commercial building control strategies and techniques for demand response", LBNL-59975, 2007; the demand-limit

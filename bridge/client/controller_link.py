@@ -124,7 +124,7 @@ class ControllerLink:
 
     @property
     def mode(self) -> Mode:
-        """When the node's timesteps begin, as far as its messages have been received.
+        """Mode of the node, as far as its messages have been received.
 
         Raises:
             BadMessage: Its latest manifest is not valid.
