@@ -24,7 +24,7 @@ from zenostat.models.points.discovery import PointCatalog
 from zenostat.models.points.monitoring import with_monitoring, with_systems, with_unobserved
 from zenostat.models.points.schedules import with_baseline_sensors, with_leads
 from zenostat.models.points.selection import Points
-from zenostat.models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSource, first_noisy_row
+from zenostat.models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSource, check_years, first_noisy_row
 from zenostat.models.scenario.run_period import Period, check_steps_per_hour
 from zenostat.models.scenario.schema import ActuatorSpec, Scenario, dump
 from zenostat.models.scenario.task import relative_actuators, task_of
@@ -146,6 +146,8 @@ def _check_weather(sources: Sequence[WeatherSource], period: Period | None, erro
             errors.collect(lambda source=source: check_records(source.header, source.path))  # type: ignore[misc]
         if period is not None:
             errors.collect(lambda source=source: check_covers(source.header, period, source.name))  # type: ignore[misc]
+            if is_complete:
+                errors.collect(lambda source=source: check_years(source.path, source.name, period))  # type: ignore[misc]
 
 
 def _is_complete(source: WeatherSource) -> bool:

@@ -108,7 +108,8 @@ class Building:
         last = parse_day(end, "end", first.year)
         if over_new_year and last < first:
             last = parse_day(end, "end", first.year + 1)  # the same day if it has a year
-        return Period(first, last, self.steps_per_hour if steps_per_hour is None else steps_per_hour)
+        by_year = str(self.run_period.get("treat_weather_as_actual")).casefold() == "yes"
+        return Period(first, last, self.steps_per_hour if steps_per_hour is None else steps_per_hour, by_year)
 
     def _check_own_days(self) -> None:
         """Check the days of the model's own run period."""

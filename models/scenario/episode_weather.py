@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from datetime import timedelta
+from datetime import date, timedelta
 from functools import lru_cache
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from zenostat.models.weather.design_days import Site
 from zenostat.models.weather.fixed_width import FixedWidthWeather
 from zenostat.models.weather.header import Header
 from zenostat.models.weather.noise import Variability, with_noise
+from zenostat.models.weather.records import KEPT
 from zenostat.topics.errors import InvalidConfig
 
 
@@ -168,8 +169,8 @@ def first_noisy_row(weather: epw.Weather, period: Period) -> int:
     Raises:
         InvalidConfig: EnergyPlus reads that row after the end of the file, from the file's beginning.
     """
-    days, third_day = _days_of_rows(weather), period.begin + timedelta(days=NOISE_FREE_DAYS)
-    begin, first = ((day.month, day.day) for day in (period.begin, third_day))
+    days, third_day = _days_of_rows(weather, period), period.begin + timedelta(days=NOISE_FREE_DAYS)
+    begin, first = (_record_day(day, period) for day in (period.begin, third_day))
     if begin not in days or first not in days:
         return 0  # `check_covers` refuses the run period
     if first not in days[days.index(begin) :]:
@@ -181,9 +182,31 @@ def first_noisy_row(weather: epw.Weather, period: Period) -> int:
     return days.index(first, days.index(begin))
 
 
-def _days_of_rows(weather: epw.Weather) -> list[tuple[int, int]]:
-    """Return month and day of each row."""
-    return [(month, day) for _, month, day, _, _ in weather.times.tolist()]
+def _days_of_rows(weather: epw.Weather, period: Period) -> list[tuple[int, ...]]:
+    """Return month and day of each row, after its year if that counts."""
+    return [period.record_day(year, month, day) for year, month, day, _, _ in weather.times.tolist()]
+
+
+def _record_day(day: date, period: Period) -> tuple[int, ...]:
+    return period.record_day(day.year, day.month, day.day)
+
+
+def check_years(path: Path, name: str, period: Period) -> None:
+    """Check that a weather file has the years of a run period in which they count.
+
+    Raises:
+        InvalidConfig: it lacks the first or the last day; or see `zenostat.models.weather.epw.read`.
+    """
+    if not period.by_year:
+        return
+    days = _days_of_rows(epw.read(path), period)
+    for day in (period.begin, period.end):
+        if _record_day(day, period) not in days:
+            first, last = ("-".join(f"{part:02}" for part in each) for each in (days[0], days[-1]))
+            raise InvalidConfig(
+                f"the RunPeriod has treat_weather_as_actual, but the weather file {name} has no {day}: its records are "
+                f"from {first} to {last}; write the days of the run period with one of its years"
+            )
 
 
 class _LateNoise:
@@ -199,13 +222,15 @@ class _LateNoise:
     def __init__(self, weather: epw.Weather, period: Period) -> None:
         self.file = FixedWidthWeather(weather)
         self.first = first_noisy_row(weather, period)
-        days = _days_of_rows(weather)
+        days = _days_of_rows(weather, period)
         first_day, last_day = period.begin + timedelta(days=NOISE_FREE_DAYS), period.end + FORECAST_HORIZON
-        last, after, again = (last_day.month, last_day.day), len(days), 0
-        if last_day.year == first_day.year and last in days:
+        last, after, again = _record_day(last_day, period), len(days), 0
+        if (period.by_year or last_day.year == first_day.year) and last in days:
             after -= days[::-1].index(last)
-        elif last_day.year > first_day.year:  # EnergyPlus reads the file again from its beginning
-            begin = days.index((period.begin.month, period.begin.day))
+        elif (
+            last_day.year > first_day.year and not period.by_year
+        ):  # EnergyPlus reads the file again from its beginning
+            begin = days.index(_record_day(period.begin, period))
             before = days[:begin]
             again = begin - (before[::-1].index(last) if last in before else 0)
         after = after if after > self.first else len(days)
@@ -223,7 +248,8 @@ def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[
     """Return weather columns from the first day of a run period to a week after its last, in EnergyPlus's order.
 
     Returns:
-        values, shape (rows, columns), NaN where missing, each at the end of its interval; and the interval in seconds.
+        values, shape (rows, columns), each at the end of its interval; and the interval in seconds. Where one is
+        missing, it is the last one before it in the columns in which EnergyPlus takes that, and otherwise NaN.
 
     Raises:
         UnknownName: there is no such column.
@@ -231,18 +257,28 @@ def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[
     selected = [epw.find_column(name) for name in columns]
     weather = epw.read(path)
     size = 24 * weather.header.records_per_hour
-    days = _days_of_rows(weather)[::size]
+    days = _days_of_rows(weather, period)[::size]
     rows: list[int] = []
     day = period.begin
-    # EnergyPlus begins with the first record of that month and day, of whatever year, and goes on from there.
-    place = days.index((day.month, day.day))
+    # EnergyPlus begins with the first record of that month and day, unless the year counts, and goes on from there.
+    place = days.index(_record_day(day, period))
     while day <= period.end + FORECAST_HORIZON:
-        place += days[place % len(days)] == (2, 29) != (day.month, day.day)
-        if days[place % len(days)] != (day.month, day.day):
+        place += days[place % len(days)][-2:] == (2, 29) != (day.month, day.day)
+        if days[place % len(days)] != _record_day(day, period):
             break
         rows += range(place % len(days) * size, (place % len(days) + 1) * size)
         place += 1
         day += timedelta(days=1)
     values = np.column_stack([weather.column(column.name)[rows] for column in selected])
     missing = np.array([column.missing for column in selected])
-    return np.where(values >= missing, np.nan, values), 3600.0 * weather.record_h
+    values = np.where(values >= missing, np.nan, values)
+    for column, row in zip(selected, values.T, strict=True):
+        if column.name in KEPT:
+            _hold(row)
+    return values, 3600.0 * weather.record_h
+
+
+def _hold(values: NDArray[np.float64]) -> None:
+    """Replace missing values by the last one before each; the first ones may have none."""
+    last = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(len(values))))
+    values[:] = values[last]

@@ -42,11 +42,17 @@ _FIRST_YEAR, _LAST_YEAR = 1583, 9998
 
 @dataclass(frozen=True, slots=True)
 class Period:
-    """Whole days from `begin` to `end`, both included, in equal timesteps."""
+    """Whole days from `begin` to `end`, both included, in equal timesteps.
+
+    Attributes:
+        by_year: whether EnergyPlus looks for the records of these years in the weather file, as with
+            `treat_weather_as_actual`, rather than for those of the days in whatever year.
+    """
 
     begin: date
     end: date
     steps_per_hour: int
+    by_year: bool = False
 
     def __post_init__(self) -> None:
         if self.begin.year < _FIRST_YEAR or self.end.year > _LAST_YEAR:
@@ -59,6 +65,10 @@ class Period:
                 "day as YYYY-MM-DD"
             )
         check_steps_per_hour(self.steps_per_hour)
+
+    def record_day(self, year: int, month: int, day: int) -> tuple[int, ...]:
+        """Return what tells the records of a day from those of others."""
+        return (year, month, day) if self.by_year else (month, day)
 
     @property
     def step_s(self) -> float:

@@ -214,8 +214,13 @@ def check_covers(header: Header, period: Period, name: str) -> None:
     the run period is skipped, as it should be.)
 
     Raises:
-        InvalidConfig: the file has no data for some days.
+        InvalidConfig: the file has no data for some days, or its records are not those of the timesteps.
     """
+    if header.records_per_hour not in (1, period.steps_per_hour):
+        raise InvalidConfig(
+            f"the weather file {name} has {header.records_per_hour} records per hour, which EnergyPlus reads only with "
+            f"as many timesteps: set steps_per_hour to {header.records_per_hour}, not {period.steps_per_hour}"
+        )
     if not any(_covers(data, period.begin, period.end) for data in header.periods):
         if period.begin.year != period.end.year:
             raise InvalidConfig(

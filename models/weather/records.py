@@ -15,7 +15,7 @@ from zenostat.models.weather.header import HEADER_LINES, Header, read_header
 from zenostat.topics.errors import InvalidConfig
 
 _FORMAT = "2"
-_KEPT = (
+KEPT = (
     "dry_bulb_temperature",
     "dew_point_temperature",
     "relative_humidity",
@@ -54,7 +54,7 @@ def _inspect(header: Header, path: Path) -> dict[str, Any]:
         lines = [line for line in raw.splitlines()[HEADER_LINES:] if line.strip()]
         rows = [line.decode("latin-1").split(",") for line in lines]
         missing = Counter[str]()
-        for name in _KEPT:
+        for name in KEPT:
             column = COLUMNS[name]
             missing[name] = sum(_number(row, column.index) >= column.missing for row in rows)
         error = next(_order_errors(rows, 24 * header.records_per_hour), "")

@@ -3,6 +3,7 @@
 import json
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from datetime import date, timedelta
 from itertools import combinations, pairwise
 from pathlib import Path
@@ -23,6 +24,7 @@ from zenostat.models.scenario.episode_weather import (
     WeatherDraw,
     WeatherSampler,
     WeatherSource,
+    check_years,
     series,
 )
 from zenostat.models.scenario.run_period import Period
@@ -227,29 +229,71 @@ def test_episode_files__noise_changes_the_weather_by_about_what_was_drawn(small:
     assert abs(np.mean(after - before)) < 5 * sigma / np.sqrt(365)
 
 
-@pytest.mark.parametrize(
-    ("begin", "end", "rows"),
-    [
-        (date(2017, 7, 3), date(2017, 7, 3), [*range(4392, 4392 + 8 * 24)]),
-        (date(2018, 7, 3), date(2018, 7, 3), [*range(4392, 4392 + 8 * 24)]),  # EnergyPlus takes no account of the year
-        (date(2017, 12, 30), date(2018, 1, 2), [*range(8712, 8712 + 11 * 24)]),
-        (date(2017, 12, 30), date(2018, 12, 30), [*range(8712, 17520), *range(6 * 24)]),
-    ],
-)
-def test_series__of_a_file_of_two_years_is_what_energyplus_reads(
-    begin: date, end: date, rows: list[int], tmp_path: Path
-) -> None:
+def two_years(folder: Path) -> Path:
+    """A file of 2017 and 2018 whose temperature has another value in each row: 250 times 40 more is its number."""
     lines = find_weather(DENVER).path.read_text("latin-1").splitlines()
     lines[7] = "DATA PERIODS,1,1,Data,Sunday,1/1/2017,12/31/2018"
     cells = [[str(year), *line.split(",")[1:]] for year in (2017, 2018) for line in lines[8:]]
     for row, each in enumerate(cells):
         each[6] = f"{-40 + row / 250:.3f}"
-    path = tmp_path / "two.epw"
+    path = folder / "two.epw"
     path.write_text("\n".join([*lines[:8], *(",".join(each) for each in cells), ""]), encoding="latin-1")
-    values, step_s = series(path, Period(begin, end, 4), ["dry_bulb"])
+    return path
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "rows", "by_year"),
+    [
+        (date(2017, 7, 3), date(2017, 7, 3), [*range(4392, 4392 + 8 * 24)], False),
+        (date(2018, 7, 3), date(2018, 7, 3), [*range(4392, 4392 + 8 * 24)], False),  # no account of the year
+        (date(2017, 12, 30), date(2018, 1, 2), [*range(8712, 8712 + 11 * 24)], False),
+        (date(2017, 12, 30), date(2018, 12, 30), [*range(8712, 17520), *range(6 * 24)], False),
+        (date(2017, 7, 3), date(2017, 7, 3), [*range(4392, 4392 + 8 * 24)], True),
+        (date(2018, 7, 3), date(2018, 7, 3), [*range(8760 + 4392, 8760 + 4392 + 8 * 24)], True),
+        (date(2017, 12, 30), date(2018, 12, 30), [*range(8712, 17520)], True),  # and nothing after it
+    ],
+)
+def test_series__of_a_file_of_two_years_is_what_energyplus_reads(
+    begin: date, end: date, rows: list[int], by_year: bool, tmp_path: Path
+) -> None:
+    path = two_years(tmp_path)
+    values, step_s = series(path, Period(begin, end, 4, by_year), ["dry_bulb"])
     assert (step_s, np.rint((values[:, 0] + 40) * 250).astype(int).tolist()) == (3600.0, rows)
-    ran = run_outdoors(tmp_path / "run", path, begin, min(end, begin + timedelta(days=3)))
+    actual = {"treat_weather_as_actual": "Yes"} if by_year else {}
+    ran = run_outdoors(tmp_path / "run", path, begin, min(end, begin + timedelta(days=3)), run_period=actual)
     measured = ran.values[0][STEPS_PER_HOUR - 1 :: STEPS_PER_HOUR, 0]
+    assert np.array_equal(measured, values[: len(measured), 0])
+
+
+def test_check_years__names_the_years_of_the_file(tmp_path: Path) -> None:
+    path = two_years(tmp_path)
+    check_years(path, "two", Period(date(2018, 7, 3), date(2018, 7, 4), 4, by_year=True))
+    check_years(path, "two", Period(date(2019, 7, 3), date(2019, 7, 4), 4))
+    for begin, end in ((date(2016, 12, 30), date(2017, 1, 2)), (date(2018, 12, 30), date(2019, 1, 2))):
+        with pytest.raises(InvalidConfig, match=r"weather file two has no .*from 2017-01-01 to 2018-12-31; write the"):
+            check_years(path, "two", Period(begin, end, 4, by_year=True))
+
+
+def test_building__run_period_by_year_is_that_of_the_model(small: Building) -> None:
+    objects = {**small.objects, "RunPeriod": {"r": {"treat_weather_as_actual": "Yes"}}}
+    assert replace(small, objects=objects).period("07-03", "07-04", None).by_year
+    assert not small.period("07-03", "07-04", None).by_year
+
+
+def test_series__missing_values_are_those_that_energyplus_takes(tmp_path: Path) -> None:
+    """The last one before it, of the temperature; none, of the radiation."""
+    lines = find_weather(DENVER).path.read_text("latin-1").splitlines()
+    for row in range(8 + 4392 + 5, 8 + 4392 + 9):
+        cells = lines[row].split(",")
+        cells[6], cells[13] = "99.9", "9999"
+        lines[row] = ",".join(cells)
+    path = tmp_path / "gap.epw"
+    path.write_text("\n".join([*lines, ""]), encoding="latin-1")
+    day = date(2017, 7, 3)
+    values, _ = series(path, Period(day, day, 4), ["dry_bulb", "global_horizontal_radiation"])
+    assert np.flatnonzero(np.isnan(values[:, 1])).tolist() == [5, 6, 7, 8]
+    assert values[5:9, 0].tolist() == [values[4, 0]] * 4 != [values[9, 0]] * 4
+    measured = run_outdoors(tmp_path / "run", path, day, day).values[0][STEPS_PER_HOUR - 1 :: STEPS_PER_HOUR, 0]
     assert np.array_equal(measured, values[: len(measured), 0])
 
 

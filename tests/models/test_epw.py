@@ -1,6 +1,7 @@
 """Weather files: what the header says, what is refused, and that the rest of a file stays byte for byte."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import date
 from pathlib import Path
 
@@ -334,6 +335,18 @@ def test_epw__all_faults_are_in_one_report_that_stays_short(folder: Path) -> Non
     ] * 4
     assert faults[5].strip() == "and 6 more"  # 11 faults, 5 told
     assert len(faults) == 6
+
+
+@pytest.mark.parametrize(
+    ("per_hour", "timesteps", "is_read"), [(1, 6, True), (4, 4, True), (4, 2, False), (4, 12, False)]
+)
+def test_epw__file_of_parts_of_hours_needs_as_many_timesteps(per_hour: int, timesteps: int, is_read: bool) -> None:
+    header, day = replace(read_header(DENVER), records_per_hour=per_hour), date(2017, 7, 3)
+    if is_read:
+        check_covers(header, Period(day, day, timesteps), "x")
+        return
+    with pytest.raises(InvalidConfig, match=f"has 4 records per hour, .*: set steps_per_hour to 4, not {timesteps}"):
+        check_covers(header, Period(day, day, timesteps), "x")
 
 
 @pytest.mark.parametrize("observed", ["Yes", "No"])

@@ -31,6 +31,7 @@ class Outdoors:
 def run(folder: Path, weather: Path, begin: date | None, end: date | None, **more: Any) -> Outdoors:
     """The run period `begin` to `end`, or the design days in `more` without one; `variables` are reported."""
     variables: Sequence[str] = more.pop("variables", [DRY_BULB])
+    run_period: dict[str, Any] = more.pop("run_period", {})
     sizing = "No" if begin else "Yes"
     objects: dict[str, Any] = {
         "Version": {"v": {"version_identifier": "25.2"}},
@@ -60,7 +61,7 @@ def run(folder: Path, weather: Path, begin: date | None, end: date | None, **mor
             {f"{side}_year": day.year, f"{side}_month": day.month, f"{side}_day_of_month": day.day}
             for side, day in ends
         ]
-        objects["RunPeriod"] = {"r": dates[0] | dates[1]}
+        objects["RunPeriod"] = {"r": dates[0] | dates[1] | run_period}
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "in.epJSON").write_text(json.dumps(objects))
     done = run_energyplus(folder / "in.epJSON", weather, folder)
