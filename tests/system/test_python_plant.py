@@ -452,6 +452,8 @@ def test_python_plant__state_that_cannot_be_loaded_again_is_named(own: BuildingE
     ):
         own.snapshot()
     assert trajectory(own, 1) == calculated(1, 2)[1:]
+    with pytest.raises(EngineDied):
+        own.step(action(deed="kill"))  # what it has would outlive the episode
 
 
 @pytest.mark.slow
