@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import datetime
+from math import isfinite, nan
 from typing import Any, Protocol
 
 import numpy as np
@@ -60,7 +61,17 @@ class RewardFunctionOfAgents:
             raise InvalidConfig(
                 f"reward: the function returned {rewards!r}; a reward for each of {', '.join(self._agents)} expected"
             )
-        return {name: {"reward": float(rewards[name])} for name in self._agents}
+        return {name: {"reward": self._finite(name, rewards[name])} for name in self._agents}
+
+    def _finite(self, agent: str, reward: Any) -> float:
+        """Return the reward of an agent as a number."""
+        try:
+            value = float(reward)
+        except (TypeError, ValueError, OverflowError):
+            value = nan
+        if not isfinite(value):
+            raise InvalidConfig(f"reward: the function returned {reward!r} for {agent!r}; a finite number expected")
+        return value
 
 
 class AgentsEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types

@@ -1,5 +1,6 @@
 """Agents for zones: on the fake building by hand and property, on a real one by PettingZoo's own checks."""
 
+import math
 from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from typing import Any
@@ -248,6 +249,11 @@ def test_zone_agents__function_of_ones_own() -> None:
     forgetful.reset(seed=0)
     with pytest.raises(InvalidConfig, match="a reward for each of zone_1, zone_2 expected"):
         forgetful.step(draw(forgetful))
+    for wrong in (math.nan, -math.inf, None, np.zeros(2), "much"):
+        env = fake(2, reward=lambda values, begin, wrong=wrong: {"zone_1": 0.0, "zone_2": wrong})
+        env.reset(seed=0)
+        with pytest.raises(InvalidConfig, match="for 'zone_2'; a finite number expected"):
+            env.step(draw(env))
 
 
 @pytest.mark.parametrize(
