@@ -19,7 +19,7 @@ _TERM = "term "
 
 
 class TrajectoryRecorder:
-    """Records the samples of an episode; a sample 0 starts again.
+    """Records the samples of an episode; a sample 0, or one before the first one, starts again.
 
     Arrays grow to twice their size, at most to that of the episode, so that a further sample only costs its copy.
 
@@ -45,7 +45,7 @@ class TrajectoryRecorder:
     ) -> None:
         """Add a sample, with the reward terms and the actuator values of the timestep that it closes."""
         step, message, manifest = sample.step, sample.message, self._manifest
-        if self._first < 0 or step == 0:
+        if self._first < 0 or step == 0 or step < self._first:
             self._first, self._count, self._arrays = step, 0, {}
             self._identity = {"number": sample.episode, "slot": sample.slot}
         row = step - self._first

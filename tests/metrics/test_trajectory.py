@@ -105,6 +105,14 @@ def test_trajectory__longer_timesteps_have_means_of_sensors_and_sums_of_meters_a
         recorded().resample(timedelta(seconds=1000))
 
 
+def test_trajectory__return_to_before_the_first_sample_starts_again() -> None:
+    recorder = TrajectoryRecorder(OFFICE)
+    for step in (3, 4, 1, 2):
+        recorder.add(sample(OFFICE, step, [float(step), *VALUES[1:]]))
+    assert len(recorder) == 2
+    assert recorder.trajectory().values[:, 0].tolist() == [1.0, 2.0]
+
+
 def test_trajectory__longer_timesteps_have_sums_of_sensors_that_are_sums() -> None:
     whole = recorded()
     hours = whole.manifest.sensors[1].model_copy(update={"aggregation": Aggregation.SUM, "unit": "h"})
