@@ -134,7 +134,8 @@ class FmuPlant:
         for variable in self._inputs:
             values[variable] = tuple(map(commands.get, variable.points, variable.start))
             if variable.activation is not None:
-                values[variable.activation] = (float(variable.points[0] in commands),)
+                is_active = variable.points[0] in commands or bool(variable.activation.start[0])
+                values[variable.activation] = (float(is_active),)
         self._instance.step(values)
         return self._instance.read()
 

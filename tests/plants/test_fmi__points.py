@@ -48,6 +48,14 @@ def test_fmu__overwrite_pair_is_active_while_it_is_commanded(tank: Path) -> None
     assert powers == [1050.0, 1300.0, 1000.0, 1050.0]
 
 
+def test_fmu__overwrite_pair_that_is_set_to_active_stays_so(tank: Path) -> None:
+    plant = FmuPlant(str(tank), set={"extra_u": 300.0, "extra_activate": True})
+    plant.reset(0)
+    others = {"heat": 1000.0, "deed": 0.0, "mode": 1.0}
+    powers = [plant.step({**others, **extra})["power"] for extra in ({}, {"extra": 100.0}, {})]
+    assert powers == [1300.0, 1100.0, 1300.0]
+
+
 @pytest.mark.parametrize(
     ("name", "point"),
     [
