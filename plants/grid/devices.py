@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -74,11 +75,13 @@ class ChargerState:
         name: of the charger.
         charger: its data.
         folder: of the grid's file.
+        begin: simulated time of sample 0.
         duration_s: length of an episode.
     """
 
-    def __init__(self, name: str, charger: Charger, folder: Path, duration_s: float) -> None:
+    def __init__(self, name: str, charger: Charger, folder: Path, begin: datetime, duration_s: float) -> None:
         self.name, self.charger = name, charger
+        self._midnight_s = -(begin - begin.replace(hour=0, minute=0, second=0, microsecond=0)).total_seconds()
         self._duration_s = duration_s
         sessions = charger.sessions
         self._drawn = sessions if isinstance(sessions, DrawnSessions) else None
@@ -89,7 +92,7 @@ class ChargerState:
 
     def reset(self, rng: np.random.Generator) -> None:
         """Begin an episode; draw its stays."""
-        self.stays = self._fixed if self._drawn is None else _draw(self._drawn, self._duration_s, rng)
+        self.stays = self._fixed if self._drawn is None else _draw(self._drawn, self._midnight_s, self._duration_s, rng)
         self.needs_j = [stay.energy_j for stay in self.stays]
         self.unmet_j = 0.0
 
@@ -145,18 +148,19 @@ def _read_sessions(name: str, path: Path) -> list[Session]:
     return sessions
 
 
-def _draw(drawn: DrawnSessions, duration_s: float, rng: np.random.Generator) -> list[Stay]:
+def _draw(drawn: DrawnSessions, midnight_s: float, duration_s: float, rng: np.random.Generator) -> list[Stay]:
+    """Return a stay for each day from the midnight before the episode on; one that is over by then is left out."""
     stays: list[Stay] = []
-    for day in range(int(duration_s // _DAY_S) + 1):
+    for day in range(int((duration_s - midnight_s) // _DAY_S) + 1):
         arrival_h, departure_h, energy_kwh = (
             _normal(draw, rng) for draw in (drawn.arrival_h, drawn.departure_h, drawn.energy_kwh)
         )
         is_used = rng.random() < drawn.share
-        arrival_s = day * _DAY_S + arrival_h * 3600.0
-        departure_s = day * _DAY_S + departure_h * 3600.0 + (_DAY_S if departure_h <= arrival_h else 0.0)
+        arrival_s = midnight_s + day * _DAY_S + arrival_h * 3600.0
+        departure_s = midnight_s + day * _DAY_S + departure_h * 3600.0 + (_DAY_S if departure_h <= arrival_h else 0.0)
         if stays:
             arrival_s = max(arrival_s, stays[-1].departure_s)
-        if is_used and arrival_s < min(departure_s, duration_s):
+        if is_used and departure_s > 0.0 and arrival_s < min(departure_s, duration_s):
             stays.append(Stay(arrival_s, departure_s, max(energy_kwh, 0.0) * J_PER_KWH))
     return stays
 

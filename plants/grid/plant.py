@@ -48,7 +48,8 @@ class GridPlant:
         self._pv = {name: Means.read(pv.power_w, folder, low=0.0) for name, pv in grid.pv.items()}
         self._price = Means.read(grid.price.price, folder) if grid.price is not None else None
         self._batteries = {name: BatteryState(battery) for name, battery in grid.batteries.items()}
-        self._chargers = {n: ChargerState(n, part, folder, grid.duration_s) for n, part in grid.chargers.items()}
+        times = grid.begin, grid.duration_s
+        self._chargers = {n: ChargerState(n, part, folder, *times) for n, part in grid.chargers.items()}
         connected = (grid.loads, grid.pv, grid.batteries, grid.chargers)
         self._network = Network(grid, {name: part.bus for parts in connected for name, part in parts.items()})
         self.sensors = self._sensors()

@@ -340,6 +340,12 @@ class Grid(_Part):
         for name, transformer in self.transformers.items():
             if transformer.start == transformer.end:
                 yield f"transformers.{name}: it begins and ends at {transformer.start!r}"
+            limit_w = transformer.short_circuit_percent * 10.0 * transformer.power_kva
+            if transformer.copper_loss_w > limit_w:
+                text = (
+                    f"copper_loss_w is {transformer.copper_loss_w:g}, of which {transformer.short_circuit_percent:g} %"
+                )
+                yield f"transformers.{name}: {text} of short-circuit voltage allow at most {limit_w:g}"
 
     def _errors_of_islands(self) -> Iterator[str]:
         if isolated := sorted(self.buses.keys() - reachable(self)):

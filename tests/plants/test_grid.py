@@ -1,5 +1,6 @@
 """An electric grid: its power flow against closed solutions, balances, devices, and a file's errors."""
 
+from datetime import datetime, timedelta
 from math import sqrt
 from pathlib import Path
 from typing import Any
@@ -140,6 +141,19 @@ def test_grid__drawn_sessions_follow_the_seed(tmp_path: Path) -> None:
     assert episode(1) == episode(1) != episode(2)
 
 
+@pytest.mark.parametrize("begin", ["2026-07-01T00:00", "2026-07-01T12:00", "2026-07-01T20:00"])
+def test_grid__drawn_sessions_have_the_hours_of_the_day(tmp_path: Path, begin: str) -> None:
+    """A vehicle arrives at 18:00 and leaves at 7:00, whenever the episode begins; one that is there stays."""
+    sessions = {"arrival_h": {"mean": 18}, "departure_h": {"mean": 7}, "energy_kwh": {"mean": 500}}
+    chargers = {"box": {"bus": "a", "power_kw": 11, "sessions": sessions}}
+    plant = grid(tmp_path, FEEDER | {"chargers": chargers}, begin=begin, duration_s=3 * 86400.0, step_s=900.0)
+    first = plant.reset(0)["box_connected"]
+    connected = [first, *(plant.step({})["box_connected"] for _ in range(3 * 96))]
+    hours = [(datetime.fromisoformat(begin) + timedelta(hours=step / 4)) for step in range(3 * 96 + 1)]
+    night = [float(at.hour >= 18 or (at.hour < 7 and at.date() > hours[0].date())) for at in hours]
+    assert connected == night
+
+
 def test_grid__curtailed_pv_feeds_in_less(tmp_path: Path) -> None:
     plant = grid(tmp_path, FEEDER)
     plant.reset(0)
@@ -269,6 +283,11 @@ def test_grid__passes_the_check_of_plants(tmp_path: Path) -> None:
                 {"arrival_h": 1, "departure_h": 4, "energy_kwh": 1}, {"arrival_h": 3, "departure_h": 5, "energy_kwh": 1}
             ]}}},
             "chargers.box: a vehicle arrives at 3 h, before the previous one departs at 4 h",
+        ),
+        (
+            {"buses": FEEDER["buses"], "source": {"bus": "mv"}, "transformers": {
+                "station": FEEDER["transformers"]["station"] | {"copper_loss_w": 50000}}},
+            "transformers.station: copper_loss_w is 50000, of which 4 % of short-circuit voltage allow at most 10000",
         ),
         ({"loads": {"house": {"bus": "a", "power_w": {"file": "none.csv", "column": "x"}}}}, "none.csv"),
         ({"network": "cigre_lv"}, "network: 'cigre_lv'; pandapower:NAME expected"),
