@@ -104,6 +104,9 @@ class Building:
         over_new_year = (last_month, last_day) < (month, day)
         if end is None and begin is None:
             end = f"{int(own.get('end_year') or year + over_new_year):04}-{last_month}-{last_day}"
+        own_years = [int(own.get(f"{side}_year") or 0) for side in ("begin", "end")]
+        if end is None and own_years[0] and own_years[0] <= first.year < own_years[1]:  # it goes over several years
+            end = f"{own_years[1]:04}-{last_month}-{last_day}"
         end = end or f"{last_month}-{last_day}"
         last = parse_day(end, "end", first.year)
         if over_new_year and last < first:

@@ -280,6 +280,16 @@ def test_building__run_period_by_year_is_that_of_the_model(small: Building) -> N
     assert not small.period("07-03", "07-04", None).by_year
 
 
+def test_building__own_run_period_of_several_years_ends_in_its_last_one(small: Building) -> None:
+    days = {"begin_month": 1, "begin_day_of_month": 1, "begin_year": 2016, "end_month": 12, "end_day_of_month": 31}
+    model = replace(small, objects={**small.objects, "RunPeriod": {"r": days | {"end_year": 2018}}})
+    assert model.period("03-01", None, None) == Period(date(2016, 3, 1), date(2018, 12, 31), model.steps_per_hour)
+    assert model.period("2017-03-01", None, None).end == date(2018, 12, 31)
+    assert model.period("2018-03-01", None, None).end == date(2018, 12, 31)
+    assert model.period("2020-03-01", None, None).end == date(2020, 12, 31)
+    assert model.period("03-01", "03-02", None).end == date(2016, 3, 2)
+
+
 def test_series__missing_values_are_those_that_energyplus_takes(tmp_path: Path) -> None:
     """The last one before it, of the temperature; none, of the radiation."""
     lines = find_weather(DENVER).path.read_text("latin-1").splitlines()
