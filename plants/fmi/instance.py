@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import inf, isclose
+from math import inf, ulp
 from typing import Any
 
 from zenostat.plants.fmi.model import CO_SIMULATION, Model, fmpy
@@ -17,6 +17,8 @@ _MAX_STEP_PARTS = 50.0
 """Part of the episode that a step of CVODE may take at most, as in FMPy."""
 _TOLERANCE = 1e-5
 """FMPy's default relative tolerance for model exchange."""
+_SAME = 1e-9
+"""Part of a communication step by which two equal times may differ."""
 _DISCARD = 2
 """FMI's status of a step that the FMU did not take."""
 
@@ -279,15 +281,22 @@ class ModelExchange(Instance):
         self._present = dict(values)
 
     def _advance(self, target_s: float) -> None:
-        while self.time < target_s and not isclose(self.time, target_s):
+        while self.time < target_s and not self._is_at(target_s):
             self._integrate(target_s)
+
+    def _is_at(self, time_s: float) -> bool:
+        return self._are_same(self.time, time_s)
+
+    def _are_same(self, left_s: float, right_s: float) -> bool:
+        """Return whether two times differ by rounding alone: a small part of a step, however late they are."""
+        return abs(left_s - right_s) <= max(_SAME * self._experiment.step_s, 4.0 * ulp(left_s))
 
     def _integrate(self, target_s: float) -> None:
         """Integrate up to the target or the next event, and handle that event."""
         fmu, point_s = self._fmu, target_s
-        if point_s > self._next_event_s and not isclose(point_s, self._next_event_s):
+        if point_s > self._next_event_s and not self._are_same(point_s, self._next_event_s):
             point_s = self._next_event_s
-        is_time_event = isclose(point_s, self._next_event_s)
+        is_time_event = self._are_same(point_s, self._next_event_s)
         is_state_event, _, self.time = self._solver.step(self.time, point_s)
         fmu.setTime(self.time)
         is_step_event = False

@@ -17,6 +17,8 @@ from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.extras import import_extra
 
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
+MAX_BYTES = 4 << 30
+"""Largest size of an FMU that is unpacked."""
 _MAX_NAMED = 5
 """Variables that a text names."""
 
@@ -65,6 +67,9 @@ def read_model(file: Path, interface: str | None) -> Model:
     with _as_config_error(file):
         with zipfile.ZipFile(file) as archive:
             names = set(archive.namelist())
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > MAX_BYTES:
+            raise InvalidConfig(f"{file} would take {size:,} bytes unpacked; at most {MAX_BYTES:,} are allowed")
         if "modelDescription.xml" not in names:
             raise InvalidConfig(f"{file} is no FMU: it has no modelDescription.xml")
         description = library.read_model_description(str(file), validate=False)

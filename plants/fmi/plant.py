@@ -102,6 +102,9 @@ class FmuPlant:
         if duration_s is None:
             length_s = max(1, floor(length_s / step + 1e-9)) * step
         own = float(tolerance) if tolerance is not None else self._default("tolerance")
+        if own is not None and own <= 0.0:
+            notes.append(f"the tolerance of the model description, {own:g}, is not above 0, and not used")
+            own = None
         return Experiment(first_s, step, first_s + length_s, own, check_starts(description, starts))
 
     def _default(self, name: str) -> float | None:

@@ -1,5 +1,7 @@
 """Points and experiment of an FMU: what its model description says, and what is refused by name."""
 
+import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +14,7 @@ from zenostat.topics.errors import InvalidConfig, PlantFailed
 
 fmpy = pytest.importorskip("fmpy")
 
+from zenostat.plants.fmi import model  # noqa: E402
 from zenostat.plants.fmi.plant import FmuPlant  # noqa: E402
 from zenostat.plants.fmi.variables import PointNames, inputs, point_name  # noqa: E402
 
@@ -125,6 +128,40 @@ def test_fmu__array_needs_a_start_for_each_element(module_scratch: Path) -> None
     array = '<Float64 name="a" valueReference="60" causality="input" start="1 2"><Dimension start="3"/></Float64>'
     with pytest.raises(InvalidConfig, match="a: its start has 2 values; 3 expected"):
         FmuPlant(str(build_tank(module_scratch, "array.fmu", 3, extra=array)))
+
+
+def test_fmu__model_exchange_steps_at_any_time(module_scratch: Path) -> None:
+    """Half a second after half a century: no step is taken for rounding."""
+    path = build_tank(module_scratch, "late.fmu", interfaces=("ModelExchange",))
+    late, early = (
+        FmuPlant(str(path), start_s=start_s, begin="2024-01-01T00:00", step_s=0.5, duration_s=60.0)
+        for start_s in (1.7e9, 0.0)
+    )
+    late.reset(0), early.reset(0)
+    command = {"heat": 3000.0, "deed": 0.0, "mode": 1.0}
+    temperatures = [[plant.step(command)["T"] for _ in range(8)] for plant in (late, early)]
+    assert len({*temperatures[0]}) == 8
+    assert temperatures[0] == pytest.approx(temperatures[1], abs=1e-6)
+
+
+def test_fmu__that_is_too_large_is_not_unpacked(tank: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(model, "MAX_BYTES", 1000)
+    with pytest.raises(InvalidConfig, match=r"would take [\d,]+ bytes unpacked; at most 1,000 are allowed"):
+        FmuPlant(str(tank))
+
+
+def test_fmu__tolerance_of_the_description_that_is_none_is_not_used(module_scratch: Path) -> None:
+    path = build_tank(module_scratch, "tolerant.fmu", interfaces=("ModelExchange",))
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    changed = module_scratch / "intolerant.fmu"
+    with zipfile.ZipFile(changed, "w") as archive:
+        for name, content in parts.items():
+            archive.writestr(name, re.sub(rb'tolerance="[^"]*"', b'tolerance="-1"', content))
+    plant = FmuPlant(str(changed))
+    assert "the tolerance of the model description, -1, is not above 0, and not used" in plant.warnings
+    plant.reset(0)
+    plant.step({"heat": 100.0, "deed": 0.0, "mode": 1.0})
 
 
 # Settings
