@@ -130,6 +130,8 @@ class _CheckContext:
             return description.has_state
         if check is _closes:
             return description.has_close
+        if check is _begins_alike:
+            return description.begins_alike
         return check is not _has_no_threads or description.forkable
 
     def play(self, plant: Any, seed: int, steps: int, commands: Commands | None = None) -> list[Values]:
@@ -248,6 +250,13 @@ def _repeatable(context: _CheckContext) -> Iterator[str]:
     yield from _difference(context.episode, again, "the same seed and commands resulted in another episode")
 
 
+def _begins_alike(context: _CheckContext) -> Iterator[str]:
+    first, second = (
+        context.play(context.make(), _SEED + k, context.few, context.random_commands(_SEED)) for k in range(2)
+    )
+    yield from _difference(first, second, "begins_alike is True, but another seed resulted in another episode")
+
+
 def _anew(context: _CheckContext) -> Iterator[str]:
     used = context.make()
     context.play(used, _SEED + 1, context.few)
@@ -340,6 +349,7 @@ PLANT_CHECKS: dict[str, Check[_CheckContext]] = {
     "values are within bounds": _bounded,
     "commands may be missing": _relinquished,
     "the same seed results in the same episode": _repeatable,
+    "all episodes begin alike if it says so": _begins_alike,
     "a reset during an episode leaves no trace": _anew,
     "shares no state between instances": _separate,
     "continues from a saved state": _saves,

@@ -250,6 +250,8 @@ MUTANTS: dict[str, tuple[Any, dict[str, str]]] = {
             "continues from a saved state": "",
         },
     ),
+    "begins otherwise": (mutant(begins_alike=True),
+        {"all episodes begin alike if it says so": "another seed resulted in another episode: temperature is 41"}),
     "remembers": (Remembers,
         {"a reset during an episode leaves no trace": "affects the next one: level is 1.0 and [^1]"}),
     "shares": (
