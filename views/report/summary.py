@@ -51,13 +51,20 @@ def _compared(run: Run, reference: Run) -> str:
     peak = difference(run, reference, _PEAK)
     if peak is not None:
         parts.append(_peak(run, reference, peak, is_first=not parts))
-    unknown = f"{run.label} and {reference.label}: no energy is measured."
-    sentences = ["".join(parts) + "." if parts else unknown]
+    sentences = ["".join(parts) + "." if parts else _without_energy(run, reference)]
     outside = difference(run, reference, _OUTSIDE)
     if outside is not None:
         is_contrast = {*verdicts, outside.verdict} == {"better", "worse"}
         sentences.append(_outside(run, reference, outside, is_contrast=is_contrast))
     return " ".join(sentences)
+
+
+def _without_energy(run: Run, reference: Run) -> str:
+    """Return why the energy of two runs is not compared."""
+    measured = [each.label for each in (run, reference) if any(total(each, metric.key) for metric in _ELECTRICITY)]
+    if len(measured) == 1:
+        return f"{run.label} and {reference.label}: energy is measured for {measured[0]} alone."
+    return f"{run.label} and {reference.label}: no energy is measured that both have."
 
 
 def _percent(value: float) -> str:
