@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,6 +58,9 @@ class DistrictPoints:
         price: sensor of the price of the coming timestep; None: the cost is unknown.
         limits: by point, its upper limit.
         generation: power or energy that is generated in the district; without it, self-consumption is unknown.
+
+    Raises:
+        InvalidConfig: a list of names is a text, there is no consumption, or a limit is not above 0.
     """
 
     consumption: Sequence[str]
@@ -64,6 +68,16 @@ class DistrictPoints:
     price: str | None = None
     limits: Mapping[str, float] | None = None
     generation: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("consumption", "feed_in", "generation"):
+            if isinstance(getattr(self, name), str):
+                raise InvalidConfig(f"{name} = {getattr(self, name)!r}: a list of points expected")
+        if not self.consumption:
+            raise InvalidConfig("consumption: at least one point expected")
+        for point, limit in (self.limits or {}).items():
+            if not (isfinite(limit) and limit > 0.0):
+                raise InvalidConfig(f"limits[{point!r}] = {limit!r}: a finite number above 0 expected")
 
 
 def points_of(manifest: Manifest, generation: Sequence[str] = ()) -> DistrictPoints:

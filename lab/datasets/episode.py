@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.controllers import Agent
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
+from zenostat.topics.errors import InvalidConfig
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,9 @@ class AgentEpisode:
             "reward_terms": {name: np.append(np.nan, term) for name, term in run.terms.items()},
             "reward_metrics": self.metrics,
         }
+        for kind, table in tables.items():
+            if separated := [name for name in table if "/" in name]:  # HDF5 would take it for a group
+                raise InvalidConfig(f"{kind}: {separated[0]!r} has a '/', which names in a data set cannot have")
         return {
             "time": [time.isoformat() for time in run.time.tolist()],
             "step": run.step,

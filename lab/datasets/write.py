@@ -78,7 +78,7 @@ def write_dataset(
         UserWarning: an argument or a wrapper of the environment cannot be written as JSON.
     """
     check_minari()
-    if episodes < 1 or seed < 0 or not 0.0 <= epsilon <= 1.0:
+    if not isinstance(episodes, int) or episodes < 1 or seed < 0 or not 0.0 <= epsilon <= 1.0:
         raise InvalidConfig(
             f"episodes={episodes}, seed={seed}, epsilon={epsilon}: expected at least one episode, a seed of at least "
             "0, and a probability of 0 to 1"

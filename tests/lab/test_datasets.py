@@ -44,6 +44,16 @@ def test_write_dataset__observations_that_are_no_arrays_are_refused_before_anyth
         write_dataset(named, ["rbc"], ID)
 
 
+@pytest.mark.filterwarnings("ignore:the environment cannot be written")
+def test_write_dataset__term_that_would_be_a_group_is_named(folder: Path) -> None:
+    env = fake(reward=lambda values, begin: {"energy": -1.0, "energy/hvac": -0.5})
+    with pytest.raises(InvalidConfig, match="reward_terms: 'energy/hvac' has a '/', which names in a data set cannot"):
+        write_dataset(env, ["rbc"], ID)
+    with pytest.raises(InvalidConfig, match=r"episodes=1.5, .*: expected at least one episode"):
+        write_dataset(env, ["rbc"], ID, episodes=1.5)  # type: ignore[arg-type]
+    assert not [*folder.iterdir()]
+
+
 def hashes(folder: Path) -> dict[str, str]:
     files = sorted(path for path in folder.rglob("*") if path.is_file())
     return {str(path.relative_to(folder)): hashlib.sha256(path.read_bytes()).hexdigest() for path in files}

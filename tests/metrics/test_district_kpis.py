@@ -107,3 +107,21 @@ def test_points_of__are_those_of_the_reward() -> None:
         district_kpis(flat(1.0))
     with pytest.raises(InvalidConfig, match=r"no point 'g.prise'; did you mean 'g.price'"):
         district_kpis(flat(1.0), DistrictPoints(["g.import"], price="g.prise"))
+
+
+@pytest.mark.parametrize(
+    ("fields", "text"),
+    [
+        ({"consumption": []}, "consumption: at least one point expected"),
+        ({"consumption": "g.import"}, "consumption = 'g.import': a list of points expected"),
+        (
+            {"consumption": ["g.import"], "limits": {"g.line": 0.0}},
+            r"limits\['g.line'\] = 0.0: a finite number above 0",
+        ),
+        ({"consumption": ["g.import"], "limits": {"g.line": -1}}, "= -1: a finite number above 0"),
+        ({"consumption": ["g.import"], "limits": {"g.line": float("nan")}}, "= nan: a finite number above 0"),
+    ],
+)
+def test_district_points__wrong_ones_are_named(fields: dict[str, Any], text: str) -> None:
+    with pytest.raises(InvalidConfig, match=text):
+        DistrictPoints(**fields)
