@@ -37,6 +37,7 @@ from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
 from zenostat.topics.keys import safe_name
+from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import SUFFIX
 
 if TYPE_CHECKING:
@@ -417,6 +418,9 @@ def controller_factories(
     if len(named) < len(controllers):
         duplicate = next(name for name in controllers if list(controllers).count(name) > 1)
         raise InvalidConfig(f"the controller {duplicate} is listed twice, but would give the same results")
+    for name in named:
+        if not name.strip() or replace_controls(name) != name:
+            raise InvalidConfig(f"controllers: {name!r} is no name: a text without control characters expected")
     return {name: load_controller(entry) if isinstance(entry, str) else entry for name, entry in named.items()}
 
 

@@ -10,6 +10,7 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 from urllib.parse import unquote
 
+from zenostat.plants.fmi.model import MAX_BYTES
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
 
@@ -28,6 +29,8 @@ _SCHEMAS = {
     "ssv": "SystemStructureParameterValues.xsd",
 }
 _LARGEST_DOCUMENT = 1 << 26
+_LONGEST_NAME = 100
+"""Characters of the name of an unpacked FMU, before a number."""
 
 
 class Archive:
@@ -97,6 +100,7 @@ class Archive:
         """
         entry = self._find(name)
         base = "_".join(part for part in PurePosixPath(entry).parts if part not in ("resources", "..", "/"))
+        base = base[-_LONGEST_NAME:]  # with its suffix
         target, number = folder / base, 2
         while self._copies.setdefault(target, entry) != entry:
             target, number = folder / f"{number}_{base}", number + 1
@@ -106,6 +110,8 @@ class Archive:
 
     def _read(self, entry: str) -> bytes:
         """Return the content of an entry, which may be damaged, encrypted or compressed in a way that is not known."""
+        if (size := self._content.getinfo(entry).file_size) > MAX_BYTES:
+            raise InvalidConfig(f"{self.path}: {entry} would take {size:,} bytes; at most {MAX_BYTES:,} are allowed")
         try:
             return self._content.read(entry)
         except (zipfile.BadZipFile, RuntimeError, EOFError, zlib.error) as error:

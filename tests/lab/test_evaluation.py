@@ -285,6 +285,8 @@ def test_evaluation__parameters_go_to_those_that_take_them() -> None:
         ([], {}, InvalidConfig, "expected a list of names"),
         ("rbc", {}, InvalidConfig, "expected a list of names, such as"),
         (["rbc", "rbc"], {}, InvalidConfig, "rbc is listed twice"),
+        ({"": "rbc"}, {}, InvalidConfig, "controllers: '' is no name"),
+        ({"a\nb\x07": "rbc"}, {}, InvalidConfig, "is no name: a text without control characters"),
         (["rbc", "rcb"], {}, UnknownName, "no controller 'rcb'"),
         (["rbc"], {"parameters": {"mergin": 1}}, InvalidConfig, "did you mean 'margin'"),
         (["rbc", "setback"], {"parameters": {"margin": -1}}, InvalidConfig, "margin = -1"),

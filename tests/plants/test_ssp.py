@@ -18,6 +18,7 @@ from zenostat.cli.cosim_ssp import convert
 from zenostat.cli.options import Loops
 from zenostat.cosim.file import read_district
 from zenostat.cosim.topology import check_file
+from zenostat.plants.ssp import archive as ssp_archive
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.yaml12 import dump, parse
 
@@ -327,6 +328,27 @@ def test_convert__different_fmus_with_similar_paths_have_a_copy_each(tank: Path,
     assert {name: plant["fmu"] for name, plant in plants.items()} == {
         "a": "district/tank.fmu", "b": "district/2_tank.fmu", "c": "district/tank.fmu"
     }  # fmt: skip
+
+
+def test_convert__fmu_with_a_long_name_has_a_shorter_copy(tank: Path, tmp_path: Path) -> None:
+    name = f"{'t' * 300}.fmu"
+    elements = A.replace("resources/tank.fmu", f"resources/{name}")
+    source = ssp.write_ssp(tmp_path / "system.ssp", tank, ssp.system("s", elements))
+    with zipfile.ZipFile(source, "a") as archive:
+        archive.write(tank, f"resources/{name}")
+    convert(source, tmp_path / "district.yaml", Loops.SOLVE, overwrite=False)
+    (copy,) = (tmp_path / "district").iterdir()
+    assert (copy.suffix, len(copy.name), copy.read_bytes()) == (".fmu", 100, tank.read_bytes())
+
+
+def test_convert__fmu_that_is_too_large_is_not_unpacked(
+    tank: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = ssp.write_ssp(tmp_path / "system.ssp", tank, ssp.system("s", A))
+    monkeypatch.setattr(ssp_archive, "MAX_BYTES", 1000)
+    with pytest.raises(InvalidConfig, match=r"resources/tank.fmu would take [\d,]+ bytes; at most 1,000 are allowed"):
+        convert(source, tmp_path / "district.yaml", Loops.SOLVE, overwrite=False)
+    assert not (tmp_path / "district.yaml").exists()
 
 
 @pytest.mark.parametrize(
