@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tomllib
 import venv
 import zipfile
 from pathlib import Path
@@ -66,6 +67,16 @@ def wheel(module_folder: Path, checkout: Path) -> Path:
     assert done.returncode == 0, done.stdout + done.stderr
     (path,) = (module_folder / "dist").glob("*.whl")
     return path
+
+
+def test_pyproject__lists_each_package() -> None:
+    settings = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    present = {
+        ".".join(("zenostat", *path.parent.relative_to(ROOT).parts))
+        for folder in FOLDERS
+        for path in (ROOT / folder).rglob("__init__.py")
+    }
+    assert present - {*settings["packages"]} == set()
 
 
 @pytest.mark.slow
