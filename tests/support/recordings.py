@@ -50,12 +50,14 @@ def rewrite(
     """
     with RecordingReader(source) as reader, target.open("wb") as file:
         writer = ChunkWriter(file.fileno(), profile=profile, library="test")
-        writer.add_metadata(recording.ABOUT, {**reader.about, **(about or {})})
-        writer.add_attachment(recording.MANIFEST, "", (manifest or reader.manifest).model_dump_json().encode(), 0)
-        writer.add_attachment(recording.SCENARIO, "", reader.scenario.encode(), 0)
-        writer.add_attachment(
-            recording.PROVENANCE, "", json.dumps(reader.provenance if provenance is None else provenance).encode(), 0
-        )
+        writer.add_metadata(recording.ABOUT, {**reader.versions, **(about or {})})
+        attachments = dict(reader.attachments)
+        if manifest is not None:
+            attachments[recording.MANIFEST] = manifest.model_dump_json().encode()
+        if provenance is not None:
+            attachments[recording.PROVENANCE] = json.dumps(provenance).encode()
+        for name, content in attachments.items():
+            writer.add_attachment(name, "", content, 0)
         channels: dict[str, int] = {}
         for number, item in enumerate(reader.messages()):
             if item.topic not in channels:
