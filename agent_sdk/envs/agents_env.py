@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from datetime import datetime
-from math import isfinite, nan
 from typing import Any, Protocol
 
 import numpy as np
@@ -16,7 +15,7 @@ from zenostat.agent_sdk.envs.agent_parts import AgentPart
 from zenostat.agent_sdk.envs.building_env import BuildingEnv, Observation
 from zenostat.agent_sdk.envs.connection import AGENT, BUSY
 from zenostat.agent_sdk.envs.space_names import by_name
-from zenostat.agent_sdk.rewards.custom import NamedValues
+from zenostat.agent_sdk.rewards.custom import NamedValues, finite_term
 from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, did_you_mean
 from zenostat.topics.extras import requires_extra
@@ -61,17 +60,7 @@ class RewardFunctionOfAgents:
             raise InvalidConfig(
                 f"reward: the function returned {rewards!r}; a reward for each of {', '.join(self._agents)} expected"
             )
-        return {name: {"reward": self._finite(name, rewards[name])} for name in self._agents}
-
-    def _finite(self, agent: str, reward: Any) -> float:
-        """Return the reward of an agent as a number."""
-        try:
-            value = float(reward)
-        except (TypeError, ValueError, OverflowError):
-            value = nan
-        if not isfinite(value):
-            raise InvalidConfig(f"reward: the function returned {reward!r} for {agent!r}; a finite number expected")
-        return value
+        return {name: {"reward": finite_term(self._function, name, rewards[name])} for name in self._agents}
 
 
 class AgentsEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types

@@ -131,7 +131,9 @@ class _BoundFunction(BoundReward):
         columns = values.tolist() if values.ndim == 1 else np.moveaxis(values, -1, 0)
         result = self._evaluate(self._values(columns), begin)
         named = result if isinstance(result, Mapping) else {"reward": result}
-        terms: Terms = {str(name): self._term(name, term, values.shape[:-1]) for name, term in named.items()}
+        terms: Terms = {
+            str(name): finite_term(self._function, name, term, values.shape[:-1]) for name, term in named.items()
+        }
         total = sum(terms.values(), np.zeros(values.shape[:-1])[()])
         return Outcome(total, terms, {})
 
@@ -148,18 +150,6 @@ class _BoundFunction(BoundReward):
         except Exception as error:
             error.add_note(f"in the reward {_name(self._function)}")
             raise
-
-    def _term(self, name: object, term: Any, shape: tuple[int, ...]) -> Any:
-        try:
-            array = np.broadcast_to(np.asarray(term, np.float64), shape)
-        except (TypeError, ValueError):
-            array = None
-        if array is None or not np.isfinite(array).all():
-            raise InvalidConfig(
-                f"reward: {_name(self._function)} returned {term!r} for {name!r}; a finite number expected"
-                + (f", or an array of shape {shape}" if shape else "")
-            )
-        return float(array) if not shape else array
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
         if callable(reset := getattr(self._function, "reset", None)):
@@ -194,6 +184,24 @@ def _attributes(function: Any) -> dict[str, Any]:
     owner = function.__self__ if inspect.ismethod(function) else function
     attributes = {} if inspect.isroutine(owner) else getattr(owner, "__dict__", {})
     return attributes if isinstance(attributes, dict) else {}
+
+
+def finite_term(function: Any, name: object, term: Any, shape: tuple[int, ...] = ()) -> Any:
+    """Return what a reward function returned for a term, or for an agent, as a number or an array.
+
+    Raises:
+        InvalidConfig: it is not finite, or cannot have that shape.
+    """
+    try:
+        array = np.broadcast_to(np.asarray(term, np.float64), shape)
+    except (TypeError, ValueError, OverflowError):
+        array = None
+    if array is None or not np.isfinite(array).all():
+        raise InvalidConfig(
+            f"reward: {_name(function)} returned {term!r} for {name!r}; a finite number expected"
+            + (f", or an array of shape {shape}" if shape else "")
+        )
+    return float(array) if not shape else array
 
 
 def _name(function: Any) -> str:
