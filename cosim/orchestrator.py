@@ -144,10 +144,9 @@ class Orchestrator:
         self.loops = [LoopState() for _ in self.loops]
         self._flows = [self._initial(transfer) for transfer in self._transfers]
         self._ledgers = [Ledger(f"{i.plant}.{i.actuator.name}", i.actuator.unit) for i in self._binding.inputs]
-        self._demands = {name: np.zeros(len(market.plants)) for name, market in self._binding.markets.items()}
         self._silent, self._overridden = {}, frozenset()
-        for name, market in self._binding.markets.items():
-            self._demands[name] = self._known_demands(market, self.rows)
+        demands = {name: _demands(market, self.rows) for name, market in self._binding.markets.items()}
+        self._demands = {name: np.where(np.isfinite(watts), watts, 0.0) for name, watts in demands.items()}
 
     def _initial(self, transfer: Transfer) -> _Flow:
         """Return the state of a connection at sample 0."""
@@ -291,16 +290,15 @@ class Orchestrator:
         for name in bidders:
             for values, sample in zip(tried, self._plants[name].finish_trial(), strict=True):
                 values[name] = sample
-        return np.array([self._known_demands(market, values).sum() for values in tried])
+        return np.array([self._with_last_demands(market, _demands(market, rows)).sum() for rows in tried])
 
-    def _known_demands(self, market: Market, rows: Mapping[str, Rows]) -> Floats:
+    def _with_last_demands(self, market: Market, demands: Floats) -> Floats:
         """Return the demand of each bidder in W; of one without a value the last one."""
-        demands = market.demands({name: rows[name].values for name in market.plants})
         return np.where(np.isfinite(demands), demands, self._demands[market.name])
 
     def _settled_demands(self, market: Market, rows: Mapping[str, Rows]) -> Floats:
         """Return the demands of a step; an event names a bidder that begins to have no value."""
-        demands = market.demands({name: rows[name].values for name in market.plants})
+        demands = _demands(market, rows)
         silent = {bidder.demand for bidder, w in zip(market.spec.bidders, demands, strict=True) if not isfinite(w)}
         self._warnings += [
             f"market {market.name!r}: its bidder {point!r} has no value in step {self._step}; the last one holds until "
@@ -308,7 +306,7 @@ class Orchestrator:
             for point in sorted(silent - self._silent.get(market.name, frozenset()))
         ]
         self._silent[market.name] = frozenset(silent)
-        return self._known_demands(market, rows)
+        return self._with_last_demands(market, demands)
 
     # Loops
 
@@ -529,6 +527,11 @@ def _copied(state: Mapping[str, Any]) -> dict[str, Any]:
         else value
         for name, value in state.items()
     }
+
+
+def _demands(market: Market, rows: Mapping[str, Rows]) -> Floats:
+    """Return the demand of each bidder in W; NaN where it has no value."""
+    return market.demands({name: rows[name].values for name in market.plants})
 
 
 def _with_last(values: Floats, last: float) -> Floats:
