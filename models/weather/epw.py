@@ -165,11 +165,18 @@ class Weather:
         values: Floats = self.table[NUMBER_COLUMNS.index(index)]
         return values
 
-    def check_has(self, index: int, values: Floats) -> None:
-        """Raise `InvalidConfig` if the file's lines lack the column at a position, which would get other values."""
-        if index >= self.width and (values != self.numbers(index)[: len(values)]).any():
+    def has(self, index: int, values: Floats) -> bool:
+        """Return whether the file's lines have the column at a position.
+
+        Raises:
+            InvalidConfig: they lack it, and these values for it are not all missing.
+        """
+        if index < self.width:
+            return True
+        if (values != self.numbers(index)[: len(values)]).any():
             name = next(name for name, column in COLUMNS.items() if column.index == index)
             raise InvalidConfig(f"{self.path} has no column {name}: its lines have {self.width} of {WIDTH} cells")
+        return False
 
 
 def read(path: Path) -> Weather:
@@ -332,8 +339,7 @@ def write(weather: Weather, path: Path, changed: Mapping[str, Floats]) -> None:
             is not all missing.
     """
     columns = {find_column(name).index: _validated(name, values, len(weather)) for name, values in changed.items()}
-    for index in [index for index in columns if index >= weather.width]:
-        weather.check_has(index, columns.pop(index))
+    columns = {index: values for index, values in columns.items() if weather.has(index, values)}
     rows = _replace_columns(weather, columns) if columns else weather.rows
     text = weather.end.join([*weather.head, *rows]) + weather.tail
     path.write_bytes(text.encode("latin-1"))

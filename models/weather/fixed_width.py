@@ -68,8 +68,7 @@ class FixedWidthWeather:
         characters = np.frombuffer(buffer, np.uint8)
         for name, values in changed.items():
             index = find_column(name).index
-            if index >= self.weather.width:
-                self.weather.check_has(index, values)
+            if not self.weather.has(index, values):
                 continue
             changed_rows = np.arange(first, first + len(values)) % len(self.weather)
             differs = np.flatnonzero(values != self.weather.numbers(index)[changed_rows])
