@@ -281,11 +281,8 @@ class ModelExchange(Instance):
         self._present = dict(values)
 
     def _advance(self, target_s: float) -> None:
-        while self.time < target_s and not self._is_at(target_s):
+        while self.time < target_s and not self._are_same(self.time, target_s):
             self._integrate(target_s)
-
-    def _is_at(self, time_s: float) -> bool:
-        return self._are_same(self.time, time_s)
 
     def _are_same(self, left_s: float, right_s: float) -> bool:
         """Return whether two times differ by rounding alone: a small part of a step, however late they are."""
