@@ -227,9 +227,8 @@ class _LateNoise:
         last, after, again = _record_day(last_day, period), len(days), 0
         if (period.by_year or last_day.year == first_day.year) and last in days:
             after -= days[::-1].index(last)
-        elif (
-            last_day.year > first_day.year and not period.by_year
-        ):  # EnergyPlus reads the file again from its beginning
+        elif last_day.year > first_day.year and not period.by_year:
+            # EnergyPlus reads the file again from its beginning.
             begin = days.index(_record_day(period.begin, period))
             before = days[:begin]
             again = begin - (before[::-1].index(last) if last in before else 0)
