@@ -202,13 +202,12 @@ class _Check:
             return
         is_first = not self._has_records and not record.first
         self._has_chain = self._has_records = True
-        if is_first and record.previous not in (self._head, _START):
-            self._problems.append(
-                "what the file has before its messages has changed: its versions, manifest, scenario, provenance, "
-                "geometry or systems"
-            )
-        elif is_first:
-            pass
+        if is_first:
+            if record.previous not in (self._head, _START):
+                self._problems.append(
+                    "what the file has before its messages has changed: its versions, manifest, scenario, provenance, "
+                    "geometry or systems"
+                )
         elif record.first > self._expected:
             self._problems.append(f"entries {self._expected + 1:,} to {record.first:,} are missing with their digests")
         elif record.previous != self._head or record.first < self._expected:
