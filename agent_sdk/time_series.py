@@ -210,7 +210,7 @@ class HourlyFile(TimeSeries):
         numbers = [_number(row[index] if index < len(row) else "", self.decimal) for _, row in below]
         invalid = [line for (line, _), number in zip(below, numbers, strict=True) if number is None]
         wider = next((line for line, row in below if self.header_row and any(row[len(header) :])), None)
-        if wider is not None and self.decimal != self.delimiter == ",":
+        if wider is not None and self.delimiter == ",":
             raise InvalidConfig(
                 f"{self.csv}: line {wider} has more cells than the header, line {self.header_row}; if the comma is the "
                 "decimal separator, set delimiter and decimal, as {csv: prices.csv, delimiter: ;, decimal: ','}"
