@@ -125,7 +125,11 @@ class _Reader:
         for path, element in self._fmus.items():
             file = self._archive.unpack(element.get("source"), self._folder)
             interface = element.get("implementation", "any").replace("any", "")
-            description = read_model(file, interface or None).description
+            try:
+                description = read_model(file, interface or None).description
+            except InvalidConfig as error:
+                text = str(error).replace(str(file), element.get("source"))
+                raise self._archive.error(text, element) from None
             self._fmu_defined[path] = fmu_definitions(description)
             values = _start_values(description, starts.get(path, {}), ".".join(path))
             components.append(Component(names[path], file, interface, values))
@@ -217,6 +221,10 @@ class _Reader:
                 continue
             start = self._point(source, points, connection)
             name = f"{names[source[0]]}.{start.points[0]}"
+            if entry.activation is not None:
+                text = f"the connection to {entry.name!r} of {'.'.join(target[0])!r} also sets "
+                also = f"{entry.activation.name!r} to true: an overwrite block acts while its value is commanded"
+                self._notes.append(text + also)
             yield Link(name, target_name, *self._transformed(legs, points), entry.unit)
         self._notes += [
             f"the system's input {name!r} is not connected: command {', '.join(targets)} instead"
@@ -266,6 +274,10 @@ class _Reader:
     def _point(self, connector: Connector, points: Mapping[Connector, Variable], connection: Any) -> Variable:
         variable = points.get(connector)
         if variable is None or len(variable.points) != 1:
+            for (path, name), block in points.items():
+                if path == connector[0] and block.activation is not None and block.activation.name == connector[1]:
+                    text = f"{connector[1]!r} of {'.'.join(path)!r} cannot be connected: it is true while {name!r} is "
+                    raise self._archive.error(f"{text}commanded, as in BOPTEST's overwrite blocks", connection)
             known = [name for path, name in points if path == connector[0]]
             text = f"the FMU of {'.'.join(connector[0])!r} has no scalar input or output {connector[1]!r}; "
             raise self._archive.error(text + did_you_mean(connector[1], known), connection)

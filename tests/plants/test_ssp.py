@@ -19,6 +19,7 @@ from zenostat.cli.options import Loops
 from zenostat.cosim.file import read_district
 from zenostat.cosim.topology import check_file
 from zenostat.plants.ssp import archive as ssp_archive
+from zenostat.plants.ssp.structure import read_structure
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.yaml12 import dump, parse
 
@@ -369,6 +370,35 @@ def test_convert__entry_that_cannot_be_read_is_named(
     content[index] = content[index] ^ 0xFF if value is None else value
     source.write_bytes(content)
     with pytest.raises(InvalidConfig, match=text):
+        convert(source, tmp_path / "district.yaml", Loops.SOLVE, overwrite=False)
+
+
+def test_convert__fmu_that_is_none_is_named_by_its_source(tmp_path: Path) -> None:
+    (tmp_path / "tank.fmu").write_bytes(b"no archive")
+    source = ssp.write_ssp(tmp_path / "system.ssp", tmp_path / "tank.fmu", ssp.system("s", A))
+    with pytest.raises(InvalidConfig, match=r"system\.ssp: SystemStructure\.ssd: line \d+: resources/tank\.fmu "):
+        convert(source, tmp_path / "district.yaml", Loops.SOLVE, overwrite=False)
+
+
+def two_with_an_overwrite_block(*targets: str) -> str:
+    """Two tanks, of which the first is connected to the overwrite block of the second."""
+    connectors = "".join(ssp.connector(name, "input") for name in ("extra_u", "extra_activate"))
+    elements = A + ssp.component("b", connectors=connectors)
+    return ssp.system("s", elements, "".join(ssp.connection("a:power", f"b:{target}") for target in targets))
+
+
+def test_convert__connected_overwrite_block_is_activated_and_noted(tank: Path, tmp_path: Path) -> None:
+    source = ssp.write_ssp(tmp_path / "system.ssp", tank, two_with_an_overwrite_block("extra_u"))
+    (note,) = [note for note in read_structure(source, tmp_path / "fmus").notes if "extra" in note]
+    assert note == (
+        "the connection to 'extra_u' of 'b' also sets 'extra_activate' to true: an overwrite block acts while its "
+        "value is commanded"
+    )
+
+
+def test_convert__activation_cannot_be_connected(tank: Path, tmp_path: Path) -> None:
+    source = ssp.write_ssp(tmp_path / "system.ssp", tank, two_with_an_overwrite_block("extra_u", "extra_activate"))
+    with pytest.raises(InvalidConfig, match="'extra_activate' of 'b' cannot be connected: it is true while 'extra_u'"):
         convert(source, tmp_path / "district.yaml", Loops.SOLVE, overwrite=False)
 
 
