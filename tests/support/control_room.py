@@ -9,10 +9,15 @@ from contextlib import contextmanager
 from typing import Any
 from urllib.parse import urlsplit
 
+import pytest
+
 import zenostat
 from zenostat.bridge.runtime.affinity import Affinity
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+NEEDS_CHROMIUM = pytest.mark.skipif(
+    CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium"
+)
 ARGUMENTS = (
     "--no-sandbox",
     "--headless",

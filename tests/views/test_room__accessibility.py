@@ -5,20 +5,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.control_room import CHROMIUM, Visitor, chromium, control_room, violations
+from support.control_room import NEEDS_CHROMIUM, Visitor, control_room, violations
 from support.nodes import SMALL, NodeProgram, until
 
 import zenostat
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 pytest.importorskip("axe_playwright_python", reason="pip install axe-playwright-python")
 
 from zenostat.views.room.app import RoomSettings
 
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium"),
+    NEEDS_CHROMIUM,
     pytest.mark.process,
     pytest.mark.slow,
 ]
@@ -42,12 +41,6 @@ def training(folder: Path) -> None:
     (folder / "ppo" / "run.mcap").write_bytes(b"")
     (folder / "old").mkdir()
     (folder / "old" / "training.yaml").write_text("a: 1\n")
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

@@ -11,16 +11,15 @@ from urllib.parse import quote
 
 import httpx
 import pytest
-from support.control_room import CHROMIUM, Visitor, chromium, control_room, violations
+from support.control_room import NEEDS_CHROMIUM, Visitor, control_room, violations
 from support.nodes import SMALL, NodeProgram, free_port, nothing_left, until
 
 import zenostat
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium"),
+    NEEDS_CHROMIUM,
     pytest.mark.process,
 ]
 
@@ -58,12 +57,6 @@ class Tank:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
 def office(module_folder: Path) -> Iterator[NodeProgram]:
     rules = module_folder / "alarms.yaml"
     rules.write_text(ALARMS)
@@ -86,17 +79,6 @@ def bus(office: NodeProgram) -> Iterator[zenostat.Bus]:
 def room(office: NodeProgram, bus: zenostat.Bus) -> Iterator[Any]:
     with control_room(office.endpoint, api_token=API_TOKEN) as server:
         yield server
-
-
-@pytest.fixture(scope="module")
-def ada(browser: Any, room: Any) -> Iterator[Visitor]:
-    """A browser that has signed in as Ada; in the end nothing may have complained, or asked another host."""
-    visitor = Visitor(browser)
-    visitor.open(room.link).locator(".card").wait_for()
-    yield visitor
-    assert visitor.complaints == []
-    assert visitor.hosts == {room.url.removeprefix("http://")}
-    visitor.close()
 
 
 def events(bus: zenostat.Bus, room: Any) -> list[str]:

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from support.builders import manifest, sensor
-from support.control_room import CHROMIUM, Visitor, chromium, control_room
+from support.control_room import NEEDS_CHROMIUM, Visitor, chromium, control_room
 from support.nodes import NodeProgram, until
 
 import zenostat
@@ -98,7 +98,7 @@ def street(module_folder: Path) -> Iterator[NodeProgram]:
 
 @pytest.mark.process
 @pytest.mark.slow
-@pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium")
+@NEEDS_CHROMIUM
 def test_room__district_shows_its_grid_members_market_and_loop(street: NodeProgram, module_folder: Path) -> None:
     pytest.importorskip("playwright.sync_api", reason="pip install playwright")
     pytest.importorskip("power_grid_model")

@@ -5,8 +5,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.control_room import CHROMIUM, chromium, control_room, violations
+from support.control_room import NEEDS_CHROMIUM, control_room, violations
 from support.nodes import NodeProgram, free_port, until
+from support.tank_plant import TANK
 
 import zenostat
 from zenostat.bridge.transport import certificates
@@ -14,34 +15,17 @@ from zenostat.topics.keys import Role
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
 from zenostat.views.room.app import RoomSettings
 from zenostat.views.room.users import PageTls
 
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium"),
+    NEEDS_CHROMIUM,
     pytest.mark.process,
     pytest.mark.slow,
 ]
 
 ALARMS = "alarms: [{name: empty, points: [level], low: 5.0, unit: m, priority: high}]\n"
-TANK = '''
-class Tank:
-    """A tank of one level, which stays."""
-    step_s = 60.0
-    begin = "2026-01-12T00:00"
-    duration_s = 86400.0
-    sensors = {"level": ("m", 0.0, None)}
-    actuators = {"pump": ("W", 0.0, 100.0, 5.0)}
-    forkable = True
-
-    def reset(self, seed):
-        return {"level": 0.0}
-
-    def step(self, commands):
-        return {"level": 0.0}
-'''
 VIEWS = [
     ("", ".card"),
     ("?node=tank&tab=alarms&table=points", ".tab-panel .alarms li"),
@@ -79,11 +63,10 @@ def keys(module_folder: Path) -> Path:
 @pytest.fixture(scope="module")
 def room(module_folder: Path, keys: Path) -> Iterator[Any]:
     """A control room with TLS, trainings and scenarios; its node is paused, with an alarm and an override."""
-    (module_folder / "tank.py").write_text(TANK)
     (module_folder / "alarms.yaml").write_text(ALARMS)
     (module_folder / "scenarios").mkdir()
     training(module_folder / "runs" / "ppo")
-    settings = {"plant": f"{module_folder}/tank.py:Tank", "name": "tank", "keys": str(keys)}
+    settings = {"plant": TANK, "name": "tank", "keys": str(keys)}
     settings |= {"listen": [f"tls/127.0.0.1:{free_port()}"], "alarms": str(module_folder / "alarms.yaml")}
     with (
         NodeProgram(module_folder / "node", **settings) as node,
@@ -103,12 +86,6 @@ def room(module_folder: Path, keys: Path) -> Iterator[Any]:
         until(lambda: bus.status("tank").step == [3], "it is simulated")
         server.bus = bus
         yield server
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
 
 
 class User:

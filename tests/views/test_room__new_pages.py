@@ -6,42 +6,25 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.control_room import CHROMIUM, Visitor, chromium, control_room
+from support.control_room import NEEDS_CHROMIUM, Visitor, control_room
 from support.nodes import NodeProgram, until
+from support.tank_plant import TANK
 
 import zenostat
 from zenostat.topics import yaml12
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
 from zenostat.views.room.app import RoomSettings
 
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium"),
+    NEEDS_CHROMIUM,
     pytest.mark.process,
     pytest.mark.slow,
 ]
 
 HOSTILE = "<img src=x onerror=\"document.title='taken'\">"
-TANK = '''
-class Tank:
-    """A tank of one level."""
-    step_s = 60.0
-    begin = "2026-01-12T00:00"
-    duration_s = 86400.0
-    sensors = {"level": ("m", 0.0, None)}
-    actuators = {"pump": ("W", 0.0, 100.0, 5.0)}
-
-    def reset(self, seed):
-        self.level = 0.0
-        return {"level": self.level}
-
-    def step(self, commands):
-        self.level += 0.01
-        return {"level": self.level}
-'''
 
 
 def training(folder: Path) -> None:
@@ -64,18 +47,11 @@ def record(node: NodeProgram, file: Path) -> None:
 
 
 @pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
-
-
-@pytest.fixture(scope="module")
 def room(module_folder: Path) -> Iterator[Any]:
-    (module_folder / "tank.py").write_text(TANK)
     (module_folder / "scenarios").mkdir()
     training(module_folder / "runs" / "ppo")
     training(module_folder / "runs" / HOSTILE.replace("/", "_"))
-    with NodeProgram(module_folder / "node", plant=f"{module_folder}/tank.py:Tank", name="tank") as node:
+    with NodeProgram(module_folder / "node", plant=TANK, name="tank") as node:
         record(node, module_folder / "runs" / "ppo" / "day.mcap")
         settings = RoomSettings(
             scenarios=module_folder / "scenarios",
@@ -85,16 +61,6 @@ def room(module_folder: Path) -> Iterator[Any]:
         with control_room(node.endpoint, settings=settings) as server:
             server.folder, server.endpoint = module_folder, node.endpoint
             yield server
-
-
-@pytest.fixture(scope="module")
-def ada(browser: Any, room: Any) -> Iterator[Visitor]:
-    visitor = Visitor(browser)
-    visitor.open(room.link).locator(".card").wait_for()
-    yield visitor
-    assert visitor.complaints == []
-    assert visitor.hosts == {room.url.removeprefix("http://")}
-    visitor.close()
 
 
 def test_room__scenario_is_built_checked_saved_started_and_opened(ada: Visitor, room: Any) -> None:

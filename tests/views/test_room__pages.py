@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.control_room import CHROMIUM, Visitor, chromium, control_room
+from support.control_room import NEEDS_CHROMIUM, Visitor, control_room
 from support.nodes import NodeProgram, until
 
 import zenostat
@@ -14,12 +14,11 @@ from zenostat.topics.messages import Event, EventKind
 
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
-pytest.importorskip("playwright.sync_api", reason="pip install playwright")
 
 from zenostat.views.room.app import RoomSettings
 
 pytestmark = [
-    pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium"),
+    NEEDS_CHROMIUM,
     pytest.mark.process,
     pytest.mark.slow,
 ]
@@ -108,12 +107,6 @@ def room(module_folder: Path, tank: NodeProgram, bus: zenostat.Bus) -> Iterator[
     with control_room(tank.endpoint, settings=settings) as server:
         server.folder = module_folder
         yield server
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    with chromium() as started:
-        yield started
 
 
 @pytest.fixture(scope="module")

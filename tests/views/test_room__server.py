@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from support.control_room import control_room
 from support.nodes import NodeProgram, until
+from support.tank_plant import TANK
 
 import zenostat
 from zenostat.topics import codec, keys
@@ -17,25 +18,6 @@ httpx = pytest.importorskip("httpx")
 pytest.importorskip("starlette")
 pytest.importorskip("uvicorn")
 pytestmark = pytest.mark.process
-
-TANK = '''
-class Tank:
-    """A tank whose level rises by 0.01 m each minute for each W of its pump, which has 5 W by default."""
-    step_s = 60.0
-    begin = "2026-01-12T00:00"
-    duration_s = 86400.0
-    sensors = {"level": ("m", 0.0, None)}
-    actuators = {"pump": ("W", 0.0, 100.0, 5.0)}
-    forkable = True
-
-    def reset(self, seed):
-        self.level = 0.0
-        return {"level": self.level}
-
-    def step(self, commands):
-        self.level += 0.01 * commands["pump"]
-        return {"level": self.level}
-'''
 
 
 OWN = '''
@@ -78,8 +60,7 @@ def own(module_folder: Path) -> str:
 
 @pytest.fixture(scope="module")
 def tank(module_folder: Path) -> Iterator[NodeProgram]:
-    (module_folder / "tank.py").write_text(TANK)
-    with NodeProgram(module_folder / "node", plant=f"{module_folder}/tank.py:Tank", name="tank") as node:
+    with NodeProgram(module_folder / "node", plant=TANK, name="tank") as node:
         yield node
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import pytest
 from support.control_room import control_room
 from support.nodes import NodeProgram, nothing_left, until
+from support.tank_plant import TANK
 from typer.testing import CliRunner
 
 import zenostat
@@ -39,21 +40,6 @@ FIELDS: dict[str, Any] = {
     "end": "07-03",
     "steps_per_hour": 4,
 }
-TANK = '''
-class Tank:
-    """A tank of one level."""
-    step_s = 60.0
-    begin = "2026-01-12T00:00"
-    duration_s = 86400.0
-    sensors = {"level": ("m", 0.0, None)}
-    actuators = {"pump": ("W", 0.0, 100.0, 5.0)}
-
-    def reset(self, seed):
-        return {"level": 0.0}
-
-    def step(self, commands):
-        return {"level": 0.0}
-'''
 
 
 @pytest.fixture
@@ -218,8 +204,7 @@ def test_audit_log__no_change_is_made_while_entries_cannot_be_written() -> None:
 
 @pytest.fixture(scope="module")
 def tank(module_folder: Path) -> Iterator[NodeProgram]:
-    (module_folder / "tank.py").write_text(TANK)
-    with NodeProgram(module_folder / "node", plant=f"{module_folder}/tank.py:Tank", name="tank") as node:
+    with NodeProgram(module_folder / "node", plant=TANK, name="tank") as node:
         yield node
 
 

@@ -8,6 +8,7 @@ import pytest
 from support.builders import manifest
 from support.control_room import control_room
 from support.nodes import NodeProgram, nothing_left, until
+from support.tank_plant import TANK
 
 import zenostat
 
@@ -24,21 +25,6 @@ from zenostat.views.room.trainings import MAX_POINTS, Trainings, _thinned
 from zenostat.views.room.trial_controllers import BUNDLED, controllers_content
 
 TRAINING = "algorithm: ppo\nscenario: office\nsteps: 400\nseed: 3\n"
-TANK = '''
-class Tank:
-    """A tank of one level."""
-    step_s = 60.0
-    begin = "2026-01-12T00:00"
-    duration_s = 86400.0
-    sensors = {"level": ("m", 0.0, None)}
-    actuators = {"pump": ("W", 0.0, 100.0, 5.0)}
-
-    def reset(self, seed):
-        return {"level": 0.0}
-
-    def step(self, commands):
-        return {"level": 0.0}
-'''
 
 
 def training(folder: Path) -> Path:
@@ -206,11 +192,10 @@ def test_room__recording_is_replayed_as_a_node_and_ends_with_the_room(scratch: P
     pytest.importorskip("mcap")
     runs = scratch / "runs"
     training(runs / "ppo")
-    (scratch / "tank.py").write_text(TANK)
     (runs / "damaged.mcap").write_bytes(b"no recording")
     with (
         nothing_left(scratch),
-        NodeProgram(scratch / "node", plant=f"{scratch}/tank.py:Tank", name="tank") as node,
+        NodeProgram(scratch / "node", plant=TANK, name="tank") as node,
         zenostat.connect(node.endpoint, affinity="off") as bus,
     ):
         bus.pause("tank")
@@ -244,7 +229,8 @@ def test_room__recording_is_replayed_as_a_node_and_ends_with_the_room(scratch: P
             assert states["again"]["scenario"] == "ppo/run.mcap"
             samples = bus.listen("again")
             with samples as following:
-                assert next(following)["level"] == 0.0
+                sample = next(following)
+                assert sample["level"] == pytest.approx(0.05 * sample.step)
             until(lambda: server.room.watch.is_online("again"), "its status is read")
             answer = client.post("/api/nodes/again/pause", json={})
             assert (answer.status_code, "is the replay of a recording" in answer.json()["message"]) == (409, True)
@@ -258,11 +244,10 @@ def test_room__recording_is_replayed_as_a_node_and_ends_with_the_room(scratch: P
 @pytest.mark.process
 def test_room__report_of_a_training_is_apart_from_the_page_and_audited(scratch: Path) -> None:
     folder = training(scratch / "runs" / "ppo")
-    (scratch / "tank.py").write_text(TANK)
     (folder / "report.html").write_text("<script>alert(1)</script>")
     settings = RoomSettings(trainings=scratch / "runs")
     with (
-        NodeProgram(scratch / "node", plant=f"{scratch}/tank.py:Tank", name="tank") as node,
+        NodeProgram(scratch / "node", plant=TANK, name="tank") as node,
         control_room(node.endpoint, settings=settings) as server,
         httpx.Client(base_url=server.url, headers={"origin": server.url}, timeout=60) as client,
     ):

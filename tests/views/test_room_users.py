@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.control_room import CHROMIUM, chromium, control_room
+from support.control_room import NEEDS_CHROMIUM, chromium, control_room
 from support.nodes import NodeProgram, free_port, until
+from support.tank_plant import TANK
 from typer.testing import CliRunner
 
 import zenostat
@@ -28,23 +29,6 @@ from zenostat.views.room.users import CERTIFICATE, BusUsers, ClientCertificate, 
 
 HOST = "room.example.org:8600"
 NEVER_S = 4e9
-TANK = '''
-class Tank:
-    """A tank whose level rises by 0.01 m each minute for each W of its pump."""
-    step_s = 60.0
-    begin = "2026-01-12T00:00"
-    duration_s = 86400.0
-    sensors = {"level": ("m", 0.0, None)}
-    actuators = {"pump": ("W", 0.0, 100.0, 5.0)}
-
-    def reset(self, seed):
-        self.level = 0.0
-        return {"level": self.level}
-
-    def step(self, commands):
-        self.level += 0.01 * commands["pump"]
-        return {"level": self.level}
-'''
 
 
 class Clock:
@@ -199,8 +183,7 @@ def test_room__options_of_a_network_need_each_other(options: list[str], text: st
 @pytest.fixture(scope="module")
 def room(module_folder: Path, keys: Path) -> Iterator[Any]:
     """A control room with TLS on a bus with keys, whose node is a paused tank."""
-    (module_folder / "tank.py").write_text(TANK)
-    settings = {"plant": f"{module_folder}/tank.py:Tank", "name": "tank", "keys": str(keys)}
+    settings = {"plant": TANK, "name": "tank", "keys": str(keys)}
     settings["listen"] = [f"tls/127.0.0.1:{free_port()}"]
     with (
         NodeProgram(module_folder / "node", **settings) as node,
@@ -282,7 +265,7 @@ def test_room__stream_ends_when_its_user_is_revoked(room: Any, keys: Path) -> No
 
 @pytest.mark.slow
 @pytest.mark.process
-@pytest.mark.skipif(CHROMIUM is None, reason="the system has no Chromium; on Debian: apt install chromium")
+@NEEDS_CHROMIUM
 def test_room__real_browser_with_a_certificate_opens_the_page_and_changes_the_node(room: Any, keys: Path) -> None:
     pytest.importorskip("playwright.sync_api", reason="pip install playwright")
     port = room.url.rpartition(":")[2]
