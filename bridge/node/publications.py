@@ -1,23 +1,20 @@
-"""Publishers of a node server: its manifest, samples, single points and events."""
+"""Publishers of a node server: its manifest, samples, events and single points."""
 
 from __future__ import annotations
 
 from collections import Counter
 from contextlib import ExitStack
-from datetime import datetime
-from math import isfinite
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
 import zenoh
 from zenoh import CongestionControl, Priority
-from zenoh.handlers import Callback
 
 from zenostat.bridge.node.batching import SampleBatcher
+from zenostat.bridge.node.point_publications import PointPublications
 from zenostat.bridge.recording.channels import EVENTS, MANIFESTS
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.topics import codec, keys
-from zenostat.topics.messages import REJECTIONS, Event, EventKind, Manifest, PointValue
+from zenostat.topics.messages import REJECTIONS, Event, EventKind, Manifest
 
 if TYPE_CHECKING:
     from zenostat.bridge.recording.recorder import Recorder
@@ -32,12 +29,24 @@ WRITTEN_A_STEP = 1000
 _MANIFEST, _SAMPLE, _EVENT = keys.MANIFEST.key, keys.SAMPLE.key, keys.EVENT.key
 
 
+def _qos(topic: keys.Topic) -> dict[str, Any]:
+    """Return how the messages of a topic are sent."""
+    drop = topic.delivery is keys.Delivery.DROP
+    return {
+        "encoding": zenoh.Encoding(codec.encoding(topic.message)) if topic.message else None,
+        "congestion_control": CongestionControl.DROP if drop else CongestionControl.BLOCK,
+        # Each priority has a queue of its own: a large message of another program does not displace a sample.
+        "priority": Priority.INTERACTIVE_HIGH if keys.is_streamed(topic) else Priority.DATA,
+    }
+
+
 class Publications:
     """The publishers of a server; `with Publications(session, manifest, timer) as publications`.
 
     It publishes the manifest when it is created.
 
     Attributes:
+        points: the publishers of single points.
         recorder: records the manifests that are published, and all events.
     """
 
@@ -46,18 +55,13 @@ class Publications:
         self._node = manifest.node
         self.recorder: Recorder | None = None
         self._close = ExitStack()
-        self._subscribed: dict[int, zenoh.Publisher] = {}
         self._refused: Counter[str] = Counter()
         self._written_left = WRITTEN_A_STEP
         self._put_sample = self._publisher(keys.SAMPLE).put
         self._put_event = self._publisher(keys.EVENT).put
         self._put_manifest = self._publisher(keys.MANIFEST).put
         self._batches = SampleBatcher(self._publisher(keys.BATCH), timer)
-        topics = [(keys.SENSOR, s.name, s.unit) for s in manifest.sensors]
-        topics += [(keys.METER, m.name, m.unit) for m in manifest.meters]
-        self._units = [unit for _, _, unit in topics]
-        for index, (topic, name, _) in enumerate(topics):
-            self._publish_on_demand(index, self._publisher(topic, name))
+        self.points = PointPublications(manifest, self._publisher, self._put_point)
         self.manifest(manifest)
 
     def __enter__(self) -> Publications:
@@ -68,28 +72,11 @@ class Publications:
         self._close.close()
 
     def _publisher(self, topic: keys.Topic, name: str = "") -> zenoh.Publisher:
-        drop = topic.delivery is keys.Delivery.DROP
-        publisher = self._session.declare_publisher(
-            topic.at(self._node, name=name),
-            encoding=zenoh.Encoding(codec.encoding(topic.message)) if topic.message else None,
-            congestion_control=CongestionControl.DROP if drop else CongestionControl.BLOCK,
-            # Each priority has a queue of its own: a large message of another program does not displace a sample.
-            priority=Priority.INTERACTIVE_HIGH if keys.is_streamed(topic) else Priority.DATA,
-        )
+        publisher = self._session.declare_publisher(topic.at(self._node, name=name), **_qos(topic))
         return self._close.enter_context(publisher)
 
-    def _publish_on_demand(self, index: int, publisher: zenoh.Publisher) -> None:
-        """Publish a point only while it has subscribers."""
-
-        def on_matching(status: zenoh.MatchingStatus) -> None:
-            subscribed = dict(self._subscribed)  # a copy: another thread may be iterating
-            if status.matching:
-                subscribed[index] = publisher
-            else:
-                subscribed.pop(index, None)
-            self._subscribed = subscribed
-
-        publisher.declare_matching_listener(Callback(on_matching, indirect=False))
+    def _put_point(self, topic: keys.Topic, name: str, payload: bytes) -> None:
+        self._session.put(topic.at(self._node, name=name), payload, **_qos(topic))
 
     def manifest(self, manifest: Manifest) -> None:
         """Publish the manifest."""
@@ -107,15 +94,6 @@ class Publications:
             self._batches.add(_SAMPLE, payload)
         self._refused.clear()
         self._written_left = WRITTEN_A_STEP
-
-    def points(self, values: bytes, episode: int, step: int, time: datetime) -> None:
-        """Publish the single points of slot 0 that have subscribers; `values` are raw, in manifest order."""
-        for index, publisher in self._subscribed.items():
-            unit, value = self._units[index], float(np.frombuffer(values, count=1, offset=8 * index)[0])
-            if not isfinite(value):  # an injected fault has dropped it, or made it infinite
-                continue
-            point = PointValue(value=value, unit=unit, episode=episode, step=step, time=time.isoformat())
-            publisher.put(codec.encode(point))
 
     def event(self, event: Event, claimant: str = "") -> None:
         """Record an event, and publish it unless it is one of too many refusals or writes within a step.

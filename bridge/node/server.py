@@ -297,7 +297,7 @@ class NodeServer:
         self._sampled_s = now_s
         self.pacing.wait(now_s)
         step = exchange.step[0]
-        self.publications.points(values, exchange.episode[0], step, self.samples.time(step))
+        self.publications.points.publish(values, exchange.episode[0], step, self.samples.time(step))
         if self._observer is not None:
             self._observer(self)
 
@@ -324,7 +324,7 @@ class NodeServer:
         exchange, now_s = self.exchange, monotonic()
         self.publications.sample(self.latest_sample)
         values, step = codec.decode(Sample, self.latest_sample).values, exchange.step[0]
-        self.publications.points(values, exchange.episode[0], step, self.samples.time(step))
+        self.publications.points.publish(values, exchange.episode[0], step, self.samples.time(step))
         self._sampled_s = now_s
         self.pacing.resume_at(now_s)
         self.event(exchange.event(EventKind.RESUMED, text))

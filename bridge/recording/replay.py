@@ -256,7 +256,7 @@ class Replay:
             self._payload, self._sample = item.payload, sample
             self._publications.sample(item.payload)
             time = datetime.fromisoformat(sample.time[0])
-            self._publications.points(sample.values, sample.episode[0], sample.step[0], time)
+            self._publications.points.publish(sample.values, sample.episode[0], sample.step[0], time)
         elif item.schema == "Event":
             with suppress(errors.BadMessage):
                 self._publications.event(codec.decode(Event, item.payload))
