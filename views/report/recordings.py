@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO
 from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
+from zenostat.agent_sdk.rewards.base import BoundReward
 from zenostat.agent_sdk.rewards.reward_reader import CUSTOM
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.metrics.episode_weather import EpisodeWeather
@@ -118,6 +119,7 @@ class _Result:
     def __init__(self, path: Path, manifest: Manifest, reward: Reward | None, rates: Any, *, is_parallel: bool) -> None:
         self.path, self.manifest, self.reward, self.is_parallel = path, manifest, reward, is_parallel
         self._rates = rates
+        self._bound: dict[int, BoundReward] = {}
         self.episodes: list[_Episode] = []
         self._trajectories: dict[bool, Trajectory] = {}
 
@@ -125,7 +127,7 @@ class _Result:
         """Add an episode, up to the timestep at whose end a limit terminates it."""
         if not recorded.steps:
             return
-        trajectory, terminated = _rewarded(recorded, self.reward)
+        trajectory, terminated = _rewarded(recorded, self._begin_reward(recorded.slot))
         metrics = MetricsAccumulator(self.manifest, self.reward, *self._rates)
         assert trajectory.flags is not None
         first, last = int(trajectory.step[0]), int(trajectory.step[-1])
@@ -138,6 +140,14 @@ class _Result:
             )
         )  # fmt: skip
         self._trajectories.setdefault(is_complete, trajectory)
+
+    def _begin_reward(self, slot: int) -> BoundReward | None:
+        """Return the reward of a slot at the start of an episode; some keep a state from one to the next."""
+        if self.reward is None:
+            return None
+        bound = self._bound[slot] = self._bound.get(slot) or self.reward.bind(self.manifest)
+        bound.reset()
+        return bound
 
     @property
     def chosen(self) -> list[_Episode]:
@@ -203,10 +213,9 @@ def _check_period(first: _Result, file: Path, manifest: Manifest) -> None:
         raise InvalidConfig(f"{'; '.join(texts)}: a report compares recordings of the same run period and timestep")
 
 
-def _rewarded(trajectory: Trajectory, reward: Reward | None) -> tuple[Trajectory, bool]:
+def _rewarded(trajectory: Trajectory, bound: BoundReward | None) -> tuple[Trajectory, bool]:
     """Return an episode with the terms of a reward, and whether a limit terminated it, which is where it then ends."""
     manifest, values = trajectory.manifest, trajectory.fault_free_values
-    bound = None if reward is None else reward.bind(manifest)
     limits = TerminationLimits(manifest) if manifest.task.terminate else None
     terms: dict[str, NDArray[np.float64]] = {}
     row, terminated = 0, False
