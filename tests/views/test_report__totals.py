@@ -69,6 +69,25 @@ def test_report__interval_that_contains_zero_is_unclear(comparison: Comparison) 
     assert change.verdict == "unclear"
 
 
+@pytest.mark.parametrize(
+    ("other", "text"),
+    [
+        ({"weather_names": ("Miami",) * 3}, "have different weather (Miami; Denver)"),
+        ({"seeds": (7, 8, None)}, "have different seeds (7, 8, ?; 0, 1, 2)"),
+    ],
+)
+def test_report__episodes_of_other_weather_or_seeds_are_not_paired(
+    other: dict[str, object], text: str, comparison: Comparison
+) -> None:
+    reference, controlled = (replace(of, weather_names=("Denver",) * 3) for of in comparison.runs)
+    reference, controlled = with_electricity(reference, 100, 500, 900), with_electricity(controlled, 90, 490, 890)
+    controlled = replace(controlled, **other)  # type: ignore[arg-type]
+    change = difference(controlled, reference, ELECTRICITY)
+    assert (change.mean, change.half_width, change.verdict) == (-10.0, None, "")
+    result = " ".join(texts_of(Comparison((reference, controlled))))
+    assert f"The episodes of rbc and baseline {text}, which a difference between them contains." in result
+
+
 def test_report__reference_of_zero_has_no_percent(comparison: Comparison) -> None:
     reference, other = comparison.runs
     change = difference(with_electricity(other, 5.0), with_electricity(reference, 0.0), ELECTRICITY)

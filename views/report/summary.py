@@ -11,6 +11,7 @@ from zenostat.views.report.totals import (
     Difference,
     Metric,
     difference,
+    has_equal_conditions,
     has_equal_lengths,
     kelvin_hours,
     names,
@@ -41,6 +42,7 @@ def summary(comparison: Comparison) -> list[str]:
 def _compared(run: Run, reference: Run) -> str:
     if not has_equal_lengths(run, reference):
         return f"The totals of {run.label} and {reference.label} do not compare: their episodes differ in length."
+    sentences = [] if has_equal_conditions(run, reference) else [_other_conditions(run, reference)]
     parts, verdicts = [], []
     energy = next((metric for metric in _ELECTRICITY if total(run, metric.key) and total(reference, metric.key)), None)
     if energy is not None:
@@ -51,12 +53,23 @@ def _compared(run: Run, reference: Run) -> str:
     peak = difference(run, reference, _PEAK)
     if peak is not None:
         parts.append(_peak(run, reference, peak, is_first=not parts))
-    sentences = ["".join(parts) + "." if parts else _without_energy(run, reference)]
+    sentences.append("".join(parts) + "." if parts else _without_energy(run, reference))
     outside = difference(run, reference, _OUTSIDE)
     if outside is not None:
         is_contrast = {*verdicts, outside.verdict} == {"better", "worse"}
         sentences.append(_outside(run, reference, outside, is_contrast=is_contrast))
     return " ".join(sentences)
+
+
+def _other_conditions(run: Run, reference: Run) -> str:
+    """Return in what the episodes of two runs differ besides their controllers."""
+    weathers = [names(list(dict.fromkeys(each.weather_names))) for each in (run, reference)]
+    if weathers[0] != weathers[1]:
+        text = f"have different weather ({weathers[0]}; {weathers[1]})"
+    else:
+        seeds = [", ".join("?" if seed is None else str(seed) for seed in each.seeds) for each in (run, reference)]
+        text = f"have different seeds ({seeds[0]}; {seeds[1]})" if seeds[0] != seeds[1] else "have different weather"
+    return f"The episodes of {run.label} and {reference.label} {text}, which a difference between them contains."
 
 
 def _without_energy(run: Run, reference: Run) -> str:

@@ -37,9 +37,9 @@ class Difference:
         mean: mean of the differences.
         percent: the same in percent of the reference; None if that is zero, or nearly zero beside the difference.
         half_width: half of the 95 % confidence interval of the mean, from the differences of the same episodes;
-            None for one episode.
+            None for one episode, or for episodes of other weather or seeds.
         verdict: `better`, `worse`, `equal`, `unclear` (the interval contains zero), or "" where neither is better or
-            the episodes differ in length.
+            the episodes differ in length, weather or seeds.
     """
 
     mean: float
@@ -142,13 +142,20 @@ def difference(run: Run, reference: Run, metric: Metric) -> Difference | None:
     percent = 100.0 * summary.mean / abs(base) if base else None
     if percent is not None and abs(percent) > _MAX_PERCENT:
         percent = None
-    sign = metric.sign if has_equal_lengths(run, reference) else 0
-    return Difference(summary.mean, percent, summary.half_width, _verdict(summary, percent, sign))
+    is_paired = has_equal_conditions(run, reference)
+    sign = metric.sign if is_paired and has_equal_lengths(run, reference) else 0
+    half_width = summary.half_width if is_paired else None
+    return Difference(summary.mean, percent, half_width, _verdict(summary, percent, sign))
 
 
 def has_equal_lengths(run: Run, reference: Run) -> bool:
     """Whether the episodes of two runs have as many timesteps; totals of others do not compare."""
     return [result.steps for result in run.results] == [result.steps for result in reference.results]
+
+
+def has_equal_conditions(run: Run, reference: Run) -> bool:
+    """Whether the episodes of two runs have the same weather and seeds, in the same order."""
+    return (run.seeds, run.weather_names) == (reference.seeds, reference.weather_names)
 
 
 def _verdict(summary: MetricSummary, percent: float | None, sign: int) -> str:
