@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from zenostat.metrics.episode_weather import EpisodeWeather
 from zenostat.views.report.figures import actuators, carpets, comfort, energy, months, reward, weather
 from zenostat.views.report.figures.base import Figure
-from zenostat.views.report.runs import Comparison
+from zenostat.views.report.runs import Comparison, Run
 from zenostat.views.report.summary import worst_zones
 
 _ZONES = 3
@@ -50,7 +52,7 @@ def _draw(comparison: Comparison) -> list[Section]:
         ("periods", "", [energy.periods(curves)]),
         ("period-uses", "", [months.end_uses_by_period(curves)]),
         ("comfort", "", [comfort.degree_hours(curves)]),
-        ("climate", "", [weather.weather(_weathers(comparison), curves[0].quantities.begins[0])]),
+        ("climate", "", [weather.weather(_weathers(comparison), _weather_begin(comparison.reference))]),
         ("rewards", "", [reward.reward(curves)]),
     ]
     kept = []
@@ -74,6 +76,14 @@ def _weathers(comparison: Comparison) -> list[tuple[str, EpisodeWeather]]:
         for place in range(len(known))
     ]
     return [(label, weather) for label, weather in zip(labels, known, strict=True) if weather is not None]
+
+
+def _weather_begin(run: Run) -> np.datetime64:
+    """Return when the weather of an episode begins; that of a weather file begins before a run that joins later."""
+    begin: np.datetime64 = run.quantities.begins[0]
+    if run.weathers and run.weathers[0] is not None:
+        begin -= np.timedelta64(round(int(run.trajectory.step[0]) * run.trajectory.manifest.step_s), "s")
+    return begin
 
 
 def _has_kpi(comparison: Comparison, name: str) -> bool:
