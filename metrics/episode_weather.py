@@ -33,8 +33,8 @@ def read_weather(series: WeatherSeries | RecordedWeather, span: timedelta) -> Ep
     """Return the weather of an episode of length `span` from `WEATHER_COLUMNS` of a node's reply or a recording."""
     table = np.frombuffer(series.values, "<f8").reshape(-1, len(series.columns))
     table = table[: max(round(span.total_seconds() / series.step_s), 1)]
-    temperature, solar = table[:, 0].copy(), table[:, 1] * 3600.0 / series.step_s
-    return EpisodeWeather(series.step_s, temperature, solar)
+    # EnergyPlus takes the radiation of a row for W/m2, however many rows an hour has.
+    return EpisodeWeather(series.step_s, table[:, 0].copy(), table[:, 1].copy())
 
 
 def query_weather(bus: Bus | None, manifest: Manifest) -> EpisodeWeather | None:

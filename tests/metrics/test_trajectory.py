@@ -192,7 +192,8 @@ def test_trajectory__nothing_recorded_is_an_error() -> None:
         recorder.trajectory()
 
 
-def test_trajectory__weather_ends_with_the_episode_and_radiation_is_a_power() -> None:
+def test_trajectory__weather_ends_with_the_episode_and_radiation_is_what_energyplus_takes_it_for() -> None:
+    """EnergyPlus takes the radiation of a row for W/m2, also where an hour has several rows."""
     table = np.array([[10.0, 100.0], [11.0, 200.0], [12.0, 300.0]])
     columns = ["dry_bulb_temperature", "global_horizontal_radiation"]
     series = WeatherSeries(
@@ -200,7 +201,7 @@ def test_trajectory__weather_ends_with_the_episode_and_radiation_is_a_power() ->
     )  # fmt: skip
     weather = read_weather(series, timedelta(hours=1))
     assert weather.temperature.tolist() == [10.0, 11.0]
-    assert weather.solar.tolist() == [200.0, 400.0]  # Wh/m2 in half an hour
+    assert weather.solar.tolist() == [100.0, 200.0]
 
 
 def test_trajectory__no_point_replaces_a_column_of_the_table() -> None:
