@@ -122,7 +122,7 @@ class TrainingEnv:
                 undo.callback(self._reference.close)
                 self.stepped = paired(self.env, self._reference)
             base: VecEnv = DummyVecEnv([lambda: self.stepped]) if config.slots == 1 else as_sb3(self.stepped)
-            self.recorder = EpisodeRecorder(base)
+            self.recorder = EpisodeRecorder(base, attribute(self.env, "observation_names"))
             self.monitor = VecMonitor(self.recorder)
             self.normalization = _normalization(config, self.monitor)
             self.outermost: VecEnv = self.normalization or self.monitor

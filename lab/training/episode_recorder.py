@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv, VecEnvWrapper, VecMonitor
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
+from zenostat.topics.errors import UsageError
+
 
 @dataclass(frozen=True)
 class RunningEpisodes:
@@ -26,10 +28,16 @@ class RunningEpisodes:
 
 
 class EpisodeRecorder(VecEnvWrapper):  # type: ignore[misc,unused-ignore]  # without types where it is not installed
-    """Records for each slot the number of its episode and the actions in it."""
+    """Records for each slot the number of its episode and the actions in it, and checks observations.
 
-    def __init__(self, venv: VecEnv) -> None:
+    Args:
+        venv: the environment.
+        names: of the building's observations.
+    """
+
+    def __init__(self, venv: VecEnv, names: Sequence[str] = ()) -> None:
         super().__init__(venv)
+        self._names = names
         self._numbers = [0] * self.num_envs
         self._begins = [0] * self.num_envs
         self._actions: list[NDArray[Any]] = []
@@ -37,7 +45,7 @@ class EpisodeRecorder(VecEnvWrapper):  # type: ignore[misc,unused-ignore]  # wit
     def reset(self) -> Any:
         """Start the first episodes."""
         self._numbers, self._begins, self._actions = [0] * self.num_envs, [0] * self.num_envs, []
-        return self.venv.reset()
+        return self._checked(self.venv.reset())
 
     def step_async(self, actions: NDArray[Any]) -> None:
         """Record the actions and pass them on."""
@@ -47,6 +55,7 @@ class EpisodeRecorder(VecEnvWrapper):  # type: ignore[misc,unused-ignore]  # wit
     def step_wait(self) -> VecEnvStepReturn:
         """Return the results of the step, and count the episodes that ended."""
         result = self.venv.step_wait()
+        self._checked(result[0])
         for slot in np.flatnonzero(result[2]).tolist():
             self._numbers[slot] += 1
             self._begins[slot] = len(self._actions)
@@ -54,6 +63,22 @@ class EpisodeRecorder(VecEnvWrapper):  # type: ignore[misc,unused-ignore]  # wit
             del self._actions[:unused]
             self._begins = [begin - unused for begin in self._begins]
         return result
+
+    def _checked(self, observations: Any) -> Any:
+        """Return observations; NaN would make all weights NaN.
+
+        Raises:
+            UsageError: one is no finite number.
+        """
+        if not isinstance(observations, np.ndarray) or np.isfinite(observations).all():
+            return observations
+        slot, column = np.argwhere(~np.isfinite(observations))[0][:2].tolist()
+        is_plain = observations.shape[1:] == (len(self._names),)  # no wrapper has changed it
+        name = self._names[column] if is_plain else f"number {column}"
+        raise UsageError(
+            f"the observation {name} is {observations[slot, column]}: training needs finite numbers; leave the point "
+            "out (unobserved) if a fault drops its values, or replace them in a wrapper"
+        )
 
     def running(self) -> RunningEpisodes:
         """Return the running episodes."""

@@ -3,12 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
 from zenostat.agent_sdk.testing import FakeEnv
 from zenostat.lab.evaluate import evaluate, run_episode
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, UsageError
 
 pytest.importorskip("stable_baselines3")
 
@@ -17,6 +18,7 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
 from zenostat.agent_sdk.controllers import Agent
 from zenostat.lab.training import EvaluationCallback, PolicyController, evaluate_model, load_policy
+from zenostat.lab.training.episode_recorder import EpisodeRecorder
 
 DAY: dict[str, Any] = {"zones": 2, "begin": "07-03", "steps_per_hour": 1}
 KINDS: dict[str, tuple[Any, dict[str, Any]]] = {
@@ -104,3 +106,19 @@ def test_training__statistics_of_other_observations_are_refused(tmp_path: Path) 
     with pytest.raises(InvalidConfig, match=r"normalizes observations of shape \(\d+,\)"):
         load_policy(f"ppo:{tmp_path / 'model.zip'}")
     assert np.isfinite(other.obs_rms.mean).all()
+
+
+class Dropped(gym.ObservationWrapper[Any, Any, Any]):
+    """A building whose second observation is lost."""
+
+    def observation(self, observation: Any) -> Any:
+        """Replace it by NaN."""
+        return np.where(np.arange(len(observation)) == 1, np.nan, observation)
+
+
+def test_training__observation_that_is_no_number_is_named() -> None:
+    envs = DummyVecEnv([lambda: Dropped(fake())])
+    names = fake().observation_names
+    for given, text in ((names, names[1]), ((), "number 1")):
+        with pytest.raises(UsageError, match=f"the observation {text} is nan: training needs finite numbers"):
+            EpisodeRecorder(envs, given).reset()
