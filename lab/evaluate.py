@@ -27,6 +27,7 @@ from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards import Reward
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.faults import read_plan
 from zenostat.lab.scenario_context import context_wrappers, within_context
 from zenostat.lab.scenario_env import add_monitoring
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
@@ -371,15 +372,25 @@ def _named_node(settings: Mapping[str, Any], controller: str) -> dict[str, Any]:
 
 
 def _open(settings: Mapping[str, Any], wrappers: Sequence[Mapping[str, Any]], *, is_baseline: bool) -> BuildingEnv:
-    """Open the environment of a controller; that of baseline control has no actuators but those of the context."""
+    """Open the environment of a controller; that of baseline control has actuators for the context and faults alone."""
     if not is_baseline:
         return BuildingEnv(**settings)
-    if not context_wrappers(wrappers):
+    if not context_wrappers(wrappers) and not _has_actuator_faults(settings):
         env = BuildingEnv(**without_actuators(settings))
         if not context_wrappers(env.manifest.task.wrappers):
             return env
         env.close()
     return BuildingEnv(**without_actions(settings))
+
+
+def _has_actuator_faults(settings: Mapping[str, Any]) -> bool:
+    """Return whether the plan of faults names actuators; a plan that cannot be read is none, which its reader tells."""
+    if settings.get("faults") is None:
+        return False
+    try:
+        return any(getattr(fault, "actuators", ()) for fault in read_plan(Path(settings["faults"])).faults)
+    except (InvalidConfig, TypeError):
+        return False
 
 
 def without_actions(settings: Mapping[str, Any]) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from zenostat.bridge.faults import LinkFaults
 from zenostat.bridge.node.fault_injection import FaultInjection
 from zenostat.eplus_node.config import read_config
 from zenostat.eplus_node.plan import describe, plan
+from zenostat.lab.evaluate import evaluate
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.fault_plan import FaultPlan
@@ -514,3 +515,15 @@ def test_agent__observes_faulty_values_and_is_rewarded_by_fault_free_ones(scratc
         expected = np.where(columns[-tail:], truth + 10.0, truth).astype(np.float32)
         assert faulty[0][-tail:].tobytes() == expected.tobytes()
         assert faulty[0][:-tail].tobytes() == clean[0][:-tail].tobytes()
+
+
+def test_evaluate__faults_of_actuators_act_under_baseline_control_too(tmp_path: Path) -> None:
+    plan = tmp_path / "plan.yaml"
+    plan.write_text("faults: [{kind: stuck, actuators: core_zn_cooling_setpoint, value: 30.0}]\n")
+    scenario = {**SMALL, "affinity": "off"}
+    evaluation = evaluate({**scenario, "faults": plan}, ["baseline"], seed=1)
+    plain = evaluate(scenario, ["baseline"], seed=1)
+    stuck, free = (each.rows[0].result.hvac_electricity_kwh for each in (evaluation, plain))
+    assert stuck is not None
+    assert free is not None
+    assert stuck < free  # the core is not cooled below 30 degC
