@@ -312,6 +312,15 @@ def per_kwh(unit: str) -> float:
     return 1.0 / _split_unit(unit)[1]
 
 
+def currency(unit: str) -> str:
+    """Return the currency of a price's unit: EUR of EUR/MWh; "" for one without, such as 1/kWh.
+
+    Raises:
+        ValueError: The unit is not a price per energy.
+    """
+    return _split_unit(unit)[0].removeprefix("1")
+
+
 def grams_per_kwh(unit: str) -> float:
     """Return the factor from an intensity's unit to g/kWh: 1 for kg/MWh.
 

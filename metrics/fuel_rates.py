@@ -12,9 +12,19 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
-from zenostat.agent_sdk.time_series import LEAP_HOURS, Constant, HourlyFile, Signal, TimeSeries, grams_per_kwh, per_kwh
+from zenostat.agent_sdk.time_series import (
+    LEAP_HOURS,
+    Constant,
+    HourlyFile,
+    Signal,
+    TimeSeries,
+    currency,
+    grams_per_kwh,
+    per_kwh,
+)
 from zenostat.metrics.energy_meters import FUELS
 from zenostat.topics import yaml12
 from zenostat.topics.codec import describe_validation_errors
@@ -54,9 +64,15 @@ def read_prices(prices: Mapping[str, Rate] | None) -> dict[str, FuelRate]:
     A price may be negative, as on power exchanges.
 
     Raises:
-        InvalidConfig: unknown fuel, not a price per energy, not finite, or not a year of hours.
+        InvalidConfig: unknown fuel, not a price per energy, two currencies, not finite, or not a year of hours.
     """
-    return _read(prices or {}, "prices", "1/kWh", per_kwh)
+    rates = _read(prices or {}, "prices", "1/kWh", per_kwh)
+    currencies = {currency(rate.series.unit): fuel for fuel, rate in rates.items()}
+    currencies.pop("", None)
+    if len(currencies) > 1:
+        each = " and ".join(f"{fuel} in {name}" for name, fuel in currencies.items())
+        raise InvalidConfig(f"prices: {each}; prices in one currency expected")
+    return rates
 
 
 def read_emissions(emissions: Mapping[str, Rate] | None) -> dict[str, FuelRate]:
@@ -98,6 +114,8 @@ def _read(rates: Mapping[str, Rate], argument: str, unit: str, factor_of: Any) -
 
 def _series(rate: Any, unit: str) -> TimeSeries:
     """Return the time series of a rate."""
+    if isinstance(rate, np.ndarray | np.generic):
+        rate = rate.tolist()
     if isinstance(rate, TimeSeries):
         return rate
     if isinstance(rate, Mapping):
@@ -122,13 +140,22 @@ def _file(path: Path, unit: str) -> TimeSeries:
         header_row = 0
     except ValueError:
         header_row = 1
-    if not header_row and len(first) == 2 == len(second) and not _is_later(second[0], first[0]):
+    if not header_row and (problem := _ambiguity(first, second)):
         raise InvalidConfig(
-            f"{path}: its lines have two numbers and no header, and the first ones are no times ({first[0]}, "
-            f"{second[0]}); if the comma is the decimal separator, describe the file in YAML, as {{csv: {path.name}, "
-            "column: 1, header_row: 0, delimiter: ;, decimal: ','}"
+            f"{path}: its lines have no header, and {problem}; if the comma is the decimal separator, describe the "
+            f"file in YAML, as {{csv: {path.name}, column: 1, header_row: 0, delimiter: ;, decimal: ','}}"
         )
     return HourlyFile(csv=path, column=max(len(first), 1), header_row=header_row, unit=unit)
+
+
+def _ambiguity(first: list[str], second: list[str]) -> str:
+    """Return why a comma in the first lines of a file without a header may be a decimal one; "" if it is none."""
+    if len(first) == 2 == len(second) and not _is_later(second[0], first[0]):
+        return f"of their two numbers the first ones are no times ({first[0]}, {second[0]})"
+    ends = [*first[-2:], *second[-2:]]
+    if len(first) > 2 and all(cell.strip().lstrip("+-").isdecimal() for cell in ends):
+        return f"their last two cells are whole numbers ({', '.join(first[-2:])})"
+    return ""
 
 
 def _is_later(time: str, before: str) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, model_validator
 
 from zenostat.agent_sdk.rewards.base import BoundReward
 from zenostat.agent_sdk.rewards.config import Names
@@ -14,7 +14,7 @@ from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.rewards.occupied import OccupiedComfort
 from zenostat.agent_sdk.rewards.slot_state import SlotState
 from zenostat.agent_sdk.rewards.terms import PeakIncrease, Term, TermSum
-from zenostat.agent_sdk.time_series import Price
+from zenostat.agent_sdk.time_series import Price, currency
 from zenostat.topics.messages import Manifest
 from zenostat.topics.typing_compat import override
 
@@ -57,6 +57,13 @@ class OccupiedCostReward(OccupiedComfort, EnergyReward):
     threshold_kw: float = Field(0.0, ge=0.0)
     demand: Names | None = None
     gas: Names | None = None
+
+    @model_validator(mode="after")
+    def _check_currency(self) -> OccupiedCostReward:
+        currencies = {currency(price.unit) for price in (self.price, self.gas_price) if price is not None} - {""}
+        if len(currencies) > 1:
+            raise ValueError(f"price and gas_price are in {' and '.join(sorted(currencies))}; one currency expected")
+        return self
 
     @override
     def bind(self, manifest: Manifest) -> BoundReward:

@@ -204,6 +204,12 @@ def test_rewards__occupied_cost() -> None:
     assert bound(sample, datetime(2017, 1, 12)).terms["peak"] == 0.0  # below the month's peak
 
 
+def test_rewards__occupied_cost_in_two_currencies_is_refused() -> None:
+    prices = {"price": {"value": 30.0, "unit": "ct/kWh"}, "gas_price": {"value": 0.06, "unit": "EUR/kWh"}}
+    with pytest.raises(InvalidConfig, match="price and gas_price are in EUR and ct; one currency expected"):
+        read_reward({"kind": "occupied_cost", **prices})
+
+
 def test_rewards__occupied_cost_charges_the_peak_of_another_meter() -> None:
     """The bill is on electricity, the peak on 20 kW of a power sensor; without a price gas is not counted."""
     reward = {"kind": "occupied_cost", "price": {"value": 0.2, "unit": "EUR/kWh"}, "demand": "power"}

@@ -243,6 +243,7 @@ def test_kpis__forms_of_a_rate(tmp_path: Path) -> None:
     numbered.write_text("\n".join(f"{hour},{price}" for hour, price in enumerate(hours)))
     forms = {
         "fuel_oil_1": comma, "fuel_oil_2": numbered,
+        "other_fuel_1": np.array(hours), "other_fuel_2": np.float64(0.25),
         "electricity": plain, "gas": str(dated), "propane": hours, "coal": described, "diesel": 0.25,
         "gasoline": {"value": 250.0, "unit": "EUR/MWh"},
     }  # fmt: skip
@@ -251,7 +252,8 @@ def test_kpis__forms_of_a_rate(tmp_path: Path) -> None:
     assert [rates[fuel].at(at) for fuel in ("electricity", "natural_gas", "propane", "coal")] == pytest.approx(
         [0.17] * 4
     )
-    assert [rates[fuel].at(at) for fuel in ("fuel_oil_1", "fuel_oil_2")] == pytest.approx([0.17] * 2)
+    assert [rates[fuel].at(at) for fuel in ("fuel_oil_1", "fuel_oil_2", "other_fuel_1")] == pytest.approx([0.17] * 3)
+    assert rates["other_fuel_2"].at(at) == 0.25
     assert rates["diesel"].at(at) == rates["gasoline"].at(at) == pytest.approx(0.25)
     assert read_prices(rates) == rates
     assert read_emissions({"gas": {"value": 200.0, "unit": "g/kWh"}})["natural_gas"].at(at) == pytest.approx(0.2)
@@ -271,8 +273,12 @@ def test_kpis__forms_of_a_rate(tmp_path: Path) -> None:
         ({"gas": "no.csv"}, r"gas: there is no file .*/no\.csv"),
         ({"gas": "SHORT"}, "gas: .*a year has 8760 hours.*the file has 24"),
         ({"gas": "TEXT"}, "gas: .*has no number in line 3"),
-        ({"gas": "COMMA"}, "gas: .*two numbers and no header.*if the comma is the decimal separator"),
+        (
+            {"gas": "COMMA"},
+            "gas: .*no header, and of their two numbers the first ones are no times.*if the comma is the",
+        ),
         ({"gas": "COMMA_BELOW"}, "gas: .*line 2 has more cells than the header, line 1; if the comma is the decimal"),
+        ({"gas": "TIMES"}, r"gas: .*no header, and their last two cells are whole numbers \(0, 25\); if the comma is"),
         (0.3, "a mapping from fuels to numbers or time series expected, got 0.3"),
     ],
 )
@@ -281,12 +287,19 @@ def test_kpis__mistakes_are_one_sentence(rates: Any, text: str, tmp_path: Path) 
     (tmp_path / "text.csv").write_text("price\n0.1\nnan\n" + "\n".join(["0.1"] * 8758))
     (tmp_path / "comma.csv").write_text("\n".join(["0,25"] * 8760))
     (tmp_path / "comma_below.csv").write_text("price\n" + "\n".join(["0,25"] * 8760))
-    files = {name.upper(): tmp_path / f"{name}.csv" for name in ("short", "text", "comma", "comma_below")}
+    (tmp_path / "times.csv").write_text("\n".join(f"2026-01-01T{hour},0,25" for hour in range(8760)))
+    files = {name.upper(): tmp_path / f"{name}.csv" for name in ("short", "text", "comma", "comma_below", "times")}
     if isinstance(rates, dict):
         rates = {fuel: files.get(rate, rate) if isinstance(rate, str) else rate for fuel, rate in rates.items()}
     for read in (read_prices, read_emissions):
         with pytest.raises(InvalidConfig, match=text):
             read(rates)
+
+
+def test_kpis__prices_in_two_currencies_are_refused() -> None:
+    prices = {"gas": {"value": 8.0, "unit": "ct/kWh"}, "coal": {"value": 80.0, "unit": "EUR/MWh"}, "propane": 0.1}
+    with pytest.raises(InvalidConfig, match="prices: natural_gas in ct and coal in EUR; prices in one currency"):
+        read_prices(prices)
 
 
 def test_kpis__emission_factors_are_not_negative() -> None:
