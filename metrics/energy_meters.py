@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 from zenostat.topics.energyplus_names import END_USES, FACILITY_POWER, HVAC_POWER
 from zenostat.topics.messages import Aggregation, Manifest, Meter
+from zenostat.topics.units import conversion
 
-J_PER_KWH = 3.6e6
 FUELS = {
     "electricity": "Electricity", "natural_gas": "NaturalGas", "district_cooling": "DistrictCooling",
     "district_heating_water": "DistrictHeatingWater", "district_heating_steam": "DistrictHeatingSteam",
@@ -106,8 +106,8 @@ def _meters(manifest: Manifest) -> dict[str, EnergySource]:
     """Return the meters of energy by `meter_name`."""
     sources: dict[str, EnergySource] = {}
     for index, meter in enumerate(manifest.meters, len(manifest.sensors)):
-        if meter.unit == "J":
-            source = EnergySource(index, 1.0 / J_PER_KWH, f"meter {meter.meter or meter.name}")
+        if (to_kwh := conversion(meter.unit, "kWh")) is not None:
+            source = EnergySource(index, to_kwh[0], f"meter {meter.meter or meter.name}")
             sources.setdefault(meter_name(meter), source)
     return sources
 

@@ -8,13 +8,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.rewards.selectors import indices, observed_meters, of_variables
+from zenostat.agent_sdk.rewards.selectors import check_distinct, indices, observed_meters, of_variables
 from zenostat.topics.energyplus_names import HVAC_POWER
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Aggregation, Manifest, Sensor
 from zenostat.topics.points import value_index
+from zenostat.topics.units import conversion, quantity
 
-J_PER_KWH = 3.6e6
 METERS = ("Electricity:Facility", "HVAC:Electricity", "Electricity:HVAC")
 """Default meters; the first that exists is used."""
 
@@ -22,8 +22,8 @@ METERS = ("Electricity:Facility", "HVAC:Electricity", "Electricity:HVAC")
 class EnergyMeter:
     """The energy of a timestep in kWh.
 
-    Meters and energy sensors in J are exact. The value of a sensor in W is taken for the whole timestep: this is exact
-    if the sensor reports the timestep's mean, and an approximation if it reports an instant.
+    Meters and sensors of energy (J, kWh) are exact. The value of a sensor of power (W, kW) is taken for the whole
+    timestep: this is exact if the sensor reports the timestep's mean, and an approximation if it reports an instant.
 
     Args:
         kind: the reward's kind.
@@ -33,7 +33,7 @@ class EnergyMeter:
         default: meters for `names=None`, instead of those of electricity; the first that exists is used.
 
     Raises:
-        InvalidConfig: the node has none of these, or one of them does not measure energy or power.
+        InvalidConfig: the node has none of these, one of them does not measure energy or power, or is named twice.
     """
 
     def __init__(
@@ -42,17 +42,22 @@ class EnergyMeter:
         if names is None:
             points = _default(kind, manifest, default)
         else:
+            check_distinct(kind, names)
             points = [_index(kind, name, manifest) for name in names]
-        units = [point.unit for point in manifest.points]
-        per_step = {"J": 1.0 / J_PER_KWH, "W": 1e-3 / (3600.0 / manifest.step_s)}
         self._indices = indices(points)
-        self._kwh = np.array([per_step[units[i]] for i in points])
+        self._kwh = np.array([_to_kwh(manifest.points[i].unit, manifest.step_s) for i in points])
         self.kw_per_kwh = 3600.0 / manifest.step_s
         """Mean power in kW of a timestep that used 1 kWh."""
 
     def kwh(self, values: NDArray[np.float64]) -> Any:
         """Return the energy of the timestep in kWh, with the leading shape of `values`."""
         return np.add.reduce(values.take(self._indices, axis=-1) * self._kwh, axis=-1)
+
+
+def _to_kwh(unit: str, step_s: float) -> float | None:
+    """Return the factor from an energy of a timestep, or a power in it, to kWh; None for other units."""
+    energy, power = conversion(unit, "kWh"), conversion(unit, "kW")
+    return energy[0] if energy is not None else power[0] / (3600.0 / step_s) if power is not None else None
 
 
 def _default(kind: str, manifest: Manifest, default: Sequence[str]) -> list[int]:
@@ -72,7 +77,7 @@ def _default(kind: str, manifest: Manifest, default: Sequence[str]) -> list[int]
 
 def _index(kind: str, name: str, manifest: Manifest) -> int:
     index = value_index(manifest)
-    fitting = [point.name for point in manifest.points if point.unit in ("J", "W")]
+    fitting = [point.name for point in manifest.points if quantity(point.unit) in ("energy", "power")]
     if name not in index:
         raise InvalidConfig(
             f"the {kind} reward names {name!r}, which the node does not have; {did_you_mean(name, fitting)}"
@@ -80,10 +85,10 @@ def _index(kind: str, name: str, manifest: Manifest) -> int:
     point = manifest.points[index[name]]
     if name not in fitting:
         raise InvalidConfig(
-            f"the {kind} reward needs energy in J or power in W, which {name!r} is not ({point.unit}); "
+            f"the {kind} reward needs energy or power, in units such as J or W, which {name!r} is not ({point.unit}); "
             f"{did_you_mean(name, fitting)}"
         )
-    if isinstance(point, Sensor) and point.unit == "J" and point.aggregation is not Aggregation.SUM:
+    if isinstance(point, Sensor) and quantity(point.unit) == "energy" and point.aggregation is not Aggregation.SUM:
         raise InvalidConfig(
             f"the {kind} reward needs the energy of the whole timestep, and {name!r} reads {point.aggregation!s}: "
             f"({point.variable!r}, {point.key!r}, 'sum') in sensors= reads all of it"

@@ -53,7 +53,8 @@ def named(kind: str, name: str, manifest: Manifest, units: Sequence[str]) -> int
     return index[name]
 
 
-def _check_distinct(kind: str, names: Sequence[str]) -> None:
+def check_distinct(kind: str, names: Sequence[str]) -> None:
+    """Raise `InvalidConfig` if a reward names a point twice."""
     if twice := [name for name in names if names.count(name) > 1]:
         raise InvalidConfig(f"the {kind} reward names {twice[0]!r} twice, which would count it twice")
 
@@ -75,7 +76,7 @@ def powers(kind: str, names: Sequence[str] | None, manifest: Manifest) -> tuple[
     They are the sensors that are named, else the meter of the HVAC's electricity, else EnergyPlus's demand rate.
     """
     if names is not None:
-        _check_distinct(kind, names)
+        check_distinct(kind, names)
         return indices([named(kind, name, manifest, ["W"]) for name in names]), 1.0
     meters = observed_meters(manifest)
     if HVAC_METER in meters:
@@ -101,7 +102,7 @@ def observed_meters(manifest: Manifest) -> dict[str, int]:
 def temperatures(kind: str, names: Sequence[str] | None, manifest: Manifest) -> Indices:
     """Return the sensors of zone air temperatures in degC: those that are named, else all observed ones."""
     if names is not None:
-        _check_distinct(kind, names)
+        check_distinct(kind, names)
         return indices([named(kind, name, manifest, ["degC"]) for name in names])
     sensors = of_variables(manifest, *ZONE_TEMPERATURES)
     if not sensors:

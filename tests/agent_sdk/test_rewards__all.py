@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from pydantic import ValidationError
-from support.builders import meter, sensor
+from support.builders import manifest, meter, sensor
 from support.examples import examples
 from support.rewards import KWH, MINIMAL_FIELDS, NODE, SENSORS, SUMMER, WINTER, Array, node_of, reward_config, values
 
@@ -26,10 +26,11 @@ from zenostat.agent_sdk.rewards import (
     ThermalSensationReward,
     read_reward,
 )
+from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.rewards.thermal_sensation import percentage_dissatisfied
 from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.messages import Aggregation, Sensor
+from zenostat.topics.messages import Aggregation, Meter, Sensor
 
 PMV, PPD = "Zone Thermal Comfort Fanger Model PMV", "Zone Thermal Comfort Fanger Model PPD"
 
@@ -302,6 +303,17 @@ def test_rewards__energy_that_is_taken_where_none_is_named() -> None:
     assert PeakReward().bind(one)(sample[:3], WINTER).metrics["energy_kwh"] == pytest.approx(2.0)
     none = node_of(SENSORS[1], SENSORS[3], meters=[meter("gas", "NaturalGas:Facility")])
     assert PeakReward().bind(none)(sample[:3], WINTER).metrics["energy_kwh"] == pytest.approx(1.0)
+
+
+def test_rewards__energy_and_power_in_other_units() -> None:
+    of = manifest(meters=[Meter(name="bill", unit="kWh")], sensors=[Sensor(name="power", unit="kW")])
+    meter = EnergyMeter("peak", ["bill", "power"], of)
+    assert meter.kwh(np.array([8.0, 3.0])) == pytest.approx(8.0 * 0.25 + 3.0)  # 8 kW in a quarter of an hour
+
+
+def test_rewards__meter_that_is_named_twice_is_refused() -> None:
+    with pytest.raises(InvalidConfig, match="the peak reward names 'bill' twice, which would count it twice"):
+        EnergyMeter("peak", ["bill", "bill"], manifest(meters=[Meter(name="bill", unit="kWh")]))
 
 
 def test_rewards__sensor_of_energy_has_to_read_the_sum() -> None:
