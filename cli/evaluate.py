@@ -162,9 +162,10 @@ def metric_text(metric: MetricSummary | None) -> str:
     """Return a metric as a table shows it: mean ± half of the 95 % confidence interval; "" if it is unknown."""
     if metric is None:
         return ""
-    size = abs(metric.mean)
-    digits = 0 if size >= 1000 or metric.mean == int(metric.mean) else 1 if size >= 100 else 2 if size >= 1 else 4
-    if metric.interval is not None and metric.half_width:
+    size, is_exact = abs(metric.mean), not metric.half_width
+    is_whole = is_exact and metric.mean == int(metric.mean)
+    digits = 0 if size >= 1000 or is_whole else 1 if size >= 100 else 2 if size >= 1 else 4
+    if not is_exact:
         return f"{metric.mean:,.{digits}f} ± {metric.half_width:,.{digits}f}"
     return f"{metric.mean:,.{digits}f}"
 
@@ -214,6 +215,7 @@ def _write_parquet(rows: Sequence[Mapping[str, Any]], path: Path) -> None:
     arrow, parquet = _parquet()
     columns = {}
     for name in rows[0]:
-        kind = arrow.string() if name in _TEXT_COLUMNS else arrow.int64() if name in _COUNT_COLUMNS else arrow.float64()
+        number = arrow.uint64() if name in _COUNT_COLUMNS else arrow.float64()
+        kind = arrow.string() if name in _TEXT_COLUMNS else number
         columns[name] = arrow.array([row[name] for row in rows], kind)
     parquet.write_table(arrow.table(columns), str(path))

@@ -94,7 +94,9 @@ def run(
                     trace.end_episode(link, results[heading][0], episode_seed)
         if trace is not None:
             outputs.write(trace.comparison(command_line()))
-    out.print(f"{node}: {counted(episodes, 'episode')} controlled by {controller}")
+    slots = link.manifest.slots
+    of_slot = f", slot 0 of {slots}" if slots > 1 else ""
+    out.print(f"{node}{of_slot}: {counted(episodes, 'episode')} controlled by {controller}")
     show_results(results, ", ".join(filter(None, (link.manifest.building, link.manifest.weather))))
     lost = sum(result.lost for result, _ in results.values())
     if lost:

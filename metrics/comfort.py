@@ -73,10 +73,16 @@ class Comfort:
             low[row], high[row] = limits
         return low, high
 
-    def outside(self, values: Floats, begin: datetime) -> Floats:
-        """Return the deviation from the band in K, at least 0, shape (zones,)."""
+    def outside(self, values: Floats, begin: datetime, temperatures: Floats | None = None) -> Floats:
+        """Return the deviation from the band in K, at least 0, shape (zones,).
+
+        Args:
+            values: values of a sample, shape (points,).
+            begin: simulated time at which the sample's timestep begins.
+            temperatures: values with other temperatures for the same band; None is those of the sample.
+        """
         low, high = self._band(values, begin)
-        air = values[self.zones]
+        air = (values if temperatures is None else temperatures)[self.zones]
         outside: Floats = np.maximum(np.maximum(low - air, air - high), 0.0)
         return outside
 

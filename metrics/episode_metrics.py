@@ -152,8 +152,8 @@ class MetricsAccumulator:
     def _reset(self) -> None:
         self._kwh = np.zeros(len(self._names))
         self._terms: dict[str, float] | None = None
-        self._peak_kwh = self._outside_k = self._occupied_k = 0.0
-        self._steps = self._steps_outside = self._lost = 0
+        self._peak_kwh, self._outside_k, self._occupied_k, self._steps_outside = -np.inf, 0.0, 0.0, 0.0
+        self._steps = self._lost = 0
         self._unmet.reset()
         self._not_accepted = self._initially_not_accepted = (0, 0)
 
@@ -192,12 +192,12 @@ class MetricsAccumulator:
         kwh = values[self._indices] * self._to_kwh
         self._kwh += kwh
         if self._electric is not None:
-            self._peak_kwh = max(self._peak_kwh, float(kwh[self._electric]))
+            self._peak_kwh = float(np.maximum(self._peak_kwh, kwh[self._electric]))  # NaN stays
         if self._comfort is not None:
             outside = self._comfort.outside(values, begin)
             self._outside_k += float(outside.sum())
             self._occupied_k += float(outside[self._comfort.is_occupied(values)].sum())
-            self._steps_outside += bool((outside > 0.0).any())
+            self._steps_outside += 1.0 if (outside > 0.0).any() else 0.0 * float(outside.sum())  # NaN: unknown
         self._kpis.add(values, begin)
         self._unmet.add(values)
         for name, term in terms.items():

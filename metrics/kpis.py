@@ -55,7 +55,8 @@ class PeakPower:
     """
 
     def __init__(self, count: int) -> None:
-        self._peaks, self._kwh, self._covered_s = np.zeros(count), np.zeros(count), 0.0
+        self._peaks: Floats = np.full(count, -np.inf)
+        self._kwh, self._covered_s = np.zeros(count), 0.0
 
     def add(self, begin_s: float, end_s: float, kw: Floats) -> None:
         """Add a timestep that follows the previous one; its duration does not matter to the time this takes.
@@ -154,7 +155,7 @@ class KpiAccumulator:
         previous = values if self._previous is None else self._previous
         step_h = self._step_s / 3600.0
         if self._comfort is not None:
-            at_begin, at_end = self._comfort.outside(previous, begin), self._comfort.outside(values, begin)
+            at_begin, at_end = (self._comfort.outside(values, begin, row) for row in (previous, values))
             self._outside_kh += step_h * float(at_begin @ (1.0 - self._air_weights) + at_end @ self._air_weights)
         if len(self._co2):
             at_begin, at_end = (np.maximum(row[self._co2] - CO2_LIMIT_PPM, 0.0) for row in (previous, values))

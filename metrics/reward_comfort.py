@@ -13,6 +13,7 @@ from zenostat.agent_sdk.rewards.manifest_data import known_rewards
 from zenostat.agent_sdk.rewards.occupied import PEOPLE, OccupiedComfort
 from zenostat.agent_sdk.rewards.selectors import same_zone, temperatures
 from zenostat.metrics.comfort import DEFAULT_BAND_DEGC, Comfort, default_comfort
+from zenostat.metrics.roles import roles
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 
@@ -63,21 +64,30 @@ def _from_band(reward: ComfortBand, manifest: Manifest) -> Comfort:
     if isinstance(reward, OccupiedComfort):
         zones, people = map(list, zip(*reward.pairs(zones, manifest), strict=True))
     else:
-        people = same_zone(zones, PEOPLE, manifest, observed=False)
+        people = _occupants(zones, manifest)
     return Comfort(_of(reward), zones, people, lambda _, begin: band(begin))
 
 
 def _from_setpoints(reward: MultiZoneReward, manifest: Manifest) -> Comfort:
     air, heat, cool = map(list, zip(*reward._points(manifest), strict=True))  # noqa: SLF001
     threshold = reward.threshold
-    people = same_zone(air, PEOPLE, manifest, observed=False)
     return Comfort(
         _of(reward),
         air,
-        people,
+        _occupants(air, manifest),
         lambda values, _: (values[heat] - threshold, values[cool] + threshold),
         follows_setpoints=True,
     )
+
+
+def _occupants(zones: list[int], manifest: Manifest) -> list[int | None]:
+    """Return the occupant count of each zone; that of a plant without output variables is found by its name."""
+    own = {zone.temperature: zone.occupants for zone in roles(manifest).zones}
+    of_variables = same_zone(zones, PEOPLE, manifest, observed=False)
+    return [
+        found if manifest.sensors[zone].variable else own.get(zone)
+        for zone, found in zip(zones, of_variables, strict=True)
+    ]
 
 
 def _of(reward: ComfortBand | MultiZoneReward) -> str:

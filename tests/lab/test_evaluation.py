@@ -20,7 +20,7 @@ from zenostat.lab.evaluate import EpisodeRecord, Evaluation, evaluate, without_a
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig, UnknownName
-from zenostat.topics.messages import Aggregation, Manifest, Meter, Sample, Task
+from zenostat.topics.messages import Aggregation, Manifest, Meter, Sample, Sensor, Task
 from zenostat.topics.points import value_index
 
 BEGIN = datetime(2017, 7, 1)
@@ -161,14 +161,26 @@ def test_evaluation__band_is_that_of_the_reward(task: Task, reward: Any, degrees
         assert result.outside_percent == (100.0 if any(degrees) else 0.0)
 
 
-def test_evaluation__zones_with_setpoints_of_their_own() -> None:
-    setpoints = [
+OWN_SETPOINTS = manifest(
+    sensors=[
+        sensor("core"),
         sensor("h", "Zone Thermostat Heating Setpoint Temperature", "core"),
         sensor("c", "Zone Thermostat Cooling Setpoint Temperature", "core"),
     ]
-    of = manifest(sensors=[sensor("core"), *setpoints])
-    result = tallied(of, [26.0, 21.0, 24.0], [22.0, 21.0, 24.0], reward=MultiZoneReward(threshold=0.5))
+)
+
+
+def test_evaluation__zones_with_setpoints_of_their_own() -> None:
+    result = tallied(OWN_SETPOINTS, [26.0, 21.0, 24.0], [22.0, 21.0, 24.0], reward=MultiZoneReward(threshold=0.5))
     assert result.mean_deviation_k == pytest.approx(1.5 / 2)
+
+
+def test_evaluation__discomfort_of_a_timestep_is_by_its_own_setpoints_at_both_ends() -> None:
+    """The thermal discomfort of BOPTEST's KPIs, where the setpoints of the next timestep differ."""
+    tally = MetricsAccumulator(OWN_SETPOINTS, MultiZoneReward(threshold=0.0))
+    for step, row in enumerate(([18.0, 15.0, 30.0], [20.0, 21.0, 24.0])):
+        tally.add(view(OWN_SETPOINTS, step, row))
+    assert tally.result().kpis["tdis_tot"] == pytest.approx((3.0 + 1.0) / 2 * 0.25)  # below 21 degC
 
 
 def test_evaluation__messages_that_were_refused_in_this_episode_and_a_second_one() -> None:
@@ -332,6 +344,28 @@ def test_evaluation__what_faults_do_to_points_does_not_count() -> None:
     assert tally.result() == plain.result()
 
 
+def test_evaluation__peak_of_a_building_that_always_exports_is_its_smallest_export() -> None:
+    exported = [[24.0, 24.0, 0.0, -kwh * KWH, 0.0, 0.0, 0.0, 0.0] for kwh in (3.0, 2.0, 5.0)]
+    assert tallied(OFFICE, *exported).peak_kw == pytest.approx(-8.0)  # 2 kWh in a quarter of an hour
+
+
+def test_evaluation__unknown_values_make_what_depends_on_them_unknown() -> None:
+    known = [27.0, 24.0, 0.0, KWH, KWH, 0.0, 0.0, 0.0]
+    result = tallied(OFFICE, known, [NAN, 24.0, 0.0, NAN, KWH, 0.0, 0.0, 0.0], known)
+    assert np.isnan([result.energy_kwh["electricity"], result.peak_kw, result.outside_percent]).all()
+    assert result.hvac_electricity_kwh == pytest.approx(3.0)
+    one_is_outside = tallied(OFFICE, known, [NAN, 30.0, 0.0, KWH, KWH, 0.0, 0.0, 0.0])
+    assert one_is_outside.outside_percent == 100.0
+
+
+def test_evaluation__occupants_of_a_plant_are_found_by_name() -> None:
+    points = [Sensor(name="hall_air_temperature", unit="degC"), Sensor(name="hall_occupants", unit="count")]
+    task = rewarded(temperatures=["hall_air_temperature"], power=["power"])
+    of = manifest(sensors=[*points, Sensor(name="power", unit="W")], task=task)
+    result = tallied(of, [28.0, 0.0, 0.0], [29.0, 2.0, 0.0])  # 2 and 3 K outside, people in the second
+    assert (result.outside_kh, result.occupied_outside_kh) == pytest.approx((5.0 * 0.25, 3.0 * 0.25))
+
+
 def test_evaluation__meters_of_a_plant_are_named_as_the_metrics() -> None:
     of = manifest(
         sensors=[sensor("core")],
@@ -342,7 +376,7 @@ def test_evaluation__meters_of_a_plant_are_named_as_the_metrics() -> None:
         ],
     )
     result = tallied(of, [24.0, 0.0, 0.0, 0.0], [24.0, KWH, 5.0, KWH])
-    assert result.energy_kwh == pytest.approx({"electricity": 1.0})
+    assert result.energy_kwh == pytest.approx({"electricity": 1.0, "natural_gas": 5.0})
     assert MetricsAccumulator(of).sources["electricity_kwh"] == "meter electricity"
 
 
