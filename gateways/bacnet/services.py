@@ -31,6 +31,7 @@ from bacpypes3.errors import (
     ObjectError,
     ParameterOutOfRange,
     PropertyError,
+    UnrecognizedService,
 )
 from bacpypes3.netservice import NetworkServiceAccessPoint, NetworkServiceElement
 from bacpypes3.pdu import Address
@@ -61,7 +62,7 @@ MAX_SUBSCRIPTIONS = 1000
 
 _WILDCARD_INSTANCE = 4_194_303
 _SERVICES = (
-    "subscribeCOV", "readProperty", "readPropertyMultiple", "readRange", "writeProperty", "writePropertyMultiple",
+    "subscribeCOV", "readProperty", "readPropertyMultiple", "writeProperty", "writePropertyMultiple",
     "whoHas", "whoIs",
 )  # fmt: skip
 
@@ -153,6 +154,10 @@ class NodeApplication(Application):
             if _is_wildcard(specification.objectIdentifier):
                 specification.objectIdentifier = self.device_object.objectIdentifier
         await super().do_ReadPropertyMultipleRequest(apdu)
+
+    async def do_ReadRangeRequest(self, apdu: Any) -> None:  # noqa: ARG002
+        """Reject a request for a range, which bacpypes3 does not execute."""
+        raise UnrecognizedService
 
     # Writing
 

@@ -9,6 +9,7 @@ from bacpypes3.apdu import (
     AbortPDU,
     AbortReason,
     APCISequence,
+    ComplexAckPDU,
     ConfirmedRequestPDU,
     ErrorPDU,
     RejectPDU,
@@ -23,6 +24,8 @@ MAX_TRANSACTIONS = 128
 """Largest number of confirmed requests in progress; further ones are aborted with `out-of-resources`."""
 
 _MAX_SEGMENTS = 64
+_HEADER, _SEGMENT_HEADER = 3, 5
+"""Octets of a complex acknowledgement before its data, and of a segment of one; ASHRAE 135, clause 20.1.5."""
 _CONFIRMED_REQUEST = 0  # type of an APDU, in the upper four bits of its first octet
 
 
@@ -48,6 +51,19 @@ class Transaction(ServerSSM):
             return
         request.pduSource, request.pduDestination = self.pdu_address, None
         await self.ssmSAP.sap_request(request)
+
+    async def confirmation(self, apdu: Any) -> None:
+        """Send the application's answer, in segments if it is too long for the client.
+
+        bacpypes3 cuts the data into segments as long as the longest APDU, whose header comes in addition.
+        """
+        if isinstance(apdu, ComplexAckPDU):
+            longest: int = self.maxApduLengthAccepted  # type: ignore[has-type]
+            if self.device_info is not None and self.device_info.max_npdu_length is not None:
+                longest = min(longest, self.device_info.max_npdu_length)
+            is_whole = len(apdu.pduData) <= longest - _HEADER
+            self.maxApduLengthAccepted = longest - (_HEADER if is_whole else _SEGMENT_HEADER)
+        await super().confirmation(apdu)
 
     async def _reject(self, apdu: Any, reason: str) -> None:
         reply = RejectPDU(reason=reason, context=apdu)

@@ -77,9 +77,35 @@ async def test_bacnet_gateway__malformed_requests_are_rejected_and_half_datagram
                 assert reply[1] == length
             unknown_service = await ask(raw, port, datagram(b"\x00\x05\x63\xc8"))
             assert unknown_service == bytes((REJECT << 4, 0x63, 9))  # unrecognized-service
+            device = struct.pack(">BI", 0x0C, 8 << 22 | 4_194_303)
+            by_position = b"\x3e\x21\x01\x31\x05\x3f"
+            read_range = await ask(raw, port, datagram(b"\x00\x05\x64\x1a" + device + b"\x19\x4c" + by_position))
+            assert read_range == bytes((REJECT << 4, 0x64, 9))
             assert gateway.counts.malformed - before == len(whole)
         assert await reader.read(COOLING, "priority-array", 8) is None
     assert commanded(episode_bus) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("code", "longest"), [(0, 50), (1, 128), (2, 206), (3, 480), (4, 1024), (5, 1476)])
+async def test_bacnet_gateway__no_reply_is_longer_than_its_client_accepts(
+    episode_bus: Bus, code: int, longest: int
+) -> None:
+    """The octets of each segment with its header; together they are the whole reply."""
+    async with served(episode_bus.endpoint) as (_, _, port):
+        with raw_socket() as raw:
+            device = struct.pack(">BI", 0x0C, 8 << 22 | 4_194_303)
+            every_property = device + b"\x1e\x09\x08\x1f"
+            reply = await ask(raw, port, datagram(bytes((0x02, code, 7, 14)) + every_property))
+            segments = [reply]
+            while reply[0] & 0x0C == 0x0C:  # segmented, more follow
+                reply = await ask(raw, port, datagram(bytes((0x40, 7, reply[2], 1))))
+                segments.append(reply)
+    assert max(map(len, segments)) <= longest
+    is_segmented = bool(segments[0][0] & 0x08)
+    assert is_segmented == (len(segments) > 1)
+    assert all(len(segment) == longest for segment in segments[:-1])
+    assert b"".join(segment[5 if is_segmented else 3 :] for segment in segments).startswith(device[:1])
 
 
 @pytest.mark.slow
