@@ -129,10 +129,19 @@ class BacnetGateway:
         self._described = manifest.instance
         if is_same:
             return
-        for old in self._points:
-            self._application.remove_object(old)
+        former = {s._replace(position=0): point for s, point in zip(self._specs, self._points, strict=True)}
+        kept = {spec: former.pop(key) for spec in specs if (key := spec._replace(position=0)) in former}
+        for point in former.values():
+            self._application.remove_object(point)
+        self._points = [self._point(spec, kept.get(spec)) for spec in specs]
         self._specs = specs
+
+    def _point(self, spec: PointSpec, former: Any) -> Any:
+        """Return the object of a point; one that has only another position in the samples keeps its subscribers."""
+        if former is not None:
+            former.move(spec.position)
+            return former
         kinds: dict[ObjectKind, Any] = {ObjectKind.INPUT: AnalogInput, ObjectKind.OUTPUT: AnalogOutput}
-        self._points = [kinds[spec.kind](self._state, spec) for spec in specs]
-        for point in self._points:
-            self._application.add_object(point)
+        point = kinds[spec.kind](self._state, spec)
+        self._application.add_object(point)
+        return point

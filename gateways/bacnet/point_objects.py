@@ -149,6 +149,10 @@ class _Analog(NodeObject):
         """The point's name on the bus."""
         return self._spec.name
 
+    def move(self, position: int) -> None:
+        """Have the value of another place in the samples."""
+        self._spec = self._spec._replace(position=position)
+
     @property
     def presentValue(self) -> Real:
         """The present value."""

@@ -239,6 +239,25 @@ async def test_bacnet_gateway__subscribers_hear_of_changes_beyond_the_increment_
         serving.cancel()
 
 
+async def test_bacnet_gateway__points_that_stay_keep_their_subscribers(paused_bus: Bus) -> None:
+    """A node of the same name has come back with fewer points, which moves the others within a sample."""
+    async with served(paused_bus.endpoint) as (gateway, reader, _):
+        serving = asyncio.create_task(gateway.run())
+        manifest = paused_bus.manifest("office")
+        kept = next(sensor.name for sensor in manifest.sensors[1:])
+        fewer = manifest.model_copy(update={"sensors": manifest.sensors[1:], "instance": "1"})
+        async with reader.app.change_of_value(reader.device, reader.identifier(COOLING), 2, False, 60) as commands:
+            await commands.get_value(), await commands.get_value()
+            gateway._set_manifest(fewer)
+            assert len(await reader.read(DEVICE, "active-cov-subscriptions")) == 1
+            await asyncio.to_thread(paused_bus.write, "office", COOLING, 24.5, priority=3, source="operator")
+            assert (await commands.get_value())[1] == 24.5
+        assert await reader.read(manifest.sensors[0].name) == "object unknown-object"
+        (point,) = [point for point in gateway._points if point.point_name == kept]
+        assert point._spec.position == 0
+        serving.cancel()
+
+
 async def test_bacnet_gateway__fast_simulation_sends_few_notifications_and_the_last_value_always(
     paused_bus: Bus,
 ) -> None:
