@@ -12,7 +12,7 @@ import typer
 from zenostat.cli.gateway import serve
 from zenostat.cli.gateway_clients import Allow, ClientsFile, clients_of, notify
 from zenostat.cli.options import DEFAULTS, BusOptions, Wait, on_bus
-from zenostat.gateways.addresses import is_loopback
+from zenostat.gateways.addresses import is_loopback, names_of
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.user_file import user_file
@@ -91,7 +91,7 @@ def mqtt(
             client, at, root=root, priority=priority, clients=known, home_assistant=prefix, notify=notify,
         ),
         source=source, via="mqtt", options=options, wait=wait,
-        exclusive={f"{root} on {at}": "choose another topic with --topic"},
+        exclusive={f"{root} on {name}": "choose another topic with --topic" for name in names_of(host, port)},
     )  # fmt: skip
 
 
@@ -104,10 +104,13 @@ def _address(text: str, default_port: int) -> tuple[str, int]:
 
 def _password(username: str | None, file: Path | None) -> str | None:
     if file is None:
-        password = os.environ.get("MQTT_PASSWORD")
+        source, password = "MQTT_PASSWORD", os.environ.get("MQTT_PASSWORD")
     else:
+        source = f"--password-file {file}"
         with user_file(file):
-            password = file.read_text(encoding="utf-8").rstrip("\r\n")
-    if file is not None and username is None:
-        raise InvalidConfig("--password-file needs --username")
-    return password if username is not None else None
+            password = file.read_text(encoding="utf-8-sig").rstrip("\r\n")
+    if password is not None and username is None:
+        raise InvalidConfig(f"{source} needs --username")
+    if password == "" and file is not None:
+        raise InvalidConfig(f"{source}: the file is empty; a password expected")
+    return password

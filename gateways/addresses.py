@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ipaddress
 import re
+import socket
 
 from zenostat.topics.errors import InvalidConfig
 
@@ -28,7 +29,7 @@ def parse_address(text: str, protocol: str, *, expose: bool, default_port: int) 
         address = ipaddress.ip_address("127.0.0.1" if host == "localhost" else host)
     except ValueError:
         address = None
-    if address is None or not 0 <= port <= 65535:
+    if address is None or "%" in host or not 0 <= port <= 65535:
         raise InvalidConfig(
             f"{text!r} is not an address to listen on; write ADDRESS:PORT, for example 127.0.0.1:{default_port}"
         )
@@ -38,6 +39,17 @@ def parse_address(text: str, protocol: str, *, expose: bool, default_port: int) 
             "if that is intended, allow it with --expose"
         )
     return str(address), port
+
+
+def names_of(host: str, port: int) -> list[str]:
+    """Return `ADDRESS:PORT` for each address of a host, whatever its spelling; for this machine, with its name."""
+    if is_loopback(host):
+        return [f"{socket.gethostname()}:{port}"]
+    try:
+        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    except OSError:  # not known yet
+        return [f"{host}:{port}"]
+    return sorted({f"{target[0]}:{port}" for *_, target in found})
 
 
 def is_loopback(host: str) -> bool:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import ssl
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -49,6 +50,8 @@ class Broker:
     def __post_init__(self) -> None:
         if self.tls is not None and self.tls.keyfile is not None and self.tls.certfile is None:
             raise InvalidConfig(f"{self.tls.keyfile}: a client's key without its certificate would not be used")
+        if self.tls is not None:
+            _check_files(self.tls)
 
     def __str__(self) -> str:
         return f"{self.host}:{self.port}"
@@ -112,6 +115,20 @@ class BrokerClient(aiomqtt.Client):
             yield
         if reason := self._reasons.pop(mid, ""):
             raise _MessageRejected(reason)
+
+
+def _check_files(tls: aiomqtt.TLSParameters) -> None:
+    """Raise `InvalidConfig` if a file of certificates or keys cannot be used, which names it."""
+    try:
+        context = ssl.create_default_context(cafile=tls.ca_certs)
+    except OSError as error:
+        raise InvalidConfig(f"{tls.ca_certs} is no CA certificate (PEM): {error}") from None
+    if tls.certfile is not None:
+        try:
+            context.load_cert_chain(tls.certfile, tls.keyfile, password=lambda: "")
+        except OSError as error:
+            files = tls.certfile if tls.keyfile is None else f"{tls.certfile} and {tls.keyfile}"
+            raise InvalidConfig(f"{files}: no certificate and its key (PEM, not encrypted): {error}") from None
 
 
 async def connect(broker: Broker, status_topic: str, on_rejected: Callable[[str], None]) -> BrokerClient:

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator
 from typing import Any
 from zlib import crc32
 
+from zenostat.gateways.mqtt.topic_names import PREFIX
 from zenostat.gateways.points import Reading, readings
 from zenostat.metrics.labels import label
 from zenostat.metrics.roles import roles
@@ -47,20 +48,20 @@ def discovery(manifest: Manifest, root: str, prefix: str = "homeassistant") -> I
         root: the gateway's topic of the node, below which its topics are.
         prefix: Home Assistant's discovery prefix.
     """
-    ids = _ids(manifest, [reading.name for reading in readings(manifest)])
+    ids = _ids(manifest, root, [reading.name for reading in readings(manifest)])
     for reading in readings(manifest):
         kind = "sensor" if reading.index < len(manifest.sensors) else "meter"
         content = _entity(manifest, root, ids[reading.name], label(reading.name)) | _quantity(reading)
         content |= {"state_topic": f"{root}/{kind}/{reading.name}", "state_class": "measurement"}
         content["value_template"] = "{{ 'None' if value == 'null' else value }}"  # its word for an unknown state
         yield f"{prefix}/sensor/{ids[reading.name]}/config", json.dumps(content)
-    actuator_ids = _ids(manifest, [actuator.name for actuator in manifest.actuators])
+    actuator_ids = _ids(manifest, root, [actuator.name for actuator in manifest.actuators])
     for actuator in manifest.actuators:
         number = _number(manifest, root, actuator, actuator_ids[actuator.name])
         yield f"{prefix}/number/{number['unique_id']}/config", json.dumps(number)
         button = _button(manifest, root, actuator, actuator_ids[actuator.name])
         yield f"{prefix}/button/{button['unique_id']}/config", json.dumps(button)
-    climate_ids = _ids(manifest, [reading.name for reading in readings(manifest)], "climate_")
+    climate_ids = _ids(manifest, root, [reading.name for reading in readings(manifest)], "climate_")
     for zone in roles(manifest).zones:
         if zone.temperature is None or zone.heating_actuator is None or zone.cooling_actuator is None:
             continue
@@ -103,12 +104,19 @@ def _limited(actuator: Actuator) -> str:
     return f"{{{{ {text} }}}}"
 
 
-def _ids(manifest: Manifest, names: Iterable[str], prefix: str = "") -> dict[str, str]:
+def _device_id(manifest: Manifest, root: str) -> str:
+    """Return the id of the node's device; a checksum of the topic follows where it does not follow from the id."""
+    text = f"zenostat_{manifest.node}".replace(".", "_")
+    is_plain = root == f"{PREFIX}/{manifest.node}" and "." not in manifest.node
+    return text if is_plain else f"{text}_{crc32(root.encode()):08x}"
+
+
+def _ids(manifest: Manifest, root: str, names: Iterable[str], prefix: str = "") -> dict[str, str]:
     """Return the id of each name, in which Home Assistant allows no dots.
 
     Where two names would have one id, a checksum follows in that of each name with dots; it depends on the name alone.
     """
-    ids = {name: f"zenostat_{manifest.node}_{prefix}{name}".replace(".", "_") for name in names}
+    ids = {name: f"{_device_id(manifest, root)}_{prefix}{name}".replace(".", "_") for name in names}
     counts = Counter(ids.values())
     return {
         name: f"{text}_{crc32(name.encode()):08x}" if counts[text] > 1 and "." in name else text
@@ -122,7 +130,7 @@ def _entity(manifest: Manifest, root: str, identifier: str, title: str) -> dict[
         "unique_id": identifier,
         "availability_topic": f"{root}/status",
         "device": {
-            "identifiers": [f"zenostat_{manifest.node}"],
+            "identifiers": [_device_id(manifest, root)],
             "name": manifest.node,
             "model": manifest.building,
             "manufacturer": "Zenostat",

@@ -5,7 +5,7 @@ import math
 from collections.abc import Sequence
 
 import pytest
-from support.builders import manifest
+from support.builders import manifest, sensor
 
 from zenostat.gateways.mqtt.home_assistant import discovery, discovery_topics, is_discovery
 from zenostat.gateways.mqtt.messages import number
@@ -38,6 +38,23 @@ def test_home_assistant__names_that_differ_in_a_dot_have_ids_of_their_own() -> N
     assert both[f"{ROOT}/sensor/zone_T"] == alone[f"{ROOT}/sensor/zone_T"] == "zenostat_office_zone_T"
     assert both == ids(["zone_T", "other", "zone.T"], ["valve_a", "valve.a"]), "whatever the order"
     assert ids(["zone.T"])[f"{ROOT}/sensor/zone.T"] == "zenostat_office_zone_T"
+
+
+def test_home_assistant__gateways_of_one_broker_have_ids_of_their_own() -> None:
+    """A node's name does not tell apart two sites, which have topics of their own, and dots are no part of an id."""
+    roots = [("office", ROOT), ("office", "site/office"), ("site.a", "zenostat/site.a"), ("site_a", "zenostat/site_a")]
+    published = [
+        {topic for topic, _ in discovery(manifest(sensors=[sensor("t")]).model_copy(update={"node": node}), root)}
+        for node, root in roots
+    ]
+    assert len(set().union(*published)) == len(roots)
+    devices = {
+        json.loads(text)["device"]["identifiers"][0]
+        for node, root in roots
+        for _, text in discovery(manifest(sensors=[sensor("t")]).model_copy(update={"node": node}), root)
+    }
+    assert len(devices) == len(roots)
+    assert {"zenostat_office", "zenostat_site_a"} < devices
 
 
 def test_home_assistant__value_that_is_unknown_is_its_own_word_for_it() -> None:

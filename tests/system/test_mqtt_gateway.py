@@ -495,7 +495,10 @@ def test_mqtt_gateway__tls_and_password(bus: Bus, tmp_path: Path) -> None:
         (("--tls", "--ca", "nothing.pem"), "no such file"),
         (("--tls", "--broker-key", "/dev/null"), "no such file"),
         (("--tls", "--broker-key", __file__), "--broker-key needs --broker-certificate"),
-        (("--password-file", "/dev/null"), "--password-file needs --username"),
+        (("--password-file", "/dev/null"), "--password-file /dev/null needs --username"),
+        (("--username", "u", "--password-file", "/dev/null"), "--password-file /dev/null: the file is empty"),
+        (("--tls", "--ca", __file__), f"{__file__} is no CA certificate (PEM)"),
+        (("--tls", "--broker-certificate", __file__), f"{__file__}: no certificate and its key"),
         (("--mqtt-version", "4"), "expected 5 or 3.1.1"),
     ],
 )
