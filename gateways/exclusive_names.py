@@ -36,7 +36,8 @@ async def reserved_names(
         identity: the name in the gateway's certificate; empty without keys.
 
     Raises:
-        NameInUse: another gateway of the node has one of the names; the text has its certificate, host and process.
+        NameInUse: another gateway of the node has one of the names, or one above or below it; the text has its
+            certificate, host and process.
     """
     own = str(session.zid())
     await _check(session, node, names, lambda instance: instance != own)
@@ -82,8 +83,14 @@ async def _check(session: zenoh.Session, node: str, names: Mapping[str, str], pr
         if len(parts) != _TOKEN_PARTS:
             continue  # no gateway of Zenostat
         name, host, process, instance = parts
-        if name in names and precedes(instance):
+        advice = next((text for own, text in names.items() if _overlap(own, name)), None)
+        if advice is not None and precedes(instance):
             whose = f"{sender}, " if sender != keys.own_name("", "") else ""
             raise NameInUse(
-                f"a gateway of node {node!r} uses {name!r} already ({whose}process {process} on {host}); {names[name]}"
+                f"a gateway of node {node!r} uses {name!r} already ({whose}process {process} on {host}); {advice}"
             )
+
+
+def _overlap(name: str, other: str) -> bool:
+    """Return whether two names are equal, or one is below the other, as `modbus.two` is below `modbus`."""
+    return f"{name}.".startswith(f"{other}.") or f"{other}.".startswith(f"{name}.")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Callable
-from contextlib import AsyncExitStack, suppress
+from contextlib import AsyncExitStack, nullcontext, suppress
 from typing import Any, TypeVar
 
 import zenoh
@@ -167,9 +167,8 @@ class NodeClient:
                 message = Write(value=value, priority=priority, duration_s=duration_s, source=source)
             except ValidationError as error:
                 raise InvalidAction(f"{actuator}: {codec.describe_validation_errors(error)}") from None
-            if value is not None:
-                self._written.add(actuator, priority, source)
-            ack = await self.ask(keys.WRITE_REQUEST, message, Ack, name=actuator)
+            with nullcontext() if value is None else self._written.sending(actuator, priority, source):
+                ack = await self.ask(keys.WRITE_REQUEST, message, Ack, name=actuator)
         except ZenostatError:
             self.counts.rejected += 1
             raise

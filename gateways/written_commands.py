@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, TypeVar
 
 from zenostat.bridge.client.priorities import PriorityValue, decode_priorities
 from zenostat.topics import keys
-from zenostat.topics.errors import RequestRejected
+from zenostat.topics.errors import RequestRejected, UsageError
 from zenostat.topics.messages import Ack, Manifest, Message, PriorityArrays, Query, State, Status, Write
 from zenostat.topics.messages.base import ANONYMOUS
 
@@ -50,14 +51,28 @@ class WrittenCommands:
     """
 
     def __init__(self) -> None:
-        self._sources: dict[tuple[str, int], str] = {}
+        self._sources: dict[tuple[str, int], set[str]] = {}
 
     def __bool__(self) -> bool:
-        return bool(self._sources)
+        return any(self._sources.values())
 
-    def add(self, actuator: str, priority: int, source: str) -> None:
-        """Note a command, before it is sent: without a reply, it may have been accepted nevertheless."""
-        self._sources[actuator, priority] = source or ANONYMOUS
+    @contextmanager
+    def sending(self, actuator: str, priority: int, source: str) -> Iterator[None]:
+        """Note a command that the context sends and that replaces the former one, unless the node rejects it.
+
+        Without a reply, either of them may be in force.
+        """
+        sources, own = self._sources.setdefault((actuator, priority), set()), source or ANONYMOUS
+        is_new = own not in sources
+        sources.add(own)
+        try:
+            yield
+        except (UsageError, RequestRejected):
+            if is_new:
+                sources.discard(own)
+            raise
+        sources.clear()
+        sources.add(own)
 
     async def relinquish(self, ask: Ask, manifest: Manifest) -> Relinquished:
         """Relinquish the commands that are still in force; see `NodeClient.relinquish_written`.
@@ -86,6 +101,6 @@ class WrittenCommands:
         """Return the commands that are still in priority arrays, with the source by which they were written."""
         return [
             WrittenCommand(actuator, priority, source)
-            for (actuator, priority), source in self._sources.items()
-            if actuator in arrays and arrays[actuator][priority - 1].source == source
+            for (actuator, priority), sources in self._sources.items()
+            if actuator in arrays and (source := arrays[actuator][priority - 1].source) in sources
         ]

@@ -95,7 +95,8 @@ def test_mqtt__relinquishes_each_priority_and_source_and_is_offline(
             bus_has = {3: (700.0, "node-red"), 8: (600.0, "mqtt"), 12: (500.0, "mqtt")}
             until(lambda: commands(bus) == [bus_has] * 2, "all are commanded")
             bus.write("room", "compressor", 900.0, priority=12, source="operator")  # it is not the gateway's any more
-            until(lambda: len(results) == 3, "all are answered")
+            broker.publish(topic, '{"value": 99999, "priority": 3, "source": "panel"}')  # rejected: the other one stays
+            until(lambda: len(results) == 4, "all are answered")
         code, out, err = gateway.end(end)
         assert (code, err) == (0, "")
         assert "relinquished 2 commands" in out
@@ -172,6 +173,12 @@ def test_gateways__end_of_the_episode_is_no_error_of_a_gateway_that_ends(tmp_pat
     [
         (("modbus", "--address", "127.0.0.1:0"), ("modbus", "--address", "127.0.0.1:0"), "modbus", "--source"),
         (
+            ("modbus", "--address", "127.0.0.1:0"),
+            ("modbus", "--address", "127.0.0.1:0", "--source", "modbus.two"),  # whose commands would count as its own
+            "modbus",
+            "--source",
+        ),
+        (
             ("modbus", "--address", "127.0.0.1:0", "--source", "fire_panel"),
             ("bacnet", "--address", "127.0.0.1:47999", "--source", "fire_panel"),
             "fire_panel",
@@ -205,9 +212,11 @@ def test_gateways__one_topic_of_a_broker_has_one_gateway_of_a_node(room: NodePro
     with Broker(tmp_path) as broker:
         words = ["room", "--connect", room.endpoint, "--broker", f"127.0.0.1:{broker.port}"]
         with RunningGateway("mqtt", *words):
-            error = error_of("gateway", "mqtt", *words, "--source", "other", code=1)
-            assert f"'zenostat/room on 127.0.0.1:{broker.port}' already" in error
-            assert "--topic" in error
+            for host in ("127.0.0.1", "localhost"):
+                other = [*words[:-1], f"{host}:{broker.port}", "--source", "other"]
+                error = error_of("gateway", "mqtt", *other, code=1)
+                assert f"'zenostat/room on {socket.gethostname()}:{broker.port}' already" in error
+                assert "--topic" in error
             with RunningGateway("mqtt", *words, "--source", "other", "--topic", "another") as running:
                 assert running.end()[0] == 0
 
