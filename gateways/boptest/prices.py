@@ -98,13 +98,20 @@ def read_rates(prices: Mapping[str, Rate] | None = None, emissions: Mapping[str,
         if name.endswith(("dynamic", "constant")):
             raise InvalidConfig(f"prices: {did_you_mean(name, electricity)}")
     own_prices, own_emissions = read_prices(named), read_emissions(emissions)
-    series = {name: read_prices({"electricity": rate})["electricity"] for name, rate in electricity.items()}
+    series = {name: _electricity_price(name, rate) for name, rate in electricity.items()}
     rates = Rates(
         series,
         {**read_prices(DEFAULT_PRICES), **own_prices},
         {**read_emissions(DEFAULT_EMISSIONS), **own_emissions},
     )
     return Rates(rates.electricity, rates.prices, rates.emissions, _points(rates))
+
+
+def _electricity_price(scenario: str, rate: Rate) -> FuelRate:
+    try:
+        return read_prices({"electricity": rate})["electricity"]
+    except InvalidConfig as error:
+        raise InvalidConfig(str(error).replace("prices: electricity", f"prices: {scenario}", 1)) from None
 
 
 def _points(rates: Rates) -> dict[str, tuple[FuelRate, str, str]]:

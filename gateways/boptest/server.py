@@ -15,6 +15,9 @@ from zenostat.gateways.boptest.app import Service
 
 _DEFAULT_ADDRESS = "127.0.0.1:8000"
 _SHUTDOWN_S = 5
+_IDLE_S = 900
+"""Time after which a connection between two requests ends: clients compute, and cannot know whether a lost request
+has advanced the building."""
 
 
 class HttpServer:
@@ -53,6 +56,7 @@ class HttpServer:
             lifespan="off",
             server_header=True,
             timeout_graceful_shutdown=_SHUTDOWN_S,
+            timeout_keep_alive=_IDLE_S,
         )
 
     def run(self) -> None:
