@@ -23,8 +23,8 @@ from zenostat.topics.errors import AddressInUse, InvalidConfig
 DEFAULT_PUBLISH = "tcp://127.0.0.1:5556"
 DEFAULT_COMMAND = "tcp://127.0.0.1:5557"
 
-_FORM = re.compile(r"tcp://[^\s:/]+:(\d{1,5}|\*)|ipc:///\S+")
-_LOOPBACK = re.compile(r"tcp://127\.\d+\.\d+\.\d+:.*|ipc:.*")
+_FORM = re.compile(r"tcp://(\[[0-9A-Fa-f:.]+\]|[^\s:/\[\]]+):(\d{1,5}|\*)|ipc:///\S+")
+_LOOPBACK = re.compile(r"tcp://(127\.\d+\.\d+\.\d+|localhost|\[::1\]):.*|ipc:.*")
 _BURST = 256
 _PING = 3  # of a lease: a peer that has answered none of three pings is gone
 _MOST_SUBSCRIBED = 1024  # bytes of a subscription; the longest topic has some 300
@@ -225,8 +225,9 @@ def _bind(target: zmq.Socket[bytes], endpoint: str) -> str:
     # libzmq takes over the path of a socket that is in use, without an error for its owner.
     if kind == "ipc" and Path(path).exists():
         raise AddressInUse(f"{path} already exists; name another path, or remove it if no program listens there")
+    target.ipv6 = "[" in endpoint
     try:
-        target.bind(endpoint)
+        target.bind(endpoint.replace("//localhost:", "//127.0.0.1:"))  # libzmq takes it for an interface
     except zmq.ZMQError as error:
         if error.errno == zmq.EADDRINUSE:
             raise AddressInUse(f"another program listens on {endpoint}; name another port") from None

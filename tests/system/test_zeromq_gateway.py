@@ -27,6 +27,7 @@ zmq = pytest.importorskip("zmq", reason="pyzmq is not installed")
 from support.zeromq import ANY, KILLED, GatewayProgram, Peer, answering, gateway, keeping, module_gateway  # noqa: E402
 
 from zenostat.gateways.zeromq.frames import split  # noqa: E402
+from zenostat.gateways.zeromq.sockets import check_endpoint  # noqa: E402
 
 __all__ = ["gateway", "module_gateway"]
 
@@ -444,6 +445,8 @@ def test_invalid_options__refused_before_anything_starts(shared_node, gateway):
     at = ("--connect", shared_node.endpoint)
     assert "another program listens on" in _fails(*at, "--publish", gateway.publish)
     assert "another program listens on" in _fails(*at, "--command", gateway.command, "--publish", ANY)
+    assert "another program listens on" in _fails(*at, "--publish", gateway.publish.replace("127.0.0.1", "localhost"))
+    assert check_endpoint("tcp://[::1]:5556", expose=False) == "tcp://[::1]:5556"
     assert "can be reached from other machines" in _fails(*at, "--publish", "tcp://0.0.0.0:5556")
     assert "is not a ZeroMQ endpoint" in _fails(*at, "--command", "tcp/127.0.0.1:5557")
     assert "no node 'plant'" in _fails(*at, "--node", "plant", "--publish", ANY, "--command", ANY)
