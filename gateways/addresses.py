@@ -46,10 +46,10 @@ def names_of(host: str, port: int) -> list[str]:
     if is_loopback(host):
         return [f"{socket.gethostname()}:{port}"]
     try:
-        found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+        entries = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     except OSError:  # not known yet
         return [f"{host}:{port}"]
-    return sorted({f"{target[0]}:{port}" for *_, target in found})
+    return sorted({f"{target[0]}:{port}" for *_, target in entries})
 
 
 def is_loopback(host: str) -> bool:

@@ -85,8 +85,8 @@ def _occupants(zones: list[int], manifest: Manifest) -> list[int | None]:
     own = {zone.temperature: zone.occupants for zone in roles(manifest).zones}
     of_variables = same_zone(zones, PEOPLE, manifest, observed=False)
     return [
-        found if manifest.sensors[zone].variable else own.get(zone)
-        for zone, found in zip(zones, of_variables, strict=True)
+        sensor if manifest.sensors[zone].variable else own.get(zone)
+        for zone, sensor in zip(zones, of_variables, strict=True)
     ]
 
 

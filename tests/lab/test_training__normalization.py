@@ -119,6 +119,6 @@ class Dropped(gym.ObservationWrapper[Any, Any, Any]):
 def test_training__observation_that_is_no_number_is_named() -> None:
     envs = DummyVecEnv([lambda: Dropped(fake())])
     names = fake().observation_names
-    for given, text in ((names, names[1]), ((), "number 1")):
+    for known, text in ((names, names[1]), ((), "number 1")):
         with pytest.raises(UsageError, match=f"the observation {text} is nan: training needs finite numbers"):
-            EpisodeRecorder(envs, given).reset()
+            EpisodeRecorder(envs, known).reset()
