@@ -8,9 +8,7 @@ organizational units are the roles. Only node certificates are valid for TLS ser
 from __future__ import annotations
 
 import ipaddress
-import os
-import stat
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -19,26 +17,26 @@ from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.serialization import (
-    Encoding,
-    NoEncryption,
-    PrivateFormat,
-    load_pem_private_key,
-)
 from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from zenostat.bridge.transport.access_control import TRAINER
+from zenostat.bridge.transport.certificate_files import (
+    check_private,
+    in_folder,
+    open_to_others,
+    read_certificate,
+    read_key,
+    write_certificate,
+    write_names,
+)
 from zenostat.bridge.transport.name_list import (
     CERTIFIED,
-    NAMES,
     Names,
     check_new_name,
     check_roles,
     locked_names,
     read_names,
-    sign_names,
 )
-from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.keys import Role
 
@@ -104,7 +102,7 @@ class Identity:
 
     def names(self) -> dict[str, tuple[Role, ...]]:
         """Return the names of the authority, with the roles of each; `InvalidConfig` if the list cannot be used."""
-        return read_names(self.authority.parent, _read(self.authority))
+        return read_names(self.authority.parent, read_certificate(self.authority))
 
 
 def make(folder: Path, *, hosts: Sequence[str] = (), days: int = DAYS, force: bool = False) -> list[Certificate]:
@@ -131,10 +129,10 @@ def make(folder: Path, *, hosts: Sequence[str] = (), days: int = DAYS, force: bo
     for name, roles in _FIRST.items():
         key = ec.generate_private_key(ec.SECP256R1())
         created.append((name, _issued(authority, authority_key, key, roles, name, names or (), days), key))
-    _in_folder(folder, lambda: folder.mkdir(mode=0o700, parents=True, exist_ok=True))
+    in_folder(folder, lambda: folder.mkdir(mode=0o700, parents=True, exist_ok=True))
     for name, certificate, key in created:
-        _write(folder, name, certificate, key)
-    _write_names(folder, _FIRST, authority_key)
+        write_certificate(folder, name, certificate, key)
+    write_names(folder, _FIRST, authority_key)
     return show(folder)
 
 
@@ -155,8 +153,8 @@ def add(
         InvalidConfig: no authority, or one whose key other users can read, a name that is in use or is the beginning of
             another, hosts for a role that does not listen, days beyond the authority's validity.
     """
-    authority = _read(folder / f"{AUTHORITY}.pem")
-    authority_key = _read_key(folder / f"{AUTHORITY}.key")
+    authority = read_certificate(folder / f"{AUTHORITY}.pem")
+    authority_key = read_key(folder / f"{AUTHORITY}.key")
     if force and not hosts:
         hosts = _former_hosts(folder / f"{name}.pem", authority)
     with locked_names(folder):
@@ -164,7 +162,7 @@ def add(
 
 
 def _former_hosts(path: Path, authority: x509.Certificate) -> tuple[str, ...]:
-    return _described(path.stem, _read(path), authority).hosts if path.exists() else ()
+    return _described(path.stem, read_certificate(path), authority).hosts if path.exists() else ()
 
 
 def _add(
@@ -180,7 +178,7 @@ def _add(
 ) -> Certificate:
     max_days = (authority.not_valid_after_utc - datetime.now(UTC)).days
     errors = ErrorCollector()
-    errors.collect(lambda: _check_private(folder / f"{AUTHORITY}.key"))
+    errors.collect(lambda: check_private(folder / f"{AUTHORITY}.key"))
     listed = errors.collect(lambda: read_names(folder, authority))
     errors.collect(lambda: _check_name(name, listed or {}))
     errors.collect(lambda: _check_days(days, max_days))
@@ -195,19 +193,19 @@ def _add(
     errors.raise_if_any()
     key = ec.generate_private_key(ec.SECP256R1())
     certificate = _issued(authority, authority_key, key, chosen, name, names or (), days)
-    _write(folder, name, certificate, key)
-    _write_names(folder, {**(listed or {}), name: chosen}, authority_key)
+    write_certificate(folder, name, certificate, key)
+    write_names(folder, {**(listed or {}), name: chosen}, authority_key)
     return _described(name, certificate, authority)
 
 
 def names_of(folder: Path) -> dict[str, tuple[Role, ...]]:
     """Return the roles of each name in a folder's list; `InvalidConfig` if it cannot be used."""
-    return read_names(folder, _read(folder / f"{AUTHORITY}.pem"))
+    return read_names(folder, read_certificate(folder / f"{AUTHORITY}.pem"))
 
 
 def show(folder: Path) -> list[Certificate]:
     """Return the certificates of a folder: authority first, then by role and name."""
-    authority = _read(folder / f"{AUTHORITY}.pem")
+    authority = read_certificate(folder / f"{AUTHORITY}.pem")
     paths = [path for path in sorted(folder.glob("*.pem")) if _is_certificate(path)]
     certificates = [_shown(path, authority) for path in paths]
     return sorted(certificates, key=lambda c: (CERTIFIED.index(c.roles[0]) if c.roles else -1, c.name))
@@ -216,7 +214,7 @@ def show(folder: Path) -> list[Certificate]:
 def _is_certificate(path: Path) -> bool:
     """Return whether a file is a certificate, or should be one since it has a key; others may be in the folder, too."""
     try:
-        _read(path)
+        read_certificate(path)
     except InvalidConfig:
         return path.with_suffix(".key").exists()
     return True
@@ -231,8 +229,8 @@ def expiry_warning(expires: datetime) -> str:
 
 
 def _shown(path: Path, authority: x509.Certificate) -> Certificate:
-    described, key = _described(path.stem, _read(path), authority), path.with_suffix(".key")
-    fault = _open_to_others(key)
+    described, key = _described(path.stem, read_certificate(path), authority), path.with_suffix(".key")
+    fault = open_to_others(key)
     return described if described.fault or not fault else replace(described, fault=f"{key.name} {fault}")
 
 
@@ -252,7 +250,7 @@ def identity(folder: Path, role: Role | None, name: str | None = None) -> Identi
     if name is None and role is None:
         raise InvalidConfig(f"name a certificate or a role: {', '.join(CERTIFIED)}")
     name = name or str(role)
-    authority = _read(folder / f"{AUTHORITY}.pem")
+    authority = read_certificate(folder / f"{AUTHORITY}.pem")
     path, key = folder / f"{name}.pem", folder / f"{name}.key"
     if not path.exists():
         known = [certificate.name for certificate in show(folder) if role in (None, *certificate.roles)]
@@ -260,7 +258,7 @@ def identity(folder: Path, role: Role | None, name: str | None = None) -> Identi
             f"no certificate {name!r} in {folder}; {did_you_mean(name, known)}. "
             f"Create it with: zenostat keys add {name} --role {role or Role.CONTROLLER}"
         )
-    certificate = _read(path)
+    certificate = read_certificate(path)
     errors = ErrorCollector()
     described = _described(name, certificate, authority)
     if described.fault:
@@ -398,80 +396,13 @@ def _refuse_existing(folder: Path, names: Sequence[str]) -> None:
         )
 
 
-def _write(folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
-    secret = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
-    for path, data, mode in (
-        (folder / f"{name}.key", secret, 0o600),
-        (folder / f"{name}.pem", certificate.public_bytes(Encoding.PEM), 0o644),
-    ):
-        _in_folder(folder, lambda path=path, data=data, mode=mode: _write_file(path, data, mode))  # type: ignore[misc]
-
-
-def _write_names(folder: Path, names: Names, key: ec.EllipticCurvePrivateKey) -> None:
-    def write() -> None:
-        with atomic_file(folder / NAMES) as temporary:
-            _write_file(temporary, sign_names(names, key), 0o644)
-
-    _in_folder(folder, write)
-
-
-def _write_file(path: Path, data: bytes, mode: int) -> None:
-    path.unlink(missing_ok=True)  # never write into a file that others can read, nor through a link
-    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
-        file.write(data)
-
-
-def _in_folder(folder: Path, function: Callable[[], None]) -> None:
-    try:
-        function()
-    except OSError as error:
-        raise InvalidConfig(f"cannot write to {folder}: {error.strerror}") from None
-
-
-def _read(path: Path) -> x509.Certificate:
-    try:
-        return x509.load_pem_x509_certificate(path.read_bytes())
-    except OSError:
-        raise InvalidConfig(
-            f"there is no {path}; create a folder of keys with: zenostat keys init {path.parent}"
-        ) from None
-    except ValueError:
-        raise InvalidConfig(f"{path} is not a certificate (PEM)") from None
-
-
-def _read_key(path: Path) -> ec.EllipticCurvePrivateKey:
-    try:
-        key = load_pem_private_key(path.read_bytes(), None)
-    except FileNotFoundError:
-        raise InvalidConfig(f"there is no {path}; it is on the machine where the keys were created") from None
-    except OSError as error:
-        raise InvalidConfig(f"cannot read {path}: {error.strerror}") from None
-    except (ValueError, TypeError):
-        raise InvalidConfig(f"{path} is not a private key without a password (PEM)") from None
-    if not isinstance(key, ec.EllipticCurvePrivateKey):
-        raise InvalidConfig(f"{path} was not created by zenostat keys")
-    return key
-
-
 # Validation
 
 
 def _check_key(path: Path, certificate: x509.Certificate) -> None:
-    if _read_key(path).public_key() != certificate.public_key():
+    if read_key(path).public_key() != certificate.public_key():
         raise InvalidConfig(f"{path} does not match the certificate next to it")
-    _check_private(path)
-
-
-def _check_private(key: Path) -> None:
-    if fault := _open_to_others(key):
-        raise InvalidConfig(f"{key} {fault}")
-
-
-def _open_to_others(key: Path) -> str:
-    """Return an error if other users can read a key's file; otherwise, or if it does not exist, an empty text."""
-    if key.exists() and key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
-        return f"can be read by other users; restrict its permissions: chmod 600 {key}"
-    return ""
+    check_private(path)
 
 
 def _described(name: str, certificate: x509.Certificate, authority: x509.Certificate) -> Certificate:

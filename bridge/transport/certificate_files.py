@@ -1,0 +1,95 @@
+"""Files of certificates and private keys: PEM, the keys readable by their owner alone."""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Callable
+from pathlib import Path
+
+from cryptography import x509
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import (
+    Encoding,
+    NoEncryption,
+    PrivateFormat,
+    load_pem_private_key,
+)
+
+from zenostat.bridge.transport.name_list import NAMES, Names, sign_names
+from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.errors import InvalidConfig
+
+
+def write_certificate(folder: Path, name: str, certificate: x509.Certificate, key: ec.EllipticCurvePrivateKey) -> None:
+    """Write `NAME.pem` and `NAME.key` to a folder; `InvalidConfig` if it cannot be written to."""
+    secret = key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption())
+    for path, data, mode in (
+        (folder / f"{name}.key", secret, 0o600),
+        (folder / f"{name}.pem", certificate.public_bytes(Encoding.PEM), 0o644),
+    ):
+        in_folder(folder, lambda path=path, data=data, mode=mode: _write_file(path, data, mode))  # type: ignore[misc]
+
+
+def write_names(folder: Path, names: Names, key: ec.EllipticCurvePrivateKey) -> None:
+    """Write the list of names, signed by the authority; `InvalidConfig` if the folder cannot be written to."""
+
+    def write() -> None:
+        with atomic_file(folder / NAMES) as temporary:
+            _write_file(temporary, sign_names(names, key), 0o644)
+
+    in_folder(folder, write)
+
+
+def _write_file(path: Path, data: bytes, mode: int) -> None:
+    path.unlink(missing_ok=True)  # never write into a file that others can read, nor through a link
+    with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, mode), "wb") as file:
+        file.write(data)
+
+
+def in_folder(folder: Path, function: Callable[[], None]) -> None:
+    """Call a function that writes to a folder; `InvalidConfig` if that fails."""
+    try:
+        function()
+    except OSError as error:
+        raise InvalidConfig(f"cannot write to {folder}: {error.strerror}") from None
+
+
+def read_certificate(path: Path) -> x509.Certificate:
+    """Read a certificate; `InvalidConfig` if there is none."""
+    try:
+        return x509.load_pem_x509_certificate(path.read_bytes())
+    except OSError:
+        raise InvalidConfig(
+            f"there is no {path}; create a folder of keys with: zenostat keys init {path.parent}"
+        ) from None
+    except ValueError:
+        raise InvalidConfig(f"{path} is not a certificate (PEM)") from None
+
+
+def read_key(path: Path) -> ec.EllipticCurvePrivateKey:
+    """Read a private key that `zenostat keys` created; `InvalidConfig` if there is none."""
+    try:
+        key = load_pem_private_key(path.read_bytes(), None)
+    except FileNotFoundError:
+        raise InvalidConfig(f"there is no {path}; it is on the machine where the keys were created") from None
+    except OSError as error:
+        raise InvalidConfig(f"cannot read {path}: {error.strerror}") from None
+    except (ValueError, TypeError):
+        raise InvalidConfig(f"{path} is not a private key without a password (PEM)") from None
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
+        raise InvalidConfig(f"{path} was not created by zenostat keys")
+    return key
+
+
+def check_private(key: Path) -> None:
+    """Raise `InvalidConfig` if other users can read a key's file."""
+    if fault := open_to_others(key):
+        raise InvalidConfig(f"{key} {fault}")
+
+
+def open_to_others(key: Path) -> str:
+    """Return an error if other users can read a key's file; otherwise, or if it does not exist, an empty text."""
+    if key.exists() and key.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+        return f"can be read by other users; restrict its permissions: chmod 600 {key}"
+    return ""
