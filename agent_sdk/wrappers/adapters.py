@@ -283,7 +283,7 @@ class _VectorAdapter(_VectorWrapper, BuildingWrapper):
         A slot whose node is lost keeps its last observation.
         """
         final = np.flatnonzero(ends).tolist() if self.autoreset_mode is AutoresetMode.SAME_STEP else []
-        width = () if self._logic.reward_space is None else self._logic.reward_space.shape
+        width = rewards.shape[1:] if self._logic.reward_space is None else self._logic.reward_space.shape
         outer_rewards = np.zeros((self.num_envs, *width), np.float64)
         for is_final, all_slots in ((False, [i for i in live if i not in final]), (True, final)):
             step_infos = infos["final_info"] if is_final and all_slots else infos

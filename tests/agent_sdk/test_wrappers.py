@@ -56,6 +56,10 @@ CHAINS: dict[str, list[dict[str, Any]]] = {
         {"wrapper": "ChangingContext", "schedule": {"07:00": {"occupants": 1.0}, "18:00": {"occupants": 0.25}}}
     ],
     "RewardVector": [{"wrapper": "RewardVector", "terms": ["comfort", "energy"]}],
+    "RewardVector within another": [
+        {"wrapper": "RewardVector", "terms": ["comfort", "energy"]},
+        {"wrapper": "PreviousObservation", "names": ["core"]},
+    ],
     "NumericInfos": [{"wrapper": "NumericInfos"}],
     "many": [
         {"wrapper": "CyclicTime", "fields": ["hour"], "replace": False},
