@@ -17,7 +17,8 @@ from zenostat.topics.errors import InvalidAction, InvalidConfig
 from zenostat.topics.typing_compat import override
 
 Floats = NDArray[np.float64]
-_NOT_IN_UNITS = (*wrappers_with(Trait.ACTION_UNITS), "IncrementalAction", "DiscreteIncrementalAction")
+NOT_IN_UNITS = (*wrappers_with(Trait.ACTION_UNITS), "IncrementalAction", "DiscreteIncrementalAction")
+"""Wrappers whose actions are not the values of the wrapped environment's actions."""
 
 
 def incremented(values: Floats, increments: Floats, low: Floats, high: Floats) -> Floats:
@@ -38,7 +39,7 @@ class _IncrementalLogic(WrapperLogic):
     def __init__(self, view: EnvView, initial: Mapping[str, float]) -> None:
         super().__init__(view)
         reject_wrappers(
-            view.env, _NOT_IN_UNITS, view.wrapper_name + " changes values in their units; apply it before {}"
+            view.env, NOT_IN_UNITS, view.wrapper_name + " changes values in their units; apply it before {}"
         )
         names = view.action_names
         if not isinstance(view.action_space, Box) or view.action_space.shape != (len(names),):

@@ -19,7 +19,7 @@ from zenostat.agent_sdk.controllers.setback import ScheduledSetback
 from zenostat.agent_sdk.controllers.setpoint_offsets import SetpointOffsets
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic, append
-from zenostat.agent_sdk.wrappers.gymnasium_wrappers import Trait, wrappers_with
+from zenostat.agent_sdk.wrappers.incremental import NOT_IN_UNITS
 from zenostat.agent_sdk.wrappers.names import reject_wrappers
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidAction, InvalidConfig, UnknownName, did_you_mean
@@ -46,8 +46,8 @@ class _ResidualLogic(WrapperLogic):
     ) -> None:
         super().__init__(view)
         own = view.wrapper_name
-        units = wrappers_with(Trait.ACTION_UNITS)
-        reject_wrappers(view.env, units, own + " adds to actions in their units; apply it before {}")
+        not_values = (*NOT_IN_UNITS, "ResidualAction")
+        reject_wrappers(view.env, not_values, own + " adds to actions in their units; apply it before {}")
         if controller not in RULES:
             raise UnknownName(f"{own}: there is no rule {controller!r}; {did_you_mean(controller, RULES)}")
         if not isinstance(view.action_space, Box) or view.action_space.shape != (len(view.action_names),):

@@ -16,6 +16,7 @@ from zenostat.topics.errors import InvalidAction, InvalidConfig, UnknownName
 
 STEPS = 40
 MARGIN = {"margin": 0.5}
+HEATING, COOLING = "zone_1_heating_setpoint", "zone_1_cooling_setpoint"
 
 
 def rule_rewards(env: gym.Env[Any, Any], seed: int) -> list[float]:
@@ -87,11 +88,21 @@ def test_residual_action__action_outside_its_space_is_refused() -> None:
             wrapped.step(np.full(wrapped.action_space.shape, 1.5, np.float32))
 
 
-def test_residual_action__is_applied_before_wrappers_that_change_units() -> None:
-    with FakeEnv() as env:
-        scaled = gym.wrappers.RescaleAction(env, np.float32(-1), np.float32(1))
-        with pytest.raises(InvalidConfig, match="apply it before"):
-            w.ResidualAction(scaled)
+@pytest.mark.parametrize(
+    "inner",
+    [
+        {"wrapper": "RescaleAction", "min_action": -1.0, "max_action": 1.0},
+        {"wrapper": "IncrementalAction", "increments": {COOLING: 1.0}, "initial": {COOLING: 26.0}},
+        {"wrapper": "DiscreteIncrementalAction", "steps": {COOLING: 1.0}, "initial": {COOLING: 26.0, HEATING: 20.0}},
+        {"wrapper": "ResidualAction", "controller": "setback"},
+    ],
+    ids=lambda inner: inner["wrapper"],
+)
+def test_residual_action__is_applied_before_wrappers_that_change_units(inner: dict[str, Any]) -> None:
+    with FakeEnv(zones=1) as env:
+        wrapped = w.apply_wrappers(env, [inner])
+        with pytest.raises(InvalidConfig, match=f"ResidualAction .*; apply it before {inner['wrapper']}"):
+            w.ResidualAction(wrapped)
 
 
 @pytest.mark.slow
