@@ -56,7 +56,10 @@ class WrappedPolicy(Controller):
     ) -> None:
         super().__init__(manifest)
         self._model, self._normalization = model, normalization
-        self._wrappers = [wrapper for wrapper in wrappers if wrapper["wrapper"] not in LOGS]
+        # Beyond a limit on the timesteps of training, the node's episode continues, and the wrappers with it.
+        needs_limit = any(wrapper["wrapper"] == "TimeAwareObservation" for wrapper in wrappers)
+        left_out = LOGS if needs_limit else (*LOGS, "TimeLimit")
+        self._wrappers = [wrapper for wrapper in wrappers if wrapper["wrapper"] not in left_out]
         self._states = without_logs(states)
         self._link: _SampleQueue | None = None
         self._seed: int | None = None

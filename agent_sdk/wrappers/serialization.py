@@ -58,7 +58,7 @@ OURS: dict[str, type[BuildingWrapper]] = {
 }
 """The wrappers of `zenostat.wrappers` by name."""
 
-_GYM_MAKE_WRAPPERS = ("PassiveEnvChecker", "OrderEnforcing", "TimeLimit")
+_CHECKS = ("PassiveEnvChecker", "OrderEnforcing")
 _SCALAR_REWARD_WRAPPERS = wrappers_with(Trait.SCALAR_REWARD)
 _ARRAY_ARGUMENTS = ("min_action", "max_action", "min_obs", "max_obs")
 _applied_arguments: WeakKeyDictionary[Any, dict[str, Any]] = WeakKeyDictionary()
@@ -153,15 +153,12 @@ def _for_gymnasium(key: str, value: Any) -> Any:
 
 
 def wrappers_of(env: Any) -> list[dict[str, Any]]:
-    """Return the wrappers of `env` in the form of `apply_wrappers`, innermost first, without those of `gym.make`.
+    """Return the wrappers of `env` in the form of `apply_wrappers`, innermost first, without the checks of `gym.make`.
 
     Raises:
         InvalidConfig: a wrapper or one of its arguments cannot be written as data.
     """
-    chain = list(_chain(env))[::-1]
-    while chain and type(chain[0]).__name__ in _GYM_MAKE_WRAPPERS and chain[0] not in _applied_arguments:
-        del chain[0]
-    return [_entry(layer) for layer in chain if type(layer).__name__ not in _GYM_MAKE_WRAPPERS[:2]]
+    return [_entry(layer) for layer in list(_chain(env))[::-1] if type(layer).__name__ not in _CHECKS]
 
 
 def _chain(env: Any) -> Iterator[Any]:

@@ -218,7 +218,8 @@ def test_env__environment_goes_to_one_file_and_returns_equal(scratch: Path) -> N
     from zenostat.agent_sdk.wrappers import apply_wrappers, wrappers_of
 
     wrappers = [{"wrapper": "CyclicTime"}, {"wrapper": "ReducedObservation", "keep": ["core_zn_air_temperature"]}]
-    env = apply_wrappers(gym.make(NAME, **DAY, reward=LinearReward(weight=0.25), control="zone"), wrappers)
+    task = {"reward": LinearReward(weight=0.25), "control": "zone", "max_episode_steps": 3}
+    env = apply_wrappers(gym.make(NAME, **DAY, **task), wrappers)
     save_env(env, scratch / "one.yaml")
     again = load_env(scratch / "one.yaml", affinity="off")
     save_env(again, scratch / "two.yaml")
@@ -230,7 +231,9 @@ def test_env__environment_goes_to_one_file_and_returns_equal(scratch: Path) -> N
     for one in (env, again):
         observation, _ = one.reset(seed=1)
         one.action_space.seed(3)
-        outcomes.append((observation.tolist(), [one.step(one.action_space.sample())[1] for _ in range(3)]))
+        steps = [one.step(one.action_space.sample()) for _ in range(3)]
+        outcomes.append((observation.tolist(), [(reward, truncated) for _, reward, _, truncated, _ in steps]))
+        assert [truncated for *_, truncated, _ in steps] == [False, False, True]
         one.close()
     assert outcomes[0] == outcomes[1]
 

@@ -14,7 +14,7 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-from zenostat.agent_sdk.controllers import Agent
+from zenostat.agent_sdk.controllers import Agent, ScheduledSetback
 from zenostat.agent_sdk.controllers.policy_loader import load_policy
 from zenostat.agent_sdk.controllers.wrapped_policy import WrappedPolicy
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
@@ -113,6 +113,34 @@ def test_policy__forecast_errors_differ_between_episodes_without_seeds(tmp_path:
     first, second = two_episodes()
     assert first != second
     assert two_episodes() == [first, second]
+
+
+class ZeroModel(Forecaster):
+    """A model without offsets."""
+
+    def predict(self, observation: Any, *_: Any, **__: Any) -> tuple[Any, None]:
+        return np.zeros(self.action_space.shape, np.float32), None
+
+
+def test_policy__rule_continues_beyond_the_time_limit_of_the_training() -> None:
+    chain: list[dict[str, Any]] = [
+        {"wrapper": "TimeLimit", "max_episode_steps": 3},
+        {"wrapper": "ResidualAction", "controller": "setback"},
+    ]
+    with closing(FakeEnv(**DAY)) as env:
+        model = ZeroModel(apply_wrappers(env, chain))
+        policy, rule = (
+            Agent(controller)
+            for controller in (WrappedPolicy(env.manifest, model, None, chain, []), ScheduledSetback(env.manifest))
+        )
+        env.reset(seed=0)
+        expected = set()
+        for _ in range(24):
+            action = policy.action(env.sample)
+            np.testing.assert_array_equal(action, rule.action(env.sample))
+            expected.add(tuple(action.tolist()))
+            env.step(action)
+    assert len(expected) == 2, "of day and night"
 
 
 def test_policy__state_of_wrappers_is_restored_with_and_without_the_chain(tmp_path: Path) -> None:

@@ -16,6 +16,8 @@ from gymnasium.wrappers import (
     FrameStackObservation,
     NormalizeObservation,
     NormalizeReward,
+    OrderEnforcing,
+    PassiveEnvChecker,
     RescaleAction,
     TimeAwareObservation,
     TimeLimit,
@@ -190,7 +192,7 @@ def test_wrappers__infos_of_a_vector_are_read_by_their_masks() -> None:
 
 @each_chain
 def test_wrappers__chains_are_data(chain: list[dict[str, Any]]) -> None:
-    env = w.apply_wrappers(TimeLimit(fake(), 500), chain)
+    env = w.apply_wrappers(OrderEnforcing(PassiveEnvChecker(fake())), chain)
     assert w.wrappers_of(env) == chain == json.loads(json.dumps(w.wrappers_of(env)))
     again = w.apply_wrappers(fake(), w.wrappers_of(env))
     assert again.observation_space == env.observation_space
@@ -207,6 +209,8 @@ def test_wrappers__what_was_wrapped_by_hand_is_data_too() -> None:
     stack = {"wrapper": "FrameStackObservation", "stack_size": 3}
     assert w.wrappers_of(FrameStackObservation(fake(), 3)) == [stack]
     assert w.wrappers_of(w.CyclicTime(fake())) == [{"wrapper": "CyclicTime"}]  # made without arguments
+    limited = gym.make("zenostat/Fake-v1", max_episode_steps=3)
+    assert w.wrappers_of(limited) == [{"wrapper": "TimeLimit", "max_episode_steps": 3}]
     price = HourlySeries(hourly=tuple(range(8760)), unit="g/kWh")
     (wrapper,) = w.wrappers_of(w.TimeSeriesObservation(fake(), {"carbon": price}))
     assert w.apply_wrappers(fake(), [wrapper]).reset()[0][-1] == 24 * (31 + 28 + 31 + 30 + 31 + 30 + 2)
