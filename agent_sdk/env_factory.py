@@ -83,15 +83,21 @@ def save_env(env: gym.Env[Any, Any], path: str | Path) -> None:
         path: The file (YAML).
 
     Raises:
-        InvalidConfig: An environment without a node, a reward that is a function or class of the user's, or a wrapper
-            that cannot be serialized.
+        InvalidConfig: An environment without a node, of a district or of a plant other than EnergyPlus, a reward that
+            is a function or class of the user's, or a wrapper that cannot be serialized.
     """
     building = env.unwrapped
     if not isinstance(building, BuildingEnv) or not isinstance(building.link, ControllerLink):
         raise InvalidConfig(
             f"{type(building).__name__} has no scenario that can be saved; save a zenostat/ environment"
         )
-    fields = yaml12.parse(building.link.scenario(), "the node's scenario")
+    text = building.link.scenario()
+    fields = yaml12.parse(text, "the node's scenario") if text else {}
+    if "building" not in fields:
+        raise InvalidConfig(
+            f"{building.manifest.building!r} is a district or a plant without a scenario and cannot be saved; create "
+            "it again with the same arguments of gym.make, and its wrappers with apply_wrappers(env, wrappers_of(env))"
+        )
     fields["reward"] = _serialize(building.reward)
     fields["wrappers"] = wrappers_of(env)
     Path(path).write_text(yaml12.dump(fields), encoding="utf-8")

@@ -1,6 +1,7 @@
 """Districts as environments: Gymnasium's and PettingZoo's own checks, seeds, and errors before anything starts."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ from gymnasium.utils.env_checker import check_env
 from pettingzoo.test import parallel_api_test
 from support.district_files import DISTRICT, STEPS, write_district
 
-import zenostat  # noqa: F401  # registers the environments
+from zenostat import save_env  # the package registers the environments
 from zenostat.envs import DistrictAgentsEnv
 from zenostat.topics.errors import InvalidConfig, UnknownArgument
 
@@ -110,6 +111,15 @@ def test_district_env__error_is_one_sentence(
         arguments = {"file": write_district(tmp_path), **arguments}
     with pytest.raises(error, match=text):
         gym.make("zenostat/District-v1", **arguments)
+
+
+def test_save_env__refuses_a_district_and_a_plant_of_ones_own(agents: DistrictAgentsEnv, tmp_path: Path) -> None:
+    tank = Path(__file__).parents[2] / "examples" / "own_plant.py"
+    with closing(gym.make("zenostat/Plant-v1", plant=f"{tank}:HeatPumpRoom", reward=None)) as plant:
+        for env in (agents.env, plant):
+            with pytest.raises(InvalidConfig, match=r"create it again with the same arguments of gym.make"):
+                save_env(env, tmp_path / "saved.yaml")
+    assert not list(tmp_path.iterdir())
 
 
 def test_district_env__reward_of_the_file_is_checked_first(tmp_path: Path) -> None:
