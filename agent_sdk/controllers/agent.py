@@ -20,7 +20,7 @@ from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics.errors import InvalidAction, InvalidConfig, did_you_mean
 from zenostat.topics.messages import Action, Actuator, DiscreteAction, Manifest
-from zenostat.topics.points import bounds, contains, describe_violation, value_index
+from zenostat.topics.points import bounds, check_command, contains, describe_violation, value_index
 
 
 class Agent:
@@ -75,13 +75,22 @@ class Agent:
             seed_episode(seed)
 
     def values(self, sample: SampleView) -> Values:
-        """Return the commands for a sample by actuator, as `sample.send` accepts them."""
+        """Return the commands for a sample by actuator, as `sample.send` accepts them; none if `act` returns None.
+
+        Raises:
+            InvalidAction: the controller returned something else than a mapping, or a value that is not finite.
+        """
         if sample.step == 0 or sample.episode != self._episode:
             self._episode, self._commanded = sample.episode, {}
             begin = getattr(self.controller, "begin", None)
             if begin is not None:
                 begin(sample)
-        return self.controller.act(sample)
+        values, name = self.controller.act(sample), type(self.controller).__name__
+        if not isinstance(values, Mapping | None):
+            raise InvalidAction(f"{name}.act returned {values!r}; a mapping of actuators to values expected")
+        for actuator, value in (values or {}).items():
+            check_command(f"{name}: {actuator}", value)
+        return values or {}
 
     def action(self, sample: SampleView) -> Any:
         """Return the commands for a sample as an action; see `action_of`. Unnamed actuators keep their last command.

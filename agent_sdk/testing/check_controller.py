@@ -113,7 +113,7 @@ def _answers(context: _CheckContext) -> Iterator[str]:
         step, error = errors[0]
         yield f"{raised(error, 'act')} (at sample {step}; at {len(errors)} of {len(context.answers)} samples)"
     for step, answer in enumerate(context.answers):
-        if not isinstance(answer, Mapping | Exception):
+        if not isinstance(answer, Mapping | Exception | None):
             yield f"act returned {answer!r} at sample {step}; expected a dictionary of actuators and values"
             return
 

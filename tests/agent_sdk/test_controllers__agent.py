@@ -51,6 +51,42 @@ def test_controllers__values_that_no_action_can_say(values: dict[str, float | No
         action_of(node(), values)
 
 
+class Answer:
+    """A controller with prescribed answers."""
+
+    def __init__(self, *answers: Any) -> None:
+        self.answers = [*answers]
+
+    def act(self, sample: SampleView) -> Any:
+        return self.answers.pop(0)
+
+
+def generated() -> Iterator[dict[str, float]]:
+    yield {HEAT.name: 20.0}
+
+
+@pytest.mark.parametrize(
+    ("answer", "message"),
+    [
+        ([20.0, 25.0], r"Answer\.act returned \[20.0, 25.0\]; a mapping of actuators to values expected"),
+        (generated(), r"Answer\.act returned <generator object .*>; a mapping of actuators to values expected"),
+        ({HEAT.name: "20", COOL.name: 25.0}, r"Answer: heating_setpoint = '20'; a finite number or None"),
+        ({HEAT.name: 20.0, COOL.name: True}, r"Answer: cooling_setpoint = True; a finite number or None"),
+        ({HEAT.name: 20.0, COOL.name: math.inf}, r"Answer: cooling_setpoint = inf; a finite number or None"),
+    ],
+)
+def test_agent__names_the_controller_and_what_it_returned(answer: Any, message: str) -> None:
+    for method in ("values", "action"):
+        with pytest.raises(InvalidAction, match=message):
+            getattr(Agent(Answer(answer)), method)(view(node()))
+
+
+def test_agent__none_keeps_all_values() -> None:
+    agent = Agent(Answer({HEAT.name: 20.0, COOL.name: 25.0}, None, None))
+    assert [agent.action(view(node(), step=step)).tolist() for step in range(2)] == [[20.0, 25.0]] * 2
+    assert agent.values(view(node(), step=2)) == {}
+
+
 def test_controllers__one_action_states_one_value() -> None:
     both = Action(name="both", unit="degC", actuators=(HEAT.name, COOL.name))
     of = node(task=Task(actions=(both,)))

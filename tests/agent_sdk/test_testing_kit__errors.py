@@ -132,6 +132,7 @@ CONTROLLER_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
 
 def test_testing_kit__mutants_are_all_that_is_wrong_and_no_check_is_without_one() -> None:
     assert not check_controller(Good).failed
+    assert not check_controller(answering(lambda sample: None)).failed, "it keeps all values"
     assert not check_reward(OfMine()).failed
     assert not check_environment(Changed(FakeEnv(1), with_())).failed
     for checks, mutants in (
