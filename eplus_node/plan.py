@@ -82,8 +82,10 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
     check_name(config.name, "the node's name")
     errors = ErrorCollector()
     scenario = scenario_of(config, errors)
-    model = _read_model(scenario, errors)
-    sources = tuple(errors.collect(lambda name=name: _source(name, scenario)) for name in scenario.weather if name)  # type: ignore[misc]
+    incomplete = bool(errors.errors)  # a missing or wrong name is an empty one, and an error already
+    model = None if incomplete and not scenario.building else _read_model(scenario, errors)
+    names = [name for name in scenario.weather if name or not incomplete]
+    sources = tuple(errors.collect(lambda name=name: _source(name, scenario)) for name in names)  # type: ignore[misc]
     errors.collect(lambda: noise.resolve_columns(scenario.weather_noise))
     errors.collect(lambda: _check_output(config.output_dir, scenario))
     period = chosen = task = None
@@ -242,10 +244,7 @@ def _provenance(plan: Plan) -> Provenance:
 
 def _read_model(scenario: Scenario, errors: ErrorCollector) -> Building | None:
     """Read and edit the model; if only the edits fail, return the unedited model, which serves to check the rest."""
-    name = scenario.building
-    if not name:
-        return None  # a missing or wrong name is an error already
-    plain = errors.collect(lambda: building.read_building(catalog.find_building(name)))
+    plain = errors.collect(lambda: building.read_building(catalog.find_building(scenario.building)))
     if plain is None:
         return None
     return errors.collect(lambda: building.with_edits(plain, scenario.edits)) or plain

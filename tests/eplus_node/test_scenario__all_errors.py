@@ -2,6 +2,7 @@
 
 import shlex
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import pytest
@@ -12,7 +13,7 @@ from zenostat.cli.commands import app
 from zenostat.eplus_node.config import read_config
 from zenostat.eplus_node.plan import plan
 from zenostat.topics.calendar import parse_day
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, UnknownName
 
 MINE = """
 building: offfice-small
@@ -50,6 +51,22 @@ def test_plan__reports_unknown_fields_names_and_dates_together(tmp_path: Path) -
     path.write_text(MINE)
     text = "\n".join(_error_lines(path))
     assert [words for words in EXPECTED if words not in text] == []
+
+
+@pytest.mark.parametrize(
+    ("fields", "expected"),
+    [
+        ({"building": ""}, ["no building ''; there are: 'apartment-high-rise'"]),
+        ({"weather": ""}, ["no weather ''; there are: "]),
+        ({"weather": ["USA_CO_Denver", ""]}, ["no weather ''; there are: "]),
+        ({"building": "", "weather": ""}, ["no building ''", "no weather ''"]),
+    ],
+)
+def test_plan__empty_name_is_no_name(fields: dict[str, Any], expected: list[str]) -> None:
+    settings = {"building": "office-small", "weather": "USA_CO_Denver", **fields}
+    with pytest.raises(UnknownName) as caught:
+        plan(read_config(settings))
+    assert [words for words in expected if words not in str(caught.value)] == []
 
 
 def test_make__reports_errors_of_reward_and_wrappers_as_well(scratch: Path) -> None:
