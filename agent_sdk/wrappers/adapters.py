@@ -22,7 +22,7 @@ from zenostat.agent_sdk.envs.episode_state import ContextProgram
 from zenostat.agent_sdk.envs.snapshot import Snapshot
 from zenostat.agent_sdk.envs.space_names import SpaceNames, by_name
 from zenostat.agent_sdk.wrappers.base import EnvView, Infos, ResetBatch, StepBatch, Values, WrapperLogic
-from zenostat.agent_sdk.wrappers.names import action_names_of, inside, layers, names_of
+from zenostat.agent_sdk.wrappers.names import action_names_of, inside, layers, names_of, reject_wrappers
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.typing_compat import override
 
@@ -69,7 +69,9 @@ class BuildingWrapper(RecordConstructorArgs, _EnvOrVectorEnv):  # type: ignore[m
         bound = inspect.signature(type(self)).bind(env, *args, **kwargs)
         arguments = {name: value for name, value in bound.arguments.items() if name != "env"}
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, **arguments)
-        self._logic = self.logic(EnvView(env, type(self).__name__), **arguments)
+        own = type(self).__name__
+        reject_wrappers(env, ["NumericInfos"], f"{own} needs infos that NumericInfos leaves out; apply it before {{}}")
+        self._logic = self.logic(EnvView(env, own), **arguments)
         if self._logic.reward_space is not None:
             self.reward_space = self._logic.reward_space
             self.reward_dim = self._logic.reward_space.shape[0]

@@ -235,6 +235,8 @@ def test_wrappers__what_was_wrapped_by_hand_is_data_too() -> None:
             "IncrementalAction changes values in their units; apply it before RescaleAction"),
         ([*CHAINS["DiscreteIncrementalAction"], *CHAINS["IncrementalAction"]],
             "apply it before DiscreteIncrementalAction"),
+        ([{"wrapper": "NumericInfos"}, {"wrapper": "CyclicTime"}],
+            "CyclicTime needs infos that NumericInfos leaves out; apply it before NumericInfos"),
     ],
 )  # fmt: skip
 def test_wrappers__chains_that_cannot_be(chain: list[Any], text: str) -> None:
