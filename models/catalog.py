@@ -15,6 +15,7 @@ from pathlib import Path
 from zenostat.models import data_packs
 from zenostat.models.engine_library import WHEEL, module_folder
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
+from zenostat.topics.user_file import absolute
 
 MODEL_SUFFIXES = (".epjson", ".idf", ".osm", ".gbxml", ".xml")
 WEATHER_SUFFIXES = (".epw",)
@@ -159,9 +160,9 @@ def _find_by_path(text: str, kind: _Kind) -> Entry:
     if is_folder:
         names = sorted(file.name for file in path.iterdir() if file.suffix.lower() in kind.suffixes)
         has = f"its {kind.noun} files: {', '.join(names[:5])}" if names else f"it has no {kind.noun} file"
-        raise UnknownName(f"{path.absolute()} is a folder, and a file is expected; {has}")
+        raise UnknownName(f"{absolute(path)} is a folder, and a file is expected; {has}")
     if not path.is_file():
-        raise UnknownName(f"no {kind.noun} file at {path.absolute()}")
+        raise UnknownName(f"no {kind.noun} file at {absolute(path)}")
     if path.suffix.lower() not in kind.suffixes:
         raise UnknownName(f"{path.name} is not a {kind.noun} file: its suffix should be {' or '.join(kind.suffixes)}")
     return Entry(path.stem, path.resolve())

@@ -1,4 +1,4 @@
-"""Errors of reading a file that the user has named: one sentence for each reason."""
+"""Errors of a file that the user has named: one sentence for each reason."""
 
 from __future__ import annotations
 
@@ -25,8 +25,20 @@ def user_file(path: Path, error: type[UsageError] = InvalidConfig, expected: str
     try:
         yield
     except FileNotFoundError:
-        raise error(f"there is no file {path.absolute()}") from None
+        raise error(f"there is no file {absolute(path)}") from None
     except IsADirectoryError:
-        raise error(f"{path.absolute()} is a folder; expected {expected}") from None
+        raise error(f"{absolute(path)} is a folder; expected {expected}") from None
     except (OSError, RuntimeError, UnicodeDecodeError, csv.Error) as reason:  # RuntimeError: ~name of an unknown user
-        raise error(f"cannot read {path.absolute()}: {getattr(reason, 'strerror', None) or reason}") from None
+        raise error(f"cannot read {absolute(path)}: {getattr(reason, 'strerror', None) or reason}") from None
+
+
+def absolute(path: Path) -> Path:
+    """Return a path as an absolute one.
+
+    Raises:
+        InvalidConfig: it is relative, and the working directory no longer exists.
+    """
+    try:
+        return path.absolute()
+    except FileNotFoundError:
+        raise InvalidConfig(f"{path} is a relative path, and the working directory no longer exists") from None

@@ -16,6 +16,7 @@ from zenostat.bridge.python_plant.shipped import PLANT_SETTINGS, SHIPPED, absolu
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics import yaml12
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownArgument, did_you_mean
+from zenostat.topics.user_file import absolute
 
 FROM_SCENARIO = "scenario"
 FROM_SCENARIO_IF_ANY = "scenario, if it has one"
@@ -134,7 +135,7 @@ def _absolute(value: Any, *, always: bool) -> Any:
         return value
     try:
         path = path.expanduser()
-        return str(path.absolute()) if always or path.exists() else value
+        return str(absolute(path)) if always or path.exists() else value
     except (OSError, RuntimeError):  # no path at all, or ~name of an unknown user: the node reports it
         return value
 

@@ -16,6 +16,7 @@ from zenostat.eplus_node.config import kept_episodes
 from zenostat.eplus_node.plan import Plan
 from zenostat.models.scenario.episode_weather import EpisodeFactory, EpisodeFiles, WeatherDraw
 from zenostat.topics.errors import EngineDied, ForkFailed, SimulatorError, UsageError
+from zenostat.topics.user_file import absolute
 
 
 class EpisodeFolders:
@@ -34,7 +35,7 @@ class EpisodeFolders:
         output_dir = plan.config.output_dir
         self.keep, self._scratch = output_dir is not None, folder / subfolder
         self._keep_last, self._kept_folders = kept_episodes(plan.config), deque[Path]()
-        self._folder = output_dir.absolute() / subfolder if output_dir else self._scratch
+        self._folder = absolute(output_dir) / subfolder if output_dir else self._scratch
         self._factory = EpisodeFactory(
             plan.building,
             plan.period,

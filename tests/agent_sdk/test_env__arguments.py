@@ -12,6 +12,7 @@ import zenostat  # noqa: F401  # registers the environments
 from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO, check_agent_settings, fields_of_file, for_node
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.eplus_node.config import read_config
+from zenostat.models.catalog import find_building
 from zenostat.topics.errors import InvalidConfig, UsageError
 from zenostat.topics.messages import Aggregation
 from zenostat.topics.scenario_fields import NODE_ARGUMENTS
@@ -107,6 +108,24 @@ def test_env__path_in_the_users_home_is_found(user_folder: Path, monkeypatch: py
     monkeypatch.setenv("HOME", str(user_folder))
     settings = for_node({"building": "~/mine.idf", "weather": "~/mine.epw"}, "b")
     assert (settings["building"], settings["weather"]) == (str(user_folder / "mine.idf"), str(user_folder / "mine.epw"))
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda: for_node({**BASE, "output_dir": "kept"}, "b"),
+        lambda: find_building("mine.idf"),
+        lambda: gym.make("zenostat/Scenario-v1", file="mine.yaml"),
+    ],
+    ids=["output_dir", "building", "file"],
+)
+def test_env__relative_path_needs_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, use: Any) -> None:
+    folder = tmp_path / "removed"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    folder.rmdir()
+    with pytest.raises(InvalidConfig, match="is a relative path, and the working directory no longer exists"):
+        use()
 
 
 def test_env__home_of_nobody_is_a_mistake_of_the_users() -> None:
