@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import inspect
 import warnings
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
@@ -31,12 +32,16 @@ class _TimeTable:
         label: names the table in errors.
 
     Raises:
-        InvalidConfig: there are no entries, a time is invalid, or the times are of both forms.
+        InvalidConfig: there are no entries, an entry or a time is invalid, or the times are of both forms.
     """
 
     def __init__(self, entries: Mapping[str, Context], label: str) -> None:
         read = sorted(
-            ((parse_clock_time(text, label), value) for text, value in entries.items()), key=lambda entry: entry[0]
+            (
+                (parse_clock_time(text, label), _values_by_actuator(value, f"{label}: the entry at {text!r} is"))
+                for text, value in entries.items()
+            ),
+            key=lambda entry: entry[0],
         )
         self._keys, self._values = [key for key, _ in read], [value for _, value in read]
         if len({len(key) for key in self._keys}) != 1:
@@ -47,6 +52,28 @@ class _TimeTable:
         """Return the value that is valid at that time."""
         key = (time.hour, time.minute) if self._daily else (time.month, time.day, time.hour, time.minute)
         return self._values[bisect_right(self._keys, key) - 1]
+
+
+def _values_by_actuator(values: Any, text: str) -> Context:
+    """Return values of actuators by name; `text` precedes other values in the error."""
+    if not isinstance(values, Mapping):
+        raise InvalidConfig(f"{text} {values!r}; values by actuator expected, such as {{'occupants': 1.0}}")
+    return values
+
+
+def _read_schedule(schedule: Mapping[str, Context] | Schedule, label: str) -> Schedule:
+    """Return the schedule of a table or a function; `label` names the wrapper in errors."""
+    if isinstance(schedule, Mapping):
+        return _TimeTable(schedule, label)
+    if not callable(schedule):
+        raise InvalidConfig(f"{label}: a table of times or a function of (time, random) expected, got {schedule!r}")
+    try:
+        inspect.signature(schedule).bind(None, None)
+    except TypeError as error:
+        raise InvalidConfig(f"{label}: the schedule should be a function of (time, random): {error}") from None
+    except ValueError:  # some built-in functions have no signature
+        pass
+    return schedule
 
 
 class _Program:
@@ -70,13 +97,14 @@ class _Program:
     def changes(self, time: datetime) -> Context:
         """Return the values at that time that were not set already."""
         context, values = self._schedule(time, self._random), self._values
+        _values_by_actuator(context, f"ChangingContext: the schedule returned at {time}")
         return {name: value for name, value in context.items() if name not in values or values[name] != value}
 
 
 class _Logic(WrapperLogic):
     def __init__(self, view: EnvView, schedule: Mapping[str, Context] | Schedule) -> None:
         super().__init__(view)
-        self._schedule = schedule if callable(schedule) else _TimeTable(schedule, view.wrapper_name)
+        self._schedule = _read_schedule(schedule, view.wrapper_name)
         self._randoms = SlotRandomStreams(view.env, view.wrapper_name, view.slots)
         self._now: dict[int, datetime] = {}
         self._set: list[dict[str, float | None]] = [{} for _ in range(view.slots)]
@@ -142,8 +170,9 @@ class ChangingContext(BuildingWrapper):
             table changes it. Branches of the building continue with a copy of the schedule and its generator.
 
     Raises:
-        InvalidConfig: the table is invalid. `InvalidAction` at a reset or step: the node does not have the actuator, an
-            action sets it, or the value is out of bounds.
+        InvalidConfig: the table is invalid, or the function does not take two arguments, or (at a step) returned no
+            mapping. `InvalidAction` at a reset or step: the node does not have the actuator, an action sets it, or the
+            value is out of bounds.
     """
 
     logic = _Logic

@@ -173,6 +173,26 @@ def test_wrappers__context_that_cannot_be() -> None:
         env.reset()
 
 
+@pytest.mark.parametrize(
+    ("schedule", "text"),
+    [
+        ({"07:00": 3}, "the entry at '07:00' is 3; values by actuator expected"),
+        (3, r"a table of times or a function of \(time, random\) expected, got 3"),
+        (lambda time: {}, r"the schedule should be a function of \(time, random\): too many positional arguments"),
+    ],
+)
+def test_changing_context__schedule_that_cannot_be_is_refused_at_once(schedule: Any, text: str) -> None:
+    with pytest.raises(InvalidConfig, match=f"ChangingContext: {text}"):
+        w.ChangingContext(fake(), schedule)
+
+
+def test_changing_context__function_returns_values_by_actuator() -> None:
+    env = w.ChangingContext(fake(), lambda time, random: None)  # type: ignore[arg-type]
+    env.reset()
+    with pytest.raises(InvalidConfig, match="the schedule returned at 2017-07-03 00:00:00 None; values by actuator"):
+        env.step(MIDDLE)
+
+
 def test_context__set_after_the_reset_replaces_that_of_a_table() -> None:
     """Sinergym does so: its `reset(options={"initial_context": …})` replaces the configured one."""
     env = w.ChangingContext(fake(steps_per_hour=1), {"00:00": {"occupants": 0.5}, "03:00": {"occupants": 0.75}})
