@@ -113,7 +113,7 @@ class ScenarioArguments(TypedDict, total=False):
     discrete: Annotated[
         int | Sequence[Any] | None,
         Doc(
-            "Discrete actions: tables of values, or the number (2 or more) of equal steps from the widest to the "
+            "Discrete actions: tables of values, or the number (2 to 1000) of equal steps from the widest to the "
             "tightest setpoints; by default the actions are continuous."
         ),
     ]

@@ -246,8 +246,8 @@ def _discrete_actions(
     """Return equal steps as for `discrete: count` in a scenario: heating setpoints rise, cooling setpoints fall."""
     if count is None:
         return ()
-    if count < 2:
-        raise InvalidConfig(f"discrete = {count}; expected at least 2 steps")
+    if not 2 <= count <= 1000:
+        raise InvalidConfig(f"discrete = {count}; expected 2 to 1000 steps")
     by_name = {a.name: a for a in actuators}
     groups: dict[str, list[Action]] = {}
     for action in actions:

@@ -176,7 +176,8 @@ Weathers = Annotated[
     BeforeValidator(_as_tuple, json_schema_input_type=str | Annotated[list[str], Field(min_length=1)]),
 ]
 Discrete = Annotated[
-    Annotated[int, Field(ge=2, strict=True), Tag("@number")] | Annotated[tuple[DiscreteActionSpec, ...], Tag("@list")],
+    Annotated[int, Field(ge=2, le=1000, strict=True), Tag("@number")]
+    | Annotated[tuple[DiscreteActionSpec, ...], Tag("@list")],
     Discriminator(_is_list),
 ]
 

@@ -223,7 +223,8 @@ def test_testing_kit__heating_setpoint_above_the_cooling_setpoint_is_refused() -
         ({"begin": "07-02", "end": "07-01"}, "is before begin"),
         ({"steps_per_hour": 7}, "steps_per_hour = 7; expected a divisor of 60"),
         ({"control": "room"}, "control = 'room'; expected 'point', 'zone' or 'building'"),
-        ({"discrete": 1}, "discrete = 1; expected at least 2 steps"),
+        ({"discrete": 1}, "discrete = 1; expected 2 to 1000 steps"),
+        ({"discrete": 1001}, "discrete = 1001; expected 2 to 1000 steps"),
         ({"actions": {"a": ["zone_9_heating_setpoint"]}}, "no actuator 'zone_9_heating_setpoint'; did you mean"),
         (
             {"actions": {"a": ["zone_1_heating_setpoint"], "b": ["zone_1_heating_setpoint"]}},

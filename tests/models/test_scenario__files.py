@@ -519,6 +519,7 @@ NEITHER = {
     "time field that is none": {"time": ["second"]},
     "reading that is none": {"aggregation": "average"},
     "one step": {"discrete": 1},
+    "more steps than a manifest holds": {"discrete": 1001},
     "no rows": {"discrete": [{"actions": ["a"], "values": []}]},
     "no actuators": {"actions": {"a": {"actuators": []}}},
     "no weather": {"weather": []},
