@@ -20,7 +20,7 @@ from zenostat.agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv,
 from zenostat.agent_sdk.envs.episode_state import EpisodeState
 from zenostat.agent_sdk.envs.infos import SampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
-from zenostat.agent_sdk.envs.snapshot import Snapshot, from_options, take
+from zenostat.agent_sdk.envs.snapshot import Snapshot, checked, from_options, take
 from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.agent_sdk.envs.trial_actions import trial_of_actions
@@ -257,11 +257,11 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
 
         Raises:
             EpisodeChanged, RequestRejected, ForkFailed: As for `snapshot`.
-            InvalidConfig: A number of slots or an error out of range.
+            InvalidConfig: Not a snapshot of this environment, or a number of slots or an error out of range.
         """
-        link, sample = self._forkable_link(), self._running_sample() if snapshot is None else snapshot.sample
-        if snapshot is not None:
-            snapshot.check(self.manifest)
+        link = self._forkable_link()
+        snapshot = None if snapshot is None else checked(snapshot, self.manifest, "snapshot")
+        sample = self._running_sample() if snapshot is None else snapshot.sample
         name = snapshot.name if snapshot is not None else ""
         request = branch_request(link.name, name, slots, forecast_error, relinquished=relinquished)
         start = self._infos.episode_start

@@ -60,7 +60,8 @@ class Snapshot:
             )
         if self.instance != manifest.instance:
             raise InvalidConfig(
-                f"snapshot {self.name} was lost when its node {self.node!r} was restarted; take another one"
+                f"snapshot {self.name} is of another environment's node {self.node!r}, or was lost when that node was "
+                "restarted; take one of this environment"
             )
 
     def close(self) -> None:
@@ -116,7 +117,16 @@ def from_options(options: Mapping[str, Any], manifest: Manifest, allowed: Collec
     snapshot = options.get("snapshot")
     if snapshot is None:
         return None
+    return checked(snapshot, manifest, "options['snapshot']")
+
+
+def checked(snapshot: object, manifest: Manifest, label: str) -> Snapshot:
+    """Return a snapshot to which an environment on this node can return.
+
+    Raises:
+        InvalidConfig: Not a snapshot, or one to which it cannot return; `label` names the argument.
+    """
     if not isinstance(snapshot, Snapshot):
-        raise InvalidConfig(f"options['snapshot'] is {snapshot!r}; a result of env.unwrapped.snapshot() expected")
+        raise InvalidConfig(f"{label} is {snapshot!r}; a result of env.unwrapped.snapshot() expected")
     snapshot.check(manifest)
     return snapshot

@@ -265,11 +265,13 @@ def test_env__snapshot_that_cannot_be_gone_back_to_is_refused_by_name(office: Bu
         back(env, closed)
     with pytest.raises(InvalidConfig, match="closed"):
         env.branch(snapshot=closed)
-    with pytest.raises(InvalidConfig, match=r"snap.*expected"):
+    with pytest.raises(InvalidConfig, match=r"options\['snapshot'\] is 's1'; .*expected"):
         back(env, "s1")
+    with pytest.raises(InvalidConfig, match=r"snapshot is 's1'; .*expected"):
+        env.branch(snapshot="s1")  # type: ignore[call-overload]
     with pytest.raises(InvalidConfig, match="unknown reset options"):
         env.reset(options={"snapshots": snapshot})
-    with pytest.raises(InvalidConfig, match=r"was restarted|is of node"):
+    with pytest.raises(InvalidConfig, match=r"is of another environment's node 'building'.*; take one of this"):
         back(stranger, snapshot)
     bus, node = env.link.bus, env.manifest.node
     with pytest.raises(RequestRejected, match=snapshot.name):
