@@ -21,6 +21,8 @@ _BOUNDS = {"relative_humidity": (0.0, 110.0), _WIND_DIRECTION: (0.0, 360.0)} | {
     f"{kind}_sky_cover": (0.0, 10.0) for kind in ("total", "opaque")
 }
 _NOT_NEGATIVE = ("radiation", "illuminance", "luminance", "speed", "pressure", "depth", "visibility", "height")
+_MAX_ERROR = 1e9
+"""Largest sigma and mu; observations are float32."""
 
 Floats = NDArray[np.float64]
 
@@ -59,8 +61,8 @@ class ErrorSpec(NamedTuple):
             (min_sigma, max_sigma), (min_mu, max_mu) = _range(spec.sigma), _range(spec.mu)
             min_tau_h, max_tau_h = (1.0, 1.0) if spec.tau_h is None else _range(spec.tau_h)
             is_valid = (
-                0 <= min_sigma <= max_sigma < np.inf
-                and -np.inf < min_mu <= max_mu < np.inf
+                0 <= min_sigma <= max_sigma <= _MAX_ERROR
+                and -_MAX_ERROR <= min_mu <= max_mu <= _MAX_ERROR
                 and 0 < min_tau_h <= max_tau_h < np.inf
                 and float(spec.low) < float(spec.high)
             )
@@ -69,7 +71,7 @@ class ErrorSpec(NamedTuple):
         if not is_valid:
             raise InvalidConfig(
                 f'{label}: an error is sigma or {{"sigma": …, "tau_h": …, "mu": …, "low": …, "high": …}}, the first '
-                f"three of them numbers or ranges [low, high]; got {value!r}"
+                f"three of them numbers or ranges [low, high], sigma and mu up to {_MAX_ERROR:g}; got {value!r}"
             )
         return spec
 
@@ -143,6 +145,8 @@ class _Logic(ObservationLogic):
             )
         if not isinstance(n, int | np.integer):
             raise InvalidConfig(f"{view.wrapper_name}: n = {n!r}; a whole number expected")
+        if not isinstance(errors, Mapping | None):
+            raise InvalidConfig(f"{view.wrapper_name}: errors = {errors!r}; errors by column expected")
         indices_of(columns, columns, view.wrapper_name, "column")
         indices_of(errors or {}, columns, view.wrapper_name, "column")
         self._columns = list(columns)

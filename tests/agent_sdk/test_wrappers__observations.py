@@ -123,6 +123,11 @@ def test_wrappers__what_a_forecast_cannot_be() -> None:
         w.WeatherForecast(fake(), [DRY], errors={"x": 1.0})
     with pytest.raises(InvalidConfig, match="an error is sigma"):
         w.WeatherForecast(fake(), [DRY], errors={DRY: {"sigma": -1.0}})
+    for wrong in ({"sigma": 1e308}, {"sigma": 1.0, "mu": [-1e10, 0.0]}):
+        with pytest.raises(InvalidConfig, match=r"sigma and mu up to 1e\+09; got"):
+            w.WeatherForecast(fake(), [DRY], errors={DRY: wrong})
+    with pytest.raises(InvalidConfig, match="errors = 3; errors by column expected"):
+        w.WeatherForecast(fake(), [DRY], errors=3)  # type: ignore[arg-type]
     with pytest.raises(InvalidConfig, match=r"n = 1\.5; a whole number"):
         w.WeatherForecast(fake(), [DRY], n=1.5)  # type: ignore[arg-type]
     with pytest.raises(InvalidConfig, match="n and spacing_h above 0"):
