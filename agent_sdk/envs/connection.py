@@ -90,6 +90,8 @@ class NodeConnection:
             undo.callback(self.abandon)
             if render_mode is not None and render_mode not in RENDER_MODES:
                 raise InvalidConfig(f"render_mode {render_mode!r}; there are: {', '.join(RENDER_MODES)}")
+            if affinity not in list(Affinity):
+                raise InvalidConfig(f"affinity {affinity!r}; there are: {', '.join(Affinity)}")
             check_claim(NAME, priority=priority)
             if keys is not None and connect is None:
                 raise InvalidConfig("keys= needs connect='tls/HOST:PORT'; a local node is not on a network")

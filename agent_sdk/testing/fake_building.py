@@ -184,6 +184,8 @@ class FakeBuilding:
 def _zones(count_or_zones: int | Sequence[Zone]) -> tuple[Zone, ...]:
     if isinstance(count_or_zones, int):
         count_or_zones = [Zone(f"zone_{i}", aperture_m2=0.5 * i) for i in range(1, count_or_zones + 1)]
+    if isinstance(count_or_zones, str) or not isinstance(count_or_zones, Sequence):
+        raise InvalidConfig(f"zones = {count_or_zones!r}; a number of zones, or a list of them, expected")
     zones = tuple(count_or_zones)
     names = [zone.name.upper() for zone in zones]
     if not zones or len(set(names)) < len(names):

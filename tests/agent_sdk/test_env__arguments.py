@@ -50,6 +50,11 @@ def test_env__invalid_priority_is_refused_before_anything_starts(priority: Any) 
         gym.make("zenostat/Building-v1", connect="tcp/127.0.0.1:1", node="office", priority=priority)
 
 
+def test_env__unknown_placement_is_refused_before_anything_starts() -> None:
+    with pytest.raises(InvalidConfig, match="affinity 'x'; there are: apart, node, together, off"):
+        gym.make("zenostat/Building-v1", **BASE, affinity="x")
+
+
 # Paths
 
 

@@ -218,6 +218,8 @@ def test_testing_kit__heating_setpoint_above_the_cooling_setpoint_is_refused() -
     ("arguments", "message"),
     [
         ({"zones": 0}, "zones: expected at least one"),
+        ({"zones": "a"}, "zones = 'a'; a number of zones, or a list of them, expected"),
+        ({"zones": 2.5}, "zones = 2.5; a number of zones, or a list of them, expected"),
         ({"zones": [Zone("a"), Zone("A")]}, "names that differ"),
         ({"begin": "13-01"}, "begin '13-01' is not a calendar date; write it as MM-DD or YYYY-MM-DD"),
         ({"begin": "07-02", "end": "07-01"}, "is before begin"),
