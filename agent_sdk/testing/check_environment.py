@@ -13,8 +13,10 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.utils.env_checker import check_env
 
-from zenostat.agent_sdk.testing.report import Check, Report, raised, run
-from zenostat.topics.errors import ZenostatError
+from zenostat.agent_sdk.testing.report import Check, NotApplicable, Report, raised, run
+from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics
+from zenostat.agent_sdk.wrappers.names import layers, names_of, observation_dict
+from zenostat.topics.errors import InvalidConfig, ZenostatError
 from zenostat.topics.messages import Manifest
 
 Env = gym.Env[Any, Any]
@@ -23,12 +25,14 @@ _PARTIAL_STEPS = 30
 _RESET_KEYS = ("time", "step", "effective", "late", "rejected", "weather", "weather_noise")
 _STEP_KEYS = ("time", "step", "effective", "late", "rejected")
 _ROUNDING = 1e-9
+_SKIP_STEPS = ("RepeatAction", "MaxAndSkipObservation")
 
 
 def check_environment(env: Env, *, max_steps: int = 10_000, skip: Iterable[str] = ()) -> Report:
     """Check an environment with Zenostat's interface: one of Zenostat, wrapped or not, or your own.
 
-    The checks reset the environment about ten times and leave it open.
+    The checks reset the environment about ten times and leave it open. Running statistics of Gymnasium's wrappers stay
+    as they are. A check that a wrapper makes impossible is skipped, with the reason in the report.
 
     Args:
         env: environment of one building.
@@ -40,8 +44,11 @@ def check_environment(env: Env, *, max_steps: int = 10_000, skip: Iterable[str] 
 
     Raises:
         ConformanceError: some checks failed; the text names each with its errors.
+        InvalidConfig: not a single environment.
     """
-    with warnings.catch_warnings():
+    if not isinstance(env, gym.Env):
+        raise InvalidConfig(f"check_environment checks a single environment, a gymnasium.Env, not {env!r}")
+    with warnings.catch_warnings(), frozen_statistics(env):
         warnings.simplefilter("ignore")
         return run(str(env), ENVIRONMENT_CHECKS, _CheckContext(env, max_steps), skip).require()
 
@@ -60,6 +67,12 @@ class _CheckContext:
         if self._episode is None:
             self._episode = play(self.env, 1, self.max_steps)
         return self._episode
+
+    def require_without(self, *wrappers: str) -> None:
+        """Raise `NotApplicable` if one of these wrappers, within which a check cannot hold, is in the chain."""
+        for layer in layers(self.env):
+            if type(layer).__name__ in wrappers:
+                raise NotApplicable(f"it does not hold within {type(layer).__name__}")
 
 
 def play(env: Env, seed: int, max_steps: int) -> list[tuple[Any, ...]]:
@@ -88,6 +101,7 @@ def _gymnasium(context: _CheckContext) -> Iterator[str]:
 
 
 def _steps(context: _CheckContext) -> Iterator[str]:
+    context.require_without("TimeLimit", *_SKIP_STEPS)
     count = len(context.episode) - 1
     ends = [(terminated, truncated) for _, _, terminated, truncated, _ in context.episode]
     if not any(ends[-1]):
@@ -117,7 +131,11 @@ def _explain(space: Any, observation: Any) -> str:
 
 
 def _rewarded(context: _CheckContext) -> Iterator[str]:
+    context.require_without("NormalizeReward", "ClipReward", "TransformReward", *_SKIP_STEPS)
+    space = context.env.get_wrapper_attr("reward_space") if context.env.has_wrapper_attr("reward_space") else None
     for step, (_, reward, _, _, info) in enumerate(context.episode[1:], start=1):
+        if space is not None and space.contains(reward) and np.isfinite(reward).all():
+            continue  # a vector of terms, as in MO-Gymnasium
         if not isinstance(reward, float) or not np.isfinite(reward):
             yield f"the reward of step {step} is {reward!r}; expected a finite float"
             return
@@ -128,6 +146,7 @@ def _rewarded(context: _CheckContext) -> Iterator[str]:
 
 
 def _informed(context: _CheckContext) -> Iterator[str]:
+    context.require_without("NumericInfos", *_SKIP_STEPS)
     infos = [info for *_, info in context.episode]
     for method, info, keys in (("reset", infos[0], _RESET_KEYS), ("step", infos[1], _STEP_KEYS)):
         missing = [key for key in keys if key not in info]
@@ -146,8 +165,11 @@ def _informed(context: _CheckContext) -> Iterator[str]:
 def _named(context: _CheckContext) -> Iterator[str]:
     env, observation = context.env, context.episode[-1][0]
     try:
-        names = tuple(env.get_wrapper_attr("observation_names"))
-        values = env.get_wrapper_attr("observation_dict")(observation)
+        if isinstance(env, gym.Wrapper) and type(env).__module__.startswith("gymnasium."):
+            names, values = _names_by_layers(env, observation)
+        else:
+            names = tuple(env.get_wrapper_attr("observation_names"))
+            values = env.get_wrapper_attr("observation_dict")(observation)
     except AttributeError as error:
         yield f"it has no observation_names or no observation_dict: {error}"
         return
@@ -157,6 +179,14 @@ def _named(context: _CheckContext) -> Iterator[str]:
         yield f"observation_names has {len(names)} names for an observation of shape {np.shape(observation)}"
     elif tuple(values) != names or not np.array_equal(np.array(list(values.values()), np.float32), observation):
         yield "observation_dict does not return the values of the observation by observation_names"
+
+
+def _names_by_layers(env: Env, observation: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
+    """Return names and values within Gymnasium's wrappers, which have no names of their own."""
+    try:
+        return names_of(env), observation_dict(env, observation)
+    except InvalidConfig as error:  # after `FrameStackObservation`, for example
+        raise NotApplicable(str(error)) from None
 
 
 def _seeded(context: _CheckContext) -> Iterator[str]:
@@ -175,12 +205,13 @@ def _difference(expected: list[tuple[Any, ...]], actual: list[tuple[Any, ...]], 
         if not np.array_equal(first[0], second[0], equal_nan=True):
             yield f"{description}: the observation of sample {step} differs"
             return
-        if first[1:4] != second[1:4]:
+        if not np.array_equal(first[1], second[1]) or first[2:4] != second[2:4]:
             yield f"{description}: reward or end of step {step} differ: {first[1:4]} and {second[1:4]}"
             return
 
 
 def _strict(context: _CheckContext) -> Iterator[str]:
+    context.require_without(*_SKIP_STEPS)
     env = context.env
     if not isinstance(env.action_space, Box) or not env.action_space.shape[0]:
         return
@@ -197,6 +228,7 @@ def _strict(context: _CheckContext) -> Iterator[str]:
 
 
 def _over(context: _CheckContext) -> Iterator[str]:
+    context.require_without("TimeLimit")
     play(context.env, 1, context.max_steps)
     try:
         context.env.step(context.env.action_space.sample())

@@ -97,7 +97,11 @@ class ConformanceError(AssertionError):
 
 
 Check = Callable[[T], Iterable[str]]
-"""Function that yields one sentence for each violation; an exception counts as one more."""
+"""Function that yields one sentence for each violation; an exception counts as one more, except `NotApplicable`."""
+
+
+class NotApplicable(Exception):
+    """A check that cannot judge its object. The text is the reason."""
 
 
 def run(subject: str, checks: Mapping[str, Check[T]], context: T, skip: Iterable[str]) -> Report:
@@ -117,13 +121,22 @@ def run(subject: str, checks: Mapping[str, Check[T]], context: T, skip: Iterable
         elif results and results[0].errors:
             results.append(Result(name, skipped=f"the first check failed: {results[0].name}"))
         else:
-            results.append(Result(name, tuple(dict.fromkeys(_errors(check, context)))))
+            results.append(_result(name, check, context))
     return Report(subject, tuple(results))
+
+
+def _result(name: str, check: Check[T], context: T) -> Result:
+    try:
+        return Result(name, tuple(dict.fromkeys(_errors(check, context))))
+    except NotApplicable as reason:
+        return Result(name, skipped=str(reason))
 
 
 def _errors(check: Check[T], context: T) -> Iterator[str]:
     try:
         yield from check(context)
+    except NotApplicable:
+        raise
     except Exception as error:
         yield raised(error)
 

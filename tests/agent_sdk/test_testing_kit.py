@@ -34,6 +34,8 @@ from zenostat.agent_sdk.testing import (
     check_reward,
 )
 from zenostat.agent_sdk.testing.check_controller import CONTROLLER_CHECKS
+from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
+from zenostat.agent_sdk.wrappers import RewardVector, apply_wrappers
 from zenostat.topics.errors import (
     EpisodeChanged,
     InvalidAction,
@@ -445,6 +447,56 @@ def test_testing_kit__reward_function_for_single_environments_fails_the_checks_o
 def test_testing_kit__environments_of_the_house_conform(arguments: dict[str, Any]) -> None:
     env = FakeEnv(2, **arguments)
     assert len(check_environment(env).passed) == 11
+
+
+NAMES, TERMS = "observations have names", "rewards are finite and equal the sum of their terms"
+STEPS, INFO = "an episode has its N timesteps", "info has its keys and counts steps"
+
+
+@pytest.mark.parametrize(
+    ("wrapper", "skipped"),
+    [
+        ({"wrapper": "NormalizeObservation"}, ()),
+        ({"wrapper": "NormalizeReward"}, (TERMS,)),
+        ({"wrapper": "RewardVector", "terms": ["energy", "comfort"]}, ()),
+        ({"wrapper": "FrameStackObservation", "stack_size": 2}, (NAMES,)),
+        ({"wrapper": "NumericInfos"}, (INFO,)),
+        ({"wrapper": "RepeatAction", "num_repeats": 2}, (STEPS, TERMS, INFO, "an action of NaN is rejected")),
+        ({"wrapper": "TimeLimit", "max_episode_steps": 9}, (STEPS, "a step after the end is rejected")),
+    ],
+    ids=lambda part: part["wrapper"] if isinstance(part, dict) else "",
+)
+def test_check_environment__skips_only_what_cannot_hold_within_a_wrapper(
+    wrapper: dict[str, Any], skipped: tuple[str, ...]
+) -> None:
+    report = check_environment(apply_wrappers(FakeEnv(1), [wrapper]))
+    assert report.skipped == skipped
+    assert all(wrapper["wrapper"] in result.skipped for result in report.results if result.skipped)
+    assert len(report.passed) == 11 - len(skipped)
+
+
+def test_check_environment__leaves_running_statistics_as_they_are() -> None:
+    env = gym.wrappers.NormalizeObservation(FakeEnv(1))
+    env.reset(seed=0)
+    mean = env.obs_rms.mean.copy()
+    check_environment(env)
+    np.testing.assert_array_equal(env.obs_rms.mean, mean)
+    assert env.update_running_mean
+
+
+def test_check_environment__vector_of_terms_lies_in_its_space() -> None:
+    class First(gym.Wrapper[Any, Any, Any, Any]):
+        def step(self, action: Any) -> Any:
+            observation, rewards, *rest = self.env.step(action)
+            return (observation, rewards[:1], *rest)
+
+    with pytest.raises(ConformanceError, match=r"the reward of step 1 is array\(.*expected a finite float"):
+        check_environment(First(RewardVector(FakeEnv(1), ["energy", "comfort"])))
+
+
+def test_check_environment__refuses_a_vector() -> None:
+    with pytest.raises(InvalidConfig, match=r"checks a single environment, a gymnasium\.Env, not FakeVectorEnv"):
+        check_environment(FakeVectorEnv(2))  # type: ignore[arg-type]
 
 
 def test_testing_kit__manifest_of_ones_own() -> None:
