@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,10 @@ from typing import Any
 import pytest
 from support.run_cli import output_of, plain, run_in_process, run_program
 
+from zenostat.cli.train import override_fields
+from zenostat.lab.calibration.config import read_calibration
+from zenostat.lab.training.config import read_training
+from zenostat.lab.tuning.tuning_file import read_tuning
 from zenostat.topics import yaml12
 
 pytest.importorskip("stable_baselines3")
@@ -29,6 +34,10 @@ STUDY: dict[str, Any] = {
 RULES: dict[str, Any] = {
     "study": "r", "controller": "rbc", "scenario": "Fake-v1", "arguments": {**DAY, "control": "building"}, "trials": 3,
     "output": "study", "parameters": {"margin": {"low": 0.0, "high": 1.5}},
+}  # fmt: skip
+CALIBRATION: dict[str, Any] = {
+    "timestamps": "end", "periods": [["2017-01-09", "2017-01-22"]], "trials": 9,
+    "parameters": {"lighting": {"edit": "lighting", "low": 0.6, "high": 1.6}},
 }  # fmt: skip
 
 
@@ -60,6 +69,17 @@ def test_cli__help_has_an_example_and_fits_80_columns(command: str) -> None:
     output = output_of(command, "--help")
     assert f"Example: zenostat {command} examples/{'train' if command == 'train' else 'tune'}.yaml" in plain(output)
     assert max(map(len, output.splitlines())) <= 80
+
+
+@pytest.mark.parametrize(
+    ("command", "fields", "read"),
+    [("train", TRAINING, read_training), ("tune", STUDY, read_tuning), ("calibrate", CALIBRATION, read_calibration)],
+)
+def test_cli__examples_of_set_are_fields_of_the_file(command: str, fields: dict[str, Any], read: Any) -> None:
+    text = " ".join(plain(output_of(command, "--help")).replace("│", " ").split())
+    examples = re.search(r"A field of the file, as (\S+) or (\S+); repeatable", text)
+    assert examples, text
+    read(override_fields(fields, {}, examples.groups()))
 
 
 @pytest.mark.parametrize(
