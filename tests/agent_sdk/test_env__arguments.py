@@ -68,6 +68,7 @@ def test_env__file_of_a_plant_is_made_absolute_and_a_module_stays(user_folder: P
     ("arguments", "message"),
     [
         ({**BASE, "plant_arguments": {}}, r"plant_arguments needs a plant: plant='FILE.py:CLASS', fmu"),
+        ({**BASE, "keep_last": 1}, "keep_last needs output_dir, the folder in which output files are kept"),
         ({}, "name a building and a weather, a scenario, a file"),
         ({"building": "office-small"}, "name a building and a weather, a scenario, a file"),
         ({"weather": "USA_CO_Denver"}, "name a building and a weather, a scenario, a file"),
