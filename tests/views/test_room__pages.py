@@ -56,6 +56,15 @@ class Twin(Tank):
 
     def step(self, commands):
         return super().step(commands) | {"other": 0.0}
+
+
+class Same(Tank):
+    """Its actuator has the name of its sensor."""
+    actuators = {"level": ("kg/s", 0.0, 1.0, 0.5)}
+    forkable = True
+
+    def step(self, commands):
+        return super().step({"valve": 2 * commands["level"]})
 '''
 ALARMS = "alarms: [{name: empty, points: [level], low: -1.0, high: 30.0, unit: m, priority: high}]\n"
 SCENARIO = """
@@ -324,6 +333,44 @@ def test_point__panel_follows_a_node_that_restarts_with_others(
         bus.step("pair")
         page.locator(".drawer").get_by_text("Set by bob to 0.02").wait_for()
         bus.stop("pair")
+
+
+@pytest.fixture
+def same(bus: zenostat.Bus, tank: NodeProgram, module_folder: Path) -> Iterator[NodeProgram]:
+    """A node whose level and actuator have one name, paused at 0 m; its alarm is active from the first timestep on."""
+    settings = {"plant": f"{module_folder}/tank.py:Same", "name": "same", "connect": [tank.endpoint]}
+    (module_folder / "full.yaml").write_text(ALARMS.replace("30.0", "0.6"))
+    with NodeProgram(module_folder / "same", **settings, alarms=str(module_folder / "full.yaml")) as node:
+        until(lambda: "same" in bus.nodes(), "it is on the bus")
+        bus.pause("same")
+        bus.pace("same", mode="free")
+        yield node
+
+
+def test_points__sensor_and_actuator_of_one_name_are_two(
+    ada: Visitor, room: Any, bus: zenostat.Bus, same: NodeProgram
+) -> None:
+    page = ada.open(f"{room.url}/?node=same&table=points")
+    rows = page.locator("table.points tbody tr")
+    for place in (0, 1):
+        rows.nth(place).get_by_role("button", name="Trend of").click()
+    page.locator(".legend li").nth(1).wait_for()
+    for _ in range(2):
+        step_and_show(page, bus, "same")
+    until(lambda: page.locator(".legend-value").all_inner_texts() == ["2\u00a0m", "0.5\u00a0kg/s"], "1 m in each step")
+    assert rows.locator(".chip.alarm").count() == rows.nth(0).locator(".chip.alarm").count() == 1
+    rows.nth(1).locator("th button").click()
+    page.locator("#override").fill("0.25")
+    page.get_by_role("button", name="Override", exact=True).click()
+    page.locator(".drawer tr.effective", has_text="ada").wait_for()
+    assert bus.priorities("same")["level"][7].value == 0.25
+    rows.nth(0).locator("th button").click()
+    page.locator(".drawer .big", has_text="2\u00a0m").wait_for()
+    assert page.locator("#override").count() == 0
+    page = ada.open(f"{room.url}/?node=same&tab=what-if")
+    page.locator("#what-if-point").fill("level")
+    page.get_by_role("button", name="Add", exact=True).click()
+    assert page.locator(".what-if-row .unit").inner_text() == "kg/s"
 
 
 def test_trainings__names_with_commas_are_chosen(ada: Visitor, room: Any) -> None:

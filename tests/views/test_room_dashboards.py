@@ -30,19 +30,19 @@ TOKEN = "a-token-of-programs-of-the-tests-1"
 ALARMS = "alarms: [{name: warm, points: [temperature], high: 10.0, unit: degC, priority: high}]\n"
 ROOM = '''
 class Room:
-    """A room with points of each unit of the dashboards; its temperature is that of its setpoint."""
+    """A room with points of each unit of the dashboards; its temperature is 1 K below its actuator's."""
     step_s = 60.0
     begin = "2026-01-12T00:00"
     duration_s = 86400.0
     sensors = {"temperature": ("degC", 0.0, 50.0), "heater": ("W", 0.0, 9e3)}
     meters = {"electricity": ("J", 0.0, None)}
-    actuators = {"setpoint": ("degC", 10.0, 30.0, 20.0)}
+    actuators = {"temperature": ("degC", 10.0, 30.0, 20.0)}
 
     def reset(self, seed):
         return {"temperature": 20.0, "heater": 0.0, "electricity": 0.0}
 
     def step(self, commands):
-        return {"temperature": commands["setpoint"], "heater": 500.0, "electricity": 3e4}
+        return {"temperature": commands["temperature"] - 1.0, "heater": 500.0, "electricity": 3e4}
 '''
 
 
@@ -71,7 +71,7 @@ def client(node: NodeProgram) -> Iterator[httpx.Client]:
         for sample in link:
             if sample.step == 10:
                 break
-            sample.send({"setpoint": 21.0})
+            sample.send({"temperature": 21.0})
         until(lambda: 'zenostat_node_step{node="room"} 10' in started.get("/metrics").text, "it is polled")
         yield started
 
@@ -189,8 +189,10 @@ def test_dashboards__each_query_of_the_history_is_answered_with_values(client: h
         answer = client.post("/grafana/variable", json={"payload": json.loads(query)})
         values[variable["name"]] = [entry["__value"] for entry in answer.json()]
     assert values["node"] == ["room"]
-    assert (values["temperatures"], values["setpoints"]) == (["room/temperature"], ["room/setpoint"])
-    assert values["points"] == ["room/temperature", "room/heater", "room/electricity", "room/setpoint"]
+    assert (values["temperatures"], values["setpoints"]) == (["room/temperature"], ["room/actuator/temperature"])
+    assert values["points"] == ["room/temperature", "room/heater", "room/electricity", "room/actuator/temperature"]
+    targets = client.post("/grafana/metrics", json={}).json()
+    assert [target["value"] for target in targets] == values["points"]
     for panel in dashboard["panels"]:
         for target in panel["targets"]:
             names = values[target["target"].removeprefix("$")]
@@ -202,8 +204,9 @@ def test_dashboards__each_query_of_the_history_is_answered_with_values(client: h
             answer = client.post("/grafana/query", json=content).json()
             assert [series["target"] for series in answer] == names
             assert all(len(series["datapoints"]) == 11 for series in answer)
-            if names == ["room/setpoint"]:
-                assert [value for value, _ in answer[0]["datapoints"][1:]] == [21.0] * 10
+            if len(names) == 1 and names[0].endswith("temperature"):
+                expected = 20.0 if names == values["temperatures"] else 21.0
+                assert [value for value, _ in answer[0]["datapoints"][1:]] == [expected] * 10
 
 
 @pytest.mark.parametrize("values", [["office/zone.a_1"], ["a/b", "c-d/e"], ["a.b/c"]])

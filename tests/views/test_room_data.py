@@ -100,6 +100,13 @@ def test_description__meters_are_shown_as_power_and_points_belong_to_zones() -> 
     to_json(content)
 
 
+def test_description__id_tells_an_actuator_from_a_sensor_of_its_name() -> None:
+    of = manifest(sensors=[sensor("temp"), sensor("valve")], actuators=[actuator("temp"), actuator("pump")])
+    points = describe(of, None).content["points"]
+    assert [point["id"] for point in points] == ["temp", "valve", "actuator/temp", "pump"]
+    assert [point["name"] for point in points] == ["temp", "valve", "temp", "pump"]
+
+
 def test_schematic__values_of_nodes_and_components_stand_at_their_component() -> None:
     building = Systems(
         components=(

@@ -187,7 +187,7 @@ def grafana_variable(watch: BusWatch, query: GrafanaVariableQuery) -> list[dict[
             points, listed = node.description.manifest, node.description.content["points"]
             units = [point.unit for point in (*points.points, *points.actuators)]
             values += [
-                (point["label"], f"{node.node}/{point['name']}")
+                (point["label"], f"{node.node}/{point['id']}")
                 for point, unit in zip(listed, units, strict=True)
                 if asked.unit in ("", unit) and asked.kind in ("", point["kind"])
             ]
@@ -209,7 +209,7 @@ def grafana_targets(watch: BusWatch) -> list[dict[str, str]]:
     targets = []
     for node in watch.watches():
         if node.state is not None and node.description is not None:
-            names = [f"{node.node}/{point['name']}" for point in node.description.content["points"]]
+            names = [f"{node.node}/{point['id']}" for point in node.description.content["points"]]
             targets += [{"label": name, "value": name} for name in names]
     return targets
 

@@ -10,6 +10,7 @@ from zenostat.metrics.labels import point_unit
 from zenostat.metrics.reward_comfort import display_comfort
 from zenostat.metrics.roles import PointRoles, PowerSource, roles
 from zenostat.topics.messages import Actuator, Geometry, Manifest, Meter, Sensor, Systems
+from zenostat.topics.points import PointIndex
 from zenostat.views.display.colors import hex_color, zone_color
 from zenostat.views.room.schematic import schematic
 from zenostat.views.room.storeys import storeys
@@ -110,7 +111,7 @@ def _is_setpoint_of_node(point: Sensor | Meter) -> bool:
 
 
 def _points(manifest: Manifest, point_roles: PointRoles, places: dict[str, int]) -> list[dict[str, Any]]:
-    """Return all points: sensors, meters, then actuators."""
+    """Return all points: sensors, meters, then actuators; the `id` of each is its name in a history."""
     texts = (*point_roles.labels, *point_roles.actuator_labels)
     zone_of = {
         index: number
@@ -119,10 +120,12 @@ def _points(manifest: Manifest, point_roles: PointRoles, places: dict[str, int])
         if index is not None
     }
     points: tuple[Sensor | Meter | Actuator, ...] = (*manifest.points, *manifest.actuators)
+    ids = PointIndex((point.name for point in points), "point")
     result = []
-    for index, (point, text) in enumerate(zip(points, texts, strict=True)):
+    for index, (identity, point, text) in enumerate(zip(ids, points, texts, strict=True)):
         key = point.key.casefold() if isinstance(point, Sensor | Actuator) else ""
         entry: dict[str, Any] = {
+            "id": identity,
             "name": point.name,
             "label": text,
             "unit": point_unit(point),

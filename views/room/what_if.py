@@ -267,7 +267,7 @@ def futures_content(description: NodeDescription, futures: Mapping[str, list[Sam
     """Return the times, and for each future the values of all points and the totals."""
     manifest = description.manifest
     width, actuators = len(manifest.points), len(manifest.actuators)
-    result: dict[str, Any] = {"names": [*manifest.names, *(actuator.name for actuator in manifest.actuators)]}
+    result: dict[str, Any] = {}
     for name, samples in futures.items():
         # Faults change what is measured, not what the building uses.
         raw = [sample.fault_free_values or sample.values for sample in samples]

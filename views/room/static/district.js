@@ -66,7 +66,7 @@ export class District {
     const group = s("g", { class: "box", transform: `translate(${x + BAR} ${y})`, tabindex: 0, role: "button" },
       title, s("rect", { width: BOX, height: 40, rx: 6, class: "frame" }), s("path", { d: KINDS[kind] ?? KINDS.load, transform: "translate(8 6) scale(.8)", class: "symbol" }),
       s("text", { x: 30, y: 16, class: "box-title" }, name.length > 17 ? `${name.slice(0, 16)}…` : name), s("text", { x: 30, y: 32, class: "box-label" }, kind === "pv" ? "PV" : kind), value);
-    const open = () => { if (live.point !== null && live.point !== undefined) change({ point: this.description.points[live.point].name }); };
+    const open = () => { if (live.point !== null && live.point !== undefined) change({ point: this.description.points[live.point].id }); };
     group.addEventListener("click", open);
     group.addEventListener("keydown", (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); open(); } });
     this.live.push((state) => {

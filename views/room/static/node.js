@@ -153,7 +153,7 @@ export class NodePage {
     tables.append(this.tableTabs.element, zonesBody, pointsBody);
     grid.append(tables);
     this.zoneTable = description.zones.length ? new ZoneTable(zonesBody, description, select) : null;
-    this.pointTable = new PointTable(pointsBody, description, (name) => this.trends.toggle(name));
+    this.pointTable = new PointTable(pointsBody, description, (id) => this.trends.toggle(id));
 
     const trendBody = h("div");
     grid.append(panel("Trends", { class: "panel trend-panel" }, trendBody));
@@ -353,7 +353,7 @@ export class NodePage {
     this.zoneTable?.mark(selected);
     this.trends.onView();
     this.pointTable.mark(this.trends.names());
-    const place = point ? this.description.points.findIndex((each) => each.name === point) : -1;
+    const place = point ? this.description.points.findIndex((each) => each.id === point) : -1;
     if (this.drawer && this.drawer.place !== place) { this.drawer.close(); this.drawer = null; }
     if (place >= 0 && !this.drawer) {
       this.drawer = new PointPanel(document.getElementById("drawer"), this.node, this.description, place);

@@ -118,13 +118,13 @@ function unitOf(kind, point) {
 export class FaultPanel {
   constructor(root, node, description) {
     this.node = node;
-    this.points = new Map(description.points.map((point) => [point.name, point]));
+    this.points = new Map(description.points.map((point) => [point.id, point]));
     this.plan = { faults: [] };
     this.active = h("p", { role: "status" });
     this.list = h("ul", { class: "log", "aria-label": "Injected faults" });
     this.kind = h("select", { id: "fault-kind", onchange: () => this.label() }, Object.keys(FAULTS).map((kind) => h("option", {}, kind)));
     this.point = h("input", { id: "fault-point", list: "fault-points", required: true, autocomplete: "off", oninput: () => this.label() });
-    const options = h("datalist", { id: "fault-points" }, description.points.slice(0, 2000).map((point) => h("option", { value: point.name })));
+    const options = h("datalist", { id: "fault-points" }, description.points.slice(0, 2000).map((point) => h("option", { value: point.id })));
     this.value = h("input", { id: "fault-value", type: "number", step: "any", required: true, value: 2 });
     this.valueLabel = h("label", { for: "fault-value" });
     this.valueField = h("div", {}, this.valueLabel, this.value);
@@ -164,8 +164,8 @@ export class FaultPanel {
 
   /** A fault of the plan in words, with its values in the units that the page shows. */
   text({ kind, points = [], actuators = [], when, name, ...values }) {
-    const point = this.points.get([...points, ...actuators][0]);
-    const linear = point && [...points, ...actuators].length === 1 && kind !== "gain";
+    const [point, ...others] = [...points.map((id) => this.points.get(id)), ...actuators.map((name) => this.points.get(`actuator/${name}`) ?? this.points.get(name))];
+    const linear = point && !others.length && kind !== "gain";
     const parts = Object.entries(values).map(([key, value]) => `${words(key)} ${linear && FAULTS[kind]?.[0] === key ? withUnit(value * (point.factor ?? 1), unitOf(kind, point)) : JSON.stringify(value)}`);
     return [name ? `${name}: ${kind}` : kind, [...points, ...actuators].join(", "), ...parts, when && `when ${JSON.stringify(when)}`].filter(Boolean).join(", ");
   }

@@ -91,7 +91,7 @@ export class PointPanel {
   async trend() {
     if (!this.description.history_samples || !this.state?.time) return;
     const begin = new Date((seconds(this.state.time) - DAY_S) * 1000).toISOString().slice(0, 19);
-    const query = new URLSearchParams({ point: this.point.name, max: 400 });
+    const query = new URLSearchParams({ point: this.point.id, max: 400 });
     if (begin > this.description.begin) query.set("from", begin);
     try {
       const answer = await get(`${nodePath(this.node, "history")}?${query}`);
@@ -140,7 +140,7 @@ export class PointPanel {
       if (this.input && !this.isFilled && value !== null) { this.input.value = value; this.isFilled = true; }
     } else setText(this.note, words(point.kind));
     if (isFirst) this.trend();
-    else if (isNew && !this.timer) this.timer = setTimeout(() => { this.timer = null; if (view().point === point.name) this.load(); }, 1500);
+    else if (isNew && !this.timer) this.timer = setTimeout(() => { this.timer = null; if (view().point === point.id) this.load(); }, 1500);
   }
 
   showEvents(events) {

@@ -60,7 +60,7 @@ export class ZoneTable {
       const content = cell(name, "number");
       if (actuator !== null) {
         const point = this.description.points[actuator];
-        cells[`${name}_button`] = h("button", { class: "value", title: `${mayChange() ? "Override" : "Show"} ${point.label}`, onclick: () => change({ point: point.name }) });
+        cells[`${name}_button`] = h("button", { class: "value", title: `${mayChange() ? "Override" : "Show"} ${point.label}`, onclick: () => change({ point: point.id }) });
         content.append(cells[`${name}_button`]);
       }
       return content;
@@ -95,7 +95,7 @@ export class ZoneTable {
         if (place !== null && !source) source = sourceOf(state, place - actuators);
       }
       if (cells.source) sourceChip(cells.source, source);
-      alarmChip(cells.alarm, alarms.get(this.description.points[zone.temperature]?.name));
+      alarmChip(cells.alarm, alarms.get(this.description.points[zone.temperature]?.id));
       setAttribute(element, "data-occupied", now?.occupied ? "yes" : null);
     });
   }
@@ -110,7 +110,7 @@ export class ZoneTable {
 }
 
 export class PointTable {
-  /** `plot` is called with a point's name, to add it to the trends or remove it from them. */
+  /** `plot` is called with a point's id, to add it to the trends or remove it from them. */
   constructor(root, description, plot) {
     this.description = description;
     this.plot = plot;
@@ -146,9 +146,9 @@ export class PointTable {
     const matches = this.matches();
     this.rows = matches.slice(0, this.limit).map(([point, place]) => {
       const cells = { value: h("td", { class: "number" }), command: h("td", { class: "number muted" }), source: h("td"), alarm: h("td") };
-      const button = h("button", { class: "quiet small", "aria-label": `Trend of ${point.label}`, onclick: () => this.plot(point.name) }, icon("chart"));
+      const button = h("button", { class: "quiet small", "aria-label": `Trend of ${point.label}`, onclick: () => this.plot(point.id) }, icon("chart"));
       const element = h("tr", {},
-        h("th", { scope: "row" }, h("button", { class: "plain", title: point.name, onclick: () => change({ point: point.name }) }, point.label)),
+        h("th", { scope: "row" }, h("button", { class: "plain", title: point.name, onclick: () => change({ point: point.id }) }, point.label)),
         cells.value, cells.command, cells.source, cells.alarm, h("td", {}, button));
       return { element, cells, point, place, button };
     });
@@ -172,12 +172,12 @@ export class PointTable {
         setText(cells.command, num(state.commanded?.[actuator], point.unit));
         sourceChip(cells.source, sourceOf(state, actuator));
       }
-      alarmChip(cells.alarm, alarms.get(point.name));
+      alarmChip(cells.alarm, alarms.get(point.id));
     }
   }
 
   mark(plotted) {
     this.plotted = plotted;
-    for (const { point, button } of this.rows) setAttribute(button, "aria-pressed", String(plotted.includes(point.name)));
+    for (const { point, button } of this.rows) setAttribute(button, "aria-pressed", String(plotted.includes(point.id)));
   }
 }

@@ -230,7 +230,7 @@ export class Schematic {
       }
       const cell = h("td", { class: "number" });
       this.detailed.set(point, cell);
-      return h("tr", {}, h("th", { scope: "row" }, h("button", { class: "plain", onclick: () => change({ point: this.description.points[point].name }) }, label)), cell);
+      return h("tr", {}, h("th", { scope: "row" }, h("button", { class: "plain", onclick: () => change({ point: this.description.points[point].id }) }, label)), cell);
     });
     fill(this.detail,
       h("div", { class: "row wrap" }, h("h3", {}, component.type), h("span", { class: "muted" }, `${component.name} · ${component.kind}`)),

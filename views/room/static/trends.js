@@ -124,7 +124,7 @@ export class Trends {
   constructor(root, node, description) {
     this.node = node;
     this.description = description;
-    this.byName = new Map(description.points.map((point, place) => [point.name, { point, place }]));
+    this.byName = new Map(description.points.map((point, place) => [point.id, { point, place }]));
     this.data = null;
     this.loading = false;
     this.plot = null;
@@ -153,11 +153,11 @@ export class Trends {
     return presets;
   }
 
-  /** Names of the points that the address asks for. */
+  /** Ids of the points that the address asks for. */
   names() {
     const { trend, zone } = view();
     const { zones, points } = this.description;
-    const name = (place) => (place === null || place === undefined ? null : points[place].name);
+    const name = (place) => (place === null || place === undefined ? null : points[place].id);
     const known = (list) => [...new Set(list)].filter((each) => each && this.byName.has(each)).slice(0, 24);
     if (trend && trend !== "power" && trend !== "zones") return known(trend.split(","));
     if (trend === "power") {
@@ -170,7 +170,7 @@ export class Trends {
         name(selected.cooling_actuator ?? selected.cooling_setpoint), name(selected.occupants), name(this.description.outdoor)]);
     }
     if (zones.length) return known(zones.slice(0, 20).map((each) => name(each.temperature)));
-    return known(points.slice(0, 6).map((point) => point.name));
+    return known(points.slice(0, 6).map((point) => point.id));
   }
 
   /** Add a point to the lines, or remove it from them. */
@@ -267,7 +267,7 @@ export class Trends {
 
   series(data) {
     const { description } = this;
-    const zoneOf = new Map(description.zones.map((zone) => [description.points[zone.temperature]?.name, zone]));
+    const zoneOf = new Map(description.zones.map((zone) => [description.points[zone.temperature]?.id, zone]));
     const isZones = data.names.every((name) => zoneOf.has(name));
     return data.names.map((name, column) => {
       const { point } = this.byName.get(name);

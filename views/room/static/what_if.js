@@ -92,14 +92,14 @@ export class WhatIfPanel {
     const { points } = this.description;
     const other = h("input", { list: "what-if-drawn", autocomplete: "off", placeholder: "another point", "aria-label": "Another point that is drawn" });
     other.addEventListener("change", () => {
-      const place = points.findIndex((point) => point.name === other.value);
+      const place = points.findIndex((point) => point.id === other.value);
       if (place < 0) { if (other.value) toast(`There is no point ${other.value}.`, true); return; }
       if (![...choice.options].some((option) => Number(option.value) === place)) choice.append(h("option", { value: place }, points[place].label));
       choice.value = place;
       other.value = "";
       draw();
     });
-    const drawn = h("datalist", { id: "what-if-drawn" }, points.slice(0, 2000).map((point) => h("option", { value: point.name }, point.label)));
+    const drawn = h("datalist", { id: "what-if-drawn" }, points.slice(0, 2000).map((point) => h("option", { value: point.id }, point.label)));
     fill(this.result, h("h3", {}, `Next ${num(answer.as_is.totals.hours)} h`), this.totals(answer, name),
       h("div", { class: "row wrap drawn" }, choice, other, drawn, legend, h("span", { class: "grow" }), asked.values && h("button", { class: "primary", onclick: () => this.apply(asked) }, `Apply for ${asked.hours} h`)), canvas,
       asked.controller && this.start(answer.command, asked));
@@ -197,7 +197,7 @@ class Setpoints {
 
   group(label, names) {
     if (this.changes.has(label)) return;
-    const place = this.panel.description.points.findIndex((point) => point.name === names[0]);
+    const place = this.panel.description.points.findIndex((point) => point.kind === "actuator" && point.name === names[0]);
     const point = this.panel.description.points[place];
     const now = shown(point, this.panel.state?.values?.[place]);
     const input = h("input", { type: "number", step: "any", required: true, "aria-label": label, value: now ?? "", min: point.low ?? undefined, max: point.high ?? undefined });
