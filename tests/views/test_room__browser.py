@@ -285,7 +285,7 @@ def test_room__what_if_saves_energy_and_is_applied(ada: Visitor, room: Any, bus:
     assert 0 < changed < as_is  # a day of July in Denver, cooled above 30 instead of 24 °C
     assert bus.status("office").step == step
     assert bus.status("office").branches == bus.status("office").snapshots == []
-    assert [entry["node"] for entry in room.room.watch.overview()] == ["office"]
+    assert [each.node for each in room.room.watch.watches()] == ["office"]
     page.get_by_role("button", name="Apply for 24 h").click()
     page.get_by_text("5 of 5 values applied").wait_for()
     entries = [array[7] for name, array in bus.priorities("office").items() if name.endswith("cooling_setpoint")]

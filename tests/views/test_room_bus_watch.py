@@ -53,8 +53,8 @@ def watch(updates: Updates) -> Iterator[BusWatch]:
     started.close()
 
 
-def connect(watch: BusWatch, node: str) -> None:
-    token: Any = SimpleNamespace(key_expr=keys.NODE_TOKEN.at(node, name="1a"), kind=zenoh.SampleKind.PUT)
+def connect(watch: BusWatch, node: str, kind: zenoh.SampleKind = zenoh.SampleKind.PUT) -> None:
+    token: Any = SimpleNamespace(key_expr=keys.NODE_TOKEN.at(node, name="1a"), kind=kind)
     watch._on_token(token)
 
 
@@ -64,6 +64,35 @@ def test_bus_watch__messages_of_branches_that_have_ended_are_forgotten(watch: Bu
         until(lambda node=node: f"node:{node}" in updates._latest, f"{node} is polled")
     assert [each.node for each in watch.watches()] == ["tank", "tank.b2"]
     assert {topic for topic in updates._latest if topic != "overview"} == {"node:tank", "node:tank.b2"}
+
+
+def test_bus_watch__own_branches_are_never_followed_and_those_of_others_later(watch: BusWatch) -> None:
+    with watch.without_branches("tank") as on_branch, watch.without_branches("tank") as on_other_branch:
+        for node in ("tank", "tank.b1", "tank.b2", "tank.b3", "tank.b4"):
+            connect(watch, node)
+        on_branch("tank.b1")
+        on_other_branch("tank.b3")
+        connect(watch, "tank.b4", zenoh.SampleKind.DELETE)
+    assert [each.node for each in watch.watches()] == ["tank", "tank.b2"]
+
+
+class SilentBus(EndedNodesBus):
+    """A bus whose nodes have ended before they are asked for their manifests."""
+
+    def manifest(self, node: str) -> Manifest:
+        raise NodeLost(f"{node} is gone")
+
+
+def test_bus_watch__node_that_never_answered_is_forgotten_when_it_leaves(updates: Updates) -> None:
+    watch = BusWatch(SilentBus(), updates)  # type: ignore[arg-type]
+    try:
+        connect(watch, "tank.b1")
+        until(lambda: "node:tank.b1" in updates._latest, "it is polled")
+        connect(watch, "tank.b1", zenoh.SampleKind.DELETE)
+        assert watch.watches() == []
+        assert "node:tank.b1" not in updates._latest
+    finally:
+        watch.close()
 
 
 class CountingUpdates(Updates):

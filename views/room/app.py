@@ -323,8 +323,8 @@ class Room:
         question = read_body(WhatIf, await request.body())
 
         def simulate() -> Response:
-            with self.watch.without_branches(watch.node):
-                answer = what_if(self._bus, description, question, operator, self._settings.controllers)
+            with self.watch.without_branches(watch.node) as on_branch:
+                answer = what_if(self._bus, description, question, operator, self._settings.controllers, on_branch)
             if question.controller is not None:
                 has_keys = bool(self._settings.node_settings.get("keys"))
                 answer["command"] = question.controller.command(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from typing import Any
 
@@ -97,15 +97,17 @@ class BusWatch:
             return [self._nodes[name] for name in sorted(self._nodes)]
 
     @contextmanager
-    def without_branches(self, node: str) -> Iterator[None]:
-        """Do not follow branches that this server makes of a node itself."""
+    def without_branches(self, node: str) -> Iterator[Callable[[str], None]]:
+        """Do not follow branches that this server makes of a node itself; the function takes the name of each."""
+        own: list[str] = []
         with self._lock:
             self._quiet[node] += 1
         try:
-            yield
+            yield own.append
         finally:
             with self._lock:
                 self._quiet[node] -= 1
+                self._not_followed.difference_update(own)
                 if not self._quiet[node]:  # those that are left are of somebody else
                     del self._quiet[node]
                     for name in [name for name in self._not_followed if name.rpartition(".")[0] == node]:
@@ -126,6 +128,8 @@ class BusWatch:
             watch = self._nodes.get(node)
             if not is_present:
                 self._not_followed.discard(node)
+                if watch is not None and watch.description is None:  # nothing of it is known
+                    self._forget(node)
             elif watch is None and self._quiet[node.rpartition(".")[0]]:
                 self._not_followed.add(node)
             elif watch is None:

@@ -79,7 +79,12 @@ class Future:
 
 
 def what_if(
-    bus: Bus, description: NodeDescription, request: WhatIf, operator: str, offered: Mapping[str, Factory] = BUNDLED
+    bus: Bus,
+    description: NodeDescription,
+    request: WhatIf,
+    operator: str,
+    offered: Mapping[str, Factory] = BUNDLED,
+    on_branch: Callable[[str], object] = lambda _: None,
 ) -> dict[str, Any]:
     """Return the values of all points and the totals of both futures.
 
@@ -89,6 +94,7 @@ def what_if(
         request: values or controller to try.
         operator: name of who asks.
         offered: controllers that the request may name.
+        on_branch: called with the name of each branch that is created.
 
     Raises:
         UnknownName, InvalidConfig: the controller, its parameters, a controller that the node does not suit, or one
@@ -107,12 +113,18 @@ def what_if(
         create(description.manifest)  # its errors come before anything is simulated
         changed = Future(priority=request.priority, controller=create)
     with errors:
-        samples = simulate_futures(bus, description, {"as_is": Future(), "changed": changed}, request.hours, operator)
+        futures = {"as_is": Future(), "changed": changed}
+        samples = simulate_futures(bus, description, futures, request.hours, operator, on_branch)
     return futures_content(description, samples)
 
 
 def simulate_futures(
-    bus: Bus, description: NodeDescription, futures: Mapping[str, Future], hours: float | None, operator: str
+    bus: Bus,
+    description: NodeDescription,
+    futures: Mapping[str, Future],
+    hours: float | None,
+    operator: str,
+    on_branch: Callable[[str], object] = lambda _: None,
 ) -> dict[str, list[Sample]]:
     """Return the samples of the next hours under several commands, equally many for each.
 
@@ -122,6 +134,7 @@ def simulate_futures(
         futures: commands by the name of the future.
         hours: length, in simulated hours; None: a day, or the longest that can be simulated.
         operator: name of who asks.
+        on_branch: called with the name of each branch that is created.
 
     Raises:
         InvalidConfig: the hours are shorter than a timestep, or too many.
@@ -151,6 +164,7 @@ def simulate_futures(
         for name, future in futures.items():
             request = CreateBranch(controller=owner, snapshot=snapshot.snapshot, relinquished=future.is_relinquished)
             branch = bus.branch(manifest.node, request)
+            on_branch(branch)
             if bus.manifest(branch).branch_of != manifest.node:
                 raise BadMessage(f"{branch} is no branch of {manifest.node}")  # it may be another building
             stack.callback(_end, bus.stop, branch)
