@@ -430,6 +430,23 @@ def test_mcp__http_body_that_is_too_large_is_rejected(fake_node: NodeProgram, au
 # The command
 
 
+def test_mcp__http_sessions_that_are_left_open_make_room(
+    fake_node: NodeProgram, audit: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("zenostat.views.mcp.server._IDLE_S", 1.0)
+    monkeypatch.setattr("zenostat.views.mcp.server._MAX_SESSIONS", 2)
+    client = {"protocolVersion": "2025-06-18", "capabilities": {}, "clientInfo": {"name": "script", "version": "1"}}
+    request = {"jsonrpc": "2.0", "id": 1, "method": "initialize", "params": client}
+    headers = {"authorization": f"Bearer {TOKEN}", "accept": "application/json, text/event-stream"}
+    with tool_server(fake_node.endpoint, audit) as tools, http_server(tools) as server:
+
+        def status() -> int:
+            return httpx.post(server.url, json=request, headers=headers).status_code
+
+        until(lambda: status() == 503, "all sessions are open")
+        until(lambda: status() == 200, "idle ones have ended")
+
+
 def command(node: NodeProgram, *arguments: str) -> list[str]:
     return [sys.executable, "-P", "-m", "zenostat", "mcp", "--connect", node.endpoint, *arguments]
 

@@ -34,7 +34,10 @@ PATH = "/mcp"
 MAX_RUNNING = 8
 """Largest number of calls that run at a time."""
 
-_MAX_SESSIONS = 32
+_MAX_SESSIONS = 256
+_IDLE_S = 300.0
+"""Time after which a session without a request or an open stream ends: many clients leave theirs open."""
+
 _MAX_BODY_BYTES = 256 * 1024
 _INSTRUCTIONS = (
     "Tools for buildings that are simulated on a Zenostat bus. Begin with list_nodes, then explain_building. Times are "
@@ -135,6 +138,7 @@ class HttpServer:
         app = tools.sdk.streamable_http_app(
             streamable_http_path=PATH,
             max_request_body_size=_MAX_BODY_BYTES,
+            session_idle_timeout=_IDLE_S,
             max_sessions=_MAX_SESSIONS,
             transport_security=security,
         )
