@@ -13,6 +13,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from functools import lru_cache
+from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -103,14 +104,15 @@ class ScenarioAnswers:
         return {"building": entry.name, "total": len(rows), "count": len(listed), "points": shown}
 
     def read(self, name: str) -> dict[str, Any]:
-        """Return the fields of a scenario file in the folder.
+        """Return the fields of a scenario file in the folder, and the file's digest.
 
         Raises:
             UnknownName: there is no such file.
         """
-        if self._folder is None or not is_name(name) or not self._is_inside(self._folder / f"{name}.yaml"):
+        path = None if self._folder is None or not is_name(name) else self._folder / f"{name}.yaml"
+        if path is None or not self._is_inside(path):
             raise UnknownName(f"there is no scenario {name!r} in the folder of scenarios")
-        return load_yaml(self._folder / f"{name}.yaml")
+        return {"fields": load_yaml(path), "digest": sha256(path.read_bytes()).hexdigest()}
 
     def check(self, fields: Mapping[str, Any], name: str = "scenario") -> dict[str, Any]:
         """Return a scenario as YAML, with the errors that `zenostat scenarios check` reports.

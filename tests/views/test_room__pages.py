@@ -165,6 +165,24 @@ def test_builder__new_scenario_is_not_the_one_that_was_opened(ada: Visitor, room
     assert page.locator("#scenario-name").input_value() == "mine"
 
 
+def test_builder__save_asks_before_it_replaces_what_somebody_else_has_saved(
+    ada: Visitor, room: Any, mine: Path
+) -> None:
+    page = ada.open(f"{room.url}/?page=builder&scenario=mine")
+    page.locator("pre", has_text="BLDG_OCC_SCH").wait_for()
+    page.get_by_role("button", name="Save", exact=True).click()
+    page.locator(".toast", has_text="saved as mine.yaml").wait_for()
+    mine.write_text("building: ref-small-office\n")
+    page.get_by_label("high of cool").fill("29")
+    page.get_by_label("high of cool").blur()
+    page.get_by_role("button", name="Save", exact=True).click()
+    dialog = page.get_by_label("Replace the scenario")
+    dialog.get_by_text("Scenario 'mine' has changed since it was opened").wait_for()
+    dialog.get_by_role("button", name="Replace").click()
+    until(lambda: mine.read_text() != "building: ref-small-office\n", "it is replaced")
+    assert yaml12.read_mapping(mine)["actuators"]["cool"]["high"] == 29
+
+
 def test_builder__points_keep_their_fields_whatever_their_order(ada: Visitor, room: Any, mine: Path) -> None:
     page = ada.open(f"{room.url}/?page=builder&scenario=mine")
     page.locator(".chosen-point", has_text="Zone Air Temperature · CORE_ZN").wait_for()

@@ -129,7 +129,7 @@ def test_scenario_answers__scenario_elsewhere_is_not_read(tmp_path: Path) -> Non
     for name in ("../other", "link", "none", "/etc/hosts", ""):
         with pytest.raises(UnknownName):
             ScenarioAnswers(folder).read(name)
-    assert ScenarioAnswers(folder).read("own") == {"building": "y"}
+    assert ScenarioAnswers(folder).read("own")["fields"] == {"building": "y"}
     assert ScenarioAnswers(folder).form()["scenarios"] == ["own"]
 
 
@@ -228,7 +228,7 @@ def test_builder__node_is_started_from_a_page_audited_and_ends_with_the_room(tan
             assert client.post("/api/builder/start", json=wrong).status_code == 400
             assert not (folder / "wrong.yaml").exists()
             answer = client.post("/api/builder/start", json=started | {"node": "second", "overwrite": True})
-            assert answer.json() == {"text": "saved as mine.yaml; node second is starting"}
+            assert answer.json()["text"] == "saved as mine.yaml; node second is starting"
             until(lambda: client.get("/api/builder").json()["started"][-1]["state"] == "running", "it runs")
             until(lambda: "second" in bus.nodes(), "it is on the bus")
             assert client.post("/api/builder/stop", json={"node": "tank"}).status_code == 404
@@ -239,6 +239,29 @@ def test_builder__node_is_started_from_a_page_audited_and_ends_with_the_room(tan
             assert {entry["operator"] for entry in entries} == {"ada"}
             assert yaml12.read_mapping(folder / "mine.yaml") == FIELDS
         until(lambda: "second" not in bus.nodes(), "it has ended with the room")
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_builder__scenario_that_somebody_else_has_saved_is_not_replaced(tank: NodeProgram, tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("# by hand\n" + yaml12.dump(FIELDS))
+    with control_room(tank.endpoint, settings=RoomSettings(scenarios=tmp_path)) as server, signed_in(server) as client:
+
+        def save(end: str, **more: Any) -> Any:
+            return client.post("/api/builder/save", json={"name": "mine", "fields": FIELDS | {"end": end}, **more})
+
+        opened = client.get("/api/builder/scenario", params={"name": "mine"}).json()
+        assert opened["fields"] == FIELDS
+        first = save("07-04", replaces=opened["digest"])
+        assert first.status_code == 200, first.text
+        second = save("07-05", replaces=opened["digest"])
+        assert (second.status_code, "has changed since it was opened" in second.json()["message"]) == (409, True)
+        assert yaml12.read_mapping(file) == FIELDS | {"end": "07-04"}
+        assert save("07-06", replaces=first.json()["digest"]).status_code == 200
+        assert save("07-07", replaces=opened["digest"], overwrite=True).status_code == 200
+        file.unlink()
+        assert save("07-08", replaces=opened["digest"]).status_code == 200
 
 
 @pytest.mark.slow

@@ -7,7 +7,9 @@ folder of scenarios only. Without that folder, it is checked and shown as YAML, 
 from __future__ import annotations
 
 import asyncio
+import threading
 from collections.abc import Callable
+from hashlib import sha256
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -29,6 +31,9 @@ from zenostat.views.room.started_nodes import StartedNodes
 
 ScenarioName = Annotated[str, AfterValidator(check_name_of)]
 
+_Answer = dict[str, str]
+"""Answer to a change: its `text`, and the `digest` of a file that was saved."""
+
 
 class _Request(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -42,9 +47,14 @@ class CheckScenario(_Request):
 
 
 class SaveScenario(CheckScenario):
-    """Save a scenario in the folder of scenarios, over an earlier one only if it says so."""
+    """Save a scenario in the folder of scenarios.
+
+    An earlier one is replaced if `overwrite` says so, or if its file has the digest `replaces`: that of the file which
+    was opened or saved before.
+    """
 
     overwrite: bool = False
+    replaces: Annotated[str, Field(max_length=64)] | None = None
 
 
 class StartNode(SaveScenario):
@@ -79,7 +89,7 @@ class Builder:
         is_online: Callable[[str], bool],
     ) -> None:
         self._folder, self._nodes, self._audit, self._is_online = folder, nodes, audit, is_online
-        self._program = ScenarioProgram(folder)
+        self._program, self._writing = ScenarioProgram(folder), threading.Lock()
         self.routes = [
             Route("/api/builder", self._form),
             Route("/api/builder/points", self._points),
@@ -106,7 +116,7 @@ class Builder:
 
     async def _read(self, request: Request) -> Response:
         name = request.query_params.get("name", "")
-        return JSONResponse({"fields": await asyncio.to_thread(self._program.ask, "read", name=name)})
+        return JSONResponse(await asyncio.to_thread(self._program.ask, "read", name=name))
 
     async def _check(self, request: Request) -> Response:
         asked = read_body(CheckScenario, await request.body())
@@ -118,43 +128,51 @@ class Builder:
 
     async def _save(self, request: Request) -> Response:
         asked = read_body(SaveScenario, await request.body())
-        text = await self._audited(request, "save scenario", asked.name, lambda: self._write(asked))
-        return JSONResponse({"text": text})
+        return await self._audited(request, "save scenario", asked.name, lambda: self._write(asked))
 
     async def _start(self, request: Request) -> Response:
         asked = read_body(StartNode, await request.body())
         operator = operator_of(request)
-        text = await self._audited(request, "start node", asked.node, lambda: self._run(asked, operator))
-        return JSONResponse({"text": text})
+        return await self._audited(request, "start node", asked.node, lambda: self._run(asked, operator))
 
     async def _stop(self, request: Request) -> Response:
         node = read_body(StopNode, await request.body()).node
-        text = await self._audited(request, "end node", node, lambda: self._end(node))
-        return JSONResponse({"text": text})
+        return await self._audited(request, "end node", node, lambda: self._end(node))
 
-    async def _audited(self, request: Request, operation: str, target: str, function: Callable[[], str]) -> str:
-        """Call a function in a thread, and add its outcome to the audit log."""
-        return await self._audit.attempt(operator_of(request), operation, target, lambda: asyncio.to_thread(function))
+    async def _audited(
+        self, request: Request, operation: str, target: str, function: Callable[[], _Answer]
+    ) -> Response:
+        """Call a function in a thread, add its outcome to the audit log, and return its answer."""
+        answer: _Answer = {}
+
+        def change() -> str:
+            answer.update(function())
+            return answer["text"]
+
+        await self._audit.attempt(operator_of(request), operation, target, lambda: asyncio.to_thread(change))
+        return JSONResponse(answer)
 
     # In threads
 
-    def _write(self, asked: SaveScenario, *, may_have_errors: bool = True) -> str:
+    def _write(self, asked: SaveScenario, *, may_have_errors: bool = True) -> _Answer:
         """Save a scenario, and return the answer."""
         path = self._path(asked.name)
         answer = self._checked(asked)
         if answer["is_refused"] or (answer["errors"] and not may_have_errors):
             raise InvalidConfig("\n".join(answer["errors"]))
-        if path.exists() and not asked.overwrite:
-            raise NameInUse(f"there is a scenario {asked.name!r} already; choose another name, or replace it")
+        content = answer["yaml"].encode()
         try:
-            with atomic_file(path) as temporary:
-                temporary.write_text(answer["yaml"], encoding="utf-8")
+            with self._writing:
+                if path.exists() and not asked.overwrite:
+                    _check_replaced(asked, path.read_bytes())
+                with atomic_file(path) as temporary:
+                    temporary.write_bytes(content)
         except OSError as error:
             raise InvalidConfig(f"{path}: {error.strerror}") from None
         errors = f", with {counted(len(answer['errors']), 'error')}" if answer["errors"] else ""
-        return f"saved as {path.name}{errors}"
+        return {"text": f"saved as {path.name}{errors}", "digest": sha256(content).hexdigest()}
 
-    def _run(self, asked: StartNode, operator: str) -> str:
+    def _run(self, asked: StartNode, operator: str) -> _Answer:
         path = self._path(asked.name)
         check_name(asked.node, "the node's name")
         if self._is_online(asked.node):
@@ -162,11 +180,11 @@ class Builder:
         saved = self._write(asked, may_have_errors=False)
         pace = {"mode": asked.mode} | ({"speed": asked.speed} if asked.mode == Mode.PACED.value else {})
         self._nodes.start(path, asked.node, operator, pace)
-        return f"{saved}; node {asked.node} is starting"
+        return saved | {"text": f"{saved['text']}; node {asked.node} is starting"}
 
-    def _end(self, node: str) -> str:
+    def _end(self, node: str) -> _Answer:
         self._nodes.stop(node)
-        return f"node {node} is ending"
+        return {"text": f"node {node} is ending"}
 
     def _path(self, name: str) -> Path:
         if self._folder is None:
@@ -175,3 +193,11 @@ class Builder:
                 "start nodes"
             )
         return self._folder / f"{name}.yaml"
+
+
+def _check_replaced(asked: SaveScenario, present: bytes) -> None:
+    """Raise `NameInUse` unless the file's present content is the one that a scenario replaces."""
+    if asked.replaces is None:
+        raise NameInUse(f"there is a scenario {asked.name!r} already; choose another name, or replace it")
+    if asked.replaces != sha256(present).hexdigest():
+        raise NameInUse(f"scenario {asked.name!r} has changed since it was opened; open it again, or replace it")

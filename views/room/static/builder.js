@@ -26,7 +26,8 @@ export class BuilderPage {
     try {
       this.form = await get("/api/builder");
       const { scenario } = view();
-      this.fields = scenario ? (await get(`/api/builder/scenario?${new URLSearchParams({ name: scenario })}`)).fields : draft();
+      const { fields, digest } = scenario ? await get(`/api/builder/scenario?${new URLSearchParams({ name: scenario })}`) : { fields: draft() };
+      Object.assign(this, { fields, digest });
       if (!this.isClosed) this.build(scenario ?? "scenario");
     } catch (error) { if (!this.isClosed) fill(this.root, h("p", { class: "problem", role: "alert" }, error.message)); }
   }
@@ -185,9 +186,11 @@ export class BuilderPage {
 
   /** Send the scenario with more fields; asks whether it replaces an earlier one. */
   async send(operation, more = {}) {
-    const content = { fields: this.fields, name: this.name.value, overwrite: this.opened === this.name.value, ...more };
+    const content = { fields: this.fields, name: this.name.value, ...(this.opened === this.name.value && { replaces: this.digest }), ...more };
     try {
-      toast((await post(`/api/builder/${operation}`, content)).text);
+      const { text, digest } = await post(`/api/builder/${operation}`, content);
+      toast(text);
+      this.digest = digest;
     } catch (error) {
       if (!(error instanceof Failure) || error.kind !== "NameInUse" || content.overwrite || !(await this.replaces(error.message))) { if (error) toast(error.message, true); return false; }
       return this.send(operation, { ...more, overwrite: true });
@@ -198,11 +201,11 @@ export class BuilderPage {
   }
 
   replaces(text) {
-    if (!text.startsWith("there is a scenario")) return Promise.resolve(false);
+    if (!text.endsWith("replace it")) return Promise.resolve(false);
     return new Promise((answer) => {
       const dialog = h("dialog", { "aria-label": "Replace the scenario" });
       const end = (value) => { answer(value); dialog.close(); };
-      fill(dialog, h("div", { class: "stack" }, h("h2", {}, "Replace the scenario"), h("p", {}, `There is a scenario ${this.name.value} already.`),
+      fill(dialog, h("div", { class: "stack" }, h("h2", {}, "Replace the scenario"), h("p", {}, `${text.slice(0, 1).toUpperCase()}${text.slice(1)}.`),
         h("div", { class: "row end" }, h("button", { onclick: () => end(false) }, "Cancel"), h("button", { class: "primary", onclick: () => end(true) }, "Replace"))));
       dialog.addEventListener("close", () => { answer(false); dialog.remove(); });
       document.body.append(dialog);
