@@ -12,7 +12,7 @@ from support.tank_plant import TANK
 
 import zenostat
 from zenostat.topics import codec, keys
-from zenostat.topics.messages import Event, EventKind
+from zenostat.topics.messages import AlarmState, Event, EventKind
 
 httpx = pytest.importorskip("httpx")
 pytest.importorskip("starlette")
@@ -175,6 +175,29 @@ def test_room__what_if_as_is_keeps_the_ends_of_values_at_the_lowest_priority(cli
     assert levels_of["as_is"] == pytest.approx([0.2, 0.4, 0.45, 0.5, 0.55, 0.6])
     assert levels_of["changed"] == pytest.approx([0.05 * k for k in range(1, 7)])
     assert change(client, "write", point="pump", value=None, priority=16).status_code == 200
+
+
+def test_room__alarms_of_slots_that_are_not_shown_stay(client: Any, tank: NodeProgram, scratch: Path) -> None:
+    (scratch / "alarms.yaml").write_text("alarms: [{name: empty, points: [level], low: 5.0, unit: m}]\n")
+    settings = {"plant": TANK, "name": "pair", "slots": 2, "alarms": str(scratch / "alarms.yaml")}
+    with (
+        NodeProgram(scratch / "pair", connect=[tank.endpoint], **settings) as node,
+        zenostat.connect(node.endpoint, affinity="off") as bus,
+    ):
+
+        def states() -> list[AlarmState]:
+            return [bus.alarms("pair", slot=slot).alarms[0].state for slot in (0, 1)]
+
+        until(lambda: states() == ["active", "active"], "the first sample is there")
+        until(lambda: client.get("/api/nodes/pair").status_code == 200, "the room follows it")
+        for operation, more, state in (
+            ("acknowledge", {}, AlarmState.ACKNOWLEDGED),
+            ("shelve", {"duration_s": 600}, AlarmState.SHELVED),
+            ("unshelve", {}, AlarmState.ACTIVE),
+        ):
+            answer = client.post(f"/api/nodes/pair/{operation}", json={"alarm": "empty", **more})
+            assert answer.status_code == 200, answer.text
+            assert states() == [state, AlarmState.ACTIVE]
 
 
 def levels(client: Any, **question: Any) -> list[float]:

@@ -100,18 +100,18 @@ class ResetNode(Operation):
 
 
 class Acknowledge(Operation):
-    """Acknowledge alarms."""
+    """Acknowledge alarms of slot 0, which the page shows."""
 
     alarm: Alarm
     comment: Comment = ""
 
     @override
     def run(self, bus: Bus, node: str, operator: str) -> str:
-        return bus.acknowledge(node, self.alarm, source=operator, comment=self.comment).text
+        return bus.acknowledge(node, self.alarm, slot=0, source=operator, comment=self.comment).text
 
 
 class Shelve(Operation):
-    """Shelve alarms for some simulated seconds."""
+    """Shelve alarms of slot 0 for some simulated seconds."""
 
     alarm: Alarm
     duration_s: Annotated[float, Field(gt=0)]
@@ -119,18 +119,18 @@ class Shelve(Operation):
 
     @override
     def run(self, bus: Bus, node: str, operator: str) -> str:
-        return bus.shelve(node, self.alarm, self.duration_s, source=operator, comment=self.comment).text
+        return bus.shelve(node, self.alarm, self.duration_s, slot=0, source=operator, comment=self.comment).text
 
 
 class Unshelve(Operation):
-    """End the shelving of alarms."""
+    """End the shelving of alarms of slot 0."""
 
     alarm: Alarm
     comment: Comment = ""
 
     @override
     def run(self, bus: Bus, node: str, operator: str) -> str:
-        return bus.unshelve(node, self.alarm, source=operator, comment=self.comment).text
+        return bus.unshelve(node, self.alarm, slot=0, source=operator, comment=self.comment).text
 
 
 class Faults(Operation):
