@@ -357,7 +357,7 @@ def test_point__panel_follows_a_node_that_restarts_with_others(
 def same(bus: zenostat.Bus, tank: NodeProgram, module_folder: Path) -> Iterator[NodeProgram]:
     """A node whose level and actuator have one name, paused at 0 m; its alarm is active from the first timestep on."""
     settings = {"plant": f"{module_folder}/tank.py:Same", "name": "same", "connect": [tank.endpoint]}
-    (module_folder / "full.yaml").write_text(ALARMS.replace("30.0", "0.6"))
+    (module_folder / "full.yaml").write_text(ALARMS.replace("30.0", "0.0625"))
     with NodeProgram(module_folder / "same", **settings, alarms=str(module_folder / "full.yaml")) as node:
         until(lambda: "same" in bus.nodes(), "it is on the bus")
         bus.pause("same")
@@ -376,6 +376,7 @@ def test_points__sensor_and_actuator_of_one_name_are_two(
     for _ in range(2):
         step_and_show(page, bus, "same")
     until(lambda: page.locator(".legend-value").all_inner_texts() == ["2\u00a0m", "0.5\u00a0kg/s"], "1 m in each step")
+    page.locator(".alarms li", has_text="high limit 0.0625\u00a0m").wait_for()
     assert rows.locator(".chip.alarm").count() == rows.nth(0).locator(".chip.alarm").count() == 1
     rows.nth(1).locator("th button").click()
     page.locator("#override").fill("0.25")

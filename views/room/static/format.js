@@ -39,6 +39,12 @@ export function withUnit(value, unit) {
   return text === "–" || !unit ? text : `${text}\u00a0${unit}`;
 }
 
+/** A number that somebody has chosen, with six significant digits and its unit. */
+export function exact(value, unit) {
+  const text = String(Number(value.toPrecision(6))).replaceAll("-", "\u2212");
+  return unit ? `${text}\u00a0${unit}` : text;
+}
+
 /** A point's value in the unit that is shown; null where EnergyPlus has none. */
 export function shown(point, value) {
   return value === null || value === undefined || value === point.unset ? null : value * (point.factor ?? 1);

@@ -2,7 +2,7 @@
 
 import { operate, toast } from "./api.js";
 import { fill, h, setText } from "./dom.js";
-import { bytes, duration, num, shortTime, withUnit, words } from "./format.js";
+import { bytes, duration, exact, num, shortTime, withUnit, words } from "./format.js";
 import { forOperators, mayChange, refusal, refusalNote } from "./session.js";
 import { change } from "./view.js";
 
@@ -17,7 +17,7 @@ export class AlarmPanel {
 
   update(state) {
     const alarms = (state.alarms ?? []).filter((alarm) => alarm.state !== "normal");
-    const text = JSON.stringify([alarms.map((alarm) => ({ ...alarm, value: num(alarm.value) })), state.alarms?.length]);
+    const text = JSON.stringify([alarms.map((alarm) => ({ ...alarm, value: num(alarm.value, alarm.unit) })), state.alarms?.length]);
     if (text === this.text || this.root.contains(document.activeElement) && document.activeElement.matches("input, select")) return;
     this.text = text;
     const focus = this.root.contains(document.activeElement) ? document.activeElement.getAttribute("aria-label") : null;
@@ -29,8 +29,9 @@ export class AlarmPanel {
 
   item(alarm) {
     const limit = alarm.event_state === "low_limit" ? alarm.low : alarm.high;
-    const value = withUnit(alarm.value, alarm.unit === "degC" ? "°C" : alarm.unit);
-    const text = { normal: `${value}, normal again`, fault: "value is missing" }[alarm.event_state] ?? `${value}, ${words(alarm.event_state)} ${num(limit, "°C")}`;
+    const unit = alarm.unit === "degC" ? "°C" : alarm.unit;
+    const value = withUnit(alarm.value, unit);
+    const text = { normal: `${value}, normal again`, fault: "value is missing" }[alarm.event_state] ?? `${value}, ${words(alarm.event_state)} ${exact(limit, unit)}`;
     const set = async (operation, content = {}) => { await operate(this.node, operation, { alarm: alarm.alarm, ...content }); };
     const longest = Math.min(14400, alarm.max_shelve_s);
     return h("li", { class: alarm.is_open ? "open" : null },
