@@ -120,24 +120,58 @@ def test_access__link_is_for_names_of_the_bus_and_has_their_role(access: Access)
     assert status(access, "", "POST", "/api/nodes/office/pause", headers=cookie) == 403
 
 
-def test_access__revoked_name_loses_its_session_and_added_one_is_followed(
-    tmp_path: Path, clock: Clock, keys: Path
-) -> None:
+@pytest.mark.parametrize(
+    ("certificate", "link", "change"),
+    [
+        ("gateway", "ada", 200),
+        ("room", "wall", 403),
+        ("stranger", "ada", 200),
+        ("wall", "ada", 200),
+        ("ada", "wall", 403),
+    ],
+)
+def test_access__link_precedes_a_certificate(access: Access, certificate: str, link: str, change: int) -> None:
+    signed_in = access.sign_in(access.invite(link))
+    assert signed_in is not None
+    cookie = {"cookie": f"__Host-room={signed_in[0]}"}
+    assert status(access, certificate, headers=cookie) == 200
+    assert status(access, certificate, "POST", "/api/nodes/office/pause", headers=cookie) == change
+    before = status(access, certificate)
+    access.sign_out(signed_in[0])
+    assert status(access, certificate, headers=cookie) == before
+
+
+@pytest.fixture
+def copied_keys(tmp_path: Path, keys: Path) -> Path:
+    """A folder of the bus's keys in which names can be added and revoked."""
     for file in ("ca.pem", "ca.key", "names.json"):
         (tmp_path / file).write_bytes((keys / file).read_bytes())
     (tmp_path / "ca.key").chmod(0o600)
-    access = Access(frozenset({HOST}), "room", scheme="https", users=BusUsers(tmp_path, clock), clock=clock)
+    return tmp_path
+
+
+def test_access__certificate_permits_what_a_revoked_session_does_not(clock: Clock, copied_keys: Path) -> None:
+    access = Access(frozenset({HOST}), "room", scheme="https", users=BusUsers(copied_keys, clock), clock=clock)
+    signed_in = access.sign_in(access.invite("eve"))
+    assert signed_in is not None
+    revoke(copied_keys, "eve")
+    clock.now_s = 1.1
+    assert status(access, "wall", headers={"cookie": f"room={signed_in[0]}"}) == 200
+
+
+def test_access__revoked_name_loses_its_session_and_added_one_is_followed(clock: Clock, copied_keys: Path) -> None:
+    access = Access(frozenset({HOST}), "room", scheme="https", users=BusUsers(copied_keys, clock), clock=clock)
     signed_in = access.sign_in(access.invite("eve"))
     assert signed_in is not None
     cookie = {"cookie": f"room={signed_in[0]}"}
     assert status(access, "", headers=cookie) == status(access, "eve") == 200
-    revoke(tmp_path, "eve")
-    certificates.add(tmp_path, Role.MONITOR, "late")
+    revoke(copied_keys, "eve")
+    certificates.add(copied_keys, Role.MONITOR, "late")
     clock.now_s = 1.1
     assert status(access, "", headers=cookie) == status(access, "eve") == 401
     assert status(access, "late") == status(access, "ada") == 200
-    (tmp_path / "names.json").write_text("{}")  # damaged: what was read stays
-    (tmp_path / "revoked.txt").unlink()
+    (copied_keys / "names.json").write_text("{}")  # damaged: what was read stays
+    (copied_keys / "revoked.txt").unlink()
     clock.now_s = 2.3
     assert (status(access, "ada"), status(access, "eve")) == (200, 401)
 

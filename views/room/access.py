@@ -209,10 +209,10 @@ class Access:
 
     def _not_permitted(self, scope: MutableMapping[str, Any], method: str, path: str) -> tuple[int, str] | None:
         """Return status and text for a request that its user may not send; None if the user may."""
-        session = self._proven(scope) or self.session(Request(scope).cookies.get(self.cookie))
-        if session is not None:
-            role = self.role(session.operator)
-            session = None if role is None else replace(session, role=role)
+        # Whoever has signed in by a link has chosen that name; a browser sends its certificate in any case.
+        proofs = (self.session(Request(scope).cookies.get(self.cookie)), self._proven(scope))
+        sessions = (replace(each, role=role) for each in proofs if each and (role := self.role(each.operator)))
+        session = next(sessions, None)
         scope.setdefault("state", {})["session"] = session
         if path == "/api/session":
             return None
