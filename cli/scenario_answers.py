@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict
 from functools import lru_cache
 from hashlib import sha256
+from math import isfinite
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -108,11 +109,15 @@ class ScenarioAnswers:
 
         Raises:
             UnknownName: there is no such file.
+            InvalidConfig: it is not YAML, or has numbers that are not finite, which no page can show.
         """
         path = None if self._folder is None or not is_name(name) else self._folder / f"{name}.yaml"
         if path is None or not self._is_inside(path):
             raise UnknownName(f"there is no scenario {name!r} in the folder of scenarios")
-        return {"fields": load_yaml(path), "digest": sha256(path.read_bytes()).hexdigest()}
+        fields = load_yaml(path)
+        if problems := [*_not_finite(fields)]:
+            raise InvalidConfig("\n".join(f"{path.name}: {problem}" for problem in problems))
+        return {"fields": fields, "digest": sha256(path.read_bytes()).hexdigest()}
 
     def check(self, fields: Mapping[str, Any], name: str = "scenario") -> dict[str, Any]:
         """Return a scenario as YAML, with the errors that `zenostat scenarios check` reports.
@@ -154,8 +159,9 @@ class ScenarioAnswers:
     # What a scenario of a stranger may name
 
     def _check_data(self, fields: Mapping[str, Any]) -> None:
-        """Raise `InvalidConfig` for all that chooses code, or files outside of the folder."""
+        """Raise `InvalidConfig` for what chooses code, files outside of the folder, and numbers that are not finite."""
         errors = ErrorCollector()
+        errors.errors += map(InvalidConfig, _not_finite(fields))
         if "wrappers" in fields:
             errors.errors.append(
                 InvalidConfig("wrappers: not from a browser, since they can name code; add them to the saved file")
@@ -202,6 +208,15 @@ class ScenarioAnswers:
 
     def _absolute(self, building: str) -> str:
         return str(resolve_paths({"building": building}, self._folder or Path("/nonexistent"))["building"])
+
+
+def _not_finite(value: Any, path: tuple[Any, ...] = ()) -> Iterator[str]:
+    """Yield the problem of each number that is not finite, with the path of its field."""
+    if isinstance(value, float) and not isfinite(value):
+        yield f"{'.'.join(map(str, path))}: a finite number expected, not {value}"
+    elif isinstance(value, Mapping | list):
+        for key, each in value.items() if isinstance(value, Mapping) else enumerate(value):
+            yield from _not_finite(each, (*path, key))
 
 
 def _tables(reward: Any) -> Iterator[str]:

@@ -101,6 +101,8 @@ def test_scenario_answers__valid_scenario_is_summarized(answers: ScenarioAnswers
         ({"edits": {"schedule:file": {"A": {"file_name": "/etc/passwd"}}}}, "edits: schedule:file: not from a browser"),
         ({"edits": {"PythonPlugin:Instance": {"A": {}}}}, "edits: PythonPlugin:Instance: not from a browser"),
         ({"edits": {"ExternalInterface": {"A": {}}}}, "edits: ExternalInterface: not from a browser"),
+        ({"steps_per_hour": float("nan")}, "steps_per_hour: a finite number expected, not nan"),
+        ({"actuators": {"a": ["T", "C", "K", 1, float("inf")]}}, "actuators.a.4: a finite number expected, not inf"),
     ],
 )
 def test_scenario_answers__scenario_of_a_page_names_no_code_and_no_file_elsewhere(
@@ -131,6 +133,18 @@ def test_scenario_answers__scenario_elsewhere_is_not_read(tmp_path: Path) -> Non
             ScenarioAnswers(folder).read(name)
     assert ScenarioAnswers(folder).read("own")["fields"] == {"building": "y"}
     assert ScenarioAnswers(folder).form()["scenarios"] == ["own"]
+
+
+def test_scenario_answers__scenario_with_numbers_that_are_not_finite_is_not_read(tmp_path: Path) -> None:
+    (tmp_path / "own.yaml").write_text(
+        "building: y\nreward: {kind: linear, weight: .nan}\nactions: {a: {high: -.inf}}\n"
+    )
+    with pytest.raises(InvalidConfig) as raised:
+        ScenarioAnswers(tmp_path).read("own")
+    assert str(raised.value).split("\n") == [
+        "own.yaml: reward.weight: a finite number expected, not nan",
+        "own.yaml: actions.a.high: a finite number expected, not -inf",
+    ]
 
 
 def test_scenario_answers__form_has_all_fields_but_wrappers(answers: ScenarioAnswers) -> None:
