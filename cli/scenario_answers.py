@@ -63,7 +63,7 @@ class ScenarioAnswers:
 
     def form(self) -> dict[str, Any]:
         """Return the schema of scenarios, and the names that a form offers: buildings, weather files and scenarios."""
-        schema = scenario_schema()
+        schema, files = scenario_schema(), self._files((".yaml",))
         del schema["properties"]["wrappers"]
         return {
             "schema": schema,
@@ -71,7 +71,7 @@ class ScenarioAnswers:
             "weathers": [entry.name for entry in catalog.weathers()],
             "own_buildings": [*self._files(catalog.MODEL_SUFFIXES)],
             "own_weathers": [*self._files(catalog.WEATHER_SUFFIXES)],
-            "scenarios": sorted(name.rpartition(".")[0] for name in self._files((".yaml",)) if "/" not in name),
+            "scenarios": sorted(name for file in files if is_name(name := file.removesuffix(".yaml")) and name != file),
         }
 
     def _files(self, suffixes: tuple[str, ...]) -> Iterator[str]:

@@ -135,6 +135,17 @@ def test_scenario_answers__scenario_elsewhere_is_not_read(tmp_path: Path) -> Non
     assert ScenarioAnswers(folder).form()["scenarios"] == ["own"]
 
 
+def test_scenario_answers__form_lists_the_scenarios_that_can_be_read(answers: ScenarioAnswers, tmp_path: Path) -> None:
+    (tmp_path / "sub.yaml").mkdir()
+    for name in ("mine", "a.b-1", "-x", "büro heat", "sub.yaml/below"):
+        (tmp_path / f"{name}.yaml").write_text("building: y\n")
+    (tmp_path / "OTHER.YAML").write_text("building: y\n")
+    listed = answers.form()["scenarios"]
+    assert listed == ["a.b-1", "mine"]
+    for name in listed:
+        assert answers.read(name)["fields"] == {"building": "y"}
+
+
 def test_scenario_answers__scenario_with_numbers_that_are_not_finite_is_not_read(tmp_path: Path) -> None:
     (tmp_path / "own.yaml").write_text(
         "building: y\nreward: {kind: linear, weight: .nan}\nactions: {a: {high: -.inf}}\n"
