@@ -257,6 +257,14 @@ def test_grafana_query__number_of_samples_is_clamped(client: httpx.Client, numbe
 
 @pytest.mark.slow
 @pytest.mark.process
+def test_grafana_query__range_of_the_whole_calendar_has_all_samples(client: httpx.Client) -> None:
+    span = {"from": "0001-01-01T00:00:00+14:00", "to": "9999-12-31T23:59:59-12:00"}
+    (series,) = query(client, "room/heater", range=span).json()
+    assert len(series["datapoints"]) == 11
+
+
+@pytest.mark.slow
+@pytest.mark.process
 def test_grafana_query__those_of_a_frozen_node_do_not_take_all_threads(client: httpx.Client, node: NodeProgram) -> None:
     answers: SimpleQueue[httpx.Response] = SimpleQueue()
     with ThreadPoolExecutor(70) as threads, httpx.Client(limits=httpx.Limits(), timeout=60) as many:

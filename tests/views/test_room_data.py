@@ -212,6 +212,8 @@ def test_simulated_time__utc_stands_for_standard_time() -> None:
     assert simulated_time("2017-07-03T06:00:00+02:00") == "2017-07-03T04:00:00"
     assert simulated_time("2017-07-03T06:00") == "2017-07-03T06:00"
     assert simulated_time("yesterday") == "yesterday"
+    assert simulated_time("0001-01-01T00:00:00+14:00") == "0001-01-01T00:00:00"
+    assert simulated_time("9999-12-31T23:59:59-01:00") == "9999-12-31T23:59:59"
 
 
 async def test_updates__slow_page_gets_only_the_latest_of_each_topic() -> None:

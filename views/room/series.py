@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections import OrderedDict
 from collections.abc import Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Any
 
@@ -92,4 +93,6 @@ def simulated_time(text: str) -> str:
         return text
     if moment.tzinfo is None:
         return text
-    return moment.astimezone(UTC).replace(tzinfo=None).isoformat(timespec="seconds")
+    with suppress(OverflowError):  # at the ends of the calendar, where hours do not matter
+        moment = moment.astimezone(UTC)
+    return moment.replace(tzinfo=None).isoformat(timespec="seconds")
