@@ -408,12 +408,14 @@ class Subscriptions:
         self._close.callback(subscriber.undeclare)
 
     def answer_latest(self, topic: keys.Topic, latest: Callable[[], bytes]) -> None:
-        """Answer queries without a payload in the thread that receives them; `latest` only reads."""
+        """Answer queries without a payload in the thread that receives them; `latest` only reads, b"" is no message."""
 
         def answer(payload: bytes, _: str) -> bytes:
             if payload:
                 raise BadMessage(f"{len(payload)} bytes; a query on {topic.key} has no payload")
-            return latest()
+            if not (message := latest()):
+                raise RequestRejected(f"node {self.node!r} has no {topic.key} yet")
+            return message
 
         self._answer(topic, answer)
 
