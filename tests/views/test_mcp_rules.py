@@ -180,6 +180,16 @@ def test_writer__range_is_within_the_actuators_own_bounds() -> None:
     assert bus.written == []
 
 
+def test_writer__range_outside_of_the_actuators_bounds_permits_nothing() -> None:
+    allowed, bus, _ = writer("*=35:40")
+    assert allowed.describe(MANIFEST.actuators[0]) is None
+    text = "core_cooling may not be written: its bounds are 15 to 30 degC, and the range of --allow-writes is 35 to 40"
+    for value in (25.0, 36.0):
+        with pytest.raises(AccessDenied, match=text):
+            allowed.write(MANIFEST, "core_cooling", value, 60.0)
+    assert bus.written == []
+
+
 def test_writer__first_rule_that_matches_applies() -> None:
     allowed, _, _ = writer("core_*=22:23", "*=20:28")
     assert [allowed.describe(each) for each in MANIFEST.actuators[:2]] == [

@@ -18,7 +18,7 @@ from zenostat.bridge.client.bus import Bus
 from zenostat.topics.errors import AccessDenied, ForkFailed, InvalidConfig, RequestRejected, SimulatorError
 from zenostat.topics.keys import own_name
 from zenostat.topics.messages import Actuator, Manifest
-from zenostat.topics.points import actuator_index
+from zenostat.topics.points import actuator_index, bounds, describe_bounds
 
 HIGHEST_PRIORITY, LOWEST_PRIORITY = 9, 16
 """Range of priorities: below those of people (8)."""
@@ -61,7 +61,7 @@ class WriteRule:
         """Return the range of an actuator's values, within its own bounds.
 
         Raises:
-            AccessDenied: neither the actuator nor the rule has a bound.
+            AccessDenied: neither the actuator nor the rule has a bound, or no value is within those of both.
         """
         lows = [low for low in (self.low, actuator.low) if low is not None]
         highs = [high for high in (self.high, actuator.high) if high is not None]
@@ -70,7 +70,14 @@ class WriteRule:
                 f"{actuator.name} has no bounds of its own, and --allow-writes gives no range for it: "
                 f"{actuator.name}=LOW:HIGH"
             )
-        return max(lows), min(highs)
+        low, high = max(lows), min(highs)
+        if low > high:
+            lowest, highest = bounds(self)
+            raise AccessDenied(
+                f"{actuator.name} may not be written: its bounds are {describe_bounds(actuator)}, and the range of "
+                f"--allow-writes is {lowest:g} to {highest:g}"
+            )
+        return low, high
 
 
 @dataclass(frozen=True)
