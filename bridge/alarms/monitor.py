@@ -261,7 +261,7 @@ class AlarmMonitor:
             return
         limits = {self._points[index].rule.name: self._points[index].rule.max_shelve_s for index in indices}
         errors = [
-            f"{name} can be shelved for at most {limit:g} s, not for {request.duration_s:g} s (max_shelve_s)"
+            f"{name} can be shelved for at most {limit:.15g} s, not for {request.duration_s:.15g} s (max_shelve_s)"
             if limit
             else f"{name} cannot be shelved (max_shelve_s: 0)"
             for name, limit in limits.items()
@@ -274,7 +274,7 @@ class AlarmMonitor:
         episode, step = self._latest[slot]
         until = None
         if isinstance(request, Shelve | RemoveFromService) and request.duration_s is not None:
-            until = step + ceil(request.duration_s / self._period.step_s - ROUNDING)
+            until = step + max(1, ceil(request.duration_s / self._period.step_s - ROUNDING))
         changes = self._alarms[slot][index].request(transition, until)
         self._screen(slot, index)
         return self._events(slot, index, changes, episode, step, request)

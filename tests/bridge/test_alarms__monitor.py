@@ -226,10 +226,12 @@ def test_a_shelved_alarm__alerts_nobody_until_its_time_is_over() -> None:
     assert (row.raised, row.times_raised) == ("2017-07-03T00:45:00", 1)
 
 
-def test_a_time_limit_of_whole_timesteps__ends_with_them() -> None:
+@pytest.mark.parametrize("duration_s", [900.0, 1.0, 1e-12])
+def test_a_time_limit__is_rounded_up_to_whole_timesteps(duration_s: float) -> None:
     node = Node(WARM)
     node.sample(27.0)
-    node.monitor.request(Shelve(alarm="warm", duration_s=900.0))
+    (event,) = node.monitor.request(Shelve(alarm="warm", duration_s=duration_s))
+    assert event.alarm.until == "2017-07-03T00:15:00"
     assert changes(node.sample(27.0)) == [("expire", "normal"), ("to_offnormal", "active")]
 
 
@@ -309,6 +311,7 @@ def test_requests_without_an_effect__state_why() -> None:
         (Unshelve(alarm="warm"), "warm is not shelved"),
         (ReturnToService(alarm="warm"), "warm is in service"),
         (Shelve(alarm="warm", duration_s=3601.0), "warm can be shelved for at most 3600 s, not for 3601 s"),
+        (Shelve(alarm="warm", duration_s=3600.0000001), "for at most 3600 s, not for 3600.0000001 s"),
         (Shelve(alarm="*", duration_s=60.0), "vital cannot be shelved"),
     ):
         with pytest.raises(RequestRejected, match=text):
