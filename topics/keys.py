@@ -346,7 +346,7 @@ def check_name(name: str, what: str) -> str:
         raise InvalidConfig(f"{what} {name!r} is not a text")
     if not _SAFE.fullmatch(name):
         raise InvalidConfig(
-            f"{what} {name!r} is not valid in a topic: use up to {MAX_NAME} letters, digits, '_', '.' and '-'; "
-            f"for example {safe_name(name)!r}"
+            f"{what} {shortened(name)!r} is not valid in a topic: use up to {MAX_NAME} letters, digits, '_', '.' and "
+            f"'-', of which the first is no '.' or '-'; for example {safe_name(name)!r}"
         )
     return name

@@ -222,12 +222,13 @@ def test_keys__names_are_made_safe(text: str, name: str) -> None:
     assert keys.safe_name(text) == name
 
 
-@pytest.mark.parametrize("name", ["", "a/b", "*", "a b", "-a", ".a", "@live", "a$", "ä", "a\n", "a" * 129])
+@pytest.mark.parametrize("name", ["", "a/b", "*", "a b", "-a", ".a", "..", "@live", "a$", "ä", "a\n", "a" * 129])
 def test_keys__unfit_name_is_refused_with_a_fit_one(name: str) -> None:
     with pytest.raises(InvalidConfig) as raised:
         keys.check_name(name, "the node name")
     assert "the node name" in str(raised.value)
-    assert repr(name) in str(raised.value)
+    assert repr(keys.shortened(name)) in str(raised.value)
+    assert "of which the first is no '.' or '-'" in str(raised.value)
     assert repr(keys.safe_name(name)) in str(raised.value)
 
 
