@@ -307,6 +307,11 @@ def test_room__invalid_change_is_answered_with_the_reason(
         assert (entry["operation"], entry["accepted"], text in entry["outcome"]) == (operation, False, True)
 
 
+def test_room__long_name_is_cut_in_an_error(client: Any) -> None:
+    message = change(client, "write", point="x" * 100_000, value=1).json()["message"]
+    assert message == f"no actuator '{'x' * 300}…'; there are: 'pump'"
+
+
 def test_room__fault_plan_is_the_nodes_whoever_has_set_it(client: Any, tank: NodeProgram) -> None:
     faults = [{"kind": "bias", "points": ["level"], "offset": 0.5}]
     shown = {"seed": 3, "faults": faults}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import re
 import time
 from collections import Counter
 from collections.abc import AsyncIterator, Callable, Mapping
@@ -385,12 +386,15 @@ def _json(content: Any) -> Response:
     return Response(to_json(content), media_type="application/json")
 
 
+_LONG = re.compile(r"([^\s']{300})[^\s']+")
+"""A long word of an error, such as a name that somebody has made up: it is cut."""
+
 _STATUS = ((NameInUse, 409), (RequestRejected, 409), (UsageError, 400), (BusError, 404), (PeerError, 502))
 
 
 async def _failure(_: Request, error: Exception) -> Response:
     status = next((code for kind, code in _STATUS if isinstance(error, kind)), 500)
-    return JSONResponse({"error": type(error).__name__, "message": str(error)}, status)
+    return JSONResponse({"error": type(error).__name__, "message": _LONG.sub(r"\1…", str(error))}, status)
 
 
 async def _too_large(_: Request, __: Exception) -> Response:

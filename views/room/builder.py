@@ -68,7 +68,7 @@ class StartNode(SaveScenario):
 class StopNode(_Request):
     """End a node that was started from the page."""
 
-    node: str
+    node: Annotated[str, Field(max_length=128)]
 
 
 class Builder:
