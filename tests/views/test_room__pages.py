@@ -390,6 +390,17 @@ def test_points__sensor_and_actuator_of_one_name_are_two(
     page.locator("#what-if-point").fill("level")
     page.get_by_role("button", name="Add", exact=True).click()
     assert page.locator(".what-if-row .unit").inner_text() == "kg/s"
+    page = ada.open(f"{room.url}/?node=same&tab=faults")
+    for place, point in enumerate(("level", "actuator/level")):
+        page.locator("#fault-point").fill(point)
+        page.get_by_role("button", name="Inject").click()
+        page.locator("ul[aria-label='Injected faults'] li").nth(place).wait_for()
+    assert page.locator("ul[aria-label='Injected faults'] li span:first-child").all_inner_texts() == [
+        "bias, level, offset 2\u00a0m", "bias, level, offset 2\u00a0kg/s",
+    ]  # fmt: skip
+    assert [(fault.points, fault.actuators) for fault in bus.fault_plan("same").faults] == [
+        (("level",), ()), ((), ("level",)),
+    ]  # fmt: skip
 
 
 def test_trainings__names_with_commas_are_chosen(ada: Visitor, room: Any) -> None:
