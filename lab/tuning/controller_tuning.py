@@ -14,7 +14,7 @@ from zenostat.agent_sdk.controllers import ControllerProtocol, load_controller
 from zenostat.lab.tuning.controller_episodes import ControllerEpisodes
 from zenostat.lab.tuning.controller_study import check_names
 from zenostat.lab.tuning.search_space import DEFAULT, ask, decode
-from zenostat.lab.tuning.study_config import Direction, Range, SearchSpace, starting_point
+from zenostat.lab.tuning.study_config import Direction, Range, SearchSpace, default_direction, starting_point
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
@@ -82,7 +82,7 @@ def tune_controller(
     sampler: Literal["tpe", "random", "cma-es"] = "tpe",
     seed: int = 0,
     metric: str = "reward",
-    direction: Direction = "maximize",
+    direction: Direction | None = None,
     prune: bool = True,
     progress: Progress | None = None,
 ) -> TunedController:
@@ -104,7 +104,7 @@ def tune_controller(
         sampler: `tpe`, `random` or `cma-es` of Optuna.
         seed: seed of the sampler.
         metric: a metric of `EpisodeMetrics.metrics`.
-        direction: whether it is maximized or minimized.
+        direction: whether it is maximized or minimized; by default rewards are maximized, and all others minimized.
         prune: end trials that are worse than the median of the others, after an episode of each weather; with `cma-es`
             no trial is ended.
         progress: callback for each trial.
@@ -120,6 +120,7 @@ def tune_controller(
     check_names(factory, searched, fixed)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     pruner = _pruner(max(len(weathers), 1) if prune and sampler != "cma-es" else None)
+    direction = direction or default_direction(metric)
     study = optuna.create_study(direction=direction, sampler=make_sampler(sampler, seed, searched), pruner=pruner)
     study.enqueue_trial({}, user_attrs={DEFAULT: True})
     if start := starting_point(searched):

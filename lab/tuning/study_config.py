@@ -23,6 +23,11 @@ _TOLERANCE = 1e-9
 """Part of a step by which a multiple of it may be off, for its rounding."""
 
 
+def default_direction(metric: str) -> Direction:
+    """Return whether a metric is to be maximized, as rewards are, or minimized, as energies and discomfort are."""
+    return "maximize" if metric.removeprefix("mean_").partition(".")[0] == "reward" else "minimize"
+
+
 class Range(ConfigPart):
     """A parameter to search: numbers from `low` to `high`, or `choices`.
 
@@ -130,7 +135,7 @@ class StudyConfig(ConfigPart, ABC):
         trials: number of trials; a grid has all its points.
         workers: number of trials at the same time on this machine.
         metric: metric to optimize, as `reward` or `hvac_electricity_kwh`.
-        direction: whether to maximize it.
+        direction: whether to maximize or minimize it; by default rewards are maximized, and all others minimized.
         pruner: false: every trial is run to its end.
         retries: how often the trial of a killed process is repeated as another trial.
         storage: URL of the database; by default a SQLite file in `output`.
@@ -156,6 +161,14 @@ class StudyConfig(ConfigPart, ABC):
     retries: Annotated[int, Field(strict=True, ge=0)] = 0
     storage: str | None = None
     output: str | None = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _choose_direction(cls, fields: Any) -> Any:
+        if isinstance(fields, Mapping) and fields.get("direction") is None:
+            metric = fields.get("metric", cls.model_fields["metric"].default)
+            fields = {**fields, "direction": default_direction(str(metric))}
+        return fields
 
     @property
     def folder(self) -> Path:

@@ -139,10 +139,20 @@ def test_tune_controller__trial_that_has_had_its_last_episode_is_finished() -> N
     assert not any(trial.pruned for trial in tuned.trials)
 
 
+@pytest.mark.parametrize(
+    ("metric", "direction"),
+    [
+        ("reward", "maximize"), ("reward.comfort", "maximize"), ("mean_reward", "maximize"),
+        ("hvac_electricity_kwh", "minimize"), ("kpi.tdis_tot", "minimize"),
+    ],
+)  # fmt: skip
+def test_tuning_file__direction_is_that_of_the_metric_unless_it_is_named(metric: str, direction: str) -> None:
+    assert study(Path(), metric=metric).direction == direction
+    assert study(Path(), metric=metric, direction="maximize").direction == "maximize"
+
+
 def test_tune_controller__another_metric_is_minimized() -> None:
-    tuned = tune_controller(
-        "rbc", ARGUMENTS, SPACE, trials=4, metric="outside_kh", direction="minimize", sampler="random"
-    )
+    tuned = tune_controller("rbc", ARGUMENTS, SPACE, trials=4, metric="outside_kh", sampler="random")
     assert tuned.value == min(trial.value for trial in tuned.trials)
 
 
