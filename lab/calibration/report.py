@@ -146,18 +146,26 @@ def _range(result: CalibrationResult, name: str) -> str:
     return f"{low:g} to {high:g}{' (log)' if result.config.parameters[name].log else ''}"
 
 
+def _change(before: float, after: float) -> str:
+    if after == before:
+        return f"stayed at {before:.3g}"
+    return f"{'fell' if after < before else 'rose'} from {before:.3g} to {after:.3g}"
+
+
 def summary(result: CalibrationResult) -> list[str]:
     """Return the result in sentences."""
     before, after = result.fits["before"], result.fits["after"]
-    texts = [f"The error fell from {before.error:.3g} to {after.error:.3g}; 1 is at the guideline's limits."]
+    texts = [f"The error {_change(before.error, after.error)}; 1 is at the guideline's limits."]
     if "held-out after" in result.fits:
         first, last = (result.fits[f"held-out {name}"].error for name in ("before", "after"))
-        texts.append(f"On days that the calibration has not seen, it fell from {first:.3g} to {last:.3g}.")
+        if math.isnan(first) or math.isnan(last):
+            text = "has no defined error: too few values, or a mean of zero"
+        else:
+            text = f"the error {_change(first, last)}"
+        texts.append(f"On days that the calibration has not seen, {text}.")
         if last > first:
-            texts[-1] = (
-                f"On days that the calibration has not seen, it rose from {first:.3g} to {last:.3g}: the model is "
-                "fitted to its training days alone. Use fewer parameters or more data."
-            )
+            advice = "the model is fitted to its training days alone. Use fewer parameters or more data."
+            texts[-1] = f"{texts[-1][:-1]}: {advice}"
     unknown = [each.name for each in result.parameters if not each.is_determined]
     if unknown:
         texts.append(f"The data do not determine {', '.join(unknown)}: other values fit nearly as well.")
