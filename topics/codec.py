@@ -137,6 +137,8 @@ def decode(message: type[M], payload: bytes, declared: str = "") -> M:
         raise BadMessage(f"{len(payload)} bytes; a {message.__name__} has at most {MAX_BYTES}")
     try:
         fields = _unpacked(payload, MAX_ITEMS.get(message, MAX_ENTRIES))
+    except _TooManyEntries as error:
+        raise BadMessage(f"a {message.__name__}: {error}") from None
     except Exception as error:  # msgpack raises a dozen unrelated classes on malformed input
         raise BadMessage(replace_controls(f"not msgpack: {type(error).__name__} {error}".rstrip())) from None
     if not isinstance(fields, dict):
@@ -152,6 +154,10 @@ def decode_request(message: type[M], payload: bytes, declared: str = "") -> M:
     return decode(message, payload or _NO_FIELDS, declared)
 
 
+class _TooManyEntries(Exception):
+    """A message has too many entries; the text has the limit."""
+
+
 def _unpacked(payload: bytes, limit: int) -> Any:
     if len(payload) <= limit:  # each entry has at least one byte
         return msgpack.unpackb(payload)
@@ -161,7 +167,7 @@ def _unpacked(payload: bytes, limit: int) -> Any:
         nonlocal entries
         entries += len(container)
         if entries > limit:
-            raise ValueError(f"its lists and maps have more than {limit} entries")
+            raise _TooManyEntries(f"its lists and maps have more than {limit} entries")
         return container
 
     return msgpack.unpackb(payload, max_array_len=limit, max_map_len=limit, list_hook=count, object_hook=count)
