@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from time import monotonic
 
 from zenostat.bridge.exchange.step_exchange import StepExchange
@@ -77,7 +78,7 @@ class EpisodeManager:
         self._exchange.ready(monotonic())
         self._server.begin_episodes([*range(self._slots)], [None] * self._slots)
         self._recordings.begin_episodes(dict.fromkeys(range(self._slots), 0), [None] * self._slots, "")
-        self._publish_start("")
+        self._publish_start("", range(self._slots))
 
     # Resets
 
@@ -179,15 +180,19 @@ class EpisodeManager:
         if server.manifest != previous:
             server.publications.manifest(server.manifest)
         self._recordings.begin_episodes(steps, seeds, source, "" if snapshot is None else snapshot.name)
-        self._publish_start(source)
+        self._publish_start(source, sorted(steps))
         server.publish()
 
-    def _publish_start(self, source: str) -> None:
+    def _publish_start(self, source: str, slots: Sequence[int]) -> None:
         for warning in self._plant.drain_warnings():
             self._server.event(self._exchange.event(EventKind.WARNING, warning))
-        begins = f"episode {self._exchange.episode[0]} of {self._server.manifest.building} begins"
-        text = "; ".join([begins, *self._plant.notes(0)])
-        self._server.event(self._exchange.event(EventKind.STARTED, text, source))
+        exchange, manifest, first = self._exchange, self._server.manifest, slots[0]
+        begins = f"episode {exchange.episode[first]} of {manifest.building} begins"
+        if len(slots) < manifest.slots:
+            begins += f" in slot{'s' if len(slots) > 1 else ''} {', '.join(map(str, slots))}"
+        text = "; ".join([begins, *self._plant.notes(first)])
+        numbers = {"episode": exchange.episode[first], "step": exchange.step[first]}
+        self._server.event(exchange.event(EventKind.STARTED, text, source).model_copy(update=numbers))
         self._server.publish_warnings()
 
     # Snapshots and branches

@@ -98,6 +98,7 @@ class RequestHandlers:
         # A controller that joins within a step has the whole deadline; one that replaces another has the rest of it.
         awaited, controllers = exchange.awaiting(), len(exchange.claims.by_name)
         server.publish_events(exchange.claim(claim, now_s))
+        server.subscriptions.expect_presence(claim.controller, server.timer)
         if claim.required and (not awaited or len(exchange.claims.by_name) > controllers):
             server.pacing.wait(now_s)
         return Ack(episode=exchange.episode)

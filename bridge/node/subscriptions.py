@@ -11,11 +11,12 @@ never puts.
 from __future__ import annotations
 
 import threading
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
+from time import monotonic
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import zenoh
@@ -26,10 +27,12 @@ from zenostat.topics import codec, errors, keys
 from zenostat.topics.client_protocol import ZENOH, client_protocol
 from zenostat.topics.errors import AccessDenied, BadMessage, NodeLost, RequestRejected, ZenostatError
 from zenostat.topics.messages import ErrorReply, Message, Query
+from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from zenostat.bridge.node.access import Access
     from zenostat.bridge.recording.recorder import Recorder
+    from zenostat.bridge.runtime.timer import Timer
 
 M = TypeVar("M", bound=Message)
 
@@ -37,13 +40,17 @@ COMMAND_QUEUE = 256
 """Commands that may wait for the server's thread; beyond it, their senders are blocked."""
 
 MAX_PENDING = 256
-"""Messages or requests of a topic that may wait; further messages are dropped, further requests rejected."""
+"""Messages or requests of a topic that may wait. A further message replaces the oldest with its key, and is dropped if
+there is none; a further request is rejected."""
 
 LARGE_BYTES = 1 << 16
 """Size from which a message or request is large."""
 
 MAX_LARGE = 8
 """Large messages and requests of all topics that may wait: 256 of each topic would fill the memory."""
+
+_TOKEN_S = 10.0
+"""Wall time within which the liveliness token of a controller with a claim has to be there, in s."""
 
 _TASKS_PER_TURN = 8
 """Tasks to run before the next command is received."""
@@ -132,6 +139,26 @@ def _refuse_large(payload: bytes, _: str) -> bytes:
     raise BadMessage(f"{len(payload)} bytes; this query has fewer than {LARGE_BYTES}")
 
 
+class _Waiting:
+    """A message or request that waits for the server's thread.
+
+    Args:
+        key: of a message, which a later one with the same key may replace; "" of a request.
+        task: what to do.
+        release: called once it waits no longer.
+    """
+
+    __slots__ = ("_task", "key", "release")
+
+    def __init__(self, key: str, task: Callable[[], None], release: Callable[[], None]) -> None:
+        self.key, self._task, self.release = key, task, release
+
+    def __call__(self) -> None:
+        """Do it."""
+        self.release()
+        self._task()
+
+
 Handler = Callable[[str, str, bytes, str], None]
 """Handles a message: the sender and the name in its key, shortened, its payload, its encoding."""
 
@@ -156,11 +183,15 @@ class Subscriptions:
         self.on_denied: Callable[[str, str], None] = lambda _text, _sender: None
         self.on_error: Callable[[keys.Topic, str, Exception], None] = lambda _topic, _sender, _error: None
         self._tasks: deque[Callable[[], None]] = deque()
-        self._queues = [self._tasks]
-        self._before_commands: list[deque[Callable[[], None]]] = []
+        self._queues: list[deque[_Waiting]] = []
+        self._before_commands: list[deque[_Waiting]] = []
         self.rate_limited = 0
         self._close = ExitStack()
         self._large = threading.BoundedSemaphore(MAX_LARGE)
+        self._lock = threading.Lock()
+        self._dropped: Counter[tuple[keys.Topic, str]] = Counter()
+        self._present: set[str] = set()
+        self._on_disconnect: Callable[[str], None] = lambda _: None
         self._thread_id = 0
         self._is_waiting = False
         self._is_command_next = self._has_ended = False
@@ -190,6 +221,7 @@ class Subscriptions:
             closed.set()
             if drain.ident is not None:
                 drain.join()
+            self._tasks.clear()
             for queue in self._queues:  # a query ends once nothing refers to it; its sender would wait for minutes
                 queue.clear()
 
@@ -240,15 +272,19 @@ class Subscriptions:
             self._turn -= 1
             self._tasks.popleft()()
 
-    @staticmethod
-    def _run_all(waiting: deque[Callable[[], None]]) -> None:
+    def _run_all(self, waiting: deque[_Waiting]) -> None:
         for _ in range(len(waiting)):
-            waiting.popleft()()
+            self._run_next(waiting)
+
+    def _run_next(self, waiting: deque[_Waiting]) -> None:
+        with self._lock:
+            task = waiting.popleft() if waiting else _no_op
+        task()
 
     def end(self) -> None:
         """Answer all requests that are waiting, those to stop with their reply and all others with an error."""
         self._has_ended = True
-        for waiting in self._queues[1:]:
+        for waiting in self._queues:
             self._run_all(waiting)
 
     def end_turn(self) -> None:
@@ -337,33 +373,51 @@ class Subscriptions:
 
     # Subscribers and queryables besides commands
 
-    def _queue(self, topic: keys.Topic) -> deque[Callable[[], None]]:
-        queue: deque[Callable[[], None]] = deque()
+    def _queue(self, topic: keys.Topic) -> deque[_Waiting]:
+        queue: deque[_Waiting] = deque()
         self._queues.append(queue)
         if topic in (keys.ACTUATOR, keys.WRITE_REQUEST):
             self._before_commands.append(queue)
         return queue
 
-    def _may_wait(self, waiting: deque[Callable[[], None]], size: int) -> bool:
+    def _may_wait(self, waiting: deque[_Waiting], size: int) -> bool:
         """Return whether a message or request of some bytes may wait, and count it if it is large."""
         if len(waiting) < MAX_PENDING and (size < LARGE_BYTES or self._large.acquire(blocking=False)):
             return True
         self.rate_limited += 1
         return False
 
-    def _append(self, waiting: deque[Callable[[], None]], size: int, task: Callable[[], None]) -> None:
-        """Let a task wait that `_may_wait` has counted."""
+    def _append(self, waiting: deque[_Waiting], size: int, task: Callable[[], None], key: str = "") -> None:
+        """Let a task wait that `_may_wait` has counted.
 
-        def run() -> None:
-            self._large.release()
-            task()
+        The server's thread runs the first one of its topic, unless that has run before a command by then.
+        """
+        waiting.append(_Waiting(key, task, self._large.release if size >= LARGE_BYTES else _no_op))
+        self.post(lambda: self._run_next(waiting))
 
-        waiting.append(run if size >= LARGE_BYTES else task)
-        self._post_next(waiting)
+    def _drop(self, topic: keys.Topic, sender: str, key: str, waiting: deque[_Waiting]) -> bool:
+        """Drop a message: the oldest that waits with a key, whose place the new one has, or (False) the new one.
 
-    def _post_next(self, waiting: deque[Callable[[], None]]) -> None:
-        """Run the first message of a topic in the server's thread, unless it has run before a command by then."""
-        self.post(lambda: waiting.popleft()() if waiting else None)
+        The server's thread reports how many messages of a sender were dropped.
+        """
+        with self._lock:
+            oldest = next((message for message in waiting if message.key == key), None)
+            if oldest is not None:
+                waiting.remove(oldest)
+                oldest.release()
+            self._dropped[topic, sender] += 1
+            if self._dropped[topic, sender] == 1:
+                self.post(lambda: self._report_dropped(topic, sender))
+        return oldest is not None
+
+    def _report_dropped(self, topic: keys.Topic, sender: str) -> None:
+        with self._lock:
+            count = self._dropped.pop((topic, sender))
+        self.on_denied(
+            f"{topic.key}: {counted(count, 'message')} dropped, older ones before newer ones of the same key, since "
+            f"{MAX_PENDING} were waiting",
+            sender,
+        )
 
     def listen(self, topic: keys.Topic, handler: Handler) -> None:
         """Subscribe to a topic; the server's thread handles its messages."""
@@ -379,17 +433,18 @@ class Subscriptions:
                 self.on_error(topic, sender, error)
 
         def on_message(message: zenoh.Sample) -> None:
-            size = len(message.payload)
-            if not self._may_wait(waiting, size):
+            size, key = len(message.payload), str(message.key_expr)
+            sender, name = map(keys.shortened, topic.names_in(key))
+            replaced = key if size < LARGE_BYTES else ""
+            if not self._may_wait(waiting, size) and not self._drop(topic, sender, replaced, waiting):
                 return
-            sender, name = map(keys.shortened, topic.names_in(str(message.key_expr)))
             payload, encoding, via = (
                 message.payload.to_bytes(),
                 str(message.encoding),
                 _client_protocol(message.attachment),
             )
             self._append(
-                waiting, size, lambda: None if self._has_ended else receive(sender, name, payload, encoding, via)
+                waiting, size, lambda: None if self._has_ended else receive(sender, name, payload, encoding, via), key
             )
 
         subscriber = self._session.declare_subscriber(topic.everywhere(self.node), Callback(on_message, indirect=False))
@@ -397,15 +452,28 @@ class Subscriptions:
 
     def watch_presence(self, topic: keys.Topic, on_disconnect: Callable[[str], None]) -> None:
         """Subscribe to liveliness tokens; the server's thread calls `on_disconnect` with the name of each lost one."""
+        self._on_disconnect = on_disconnect
 
         def on_token(token: zenoh.Sample) -> None:
-            if token.kind == zenoh.SampleKind.DELETE:
-                name = keys.last_chunk(str(token.key_expr))
-                self.post(lambda: on_disconnect(name))
+            name = keys.last_chunk(str(token.key_expr))
+            if token.kind != zenoh.SampleKind.DELETE:
+                self._present.add(name)
+                return
+            self._present.discard(name)
+            self.post(lambda: on_disconnect(name))
 
-        tokens = topic.everywhere(self.node)
-        subscriber = self._session.liveliness().declare_subscriber(tokens, Callback(on_token, indirect=False))
+        liveliness, callback = self._session.liveliness(), Callback(on_token, indirect=False)
+        subscriber = liveliness.declare_subscriber(topic.everywhere(self.node), callback, history=True)
         self._close.callback(subscriber.undeclare)
+
+    def expect_presence(self, name: str, timer: Timer) -> None:
+        """Take a sender for disconnected if it has no liveliness token within 10 s: nothing would tell when it ends."""
+        if name not in self._present:
+            timer.at(monotonic() + _TOKEN_S, lambda: self.post(lambda: self._check_presence(name)))
+
+    def _check_presence(self, name: str) -> None:
+        if name not in self._present:
+            self._on_disconnect(name)
 
     def answer_latest(self, topic: keys.Topic, latest: Callable[[], bytes]) -> None:
         """Answer queries without a payload in the thread that receives them; `latest` only reads, b"" is no message."""

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -143,7 +144,11 @@ def test_plant__its_error_fails_the_episode_and_a_reset_begins_another(env: Buil
 
 def test_plant__slots_have_episodes_of_their_own(plain: Path) -> None:
     """A slot that is reset begins at its seed, and the other one keeps its sample and its command."""
-    with node_on_bus(plain, **SETTINGS, slots=2) as (_, bus), bus.controller("plain") as link:
+    with (
+        node_on_bus(plain, **SETTINGS, slots=2) as (_, bus),
+        bus.controller("plain") as link,
+        bus.session.declare_subscriber(keys.EVENT.at("plain"), RingChannel(100)) as events,
+    ):
         link.reset(seed=5)
         link.send(np.array([[1.0], [2.0]]))
         sample = link.receive()
@@ -151,6 +156,18 @@ def test_plant__slots_have_episodes_of_their_own(plain: Path) -> None:
         sample = link.reset(seed=9, slots=[1])
         assert np.frombuffer(sample.message.values).tolist() == [1.0, 9.0]
         assert (sample.message.episode, sample.message.step) == ([1, 2], [1, 0])
+        started: list[Event] = []
+        until(lambda: _add(events, EventKind.STARTED, started) == 2, "both events have arrived")
+        assert [(event.episode, event.step) for event in started] == [(1, 0), (2, 0)]
+        assert started[1].text.startswith("episode 2 of empty begins in slot 1")
+
+
+def _add(events: Any, kind: EventKind, known: list[Event]) -> int:
+    """Add the events of a kind that have arrived, and return how many are known."""
+    while (message := events.try_recv()) is not None:
+        event = codec.decode(Event, message.payload.to_bytes())
+        known += [event] if event.kind is kind else []
+    return len(known)
 
 
 def test_plant__baseline_that_the_plant_lacks_ends_the_start(plain: Path) -> None:
