@@ -89,6 +89,8 @@ def _arrays() -> str:
                 for form in (field, *field.get("anyOf", []), field.get("items", {}))
                 if "x-items" in form
             }
+            if name == "samples":
+                arrays = {"a list of encoded `Sample` messages, each a `bin`"}
             rows += [f"| `{kind.__name__}` | `{name}` | {items} |" for items in arrays]
     return "\n".join(rows)
 

@@ -296,7 +296,9 @@ def test_contract__page_is_what_the_code_gives() -> None:
 
 def test_contract__page_names_every_array() -> None:
     documented = set(
-        re.findall(r"^\| `(\w+)` \| `(\w+)` \| (?:float|u?int)\d+ \|$", PAGE.read_text(encoding="utf-8"), re.M)
+        re.findall(
+            r"^\| `(\w+)` \| `(\w+)` \| (?:(?:float|u?int)\d+|a list of .+) \|$", PAGE.read_text(encoding="utf-8"), re.M
+        )
     )
     assert documented == {
         (kind.__name__, name)
