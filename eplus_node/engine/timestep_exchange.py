@@ -45,6 +45,8 @@ _FORKS_BEFORE_COLLAPSE = 4
 _MINUTE_TOLERANCE = 0.01
 """In minutes: rounding errors are smaller, and a system timestep has at least one minute."""
 
+_STEP_TOLERANCE = 1e-6
+
 # Plain numbers on the hot path: in Python 3.11, looking up an enum's member raises and catches an error.
 _SAMPLE, _STEP = float(FrameKind.SAMPLE), float(OrderKind.STEP)
 _FORK, _REPEAT = float(OrderKind.FORK), float(OrderKind.REPEAT)
@@ -167,8 +169,11 @@ class Engine:
     def _on_environment(self, state: int) -> None:
         if self.api.exchange.kind_of_sim(state) != RUN_PERIOD:
             return
+        hours = self.zone_step_h(state)
+        if abs(hours * self.steps_per_hour - 1.0) > _STEP_TOLERANCE:
+            self.fail(f"EnergyPlus takes {1.0 / hours:g} instead of {self.steps_per_hour} timesteps per hour")
         self._find_handles(state)
-        self.zone_step_min = self.zone_end_min = self.zone_step_h(state) * 60.0
+        self.zone_step_min = self.zone_end_min = hours * 60.0
         self.in_run_period = True
 
     def _find_handles(self, state: int) -> None:

@@ -21,7 +21,7 @@ from zenostat.models.building.diagnostics import (
 )
 from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.building.external_files import with_absolute_paths
-from zenostat.models.building.run_needs import simulation_control
+from zenostat.models.building.run_needs import changed_timesteps, simulation_control
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
@@ -82,9 +82,9 @@ class Building:
 
     @property
     def steps_per_hour(self) -> int:
-        """The model's own number of timesteps per hour; 6 if it has none, as in EnergyPlus."""
-        timestep = next(iter(self.objects.get("Timestep", {}).values()), {})
-        return int(timestep.get("number_of_timesteps_per_hour", 6))
+        """The model's own number of timesteps per hour; without one as in EnergyPlus: 4, of an empty Timestep 6."""
+        timestep = next(iter(self.objects.get("Timestep", {}).values()), None)
+        return 4 if timestep is None else int(timestep.get("number_of_timesteps_per_hour", 6))
 
     def period(self, begin: str | None, end: str | None, steps_per_hour: int | None) -> Period:
         """Return the requested run period, in the model's own calendar year if none is given.
@@ -100,6 +100,8 @@ class Building:
             self._check_own_days()
         if steps_per_hour is None:
             self._check_own_timestep()
+            steps_per_hour = self.steps_per_hour
+        self._check_timesteps(steps_per_hour)
         first = parse_day(begin or f"{month}-{day}", "begin", year)
         over_new_year = (last_month, last_day) < (month, day)
         if end is None and begin is None:
@@ -112,7 +114,7 @@ class Building:
         if over_new_year and last < first:
             last = parse_day(end, "end", first.year + 1)  # the same day if it has a year
         by_year = str(self.run_period.get("treat_weather_as_actual")).casefold() == "yes"
-        return Period(first, last, self.steps_per_hour if steps_per_hour is None else steps_per_hour, by_year)
+        return Period(first, last, steps_per_hour, by_year)
 
     def _check_own_days(self) -> None:
         """Check the days of the model's own run period."""
@@ -135,6 +137,17 @@ class Building:
             raise InvalidConfig(
                 f"Timestep {name!r} of {place} has number_of_timesteps_per_hour {self.steps_per_hour}, which does not "
                 "divide the hour; 4, 6, 10 or 12 do; correct it, or choose steps_per_hour"
+            )
+
+    def _check_timesteps(self, steps_per_hour: int) -> None:
+        """Check that EnergyPlus takes as many timesteps per hour as it is asked for."""
+        if change := changed_timesteps(self.objects, steps_per_hour):
+            kind, name, field, steps = change
+            value = self.objects[kind][name][field]
+            raise InvalidConfig(
+                f"{kind} {name!r} of {self._place(kind, name, field)} has {field} {value!r}, with which EnergyPlus "
+                f"takes {steps} instead of {steps_per_hour} timesteps per hour; set steps_per_hour to {steps}, or "
+                f"change {field}"
             )
 
     def _place(self, kind: str, name: str, field: str) -> str:

@@ -14,6 +14,9 @@ _SIZING_FIELDS = (
 )
 _DESIGN_DAY = "SizingPeriod:DesignDay"
 
+_FINITE_DIFFERENCE = "conductionfinitedifference"
+_FINITE_DIFFERENCE_STEPS = 20
+
 
 def simulation_control(objects: Objects) -> dict[str, Any]:
     """Return the fields of `SimulationControl` for an episode: sizing as the model requests it, then the run period.
@@ -34,6 +37,25 @@ def lacks_design_days(objects: Objects) -> bool:
     control = simulation_control(objects)
     is_sized = any(str(control.get(field, "")).casefold() == "yes" for field in _SIZING_FIELDS)
     return is_sized and not any(items for kind, items in objects.items() if kind.startswith("SizingPeriod:"))
+
+
+def changed_timesteps(objects: Objects, steps_per_hour: int) -> tuple[str, str, str, int] | None:
+    """Return the field because of which EnergyPlus takes another number of timesteps per hour, and that number.
+
+    The rules were determined by experiment with EnergyPlus 25.2.
+
+    Returns:
+        Type and name of the object, its field, and the number; None if EnergyPlus takes `steps_per_hour`.
+    """
+    for name, fields in objects.get("PerformancePrecisionTradeoffs", {}).items():
+        if str(fields.get("override_mode")).casefold().startswith("mode"):
+            return None if steps_per_hour == 1 else ("PerformancePrecisionTradeoffs", name, "override_mode", 1)
+    for kind, items in objects.items() if steps_per_hour < _FINITE_DIFFERENCE_STEPS else ():
+        if kind.startswith(("HeatBalanceAlgorithm", "SurfaceProperty:HeatTransferAlgorithm")):
+            for name, fields in items.items():
+                if str(fields.get("algorithm")).casefold() == _FINITE_DIFFERENCE:
+                    return kind, name, "algorithm", _FINITE_DIFFERENCE_STEPS
+    return None
 
 
 def assumptions(objects: Objects, *, has_dates: bool) -> Iterator[str]:

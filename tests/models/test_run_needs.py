@@ -71,7 +71,7 @@ def test_run_period__of_the_model_that_has_no_such_day_is_named() -> None:
     building = Building("b", {"Building": {"b": {}}, "RunPeriod": {"Winter": own}}, "0", (), "/home/me/mine.idf")
     with pytest.raises(InvalidConfig, match=r"RunPeriod 'Winter' of /home/me/mine\.idf ends on 02-30, which is no day"):
         building.period(None, None, None)
-    assert building.period("02-01", "02-28", None).steps == 28 * 144
+    assert building.period("02-01", "02-28", None).steps == 28 * 96
 
 
 @pytest.mark.parametrize(("weekday", "year"), [("Monday", 2007), ("UseWeatherFile", 2017), (None, 2017)])

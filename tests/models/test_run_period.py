@@ -146,9 +146,9 @@ def test_run_period__leap_day_on_a_weekday_is_in_a_leap_year(weekday: str) -> No
 # A model's own period and what is asked for
 
 
-def test_run_period__model_without_a_run_period_runs_the_whole_of_2017_in_steps_of_ten_minutes() -> None:
+def test_run_period__model_without_a_run_period_runs_the_whole_of_2017_in_quarter_hours() -> None:
     period = Building("b", {"Building": {"b": {}}}, "0").period(None, None, None)
-    assert (period.begin, period.end, period.steps_per_hour) == (date(2017, 1, 1), date(2017, 12, 31), 6)
+    assert (period.begin, period.end, period.steps_per_hour) == (date(2017, 1, 1), date(2017, 12, 31), 4)
 
 
 def test_run_period__defaults_to_the_models_period_and_timestep() -> None:
