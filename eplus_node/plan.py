@@ -92,7 +92,9 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
     if _dates_are_valid(scenario, errors) and model is not None:
         period = errors.collect(lambda: model.period(scenario.begin, scenario.end, scenario.steps_per_hour))
     valid_sources = [source for source in sources if source is not None]
+    before = len(errors.errors)
     _check_weather(valid_sources, period, errors)
+    covered = period if len(errors.errors) == before else None
     if period is not None:
         errors.collect(lambda: _check_noise_start(scenario, model, period, valid_sources))
     errors.collect(lambda: design_days.check_edits(scenario.edits, [source.site for source in valid_sources]))
@@ -101,13 +103,13 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
     if model is not None and valid_sources:
         chosen = errors.collect(
             lambda: run_points(
-                model, scenario, valid_sources[0].path, monitoring=config.monitoring, systems=config.systems
+                model, scenario, valid_sources[0].path, covered, monitoring=config.monitoring, systems=config.systems
             )
         )
     if chosen is not None:
         task = errors.collect(lambda: task_of(scenario, chosen))
-        if check_task is not None and model is not None and period is not None and task is not None:
-            manifest = _manifest(config, model, valid_sources[0], period, chosen, task)
+        if check_task is not None and model is not None and covered is not None and task is not None:
+            manifest = _manifest(config, model, valid_sources[0], covered, chosen, task)
             errors.collect(lambda: check_task(manifest))
     file = config.faults
     injected = errors.collect(lambda: read_plan(file)) if file is not None else None
@@ -338,7 +340,13 @@ def _source(name: str, scenario: Scenario) -> WeatherSource:
 
 
 def run_points(
-    model: Building, scenario: Scenario, any_weather: Path, *, monitoring: bool, systems: bool = False
+    model: Building,
+    scenario: Scenario,
+    any_weather: Path,
+    period: Period | None = None,
+    *,
+    monitoring: bool,
+    systems: bool = False,
 ) -> Points:
     """Return the points of a scenario's run.
 
@@ -346,6 +354,7 @@ def run_points(
         model: the scenario's model, edited.
         scenario: what is measured and controlled; by default the model's default points.
         any_weather: a weather file, to start EnergyPlus.
+        period: the run period, which the weather file covers; without it, no schedules are known beforehand.
         monitoring: whether to add the points for pictures and reports.
         systems: whether to add the points for a schematic of the loops.
 
@@ -371,22 +380,20 @@ def run_points(
     if actuators is None:  # those that have no effect are left out
         overridden = conflicts.overridden_actuators(model.objects, chosen.actuators)
         chosen = replace(chosen, actuators=tuple(a for a in chosen.actuators if a.name not in overridden))
-    chosen = _with_schedules(model, scenario, any_weather, chosen)
+    if period is not None:
+        chosen = _with_schedules(model, scenario, any_weather, period, chosen)
     chosen = with_unobserved(chosen, scenario.unobserved)
     if monitoring:
         chosen = with_monitoring(model, offered, chosen)
     return with_systems(model, offered, chosen) if systems else chosen
 
 
-def _with_schedules(model: Building, scenario: Scenario, any_weather: Path, points: Points) -> Points:
+def _with_schedules(model: Building, scenario: Scenario, any_weather: Path, period: Period, points: Points) -> Points:
     """Return the points with the schedules that are known beforehand: sensors with a lead, and relative actuators."""
     leads = {name: spec.lead_h for name, spec in (scenario.sensors or {}).items() if spec.lead_h is not None}
-    if not leads and scenario.relative is None:
-        return points
-    period = model.period(scenario.begin, scenario.end, scenario.steps_per_hour)
     if leads:
         points = with_leads(points, leads, model, period)
-    relative = relative_actuators(scenario, points.actuators)
+    relative = relative_actuators(scenario, points.actuators) if scenario.relative is not None else []
     fixed = [name for name, spec in (scenario.actuators or {}).items() if spec.low is not None or spec.high is not None]
     return with_baseline_sensors(points, relative, fixed, model, period, any_weather) if relative else points
 

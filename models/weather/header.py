@@ -211,7 +211,8 @@ def check_covers(header: Header, period: Period, name: str) -> None:
     period contains a 29 February that the file lacks, EnergyPlus 25.2 skips that day silently: the episode is a day too
     short or, if it should end on that day, ends on 1 March, and the weekdays after it are off by one. A run period that
     begins on that day is a fatal error. All of these are rejected here. (A 29 February that is in the file but not in
-    the run period is skipped, as it should be.)
+    the run period is skipped, as it should be.) A run period that begins in a leap year from 28 February on and goes
+    over New Year has a day less as well, unless its years count.
 
     Raises:
         InvalidConfig: the file has no data for some days, or its records are not those of the timesteps.
@@ -242,6 +243,13 @@ def check_covers(header: Header, period: Period, name: str) -> None:
                 f"no 29 February: use another year ({leap_day.year + 1} has no 29 February either), "
                 f"end by {leap_day - timedelta(days=1)}, or begin on {leap_day + timedelta(days=1)} or later"
             )
+    year = period.begin.year
+    if year < period.end.year and not period.by_year and calendar.isleap(year) and period.begin >= date(year, 2, 28):
+        raise InvalidConfig(
+            f"the run period {period.begin} to {period.end} goes over New Year from a leap year in which it begins "
+            f"after 27 February; EnergyPlus leaves out its last day: begin in a common year such as {year + 1} or "
+            f"{year + 2}, or end by {year}-12-31"
+        )
 
 
 def _covers(data: tuple[MonthDay, MonthDay], begin: date, end: date) -> bool:

@@ -1,6 +1,7 @@
 """Weather files: what the header says, what is refused, and that the rest of a file stays byte for byte."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -393,7 +394,9 @@ PART = Header("", 0.0, 0.0, 0.0, 0.0, first=(2, 1), last=(9, 30))
     [
         (FULL, date(2017, 12, 30), date(2018, 1, 2)),
         (FULL, date(2017, 7, 1), date(2019, 6, 30)),
-        (FULL, date(2016, 3, 1), date(2020, 2, 28)),
+        (FULL, date(2017, 3, 1), date(2020, 2, 28)),
+        (FULL, date(2015, 12, 30), date(2016, 1, 3)),
+        (LEAP, date(2016, 2, 27), date(2017, 1, 3)),
         (FULL, date(2016, 1, 1), date(2016, 2, 28)),
         (LEAP, date(2016, 2, 29), date(2016, 2, 29)),
         (LEAP, date(2015, 1, 1), date(2017, 12, 31)),
@@ -415,6 +418,8 @@ def test_epw__run_period_that_the_file_has_is_taken(header: Header, begin: date,
         (FULL, date(2016, 2, 27), date(2016, 2, 29), "contains 2016-02-29"),
         (FULL, date(2015, 12, 1), date(2017, 1, 31), "contains 2016-02-29"),
         (PART, date(2016, 2, 2), date(2016, 9, 30), "contains 2016-02-29"),
+        (FULL, date(2016, 12, 30), date(2017, 1, 3), "over New Year from a leap year .* such as 2017 .* by 2016-12-31"),
+        (LEAP, date(2016, 2, 28), date(2017, 1, 3), "over New Year from a leap year"),
     ],
 )  # fmt: skip
 def test_epw__run_period_that_the_file_has_not_is_refused(header: Header, begin: date, end: date, words: str) -> None:
@@ -550,6 +555,25 @@ def test_epw__energyplus_has_29_february_where_the_file_has_it(folder: Path) -> 
     path = edited(folder, lambda lines: with_leap_day(lines, "Yes"))
     ran = run(folder / "run", path, date(2016, 2, 28), date(2016, 3, 1))
     assert ran.days == [[(2, 28, "Sunday"), (2, 29, "Monday"), (3, 1, "Tuesday")]]
+
+
+@pytest.mark.parametrize(
+    ("begin", "end", "missing"),
+    [
+        (date(2016, 2, 27), date(2017, 1, 2), 0),
+        (date(2016, 2, 28), date(2017, 1, 2), 1),
+        (date(2016, 12, 31), date(2017, 1, 1), 1),
+        (date(2015, 12, 31), date(2016, 1, 1), 0),
+    ],
+)
+def test_epw__energyplus_leaves_out_a_day_after_new_year_from_a_leap_year(
+    begin: date, end: date, missing: int, folder: Path
+) -> None:
+    path = edited(folder, lambda lines: with_leap_day(lines, "Yes"))
+    (days,) = run(folder / "run", path, begin, end).days
+    assert (end - begin).days + 1 - len(days) == missing
+    with pytest.raises(InvalidConfig, match="leaves out its last day") if missing else nullcontext():
+        check_covers(read_header(path), Period(begin, end, STEPS_PER_HOUR), path.name)
 
 
 @pytest.mark.slow

@@ -191,3 +191,12 @@ def test_plan__weather_file_in_which_an_hour_is_missing_is_refused(tmp_path: Pat
     path = weather(tmp_path, _move_hours)
     with pytest.raises(InvalidConfig, match=r"changed\.epw, line 86: the record is for 01-04, hour 10"):
         plan(read_config({"building": "ref-small-office", "weather": str(path), "begin": "07-01", "end": "07-01"}))
+
+
+@pytest.mark.process
+def test_plan__values_beforehand_of_a_run_period_that_is_refused_are_no_second_error() -> None:
+    settings = {"building": "ref-small-office", "weather": "USA_CO_Denver", "begin": "2016-12-30", "end": "2017-01-03"}
+    with pytest.raises(InvalidConfig) as caught:
+        plan(read_config({**settings, "relative": 2.0}))
+    assert str(caught.value).startswith("the run period 2016-12-30 to 2017-01-03 goes over New Year from a leap year")
+    assert "\n" not in str(caught.value)
