@@ -21,7 +21,7 @@ from zenostat.models.points.selection import Points
 from zenostat.models.scenario.run_period import Period
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, SCHEDULE_VALUE, THERMOSTAT
 from zenostat.topics.errors import ErrorCollector, InvalidConfig
-from zenostat.topics.keys import safe_name
+from zenostat.topics.keys import MAX_NAME, safe_name
 from zenostat.topics.messages import Actuator, Aggregation, Sensor
 
 _KEPT = (
@@ -231,7 +231,7 @@ def _next_value(sensors: list[Sensor], schedule: str, unit: str, period: Period)
     for sensor in sensors:
         if sensor.lead_s and sensor.key == schedule and _timesteps(sensor, period) == 1:
             return sensor
-    taken, base = {sensor.name for sensor in sensors}, f"{safe_name(schedule)}_next"
+    taken, base = {sensor.name for sensor in sensors}, f"{safe_name(schedule)[: MAX_NAME - len('_next_999')]}_next"
     name = next(n for n in (base, *(f"{base}_{i}" for i in range(2, len(taken) + 3))) if n not in taken)
     sensors.append(Sensor(name=name, variable=SCHEDULE_VALUE, key=schedule, unit=unit, lead_s=period.step_s))
     return sensors[-1]

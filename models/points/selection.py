@@ -25,7 +25,7 @@ from zenostat.topics.energyplus_names import (
     ZONE_TEMPERATURE,
 )
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, UsageError, did_you_mean
-from zenostat.topics.keys import check_name, safe_name
+from zenostat.topics.keys import MAX_NAME, check_name, safe_name
 from zenostat.topics.messages import Actuator, Aggregation, Meter, Sensor
 from zenostat.topics.units import limits
 
@@ -40,6 +40,9 @@ _ZONE_SENSORS = {
     "relative_humidity": "Zone Air Relative Humidity",
     "occupants": OCCUPANTS,
 }
+_LONGEST_ZONE = MAX_NAME - len("_thermostat_heating_setpoint") - len("_999")
+"""Characters of a zone's name in the names of points, before the longest suffix and a number."""
+
 _SITE_SENSORS = {
     "outdoor_temperature": ("Site Outdoor Air Drybulb Temperature", "Environment"),
     "outdoor_humidity": ("Site Outdoor Air Relative Humidity", "Environment"),
@@ -310,7 +313,7 @@ def thermostat_zones(available: PointCatalog) -> dict[str, str]:
     zones: dict[str, str] = {}
     for actuator in available.actuators:
         if actuator.component_type == THERMOSTAT and actuator.key not in zones:
-            name = base = safe_name(actuator.key)
+            name = base = safe_name(actuator.key)[:_LONGEST_ZONE]
             number = 2
             while name in zones.values():
                 name, number = f"{base}_{number}", number + 1

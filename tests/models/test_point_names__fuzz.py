@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from support.builders import actuator, advance, claim, command, exchange
 
 import zenostat  # noqa: F401  # registers the environments
-from zenostat.models.building.model import read_building
+from zenostat.models.building.model import Building, read_building
 from zenostat.models.catalog import find_building
 from zenostat.models.points.discovery import ActuatorPoint, PointCatalog, Variable
+from zenostat.models.points.monitoring import monitoring_sensors
 from zenostat.models.points.selection import default_actuators, default_sensors, find_actuator, thermostat_zones
 from zenostat.topics import codec
 from zenostat.topics.errors import BadMessage, InvalidConfig, UnknownName
@@ -38,16 +39,19 @@ ODD = [
     "?",
     "Ä" * 100,
     "x" * 100,
+    "x" * 300,
+    "X" * 299 + "y",
 ]
+VARIABLES = ("Zone Air Temperature", "Zone Thermostat Heating Setpoint Temperature")
 
-zone_names = st.lists(st.text(min_size=1, max_size=100), min_size=1, max_size=8, unique=True)  # EnergyPlus: 100 at most
+zone_names = st.lists(st.text(min_size=1, max_size=300), min_size=1, max_size=8, unique=True)
 
 
 def model(zones: list[str]) -> PointCatalog:
     """A model of zones with thermostats."""
     controls = ("Heating Setpoint", "Cooling Setpoint")
     return PointCatalog(
-        variables=tuple(Variable("Zone Air Temperature", z, "degC", system=True, summed=False) for z in zones),
+        variables=tuple(Variable(v, z, "degC", system=True, summed=False) for v in VARIABLES for z in zones),
         meters=(),
         actuators=tuple(ActuatorPoint("Zone Temperature Control", c, z, "degC") for z in zones for c in controls),
     )
@@ -61,7 +65,9 @@ def check(zones: list[str]) -> None:
     actuators = default_actuators(survey)
     assert len(actuators) == 2 * len(zones)
     assert {key for _, _, key in actuators.values()} == set(zones)
-    for name in (*actuators, *default_sensors(survey)):
+    monitored = monitoring_sensors(Building("b", {"Building": {}}, "0"), survey)
+    assert len(monitored) == len(VARIABLES) * len(zones)
+    for name in (*actuators, *default_sensors(survey), *monitored):
         assert check_name(name, "the point") == name
 
 
