@@ -20,7 +20,8 @@ from zenostat.models.building.source_lines import locator
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.scenario.run_period import Period
 from zenostat.models.weather import design_days
-from zenostat.models.weather.header import read_header
+from zenostat.models.weather.header import Header, read_header
+from zenostat.topics.calendar import LEAP_YEAR
 from zenostat.topics.energyplus_names import HVAC_METERS
 from zenostat.topics.errors import ModelError
 from zenostat.topics.units import unit_name
@@ -111,10 +112,11 @@ def discover(building: Building, weather: Path) -> PointCatalog:
 
     def make(target: Path) -> None:
         folder, file = target.parent, building.file or building.name
-        day = date(2017, 1, 1)
-        objects = for_episode(building, Period(day, day, building.steps_per_hour), outputs=False)
+        header = read_header(weather)
+        objects = for_episode(building, _any_day(building, header), outputs=False)
+        objects["RunPeriod"]["zenostat"].pop("treat_weather_as_actual", None)
         if lacks_design_days(objects):
-            objects = design_days.apply(objects, design_days.site(weather, read_header(weather)))
+            objects = design_days.apply(objects, design_days.site(weather, header))
         model = write(objects | _LISTS, folder)
         try:
             energyplus.call("survey", model, weather, target, file=file, locate=locator(file))
@@ -123,6 +125,13 @@ def discover(building: Building, weather: Path) -> PointCatalog:
 
     name = f"points/{digest(building.content, energyplus.version(), _FORMAT)}.json"
     return _read(cached_bytes(name, make))
+
+
+def _any_day(building: Building, header: Header) -> Period:
+    """Return a day that a weather file covers, in timesteps with which EnergyPlus reads the file."""
+    day = date(LEAP_YEAR if header.first == (2, 29) else LEAP_YEAR + 1, *header.first)
+    steps = header.records_per_hour if header.records_per_hour > 1 else building.steps_per_hour
+    return Period(day, day, 4 if 60 % steps else steps)
 
 
 def _suspects(building: Building) -> Iterator[str]:
