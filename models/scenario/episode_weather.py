@@ -19,7 +19,7 @@ from zenostat.models.weather.design_days import Site
 from zenostat.models.weather.fixed_width import FixedWidthWeather
 from zenostat.models.weather.header import Header
 from zenostat.models.weather.noise import Variability, with_noise
-from zenostat.models.weather.records import KEPT
+from zenostat.models.weather.records import KEPT, initial_value
 from zenostat.topics.errors import InvalidConfig
 
 
@@ -248,7 +248,8 @@ def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[
 
     Returns:
         values, shape (rows, columns), each at the end of its interval; and the interval in seconds. Where one is
-        missing, it is the last one before it in the columns in which EnergyPlus takes that, and otherwise NaN.
+        missing, it is the last one before it, or EnergyPlus's initial one, in the columns in which EnergyPlus takes
+        that, and otherwise NaN.
 
     Raises:
         UnknownName: there is no such column.
@@ -273,11 +274,12 @@ def series(path: Path, period: Period, columns: Sequence[str]) -> tuple[NDArray[
     values = np.where(values >= missing, np.nan, values)
     for column, row in zip(selected, values.T, strict=True):
         if column.name in KEPT:
-            _hold(row)
+            _hold(row, initial_value(column.name, weather.header))
     return values, 3600.0 * weather.record_h
 
 
-def _hold(values: NDArray[np.float64]) -> None:
-    """Replace missing values by the last one before each; the first ones may have none."""
-    last = np.maximum.accumulate(np.where(np.isnan(values), 0, np.arange(len(values))))
-    values[:] = values[last]
+def _hold(values: NDArray[np.float64], initial: float) -> None:
+    """Replace missing values by the last one before each, and those before the first one by `initial`."""
+    known = np.r_[initial, values]
+    last = np.maximum.accumulate(np.where(np.isnan(known), 0, np.arange(len(known))))
+    values[:] = known[last][1:]

@@ -10,20 +10,29 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.weather.design_days import standard_pressure
 from zenostat.models.weather.epw import COLUMNS
 from zenostat.models.weather.header import HEADER_LINES, Header, read_header
 from zenostat.topics.errors import InvalidConfig
 
 _FORMAT = "2"
-KEPT = (
-    "dry_bulb_temperature",
-    "dew_point_temperature",
-    "relative_humidity",
-    "atmospheric_station_pressure",
-    "wind_direction",
-    "wind_speed",
-)
-"""Columns in which EnergyPlus replaces a missing value by the last one before it."""
+_INITIAL = {
+    "dry_bulb_temperature": 6.0,
+    "dew_point_temperature": 3.0,
+    "relative_humidity": 50.0,
+    "wind_direction": 180.0,
+    "wind_speed": 2.5,
+}
+KEPT = (*_INITIAL, "atmospheric_station_pressure")
+"""Columns in which EnergyPlus replaces a missing value by the last one before it in the run."""
+
+
+def initial_value(column: str, header: Header) -> float:
+    """Return what EnergyPlus takes in one of the columns `KEPT` until a run comes to a value.
+
+    The values were determined by experiment with EnergyPlus 25.2.
+    """
+    return _INITIAL[column] if column in _INITIAL else standard_pressure(header.elevation_m)
 
 
 def check_records(header: Header, path: Path) -> None:
@@ -41,10 +50,15 @@ def check_records(header: Header, path: Path) -> None:
 
 def missing_values(path: Path, name: str) -> Iterator[str]:
     """Yield a sentence on the values that a weather file lacks; `name`: of the file, as users know it."""
-    missing = _inspect(read_header(path), path)["missing"]
+    header = read_header(path)
+    missing = _inspect(header, path)["missing"]
     if missing:
         columns = ", ".join(f"{column} ({count:,})" for column, count in missing.items())
-        yield f"{name} has missing values: {columns}; EnergyPlus uses the last one before each"
+        initial = ", ".join(f"{initial_value(column, header):g} {COLUMNS[column].unit}" for column in missing)
+        yield (
+            f"{name} has missing values: {columns}; EnergyPlus uses the last one before each, and at the beginning of "
+            f"a run {initial}"
+        )
 
 
 def _inspect(header: Header, path: Path) -> dict[str, Any]:

@@ -31,6 +31,7 @@ from zenostat.models.scenario.run_period import Period
 from zenostat.models.weather import design_days, epw
 from zenostat.models.weather.header import read_header
 from zenostat.models.weather.noise import ColumnNoise, Variability
+from zenostat.models.weather.records import missing_values
 from zenostat.topics.errors import InvalidConfig
 
 SEEDS = st.integers(0, 2**64)
@@ -305,6 +306,36 @@ def test_series__missing_values_are_those_that_energyplus_takes(tmp_path: Path) 
     assert values[5:9, 0].tolist() == [values[4, 0]] * 4 != [values[9, 0]] * 4
     measured = run_outdoors(tmp_path / "run", path, day, day).values[0][STEPS_PER_HOUR - 1 :: STEPS_PER_HOUR, 0]
     assert np.array_equal(measured, values[: len(measured), 0])
+
+
+@pytest.mark.parametrize(
+    ("column", "variable"),
+    [
+        ("dry_bulb_temperature", "Site Outdoor Air Drybulb Temperature"),
+        ("dew_point_temperature", "Site Outdoor Air Dewpoint Temperature"),
+        ("relative_humidity", "Site Outdoor Air Relative Humidity"),
+        ("atmospheric_station_pressure", "Site Outdoor Air Barometric Pressure"),
+        ("wind_direction", "Site Wind Direction"),
+        ("wind_speed", "Site Wind Speed"),
+    ],
+)
+def test_series__values_missing_at_the_beginning_are_those_that_energyplus_takes(
+    column: str, variable: str, tmp_path: Path
+) -> None:
+    day, at = date(2017, 7, 3), epw.COLUMNS[column]
+    lines = find_weather(DENVER).path.read_text("latin-1").splitlines()
+    for row in range(8 + 4392, 8 + 4392 + 3):
+        cells = lines[row].split(",")
+        cells[at.index] = f"{at.missing:g}"
+        lines[row] = ",".join(cells)
+    path = tmp_path / "gap.epw"
+    path.write_text("\n".join([*lines, ""]), encoding="latin-1")
+    values, _ = series(path, Period(day, day, 4), [column])
+    ran = run_outdoors(tmp_path / "run", path, day, day, variables=[variable])
+    measured = ran.values[0][STEPS_PER_HOUR - 1 :: STEPS_PER_HOUR, 0]
+    assert measured[:4] == pytest.approx(values[:4, 0], rel=1e-6)
+    (sentence,) = missing_values(path, "gap")
+    assert f"at the beginning of a run {values[0, 0]:g} {at.unit}" in sentence
 
 
 def late_noise(begin: date, end: date, path: Path) -> list[tuple[int, int]]:
