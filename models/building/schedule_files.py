@@ -31,6 +31,18 @@ def file_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
     yield from _table_findings(fields, path, text, minutes)
 
 
+def file_values(fields: Mapping[str, Any]) -> list[float]:
+    """Return the values of a `Schedule:File`, without those that `file_findings` reports."""
+    skipped, column = int(fields.get("rows_to_skip_at_top", 0)), int(fields.get("column_number", 1))
+    try:
+        text = Path(str(fields.get("file_name", ""))).read_bytes().decode("utf-8", errors="replace")
+    except OSError:
+        return []
+    rows = (_cells(row, str(fields.get("column_separator") or "Comma")) for row in text.split("\n")[skipped:])
+    values = (number(cells[column - 1].strip()) for cells in rows if len(cells) >= column and cells[column - 1].strip())
+    return [value for value in values if value is not None]
+
+
 def _reason(path: Path, error: OSError) -> str:
     if path.is_dir():
         return "which is a folder; expected a CSV file"

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
 from zenostat.models.building.model import Building
+from zenostat.models.building.schedule_files import file_values
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
 
 _DEFAULT = {HEATING_SETPOINT: (15.0, 22.5), COOLING_SETPOINT: (22.5, 30.0)}
@@ -60,6 +62,8 @@ def _values(building: Building, name: str) -> Iterator[float]:
             yield from _compact_values(schedule)
         elif kind == "Schedule:Constant":
             yield float(schedule.get("hourly_value", 0.0))
+        elif kind == "Schedule:File":
+            yield from file_values(schedule)
         elif kind in _DAYS:
             yield from (float(value) for value in _numbers(schedule))
         else:
@@ -69,7 +73,8 @@ def _values(building: Building, name: str) -> Iterator[float]:
 
 _DAYS = ("Schedule:Day:Hourly", "Schedule:Day:Interval", "Schedule:Day:List")
 _SCHEDULES = (
-    "Schedule:Compact", "Schedule:Constant", "Schedule:Year", "Schedule:Week:Daily", "Schedule:Week:Compact", *_DAYS,
+    "Schedule:Compact", "Schedule:Constant", "Schedule:File", "Schedule:Year",
+    "Schedule:Week:Daily", "Schedule:Week:Compact", *_DAYS,
 )  # fmt: skip
 
 
@@ -78,10 +83,15 @@ def _compact_values(schedule: dict[str, Any]) -> Iterator[float]:
     for entry in schedule.get("data", []):
         field = entry.get("field")
         if isinstance(field, str) and field.strip().casefold().startswith("for"):
-            days = field.strip().casefold()[3:].replace(":", " ").replace(",", " ").split()
-            is_counted = any(day not in _DESIGN_DAYS for day in days)
+            is_counted = _has_other_days(field)
         elif isinstance(field, int | float) and is_counted:
             yield float(field)
+
+
+def _has_other_days(days: str) -> bool:
+    """Return whether a list of day types, such as `For: Weekdays SummerDesignDay`, has others than design days."""
+    words = re.findall(r"\w+", days.strip().casefold().removeprefix("for"))
+    return any(not word.startswith(_DESIGN_DAYS) for word in words)
 
 
 def _numbers(schedule: dict[str, Any]) -> Iterator[float]:
@@ -98,8 +108,7 @@ def _references(schedule: dict[str, Any]) -> Iterator[str]:
     for field, value in schedule.items():
         if isinstance(value, list):
             for part in value:
-                days = str(part.get("daytype_list", "")).casefold()
-                if not any(day in days for day in _DESIGN_DAYS):
+                if _has_other_days(str(part.get("daytype_list", "AllDays"))):
                     yield from (str(name) for key, name in part.items() if key.startswith("schedule_"))
         elif field.endswith("schedule_day_name") and not any(day in field.replace("_", "") for day in _DESIGN_DAYS):
             yield str(value)

@@ -1,5 +1,6 @@
 """Default bounds of setpoints contain what the building's own schedules do, and never let heating above cooling."""
 
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -38,6 +39,25 @@ YEAR: dict[str, Any] = {
 }
 
 
+def week_compact(days: str) -> dict[str, Any]:
+    """A year whose setpoint on these days is 12 degC, and 20 degC on all others."""
+    return {
+        "Schedule:Year": YEAR["Schedule:Year"],
+        "Schedule:Week:Compact": {
+            "week": {
+                "data": [
+                    {"daytype_list": days, "schedule_day_name": "low"},
+                    {"daytype_list": "AllOtherDays", "schedule_day_name": "high"},
+                ]
+            }
+        },
+        "Schedule:Day:Interval": {
+            name: {"data": [{"time": "24:00", "value_until_time": value}]}
+            for name, value in (("low", 12.0), ("high", 20.0))
+        },
+    }
+
+
 @pytest.mark.parametrize(
     ("schedule", "expected"),
     [
@@ -47,8 +67,10 @@ YEAR: dict[str, Any] = {
         (compact("For: AllDays", "Until: 24:00", -60.0), 15.0),  # off
         (compact("For: AllDays", "Until: 24:00", 21.0), 15.0),
         ({"Schedule:Constant": {"HEAT": {"hourly_value": 12.5}}}, 12.5),
-        ({"Schedule:Day:Hourly": {}, "Schedule:Compact": {}}, 15.0),  # of a file or a program: unknown
+        ({"Schedule:Day:Hourly": {}, "Schedule:Compact": {}}, 15.0),  # of a program: unknown
         (YEAR, 11.0),
+        (week_compact("For: Weekdays SummerDesignDay"), 12.0),
+        (week_compact("WinterDesignDay, CustomDay1"), 15.0),
     ],
 )
 def test_thermostat_bounds__heating_goes_down_to_the_lowest_scheduled_setpoint(
@@ -57,6 +79,15 @@ def test_thermostat_bounds__heating_goes_down_to_the_lowest_scheduled_setpoint(
     assert setpoint_bounds(building(schedule), HEATING_SETPOINT) == (expected, 22.5)
     assert setpoint_bounds(building(schedule), COOLING_SETPOINT) == (22.5, 30.0)
     assert setpoint_bounds(building(schedule), "Schedule Value") is None
+
+
+def test_thermostat_bounds__values_of_a_file_are_those_of_its_column(tmp_path: Path) -> None:
+    path = tmp_path / "setpoints.csv"
+    path.write_text("hour;heating\n" + "\n".join(f"7;{13.5 if hour == 50 else 20}" for hour in range(8760)))
+    of_file = {"file_name": str(path), "column_number": 2, "rows_to_skip_at_top": 1, "column_separator": "Semicolon"}
+    assert setpoint_bounds(building({"Schedule:File": {"Heat": of_file}}), HEATING_SETPOINT) == (13.5, 22.5)
+    path.unlink()
+    assert setpoint_bounds(building({"Schedule:File": {"Heat": of_file}}), HEATING_SETPOINT) == (15.0, 22.5)
 
 
 def test_thermostat_bounds__warehouse_can_be_heated_as_little_as_it_is() -> None:
