@@ -17,6 +17,7 @@ from array import array
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from string import ascii_lowercase, ascii_uppercase
 from typing import Any
 
 from zenostat.models.engine_library import engine_library, key_pattern, new_api
@@ -26,6 +27,9 @@ from zenostat.topics.errors import ModelError
 
 ISOLATED = (sys.executable, "-P", "-m")
 """Command prefix for a package's programs: `-P` excludes the caller's folder from imports."""
+
+_UPPER = str.maketrans(ascii_lowercase, ascii_uppercase)
+"""EnergyPlus converts names to upper case, but in them only the letters of ASCII."""
 
 _ACTIONS = {"convert": "convert", "survey": "start", "schedules": "compute the schedules of", "simulate": "simulate"}
 """What EnergyPlus does for each verb, for errors."""
@@ -132,7 +136,7 @@ def _unlisted_variables(points: list[list[str]], report: str) -> list[list[str]]
     with closing(sqlite3.connect(report)) as file:
         rows = file.execute("SELECT Name, KeyValue, Units FROM ReportDataDictionary WHERE IsMeter = 0 ORDER BY 1, 2")
         return [
-            ["OutputVariable", name, key.upper(), "", unit or ""]  # in upper case, as in the API's list
+            ["OutputVariable", name, key.translate(_UPPER), "", unit or ""]  # as in the API's list
             for name, key, unit in rows
             if (name.casefold(), key.casefold()) not in listed
         ]

@@ -28,7 +28,7 @@ from zenostat.topics.units import unit_name
 
 Kinds = Mapping[str, Objects]
 
-_FORMAT = "2"
+_FORMAT = "3"
 
 
 class Variable(NamedTuple):
