@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from zenostat.models.building import schema
+from zenostat.models.engine_library import key_pattern
 from zenostat.topics.energyplus_names import COMPUTED_ON_REQUEST
 from zenostat.topics.errors import InvalidConfig
 
@@ -106,10 +107,16 @@ def _requests_of_programs(objects: Mapping[str, Objects]) -> Objects:
 def with_requests(objects: dict[str, Objects], requested: Iterable[tuple[str, str]]) -> dict[str, Objects]:
     """Return the objects with an `Output:Variable` for each output variable, given by name and key.
 
-    Its frequency is that of the fewest reports; where EnergyPlus writes no output files, nothing is written.
+    Its frequency is that of the fewest reports; where EnergyPlus writes no output files, nothing is written. All keys
+    are requested instead of one with special characters: EnergyPlus takes that one for a regular expression, but does
+    not compute the variables on request for an expression that matches.
     """
     requests = {
-        f"zenostat {number}": {"key_value": key, "variable_name": name, "reporting_frequency": "RunPeriod"}
+        f"zenostat {number}": {
+            "key_value": key if key == key_pattern(key) else "*",
+            "variable_name": name,
+            "reporting_frequency": "RunPeriod",
+        }
         for number, (name, key) in enumerate(requested, 1)
     }
     return objects | {"Output:Variable": objects.get("Output:Variable", {}) | requests} if requests else objects
