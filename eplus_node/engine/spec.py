@@ -70,13 +70,13 @@ def engine_spec(plan: Plan, files: EpisodeFiles, folder: Path, **settings: Any) 
 def _point_fields(points: Points) -> dict[str, Any]:
     return {
         "sensors": [
-            (s.variable, s.key, str(s.aggregation), system)
+            (s.variable, points.own_key(s), str(s.aggregation), system)
             for s, system in zip(points.sensors, points.system, strict=True)
         ],
         "meters": [
             (m.meter, [(part.name, part.index) for part in parts])
             for m, parts in zip(points.meters, points.meter_parts, strict=True)
         ],
-        "actuators": [(a.component_type, a.control_type, a.key) for a in points.actuators],
-        "feedback": [(a.feedback, a.key) for a in points.actuators if a.feedback],
+        "actuators": [(a.component_type, a.control_type, points.own_key(a)) for a in points.actuators],
+        "feedback": [(a.feedback, points.own_key(a)) for a in points.actuators if a.feedback],
     }

@@ -58,7 +58,7 @@ def building_geometry(building: Building, place: Header) -> BuildingGeometry:
     corners = placed.corners[np.repeat(is_valid, placed.counts)]
     kept = [polygon for polygon, valid in zip(polygons, is_valid, strict=True) if valid]
     zones, storeys = _zones(building.objects, polygons, placed)
-    index = {zone.name.casefold(): i for i, zone in enumerate(zones)} | {"": -1}
+    index = {name.casefold(): i for i, name in enumerate(building.objects.get("Zone", {}))} | {"": -1}
     geometry = Geometry(
         zones=tuple(zones),
         storeys=tuple(storeys),

@@ -84,7 +84,7 @@ def _with_added(
 ) -> Points:
     """Return points followed by unobserved ones, without those that are measured already."""
     taken = {sensor.name for sensor in points.sensors} | {meter.name for meter in points.meters}
-    variables = {(_quantity(sensor.variable), sensor.key.casefold()) for sensor in points.sensors}
+    variables = {(_quantity(sensor.variable), points.own_key(sensor).casefold()) for sensor in points.sensors}
     measured = {meter.meter.casefold() for meter in points.meters}
     sensors = {
         _free_name(name, taken): (variable, key)
@@ -99,6 +99,7 @@ def _with_added(
         actuators=points.actuators,
         system=(*points.system, *added.system),
         meter_parts=(*points.meter_parts, *added.meter_parts),
+        own_keys=added.own_keys,
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from math import isfinite, nan
 from typing import TypeVar
 
@@ -27,6 +27,7 @@ from zenostat.topics.energyplus_names import (
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName, UsageError, did_you_mean
 from zenostat.topics.keys import MAX_NAME, check_name, safe_name
 from zenostat.topics.messages import Actuator, Aggregation, Meter, Sensor
+from zenostat.topics.printable import replace_controls
 from zenostat.topics.units import limits
 
 S = TypeVar("S")
@@ -73,6 +74,7 @@ class Points:
     Attributes:
         system: for each sensor, whether it is updated each system timestep.
         meter_parts: for each meter, EnergyPlus's meters that add up to it.
+        own_keys: EnergyPlus's keys with control characters, by the keys in the messages, which have none.
     """
 
     sensors: tuple[Sensor, ...]
@@ -80,11 +82,16 @@ class Points:
     actuators: tuple[Actuator, ...]
     system: tuple[bool, ...]
     meter_parts: tuple[tuple[MeterPoint, ...], ...]
+    own_keys: Mapping[str, str] = field(default_factory=dict)
+
+    def own_key(self, point: Sensor | Actuator) -> str:
+        """Return the key of a point as EnergyPlus has it."""
+        return self.own_keys.get(point.key, point.key)
 
     @property
     def requested(self) -> tuple[tuple[str, str], ...]:
         """Name and key of the output variables that EnergyPlus computes only on request; each once."""
-        names = [(s.variable, s.key) for s in self.sensors if s.variable.casefold() in COMPUTED_ON_REQUEST]
+        names = [(s.variable, self.own_key(s)) for s in self.sensors if s.variable.casefold() in COMPUTED_ON_REQUEST]
         return tuple(dict.fromkeys(names))
 
 
@@ -128,7 +135,12 @@ def select_points(
         actuators=tuple(selected_actuators),
         system=tuple(variable.system for _, variable in selected_sensors),
         meter_parts=tuple(meter.parts or (meter,) for _, meter in selected_meters),
+        own_keys={replace_controls(key): key for key in _keys(available) if not key.isprintable()},
     )
+
+
+def _keys(available: PointCatalog) -> set[str]:
+    return {variable.key for variable in available.variables} | {actuator.key for actuator in available.actuators}
 
 
 def _each(wanted: Mapping[str, S], find: Callable[[str, S], T], errors: ErrorCollector) -> list[T]:
