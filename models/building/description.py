@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from zenostat.models.building import systems
+from zenostat.models.building import schema, systems
 from zenostat.models.building.conflicts import ProgramOverrides, thermostat_setpoints
-from zenostat.models.building.diagnostics import Diagnostic, cached_diagnostics
+from zenostat.models.building.diagnostics import Diagnostic, Severity, cached_diagnostics
 from zenostat.models.building.geometry import BuildingGeometry, building_geometry
 from zenostat.models.building.model import Building
 from zenostat.models.building.run_needs import assumptions
@@ -109,7 +109,7 @@ class ModelDescription:
 
 def file_version(path: Path) -> str:
     """Return the EnergyPlus version that a model file names; empty if it names none."""
-    versions = read_source(path).objects.get("Version", {})
+    versions = schema.matching_part({"Version": read_source(path).objects.get("Version", {})}).get("Version", {})
     return next((str(fields.get("version_identifier", "")) for fields in versions.values()), "")
 
 
@@ -120,6 +120,9 @@ def describe_model(building: Building, version: str) -> ModelDescription:
         building: the model, in the format of the installed engine.
         version: EnergyPlus version of the user's file.
     """
+    diagnostics = tuple(cached_diagnostics(building))
+    if any(each.severity is Severity.ERROR for each in diagnostics):
+        building = replace(building, objects=schema.matching_part(building.objects))
     objects = building.objects
     geometry = building_geometry(building, _place(objects))
     schedules = tuple(_schedules(objects))
@@ -138,7 +141,7 @@ def describe_model(building: Building, version: str) -> ModelDescription:
         schedules=schedules,
         actuators=tuple(_actuators(objects, schedules)),
         assumptions=tuple(assumptions(objects, has_dates=False)),
-        diagnostics=tuple(cached_diagnostics(building)),
+        diagnostics=diagnostics,
         geometry=geometry,
     )
 

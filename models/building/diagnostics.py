@@ -155,7 +155,7 @@ def _is_known(kind: str, items: object) -> bool:
 def _rule_diagnostics(
     objects: Objects, invalid: Collection[tuple[str, str]], unexpanded: Objects
 ) -> Iterator[Diagnostic]:
-    """Yield the diagnostics of the rules; schedules that do not match the schema are left out."""
+    """Yield the diagnostics of the rules; schedules and values that do not match the schema are left out."""
     valid = {
         kind: {name: fields for name, fields in items.items() if isinstance(fields, Mapping)}
         for kind, items in objects.items()
@@ -167,18 +167,21 @@ def _rule_diagnostics(
         kind: {name: fields for name, fields in items.items() if (kind, name) not in invalid}
         for kind, items in valid.items()
     }
+    matching = schema.matching_part(valid) if invalid else valid
     for finding in chain(
         schedule_findings(sound),
         limit_findings(sound),
-        program_findings(valid),
-        plausibility_findings(valid),
-        nodes_without_setpoint(valid),
-        outdoor_nodes_without_air(valid),
-        shared_branches(valid),
+        program_findings(matching),
+        plausibility_findings(matching),
+        nodes_without_setpoint(matching),
+        outdoor_nodes_without_air(matching),
+        shared_branches(matching),
     ):
+        if not finding.field and (finding.kind, finding.name) in invalid:
+            continue  # it may follow from what is left out
         severity = Severity.ERROR if finding.is_fatal else Severity.WARNING
         yield Diagnostic(severity, finding.kind, finding.name, finding.field, finding.text)
-    for node in unconnected_nodes(valid):
+    for node in unconnected_nodes(matching):
         yield Diagnostic(Severity.WARNING, node.kind, node.name, node.field, node.describe())
 
 

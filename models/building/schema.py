@@ -139,6 +139,21 @@ def find_errors(objects: Model, *, complete: bool) -> list[SchemaError]:
     return errors
 
 
+def matching_part(objects: Model) -> dict[str, dict[str, dict[str, Any]]]:
+    """Return the objects without what the schema does not allow: values of fields, and what is no object."""
+    errors = find_errors(objects, complete=False)
+    wrong = {(each.kind, each.name, each.field.partition(".")[0].partition("[")[0]) for each in errors}
+    return {
+        kind: {
+            name: {field: value for field, value in fields.items() if (kind, name, field) not in wrong}
+            for name, fields in items.items()
+            if isinstance(fields, Mapping)
+        }
+        for kind, items in objects.items()
+        if isinstance(items, Mapping)
+    }
+
+
 def unknown_type(kind: str) -> str:
     """Return the error text for an object type that EnergyPlus does not have."""
     spelling = canonical_type(kind)

@@ -96,7 +96,7 @@ def zone_areas(objects: Kinds) -> dict[str, float]:
         else:
             of_zone[zone] += area
     for space, fields in spaces.items():
-        of_zone[str(fields["zone_name"]).casefold()] += _number(fields.get("floor_area")) or of_space[space]
+        of_zone[str(fields.get("zone_name", "")).casefold()] += _number(fields.get("floor_area")) or of_space[space]
     return {
         zone: _number(fields.get("floor_area")) or of_zone[zone.casefold()]
         for zone, fields in objects.get("Zone", {}).items()

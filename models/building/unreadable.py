@@ -6,6 +6,7 @@ import re
 from pathlib import Path
 
 from zenostat.models import energyplus
+from zenostat.models.building import schema
 from zenostat.models.building.diagnostics import Diagnostic, Severity, diagnose, diagnose_unexpanded
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.building.template_references import templates_of
@@ -33,8 +34,8 @@ def diagnose_unreadable(path: Path, error: ZenostatError) -> list[Diagnostic]:
 def _diagnose(source: SourceModel) -> list[Diagnostic]:
     if not source.objects:
         return []
-    versions = source.objects.get("Version", {}).values()
-    version = next((fields.get("version_identifier") for fields in versions), None)
+    versions = schema.matching_part({"Version": source.objects.get("Version", {})}).get("Version", {})
+    version = next((fields.get("version_identifier") for fields in versions.values()), None)
     if version and short(version) != short(energyplus.version()):
         # The engine's schema says nothing on another version's objects.
         return [Diagnostic(Severity.ERROR, kind, name, "", text, line) for line, kind, name, text in source.issues]

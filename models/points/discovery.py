@@ -300,7 +300,7 @@ def zone_names(objects: Kinds) -> dict[str, tuple[str, ...]]:
     zones = {zone.upper(): (zone,) for zone in objects.get("Zone", {})}
     zones_of: dict[str, tuple[str, ...]] = dict(zones)
     for space, fields in objects.get("Space", {}).items():
-        zones_of.setdefault(space.upper(), zones.get(str(fields["zone_name"]).upper(), ()))
+        zones_of.setdefault(space.upper(), zones.get(str(fields.get("zone_name", "")).upper(), ()))
     for kind in ("ZoneList", "SpaceList"):
         for name, fields in objects.get(kind, {}).items():
             members = [zone for _, text in texts(fields) for zone in zones_of.get(text.upper(), ())]

@@ -88,11 +88,23 @@ def _all_fields(items: Mapping[str, Any]) -> bool:
     return all(isinstance(fields, Mapping) for fields in items.values())
 
 
+def _entry_errors(objects: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> Iterator[str]:
+    """Yield an error for each entry of a list that is no object, which no rule expects."""
+    for kind, items in objects.items():
+        for name, fields in items.items():
+            for field, value in fields.items():
+                for index, entry in enumerate(value if isinstance(value, list) else ()):
+                    if not isinstance(entry, Mapping):
+                        yield f"{kind} {name!r}: {field}[{index}] is {entry!r}; expected fields by name"
+
+
 def _upgrade(source: SourceModel, version: object, name: str, engine: str) -> UpgradedModel:
     steps = steps_between(version, engine, name)
     target = short(engine)
     if not steps:
         return UpgradedModel(source.objects, target, target)
+    if errors := list(_entry_errors(source.objects)):
+        raise InvalidConfig(list_errors(f"{name} is not an epJSON file:", errors))
     model = UpgradingModel(source.objects)
     for step in steps:
         apply(step, model)
