@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from calendar import isleap
 from collections.abc import Iterable
 from copy import copy
 from dataclasses import dataclass, field
@@ -105,7 +106,9 @@ class Building:
         first = parse_day(begin or f"{month}-{day}", "begin", year)
         over_new_year = (last_month, last_day) < (month, day)
         if end is None and begin is None:
-            end = f"{int(own.get('end_year') or year + over_new_year):04}-{last_month}-{last_day}"
+            last_year = int(own.get("end_year") or year + over_new_year)
+            self._check_own_years((year, month, day), (last_year, last_month, last_day))
+            end = f"{last_year:04}-{last_month}-{last_day}"
         own_years = [int(own.get(f"{side}_year") or 0) for side in ("begin", "end")]
         if end is None and own_years[0] and own_years[0] <= first.year < own_years[1]:  # it goes over several years
             end = f"{own_years[1]:04}-{last_month}-{last_day}"
@@ -122,12 +125,23 @@ class Building:
         for end, default in (("begin", (1, 1)), ("end", (12, 31))):
             month, day = int(own.get(f"{end}_month", default[0])), int(own.get(f"{end}_day_of_month", default[1]))
             if not is_month_day(month, day):
-                name = next(iter(self.objects.get("RunPeriod", {})))
-                place = self._place("RunPeriod", name, f"{end}_day_of_month")
-                raise InvalidConfig(
-                    f"RunPeriod {name!r} of {place} {end}s on {format_month_day(month, day)}, which is no day; "
-                    "correct it, or choose begin and end"
-                )
+                text = f"{end}s on {format_month_day(month, day)}, which is no day"
+                raise self._run_period_error(f"{end}_day_of_month", text)
+
+    def _check_own_years(self, begin: tuple[int, int, int], end: tuple[int, int, int]) -> None:
+        """Check the years of the model's own run period, given or derived, with its days as (year, month, day)."""
+        for side, (year, month, day) in (("begin", begin), ("end", end)):
+            if (month, day) == (2, 29) and not isleap(year):
+                raise self._run_period_error(f"{side}_year", f"{side}s on 02-29, which {year} does not have")
+        if end < begin:
+            missing = "" if self.run_period.get("begin_year") else " (it has no begin_year)"
+            raise self._run_period_error("end_year", f"ends in {end[0]}, but begins in {begin[0]}{missing}")
+
+    def _run_period_error(self, field: str, text: str) -> InvalidConfig:
+        """Return an error of the model's own run period."""
+        name = next(iter(self.objects.get("RunPeriod", {})))
+        place = self._place("RunPeriod", name, field)
+        return InvalidConfig(f"RunPeriod {name!r} of {place} {text}; correct it, or choose begin and end")
 
     def _check_own_timestep(self) -> None:
         """Check the number of timesteps of the model itself, which EnergyPlus would change."""

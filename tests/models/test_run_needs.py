@@ -74,6 +74,24 @@ def test_run_period__of_the_model_that_has_no_such_day_is_named() -> None:
     assert building.period("02-01", "02-28", None).steps == 28 * 96
 
 
+@pytest.mark.parametrize(
+    ("years", "end", "words"),
+    [
+        ({"day_of_week_for_start_day": "Wednesday"}, (2, 29), "ends on 02-29, which 2017 does not have"),
+        ({"begin_year": 2016, "end_year": 2018}, (2, 29), "ends on 02-29, which 2018 does not have"),
+        ({"end_year": 2014}, (3, 5), r"ends in 2014, but begins in 2017 \(it has no begin_year\)"),
+        ({"begin_year": 2016, "end_year": 2015}, (3, 5), "ends in 2015, but begins in 2016;"),
+    ],
+)
+def test_run_period__of_the_model_with_years_that_cannot_be_is_named(
+    years: dict[str, Any], end: tuple[int, int], words: str
+) -> None:
+    own = {"begin_month": 2, "begin_day_of_month": 1, "end_month": end[0], "end_day_of_month": end[1], **years}
+    building = Building("b", {"Building": {"b": {}}, "RunPeriod": {"Winter": own}}, "0", (), "/home/me/mine.idf")
+    with pytest.raises(InvalidConfig, match=rf"RunPeriod 'Winter' of /home/me/mine\.idf {words}"):
+        building.period(None, None, None)
+
+
 @pytest.mark.parametrize(("weekday", "year"), [("Monday", 2007), ("UseWeatherFile", 2017), (None, 2017)])
 def test_run_period__of_another_start_day_has_the_year_with_that_weekday(weekday: str | None, year: int) -> None:
     own = {"begin_month": 1, "begin_day_of_month": 1, "end_month": 12, "end_day_of_month": 31}
