@@ -1,11 +1,11 @@
-"""Check the records of a weather file before EnergyPlus reads them: hours that are missing, values that are missing."""
+"""Check the records of a weather file before EnergyPlus reads them: hours and values that are missing, texts."""
 
 from __future__ import annotations
 
 import json
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,10 @@ from zenostat.models.weather.epw import COLUMNS
 from zenostat.models.weather.header import HEADER_LINES, Header, read_header
 from zenostat.topics.errors import InvalidConfig
 
-_FORMAT = "2"
+_FORMAT = "3"
+_MAY_BE_BLANK = COLUMNS["precipitable_water"].index
+"""Index of the first cell that EnergyPlus takes for a missing value if it is blank."""
+_NOT_READ = COLUMNS["liquid_precipitation_quantity"].index
 _INITIAL = {
     "dry_bulb_temperature": 6.0,
     "dew_point_temperature": 3.0,
@@ -36,16 +39,16 @@ def initial_value(column: str, header: Header) -> float:
 
 
 def check_records(header: Header, path: Path) -> None:
-    """Check that the hours of a weather file follow each other.
+    """Check that the hours of a weather file follow each other, and that all values are numbers.
 
-    EnergyPlus starts with a file in which an hour is missing, and ends when it reads that hour.
+    EnergyPlus starts with a file in which an hour is missing or a value is a text, and ends when it reads that hour.
 
     Raises:
-        InvalidConfig: an hour is missing, repeated, or out of order; the text has the line.
+        InvalidConfig: an hour is missing, repeated, or out of order, or a value is no number; the text has the line.
     """
     error = _inspect(header, path)["error"]
     if error:
-        raise InvalidConfig(f"{path}, {error}; get the whole file again")
+        raise InvalidConfig(f"{path}, {error}")
 
 
 def missing_values(path: Path, name: str) -> Iterator[str]:
@@ -71,7 +74,8 @@ def _inspect(header: Header, path: Path) -> dict[str, Any]:
         for name in KEPT:
             column = COLUMNS[name]
             missing[name] = sum(_number(row, column.index) >= column.missing for row in rows)
-        error = next(_order_errors(rows, 24 * header.records_per_hour), "")
+        order = (f"{error}; get the whole file again" for error in _order_errors(rows, 24 * header.records_per_hour))
+        error = next(chain(order, _cell_errors(rows)), "")
         target.write_text(json.dumps({"error": error, "missing": {n: c for n, c in missing.items() if c}}))
 
     return dict(json.loads(cached_bytes(f"weather-records/{digest(raw, _FORMAT)}.json", make)))
@@ -81,7 +85,26 @@ def _number(row: Sequence[str], index: int) -> float:
     try:
         return float(row[index])
     except (IndexError, ValueError):
-        return 0.0  # `zenostat.models.weather.epw` reports a cell that is no number
+        return 0.0  # `_cell_errors` reports it
+
+
+def _cell_errors(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Yield an error for each cell that EnergyPlus does not read as a number."""
+    for number, row in enumerate(rows, HEADER_LINES + 1):
+        for index, text in enumerate(row[:_NOT_READ]):
+            if index in _NAMES and not (_is_number(text) or (index >= _MAY_BE_BLANK and not text.strip())):
+                yield f"line {number}: {_NAMES[index]} is {text.strip()[:40]!r}, expected a number"
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
+
+
+_NAMES = {column.index: name for name, column in COLUMNS.items()}
 
 
 def _order_errors(rows: Sequence[Sequence[str]], rows_per_day: int) -> Iterator[str]:

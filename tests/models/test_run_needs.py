@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import nullcontext
 from datetime import date
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.weather_files import run
 
 from zenostat.eplus_node.config import read_config
 from zenostat.eplus_node.plan import plan
@@ -126,6 +128,13 @@ def _move_hours(lines: list[str]) -> None:
     del lines[8 + 77 : 8 + 81]
 
 
+def _with_cell(lines: list[str], index: int, text: str) -> None:
+    """Change a cell of the fifth hour of 5 January."""
+    cells = lines[108].split(",")
+    cells[index] = text
+    lines[108] = ",".join(cells)
+
+
 ORDER = {
     "hours that are missing": (_move_hours, "line 86: the record is for 01-04, hour 10, expected hour 6 of a day"),
     "two hours in another order": (_swap, "line 101: the record is for 01-04, hour 22, expected hour 21 of a day"),
@@ -133,6 +142,8 @@ ORDER = {
         lambda lines: lines.__setitem__(8 + 30, lines[8 + 30].replace(",1,2,7,", ",1,3,7,", 1)),
         "line 39: the record is for 01-03, expected 01-02",
     ),
+    "a text": (lambda lines: _with_cell(lines, 6, "abc"), "line 109: dry_bulb_temperature is 'abc', expected a number"),
+    "a blank": (lambda lines: _with_cell(lines, 13, " "), "line 109: global_horizontal_radiation is '', expected a"),
     "no numbers": (lambda lines: lines.__setitem__(20, "hello"), "line 21: expected year, month, day and hour"),
 }
 
@@ -149,6 +160,20 @@ def test_check_records__names_the_line(case: str, tmp_path: Path) -> None:
 def test_check_records__accepts_the_wheel_s_files() -> None:
     check_records(read_header(DENVER), DENVER)
     assert list(missing_values(DENVER, "USA_CO_Denver")) == []
+
+
+@pytest.mark.process
+@pytest.mark.parametrize(
+    ("index", "text", "is_read"),
+    [(6, "abc", False), (26, " ", False), (28, "", True), (30, "abc", False), (33, "", True), (34, "abc", True)],
+)
+def test_check_records__refuses_the_cells_at_which_energyplus_ends(
+    index: int, text: str, is_read: bool, tmp_path: Path
+) -> None:
+    path = weather(tmp_path, lambda lines: _with_cell(lines, index, text))
+    assert (run(tmp_path / "run", path, date(2017, 1, 5), date(2017, 1, 5)).code == 0) == is_read
+    with nullcontext() if is_read else pytest.raises(InvalidConfig, match=r"line 109: .* expected a number"):
+        check_records(read_header(path), path)
 
 
 def test_missing_values__are_counted_by_column(tmp_path: Path) -> None:
