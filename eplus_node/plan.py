@@ -108,8 +108,9 @@ def plan(config: NodeConfig, check_task: Callable[[Manifest], None] | None = Non
         )
     if chosen is not None:
         task = errors.collect(lambda: task_of(scenario, chosen))
-        if check_task is not None and model is not None and covered is not None and task is not None:
-            manifest = _manifest(config, model, valid_sources[0], covered, chosen, task)
+        has_all_points = covered is not None or scenario.relative is None  # its sensors follow schedules of the period
+        if check_task is not None and model is not None and period is not None and task is not None and has_all_points:
+            manifest = _manifest(config, model, valid_sources[0], period, chosen, task)
             errors.collect(lambda: check_task(manifest))
     file = config.faults
     injected = errors.collect(lambda: read_plan(file)) if file is not None else None

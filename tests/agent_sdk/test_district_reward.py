@@ -84,7 +84,7 @@ def test_district_reward__comfort_counts_the_named_temperatures_only() -> None:
     ("changes", "text"),
     [
         ({"consumption": "g.imports"}, "did you mean 'g.import'"),
-        ({"consumption": "g.loading"}, "needs energy in J or power in W, which 'g.loading' is not"),
+        ({"consumption": "g.loading"}, "needs energy or power, in units such as J or W, which 'g.loading' is not"),
         ({"limits": [{"point": "g.load", "high": 1.0}]}, "names 'g.load', which the node does not have"),
         ({"price": "g.import"}, "price 'g.import': "),
         ({"weight": 0.0}, "no weight above 0"),

@@ -41,7 +41,7 @@ UNBINDABLE: dict[str, tuple[RewardConfig, Manifest, str]] = {
     "no zone": (PeakReward(energy="fans"), node_of(SENSORS[4]), "the peak reward needs .* 'Zone Air Temperature'"),
     "no energy": (PeakReward(), node_of(SENSORS[1]), "the peak reward needs the energy .*'Electricity:Facility' in m"),
     "unknown energy": (PeakReward(energy="elec"), NODE, "'elec', .* not have; did you mean 'electricity'"),
-    "no energy's unit": (PeakReward(energy="north"), NODE, r"power in W, which 'north' is not \(degC\); there are"),
+    "no energy's unit": (PeakReward(energy="north"), NODE, r"such as J or W, which 'north' is not \(degC\); there are"),
     "water": (PeakReward(energy="water"), WARM, r"'water' is not \(m3\); did you mean 'power'"),
     "unknown temperature": (NormalizedReward(temperatures="nort"), NODE, "'nort'.*did you mean 'north'"),
     "power as a temperature": (HourlyReward(temperatures="power"), NODE, "hourly reward needs a sensor in degC"),
