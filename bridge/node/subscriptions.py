@@ -190,7 +190,7 @@ class Subscriptions:
         self._large = threading.BoundedSemaphore(MAX_LARGE)
         self._lock = threading.Lock()
         self._dropped: Counter[tuple[keys.Topic, str]] = Counter()
-        self._present: set[str] = set()
+        self._present, self._expected = set[str](), set[str]()
         self._on_disconnect: Callable[[str], None] = lambda _: None
         self._thread_id = 0
         self._is_waiting = False
@@ -392,21 +392,24 @@ class Subscriptions:
 
         The server's thread runs the first one of its topic, unless that has run before a command by then.
         """
-        waiting.append(_Waiting(key, task, self._large.release if size >= LARGE_BYTES else _no_op))
+        with self._lock:
+            waiting.append(_Waiting(key, task, self._large.release if size >= LARGE_BYTES else _no_op))
         self.post(lambda: self._run_next(waiting))
 
     def _drop(self, topic: keys.Topic, sender: str, key: str, waiting: deque[_Waiting]) -> bool:
         """Drop a message: the oldest that waits with a key, whose place the new one has, or (False) the new one.
 
-        The server's thread reports how many messages of a sender were dropped.
+        The server's thread reports how many messages of a sender were dropped, of up to 256 senders at a time.
         """
         with self._lock:
             oldest = next((message for message in waiting if message.key == key), None)
             if oldest is not None:
                 waiting.remove(oldest)
                 oldest.release()
-            self._dropped[topic, sender] += 1
-            if self._dropped[topic, sender] == 1:
+            is_new = (topic, sender) not in self._dropped
+            if not is_new or len(self._dropped) < MAX_PENDING:  # strangers may have any number of names
+                self._dropped[topic, sender] += 1
+            if is_new and (topic, sender) in self._dropped:
                 self.post(lambda: self._report_dropped(topic, sender))
         return oldest is not None
 
@@ -468,10 +471,12 @@ class Subscriptions:
 
     def expect_presence(self, name: str, timer: Timer) -> None:
         """Take a sender for disconnected if it has no liveliness token within 10 s: nothing would tell when it ends."""
-        if name not in self._present:
+        if name not in self._present and name not in self._expected:
+            self._expected.add(name)
             timer.at(monotonic() + _TOKEN_S, lambda: self.post(lambda: self._check_presence(name)))
 
     def _check_presence(self, name: str) -> None:
+        self._expected.discard(name)
         if name not in self._present:
             self._on_disconnect(name)
 
