@@ -102,6 +102,8 @@ def change(client: Any, operation: str, **content: Any) -> Any:
 
 
 def test_room__write_is_streamed_with_its_source_and_its_end(client: Any) -> None:
+    assert change(client, "reset").status_code == 200  # other tests may have left commands and steps
+    following(client, lambda state: state.get("sample_step") == 0 and state["values"] == [0.0, 5.0])
     assert change(client, "write", point="pump", value=20, duration_s=120).status_code == 200
     array = client.get("/api/nodes/tank/priorities", params={"point": "pump"}).json()["entries"]
     assert array[7] == {"value": 20.0, "source": "ada", "expires": "2026-01-12T00:02:00"}
@@ -112,7 +114,7 @@ def test_room__write_is_streamed_with_its_source_and_its_end(client: Any) -> Non
     history = client.get("/api/nodes/tank/history", params={"point": "level"}).json()
     assert history["points"][0]["values"] == pytest.approx([0.0, 0.2, 0.4, 0.45])
     kinds = [event["kind"] for event in client.get("/api/nodes/tank/events").json()["events"]]
-    assert [kind for kind in kinds if kind in ("written", "expired")] == ["written", "expired"]
+    assert [kind for kind in kinds if kind in ("written", "expired")][-2:] == ["written", "expired"]
 
 
 @pytest.mark.parametrize("duration_s", [1e12, 1e300])
