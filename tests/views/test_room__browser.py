@@ -403,6 +403,7 @@ def test_room__strangers_requests_are_rejected(ada: Visitor, room: Any, bus: zen
 def test_room__prometheus_and_grafana_read_with_their_token(room: Any, bus: zenostat.Bus) -> None:
     headers = {"authorization": f"Bearer {API_TOKEN}"}
     with httpx.Client(headers=headers, base_url=room.url) as client:
+        until(lambda: 'zenostat_node_up{node="office"} 1' in client.get("/metrics").text, "the node is followed")
         lines = client.get("/metrics").text.splitlines()
         values = {line.rpartition(" ")[0]: float(line.rpartition(" ")[2]) for line in lines if line[0] != "#"}
         assert values['zenostat_node_up{node="office"}'] == 1
