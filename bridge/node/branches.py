@@ -287,7 +287,6 @@ class BranchManager:
             for topic, kind in _NODE_REQUESTS:
                 server.subscriptions.request(topic, kind, self._reject)
             server.subscriptions.watch_presence(
-                keys.CONTROLLER_TOKEN,
                 lambda controller: server.publish_events(exchange.fallback.on_disconnect(controller, monotonic())),
             )
             server.publish()

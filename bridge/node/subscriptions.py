@@ -11,23 +11,23 @@ never puts.
 from __future__ import annotations
 
 import threading
-from collections import Counter, deque
+from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from functools import partial
-from time import monotonic
 from typing import TYPE_CHECKING, Any, NoReturn, TypeVar
 
 import zenoh
 from zenoh.handlers import Callback, FifoChannel
 
+from zenostat.bridge.node.controller_presence import ControllerPresence
+from zenostat.bridge.node.waiting import LARGE_BYTES, MAX_LARGE, MAX_PENDING, WaitingQueue, WaitingQueues
 from zenostat.bridge.transport.wakeup import Wake
 from zenostat.topics import codec, errors, keys
 from zenostat.topics.client_protocol import ZENOH, client_protocol
 from zenostat.topics.errors import AccessDenied, BadMessage, NodeLost, RequestRejected, ZenostatError
 from zenostat.topics.messages import ErrorReply, Message, Query
-from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
     from zenostat.bridge.node.access import Access
@@ -38,19 +38,6 @@ M = TypeVar("M", bound=Message)
 
 COMMAND_QUEUE = 256
 """Commands that may wait for the server's thread; beyond it, their senders are blocked."""
-
-MAX_PENDING = 256
-"""Messages or requests of a topic that may wait. A further message replaces the oldest with its key, and is dropped if
-there is none; a further request is rejected."""
-
-LARGE_BYTES = 1 << 16
-"""Size from which a message or request is large."""
-
-MAX_LARGE = 8
-"""Large messages and requests of all topics that may wait: 256 of each topic would fill the memory."""
-
-_TOKEN_S = 10.0
-"""Wall time within which the liveliness token of a controller with a claim has to be there, in s."""
 
 _TASKS_PER_TURN = 8
 """Tasks to run before the next command is received."""
@@ -139,26 +126,6 @@ def _refuse_large(payload: bytes, _: str) -> bytes:
     raise BadMessage(f"{len(payload)} bytes; this query has fewer than {LARGE_BYTES}")
 
 
-class _Waiting:
-    """A message or request that waits for the server's thread.
-
-    Args:
-        key: of a message, which a later one with the same key may replace; "" of a request.
-        task: what to do.
-        release: called once it waits no longer.
-    """
-
-    __slots__ = ("_task", "key", "release")
-
-    def __init__(self, key: str, task: Callable[[], None], release: Callable[[], None]) -> None:
-        self.key, self._task, self.release = key, task, release
-
-    def __call__(self) -> None:
-        """Do it."""
-        self.release()
-        self._task()
-
-
 Handler = Callable[[str, str, bytes, str], None]
 """Handles a message: the sender and the name in its key, shortened, its payload, its encoding."""
 
@@ -172,7 +139,6 @@ class Subscriptions:
         access: permissions of senders; None without keys.
         on_denied: called in the server's thread with the reason and the sender of each message that is denied.
         on_error: called in the server's thread with an error of this program in a request or a write, and its sender.
-        rate_limited: number of messages dropped and requests rejected because too many were waiting.
     """
 
     def __init__(self, session: zenoh.Session, node: str) -> None:
@@ -183,15 +149,10 @@ class Subscriptions:
         self.on_denied: Callable[[str, str], None] = lambda _text, _sender: None
         self.on_error: Callable[[keys.Topic, str, Exception], None] = lambda _topic, _sender, _error: None
         self._tasks: deque[Callable[[], None]] = deque()
-        self._queues: list[deque[_Waiting]] = []
-        self._before_commands: list[deque[_Waiting]] = []
-        self.rate_limited = 0
+        self._queues = WaitingQueues(self.post, self._deny_dropped)
+        self._before_commands: list[WaitingQueue] = []
         self._close = ExitStack()
-        self._large = threading.BoundedSemaphore(MAX_LARGE)
-        self._lock = threading.Lock()
-        self._dropped: Counter[tuple[keys.Topic, str]] = Counter()
-        self._present, self._expected = set[str](), set[str]()
-        self._on_disconnect: Callable[[str], None] = lambda _: None
+        self._presence: ControllerPresence | None = None
         self._thread_id = 0
         self._is_waiting = False
         self._is_command_next = self._has_ended = False
@@ -222,8 +183,7 @@ class Subscriptions:
             if drain.ident is not None:
                 drain.join()
             self._tasks.clear()
-            for queue in self._queues:  # a query ends once nothing refers to it; its sender would wait for minutes
-                queue.clear()
+            self._queues.clear()  # a query ends once nothing refers to it; its sender would wait for minutes
 
     def _drain(self, closed: threading.Event) -> None:
         while not closed.is_set():
@@ -235,6 +195,11 @@ class Subscriptions:
                 message = None
             if message is None:
                 closed.wait(0.001)
+
+    @property
+    def rate_limited(self) -> int:
+        """Number of messages dropped and requests rejected because too many were waiting."""
+        return self._queues.rate_limited
 
     # For the server's thread
 
@@ -261,8 +226,7 @@ class Subscriptions:
         if controller == _WAKE:
             return None
         for waiting in self._before_commands:
-            if waiting:
-                self._run_all(waiting)
+            waiting.run_all()
         return controller, message
 
     def run_pending(self) -> None:
@@ -272,20 +236,10 @@ class Subscriptions:
             self._turn -= 1
             self._tasks.popleft()()
 
-    def _run_all(self, waiting: deque[_Waiting]) -> None:
-        for _ in range(len(waiting)):
-            self._run_next(waiting)
-
-    def _run_next(self, waiting: deque[_Waiting]) -> None:
-        with self._lock:
-            task = waiting.popleft() if waiting else _no_op
-        task()
-
     def end(self) -> None:
         """Answer all requests that are waiting, those to stop with their reply and all others with an error."""
         self._has_ended = True
-        for waiting in self._queues:
-            self._run_all(waiting)
+        self._queues.run_all()
 
     def end_turn(self) -> None:
         """Run no further tasks in this turn, so that the server's thread simulates a step before them if it can."""
@@ -356,6 +310,9 @@ class Subscriptions:
         self.on_denied(f"{topic.key}: {reason}", sender)
         raise AccessDenied(reason)
 
+    def _deny_dropped(self, text: str, sender: str) -> None:
+        self.on_denied(text, sender)
+
     def _denial(self, topic: keys.Topic, sender: str, named: str) -> str:
         """Return why a message is denied, which names a sender besides that in its key; empty if it is not."""
         reason = _mismatch(sender, named)
@@ -373,54 +330,11 @@ class Subscriptions:
 
     # Subscribers and queryables besides commands
 
-    def _queue(self, topic: keys.Topic) -> deque[_Waiting]:
-        queue: deque[_Waiting] = deque()
-        self._queues.append(queue)
+    def _queue(self, topic: keys.Topic) -> WaitingQueue:
+        queue = self._queues.add(topic)
         if topic in (keys.ACTUATOR, keys.WRITE_REQUEST):
             self._before_commands.append(queue)
         return queue
-
-    def _may_wait(self, waiting: deque[_Waiting], size: int) -> bool:
-        """Return whether a message or request of some bytes may wait, and count it if it is large."""
-        if len(waiting) < MAX_PENDING and (size < LARGE_BYTES or self._large.acquire(blocking=False)):
-            return True
-        self.rate_limited += 1
-        return False
-
-    def _append(self, waiting: deque[_Waiting], size: int, task: Callable[[], None], key: str = "") -> None:
-        """Let a task wait that `_may_wait` has counted.
-
-        The server's thread runs the first one of its topic, unless that has run before a command by then.
-        """
-        with self._lock:
-            waiting.append(_Waiting(key, task, self._large.release if size >= LARGE_BYTES else _no_op))
-        self.post(lambda: self._run_next(waiting))
-
-    def _drop(self, topic: keys.Topic, sender: str, key: str, waiting: deque[_Waiting]) -> bool:
-        """Drop a message: the oldest that waits with a key, whose place the new one has, or (False) the new one.
-
-        The server's thread reports how many messages of a sender were dropped, of up to 256 senders at a time.
-        """
-        with self._lock:
-            oldest = next((message for message in waiting if message.key == key), None)
-            if oldest is not None:
-                waiting.remove(oldest)
-                oldest.release()
-            is_new = (topic, sender) not in self._dropped
-            if not is_new or len(self._dropped) < MAX_PENDING:  # strangers may have any number of names
-                self._dropped[topic, sender] += 1
-            if is_new and (topic, sender) in self._dropped:
-                self.post(lambda: self._report_dropped(topic, sender))
-        return oldest is not None
-
-    def _report_dropped(self, topic: keys.Topic, sender: str) -> None:
-        with self._lock:
-            count = self._dropped.pop((topic, sender))
-        self.on_denied(
-            f"{topic.key}: {counted(count, 'message')} dropped, older ones before newer ones of the same key, since "
-            f"{MAX_PENDING} were waiting",
-            sender,
-        )
 
     def listen(self, topic: keys.Topic, handler: Handler) -> None:
         """Subscribe to a topic; the server's thread handles its messages."""
@@ -438,47 +352,29 @@ class Subscriptions:
         def on_message(message: zenoh.Sample) -> None:
             size, key = len(message.payload), str(message.key_expr)
             sender, name = map(keys.shortened, topic.names_in(key))
-            replaced = key if size < LARGE_BYTES else ""
-            if not self._may_wait(waiting, size) and not self._drop(topic, sender, replaced, waiting):
+            if not waiting.admit(size) and not waiting.give_way(sender, size, key):
                 return
             payload, encoding, via = (
                 message.payload.to_bytes(),
                 str(message.encoding),
                 _client_protocol(message.attachment),
             )
-            self._append(
-                waiting, size, lambda: None if self._has_ended else receive(sender, name, payload, encoding, via), key
+            waiting.append(
+                size, lambda: None if self._has_ended else receive(sender, name, payload, encoding, via), key
             )
 
         subscriber = self._session.declare_subscriber(topic.everywhere(self.node), Callback(on_message, indirect=False))
         self._close.callback(subscriber.undeclare)
 
-    def watch_presence(self, topic: keys.Topic, on_disconnect: Callable[[str], None]) -> None:
-        """Subscribe to liveliness tokens; the server's thread calls `on_disconnect` with the name of each lost one."""
-        self._on_disconnect = on_disconnect
+    def watch_presence(self, on_disconnect: Callable[[str], None]) -> None:
+        """Follow the controllers' liveliness tokens; the server's thread calls `on_disconnect` for each lost one."""
+        self._presence = ControllerPresence(self._session, self.node, self.post, on_disconnect)
+        self._close.callback(self._presence.close)
 
-        def on_token(token: zenoh.Sample) -> None:
-            name = keys.last_chunk(str(token.key_expr))
-            if token.kind != zenoh.SampleKind.DELETE:
-                self._present.add(name)
-                return
-            self._present.discard(name)
-            self.post(lambda: on_disconnect(name))
-
-        liveliness, callback = self._session.liveliness(), Callback(on_token, indirect=False)
-        subscriber = liveliness.declare_subscriber(topic.everywhere(self.node), callback, history=True)
-        self._close.callback(subscriber.undeclare)
-
-    def expect_presence(self, name: str, timer: Timer) -> None:
-        """Take a sender for disconnected if it has no liveliness token within 10 s: nothing would tell when it ends."""
-        if name not in self._present and name not in self._expected:
-            self._expected.add(name)
-            timer.at(monotonic() + _TOKEN_S, lambda: self.post(lambda: self._check_presence(name)))
-
-    def _check_presence(self, name: str) -> None:
-        self._expected.discard(name)
-        if name not in self._present:
-            self._on_disconnect(name)
+    def expect_presence(self, controller: str, timer: Timer) -> None:
+        """Take a controller with a claim for disconnected if it has no token; see `ControllerPresence.expect`."""
+        if self._presence is not None:
+            self._presence.expect(controller, timer)
 
     def answer_latest(self, topic: keys.Topic, latest: Callable[[], bytes]) -> None:
         """Answer queries without a payload in the thread that receives them; `latest` only reads, b"" is no message."""
@@ -513,7 +409,7 @@ class Subscriptions:
             elif waiting.acquire(blocking=False):
                 worker.submit(compute, query)
             else:
-                self.rate_limited += 1
+                self._queues.rate_limited += 1
 
         queryable = self._session.declare_queryable(
             topic.at(self.node), Callback(on_query, indirect=False), complete=True
@@ -591,12 +487,11 @@ class Subscriptions:
         def on_query(query: zenoh.Query) -> None:
             request = Request(query, topic, self)
             size = len(request.payload)
-            if not self._may_wait(waiting, size):
+            if not waiting.admit(size):
                 request.answer(_reject, is_recorded=False)  # in another thread
                 return
             on_receipt(request)
-            self._append(
-                waiting,
+            waiting.append(
                 size,
                 lambda: request.answer(self._reject_ending) if self._is_refused(topic) else handler(request),
             )

@@ -7,7 +7,8 @@ import pytest
 import zenoh
 from support.nodes import until
 
-from zenostat.bridge.node.subscriptions import MAX_PENDING, Subscriptions
+from zenostat.bridge.node.subscriptions import Subscriptions
+from zenostat.bridge.node.waiting import MAX_PENDING
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics import keys
 

@@ -6,7 +6,8 @@ import pytest
 import zenoh
 from support.nodes import until
 
-from zenostat.bridge.node.subscriptions import LARGE_BYTES, MAX_LARGE, Subscriptions
+from zenostat.bridge.node.subscriptions import Subscriptions
+from zenostat.bridge.node.waiting import LARGE_BYTES, MAX_LARGE
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics import codec, keys
 from zenostat.topics.messages import Ack, ErrorReply, Stop

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from support.nodes import until
 
-from zenostat.bridge.node import subscriptions
+from zenostat.bridge.node import controller_presence
 from zenostat.bridge.node.subscriptions import Subscriptions
 from zenostat.bridge.runtime.timer import Timer
 from zenostat.bridge.transport.session import open_session
@@ -14,7 +14,7 @@ from zenostat.topics import keys
 
 @pytest.mark.process
 def test_subscriptions__sender_without_a_token_is_disconnected(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(subscriptions, "_TOKEN_S", 0.2)
+    monkeypatch.setattr(controller_presence, "_TOKEN_S", 0.2)
     endpoint, disconnected = f"unixsock-stream/{folder}/bus", list[str]()
     with (
         open_session(listen=[endpoint]) as node,
@@ -23,7 +23,7 @@ def test_subscriptions__sender_without_a_token_is_disconnected(folder: Path, mon
         Subscriptions(node, "office") as own,
         Timer() as timer,
     ):
-        own.watch_presence(keys.CONTROLLER_TOKEN, disconnected.append)
+        own.watch_presence(disconnected.append)
         with client.liveliness().declare_token(keys.CONTROLLER_TOKEN.at("office", sender="late")):
             for name in ("former", "late", "ghost"):  # the token of the first one is older than the node's subscription
                 own.expect_presence(name, timer)

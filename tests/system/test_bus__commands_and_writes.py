@@ -15,7 +15,7 @@ from zenoh.handlers import Callback
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP
 from zenostat.bridge.node.publications import EVENTS_A_STEP
-from zenostat.bridge.node.subscriptions import MAX_PENDING
+from zenostat.bridge.node.waiting import MAX_PENDING
 from zenostat.bridge.transport.session import open_session
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig, NodeNotFound

@@ -250,7 +250,7 @@ def test_codec__all_messages_are_fuzzed() -> None:
 
 def test_codec__limits_in_the_documentation_are_those_of_the_code() -> None:
     from zenostat.bridge.exchange import step_exchange
-    from zenostat.bridge.node import publications, subscriptions
+    from zenostat.bridge.node import publications, subscriptions, waiting
     from zenostat.bridge.transport import session
 
     page = (Path(__file__).parents[2] / "docs" / "security.md").read_text()
@@ -258,7 +258,7 @@ def test_codec__limits_in_the_documentation_are_those_of_the_code() -> None:
     numbers = (
         codec.MAX_BYTES // 2**20, session.MAX_MESSAGE_BYTES // 2**20, codec.MAX_ENTRIES, codec.MAX_ITEMS[Claim],
         step_exchange.MAX_MESSAGES_PER_STEP, step_exchange.MAX_SOURCE_NAME,
-        subscriptions.COMMAND_QUEUE, subscriptions.MAX_PENDING, subscriptions.MAX_LARGE,
+        subscriptions.COMMAND_QUEUE, waiting.MAX_PENDING, waiting.MAX_LARGE,
         publications.EVENTS_A_STEP, publications.WRITTEN_A_STEP,
     )  # fmt: skip
     rows = [line.split("|")[2].strip() for line in section.splitlines() if line.startswith("| ")][1:]

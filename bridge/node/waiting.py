@@ -1,0 +1,163 @@
+"""Messages and requests that wait for a server's thread: how many may, and which give way to newer ones."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, deque
+from collections.abc import Callable
+from typing import NamedTuple
+
+from zenostat.topics import keys
+from zenostat.topics.plurals import counted
+
+MAX_PENDING = 256
+"""Messages or requests of a topic that may wait. A further message replaces the oldest with its key, and is dropped if
+there is none; a further request is rejected."""
+
+LARGE_BYTES = 1 << 16
+"""Size from which a message or request is large."""
+
+MAX_LARGE = 8
+"""Large messages and requests of all topics that may wait: 256 of each topic would fill the memory."""
+
+Task = Callable[[], None]
+
+
+class _Entry(NamedTuple):
+    """A task that waits; a later message may replace one with the same key."""
+
+    task: Task
+    key: str
+    is_large: bool
+
+
+class WaitingQueues:
+    """The queues of a node, one for each topic.
+
+    Args:
+        post: runs a task in the server's thread.
+        on_dropped: called in that thread with a text, and the sender whose messages were dropped.
+
+    Attributes:
+        rate_limited: number of messages dropped and requests rejected because too many were waiting.
+    """
+
+    def __init__(self, post: Callable[[Task], None], on_dropped: Callable[[str, str], None]) -> None:
+        self.post, self._on_dropped = post, on_dropped
+        self.rate_limited = 0
+        self.lock = threading.Lock()
+        self.large = threading.BoundedSemaphore(MAX_LARGE)
+        self._queues: list[WaitingQueue] = []
+        self._dropped: Counter[tuple[keys.Topic, str]] = Counter()
+
+    def add(self, topic: keys.Topic) -> WaitingQueue:
+        """Return a new queue for a topic."""
+        queue = WaitingQueue(topic, self)
+        self._queues.append(queue)
+        return queue
+
+    def run_all(self) -> None:
+        """Run all tasks that wait; for the server's thread."""
+        for queue in self._queues:
+            queue.run_all()
+
+    def clear(self) -> None:
+        """Forget all tasks."""
+        for queue in self._queues:
+            queue.clear()
+
+    def count_dropped(self, topic: keys.Topic, sender: str) -> bool:
+        """Count a dropped message under the lock; return whether `report_dropped` is to be posted.
+
+        It counts for up to 256 senders at a time, since strangers may have any number of names.
+        """
+        is_new = (topic, sender) not in self._dropped
+        if is_new and len(self._dropped) == MAX_PENDING:
+            return False
+        self._dropped[topic, sender] += 1
+        return is_new
+
+    def report_dropped(self, topic: keys.Topic, sender: str) -> None:
+        """Report how many messages of a sender were dropped; for the server's thread."""
+        with self.lock:
+            count = self._dropped.pop((topic, sender))
+        self._on_dropped(
+            f"{topic.key}: {counted(count, 'message')} dropped, older ones before newer ones of the same key, since "
+            f"{MAX_PENDING} were waiting",
+            sender,
+        )
+
+
+class WaitingQueue:
+    """The messages or requests of one topic that wait.
+
+    Each task that is appended has a turn in the server's thread, in which the first one of the queue runs. If one has
+    run or given way before its turn, a later one has that.
+
+    Args:
+        topic: of the messages or requests.
+        queues: of the node.
+    """
+
+    def __init__(self, topic: keys.Topic, queues: WaitingQueues) -> None:
+        self._topic, self._queues = topic, queues
+        self._entries: deque[_Entry] = deque()
+        self._turns = 0
+
+    def admit(self, size: int) -> bool:
+        """Return whether a message or request of some bytes may wait, and count it if it is large."""
+        if len(self._entries) < MAX_PENDING and (size < LARGE_BYTES or self._queues.large.acquire(blocking=False)):
+            return True
+        self._queues.rate_limited += 1
+        return False
+
+    def append(self, size: int, task: Task, key: str = "") -> None:
+        """Let a task wait that has been admitted, or for which another one has given way."""
+        with self._queues.lock:
+            self._entries.append(_Entry(task, key, size >= LARGE_BYTES))
+            has_turn = self._turns >= len(self._entries)
+            self._turns += not has_turn
+        if not has_turn:
+            self._queues.post(self._take_turn)
+
+    def give_way(self, sender: str, size: int, key: str) -> bool:
+        """Drop a message: the oldest that waits with the key of a new one, or the new one itself, if that is large.
+
+        Returns:
+            Whether the new one may wait.
+        """
+        with self._queues.lock:
+            older = (entry for entry in self._entries if entry.key == key and size < LARGE_BYTES)
+            oldest = next(older, None)
+            if oldest is not None:
+                self._entries.remove(oldest)
+                self._release(oldest)
+            is_first = self._queues.count_dropped(self._topic, sender)
+        if is_first:
+            self._queues.post(lambda: self._queues.report_dropped(self._topic, sender))
+        return oldest is not None
+
+    def run_all(self) -> None:
+        """Run all tasks that wait, before their turns."""
+        for _ in range(len(self._entries)):
+            self._run_next()
+
+    def clear(self) -> None:
+        """Forget all tasks."""
+        self._entries.clear()
+
+    def _take_turn(self) -> None:
+        with self._queues.lock:
+            self._turns -= 1
+        self._run_next()
+
+    def _run_next(self) -> None:
+        with self._queues.lock:
+            entry = self._entries.popleft() if self._entries else None
+        if entry is not None:
+            self._release(entry)
+            entry.task()
+
+    def _release(self, entry: _Entry) -> None:
+        if entry.is_large:
+            self._queues.large.release()
