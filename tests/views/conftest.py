@@ -15,11 +15,17 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="module")
-def ada(browser: Any, room: Any) -> Iterator[Visitor]:
-    """A browser that has signed in as Ada; in the end nothing may have complained, or asked another host."""
+def signed_in(browser: Any, room: Any) -> Iterator[Visitor]:
+    """A browser that has signed in as Ada."""
     visitor = Visitor(browser)
     visitor.open(room.link).locator(".card").wait_for()
     yield visitor
-    assert visitor.complaints == []
-    assert visitor.hosts == {room.url.removeprefix("http://")}
     visitor.close()
+
+
+@pytest.fixture(scope="module")
+def ada(signed_in: Visitor, room: Any) -> Iterator[Visitor]:
+    """A browser that has signed in as Ada; in the end nothing may have complained, or asked another host."""
+    yield signed_in
+    assert signed_in.complaints == []
+    assert signed_in.hosts == {room.url.removeprefix("http://")}

@@ -1,6 +1,7 @@
 """Pages of the control room in a real browser: what they keep of files, samples, events and streams."""
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -119,12 +120,9 @@ def room(module_folder: Path, tank: NodeProgram, bus: zenostat.Bus) -> Iterator[
 
 
 @pytest.fixture(scope="module")
-def ada(browser: Any, room: Any) -> Iterator[Visitor]:
-    visitor = Visitor(browser)
-    visitor.open(room.link).locator(".card").wait_for()
-    yield visitor
-    assert [text for text in visitor.complaints if "Failed to load resource" not in text] == []  # refusals
-    visitor.close()
+def ada(signed_in: Visitor) -> Iterator[Visitor]:
+    yield signed_in
+    assert [text for text in signed_in.complaints if "Failed to load resource" not in text] == []  # refusals
 
 
 @pytest.fixture
@@ -250,14 +248,21 @@ def test_pages__hidden_page_has_no_stream_and_follows_again_when_it_is_shown(
     assert room.room.updates.followers == 1
 
 
+@contextmanager
+def second_node(bus: zenostat.Bus, tank: NodeProgram, folder: Path, name: str, plant: str, **settings: Any) -> Any:
+    """A paused node beside the tank, whose plant is another class of the same file."""
+    settings |= {"plant": f"{folder}/tank.py:{plant}", "name": name, "connect": [tank.endpoint]}
+    with NodeProgram(folder / name, **settings) as node:
+        until(lambda: name in bus.nodes(), "it is on the bus")
+        bus.pause(name)
+        bus.pace(name, mode="free")
+        yield node
+
+
 @pytest.fixture
 def bare(bus: zenostat.Bus, tank: NodeProgram, module_folder: Path) -> Iterator[NodeProgram]:
     """A second node of the bus, paused and without a history."""
-    plant = f"{module_folder}/tank.py:Tank"
-    with NodeProgram(module_folder / "bare", plant=plant, name="bare", connect=[tank.endpoint], history_mb=0.0) as node:
-        until(lambda: "bare" in bus.nodes(), "it is on the bus")
-        bus.pause("bare")
-        bus.pace("bare", mode="free")
+    with second_node(bus, tank, module_folder, "bare", "Tank", history_mb=0.0) as node:
         yield node
 
 
@@ -356,12 +361,8 @@ def test_point__panel_follows_a_node_that_restarts_with_others(
 @pytest.fixture
 def same(bus: zenostat.Bus, tank: NodeProgram, module_folder: Path) -> Iterator[NodeProgram]:
     """A node whose level and actuator have one name, paused at 0 m; its alarm is active from the first timestep on."""
-    settings = {"plant": f"{module_folder}/tank.py:Same", "name": "same", "connect": [tank.endpoint]}
     (module_folder / "full.yaml").write_text(ALARMS.replace("30.0", "0.0625"))
-    with NodeProgram(module_folder / "same", **settings, alarms=str(module_folder / "full.yaml")) as node:
-        until(lambda: "same" in bus.nodes(), "it is on the bus")
-        bus.pause("same")
-        bus.pace("same", mode="free")
+    with second_node(bus, tank, module_folder, "same", "Same", alarms=str(module_folder / "full.yaml")) as node:
         yield node
 
 
