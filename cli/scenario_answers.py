@@ -27,6 +27,7 @@ from zenostat.topics import yaml12
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, SimulatorError, UnknownName, UsageError, to_wire
 from zenostat.topics.keys import is_name
 from zenostat.topics.plurals import counted
+from zenostat.topics.user_file import user_file
 
 MAX_LISTED = 200
 """Largest number of points in an answer."""
@@ -114,10 +115,12 @@ class ScenarioAnswers:
         path = None if self._folder is None or not is_name(name) else self._folder / f"{name}.yaml"
         if path is None or not self._is_inside(path):
             raise UnknownName(f"there is no scenario {name!r} in the folder of scenarios")
+        with user_file(path, UnknownName):
+            digest = sha256(path.read_bytes()).hexdigest()  # first, so that a change from here on is noticed
         fields = load_yaml(path)
         if problems := [*_not_finite(fields)]:
             raise InvalidConfig("\n".join(f"{path.name}: {problem}" for problem in problems))
-        return {"fields": fields, "digest": sha256(path.read_bytes()).hexdigest()}
+        return {"fields": fields, "digest": digest}
 
     def check(self, fields: Mapping[str, Any], name: str = "scenario") -> dict[str, Any]:
         """Return a scenario as YAML, with the errors that `zenostat scenarios check` reports.
