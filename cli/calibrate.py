@@ -11,7 +11,7 @@ import typer
 from zenostat.cli.console import err, out, progress
 from zenostat.cli.reports import command_line
 from zenostat.cli.tables import show, show_json
-from zenostat.cli.train import override_fields
+from zenostat.cli.train import override_fields, set_option
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
 from zenostat.topics.file_kinds import FileKind
@@ -33,12 +33,7 @@ def calibrate(
     ] = None,
     trials: Annotated[int | None, typer.Option(min=1, help="Number of trials.")] = None,
     output: Annotated[Path | None, typer.Option(help="Folder of the results.")] = None,
-    fields: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="FIELD=VALUE", help="A field of the file, as seed=1 or missing=leave_out; repeatable."
-        ),
-    ] = None,
+    fields: Annotated[list[str] | None, set_option("seed=1 or missing=leave_out")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as JSON.")] = False,
 ) -> None:
     """Fit parameters of a building model to measured data with Optuna, and show how well each is determined.

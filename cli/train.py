@@ -21,14 +21,10 @@ if TYPE_CHECKING:
     from zenostat.lab.training import TrainingConfig, TrainingStatus
     from zenostat.metrics.episode_metrics import EpisodeMetrics
 
-SetFields = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="FIELD=VALUE",
-        help="A field of the file, as parameters.learning_rate=1e-3 or evaluation=false; repeatable.",
-    ),
-]
+
+def set_option(examples: str) -> Any:
+    """Return the option that sets fields of a file, with examples of these."""
+    return typer.Option("--set", metavar="FIELD=VALUE", help=f"A field of the file, as {examples}; repeatable.")
 
 
 def train(
@@ -44,7 +40,7 @@ def train(
     slots: Annotated[int | None, typer.Option(min=1, max=256, help="Buildings simulated side by side.")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of algorithm and episodes.")] = None,
     output: Annotated[Path | None, typer.Option(help="Folder of the results.")] = None,
-    fields: SetFields = None,
+    fields: Annotated[list[str] | None, set_option("parameters.learning_rate=1e-3 or evaluation=false")] = None,
     resume: Annotated[bool, typer.Option("--resume", help="Continue from the folder's last checkpoint.")] = False,
 ) -> None:
     """Train an agent with stable-baselines3, from a file, from options, or both: options override the file.

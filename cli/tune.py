@@ -9,7 +9,7 @@ import typer
 
 from zenostat.cli.console import out, progress
 from zenostat.cli.tables import show
-from zenostat.cli.train import override_fields, stop_signals
+from zenostat.cli.train import override_fields, set_option, stop_signals
 from zenostat.topics.file_kinds import FileKind
 
 if TYPE_CHECKING:
@@ -30,12 +30,7 @@ def tune(
         str | None, typer.Option(help="URL of the database, as postgresql://user@host/name; default: a SQLite file.")
     ] = None,
     output: Annotated[Path | None, typer.Option(help="Folder of the results.")] = None,
-    fields: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set", metavar="FIELD=VALUE", help="A field of the file, as sampler=random or pruner=false; repeatable."
-        ),
-    ] = None,
+    fields: Annotated[list[str] | None, set_option("sampler=random or pruner=false")] = None,
 ) -> None:
     """Search the parameters of a training or of a controller with Optuna, in processes, several at the same time.
 
