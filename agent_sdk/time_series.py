@@ -318,7 +318,8 @@ def currency(unit: str) -> str:
     Raises:
         ValueError: The unit is not a price per energy.
     """
-    return _split_unit(unit)[0].removeprefix("1")
+    numerator = _split_unit(unit)[0]
+    return "" if numerator == "1" else numerator
 
 
 def grams_per_kwh(unit: str) -> float:
