@@ -195,9 +195,10 @@ class MetricsAccumulator:
             self._peak_kwh = float(np.maximum(self._peak_kwh, kwh[self._electric]))  # NaN stays
         if self._comfort is not None:
             outside = self._comfort.outside(values, begin)
-            self._outside_k += float(outside.sum())
+            total_k = float(outside.sum())
+            self._outside_k += total_k
             self._occupied_k += float(outside[self._comfort.is_occupied(values)].sum())
-            self._steps_outside += 1.0 if (outside > 0.0).any() else 0.0 * float(outside.sum())  # NaN: unknown
+            self._steps_outside += 1.0 if (outside > 0.0).any() else total_k  # 0, or NaN if a temperature is unknown
         self._kpis.add(values, begin)
         self._unmet.add(values)
         for name, term in terms.items():
