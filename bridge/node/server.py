@@ -119,6 +119,9 @@ class NodeServer:
         self.subscriptions = self._close.enter_context(Subscriptions(self.session, self.manifest.node))
         self.subscriptions.access = self.access
         self.subscriptions.on_denied = lambda text, sender: self.event(self.exchange.rejected(text, sender))
+        self.subscriptions.on_dropped = lambda text, sender: self.event(
+            self.exchange.event(EventKind.REJECTED, text, sender)
+        )
         self.subscriptions.on_error = self._on_error
         self.requests.declare(status)
         self.trials.declare()

@@ -138,6 +138,8 @@ class Subscriptions:
         recorder: records requests with their replies, and the messages of `listen`.
         access: permissions of senders; None without keys.
         on_denied: called in the server's thread with the reason and the sender of each message that is denied.
+        on_dropped: called in that thread with a text, and the sender whose messages gave way to others; `rate_limited`
+            counts them.
         on_error: called in the server's thread with an error of this program in a request or a write, and its sender.
     """
 
@@ -147,9 +149,10 @@ class Subscriptions:
         self.recorder: Recorder | None = None
         self.access: Access | None = None
         self.on_denied: Callable[[str, str], None] = lambda _text, _sender: None
+        self.on_dropped: Callable[[str, str], None] = lambda _text, _sender: None
         self.on_error: Callable[[keys.Topic, str, Exception], None] = lambda _topic, _sender, _error: None
         self._tasks: deque[Callable[[], None]] = deque()
-        self._queues = WaitingQueues(self.post, self._deny_dropped)
+        self._queues = WaitingQueues(self.post, self._report_dropped)
         self._before_commands: list[WaitingQueue] = []
         self._close = ExitStack()
         self._presence: ControllerPresence | None = None
@@ -310,8 +313,8 @@ class Subscriptions:
         self.on_denied(f"{topic.key}: {reason}", sender)
         raise AccessDenied(reason)
 
-    def _deny_dropped(self, text: str, sender: str) -> None:
-        self.on_denied(text, sender)
+    def _report_dropped(self, text: str, sender: str) -> None:
+        self.on_dropped(text, sender)
 
     def _denial(self, topic: keys.Topic, sender: str, named: str) -> str:
         """Return why a message is denied, which names a sender besides that in its key; empty if it is not."""

@@ -34,7 +34,7 @@ def test_subscriptions__burst_leaves_the_newest_message_of_each_point(
     own, client = subscriptions
     handled, reports = list[tuple[str, bytes]](), list[tuple[str, str]]()
     own.listen(keys.ACTUATOR, lambda _sender, name, payload, _encoding: handled.append((name, payload)))
-    own.on_denied = lambda text, sender: reports.append((text, sender))
+    own.on_dropped = lambda text, sender: reports.append((text, sender))
     valve, pump = (keys.ACTUATOR.at("office", name=name, sender="panel") for name in ("valve", "pump"))
     publisher = client.declare_publisher(valve, congestion_control=zenoh.CongestionControl.BLOCK)
     until(lambda: publisher.matching_status.matching, "the client knows of the subscriber")
@@ -59,7 +59,7 @@ def test_subscriptions__message_whose_key_has_none_waiting_is_dropped(
     own, client = subscriptions
     handled, reports = list[str](), list[str]()
     own.listen(keys.ACTUATOR, lambda _sender, name, _payload, _encoding: handled.append(name))
-    own.on_denied = lambda text, _sender: reports.append(text)
+    own.on_dropped = lambda text, _sender: reports.append(text)
     valve, pump = (keys.ACTUATOR.at("office", name=name, sender="panel") for name in ("valve", "pump"))
     publisher = client.declare_publisher(valve, congestion_control=zenoh.CongestionControl.BLOCK)
     until(lambda: publisher.matching_status.matching, "the client knows of the subscriber")

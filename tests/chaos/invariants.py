@@ -129,7 +129,8 @@ def _counts(outcome: Outcome, sent: dict[str, list[journal.Sent]], events: list[
         faults.append(f"{bad} bad messages were sent, {status.rejected} rejected and {rate_limited} flooded")
     reported = Counter(event.kind for event in events if event.kind in _REFUSALS)
     for kind, name in _REFUSALS.items():
-        if reported[kind] > getattr(status, name) or (getattr(status, name) and not reported[kind]):
+        dropped = rate_limited if kind is EventKind.REJECTED else 0  # which an event reports, too
+        if reported[kind] > getattr(status, name) + dropped or (getattr(status, name) and not reported[kind]):
             faults.append(f"{getattr(status, name)} are {name}, and {reported[kind]} events tell of one")
     faults += [f"an event says nothing: {event}" for event in events if event.kind in _REFUSALS and not event.text]
     return faults, messages + floods[Disturbance.BAD_REQUESTS.name], refused + floods[Disturbance.BAD_REQUESTS.name]

@@ -279,6 +279,25 @@ def test_bus__command_is_answered_at_once_and_not_after_its_timestep(client: Cli
 
 
 @pytest.mark.slow
+def test_bus__write_that_gives_way_to_a_newer_one_is_counted_once(client: Client, node: NodeProgram) -> None:
+    client.claim("c")
+    node.engine.send_signal(signal.SIGSTOP)
+    try:
+        assert isinstance(client.ask(keys.COMMAND_REQUEST, "c", client.command()), Ack)
+        until(lambda: client.bus.status("office").state is State.RUNNING, "the node computes")
+        for _ in range(MAX_PENDING + 3):
+            client.put(keys.ACTUATOR, POINT, b"\x80")
+        until(lambda: client.bus.status("office").statistics.rate_limited == 3, "all have arrived")
+    finally:
+        node.engine.send_signal(signal.SIGCONT)
+    client.next_sample()
+    reply = client.ask(keys.WRITE_REQUEST, POINT, msgpack.packb({"value": 26.0, "priority": 4}))
+    assert isinstance(reply, Ack), "all that waited were handled before"
+    status = client.bus.status("office")
+    assert (status.rejected, status.statistics.rate_limited) == (MAX_PENDING, 3)
+
+
+@pytest.mark.slow
 def test_bus__day_of_commands_sent_at_once_is_answered_step_by_step(client: Client) -> None:
     """Requests for steps 0 to 95 without a pause: each is accepted, because the node steps before it reads the next."""
     client.claim("c")
