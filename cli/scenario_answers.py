@@ -125,14 +125,14 @@ class ScenarioAnswers:
     def check(self, fields: Mapping[str, Any], name: str = "scenario") -> dict[str, Any]:
         """Return a scenario as YAML, with the errors that `zenostat scenarios check` reports.
 
-        `is_refused`: it is more than data, or names files outside of the folder, and shall not be saved either.
+        `is_refused`: it is empty, more than data, or names files outside of the folder, and shall not be saved either.
 
         Args:
             fields: of the scenario; relative paths are relative to the folder.
             name: of its file, without `.yaml`.
         """
         text = yaml12.dump(dict(fields)) if fields else ""
-        answer: dict[str, Any] = {"yaml": text, "errors": [], "warnings": [], "summary": "", "is_refused": False}
+        answer: dict[str, Any] = {"yaml": text, "errors": [], "warnings": [], "summary": "", "is_refused": not fields}
         try:
             self._check_data(fields)
         except (UsageError, SimulatorError) as error:

@@ -45,6 +45,8 @@ def read_config(settings: Mapping[str, Any]) -> NodeConfig:
     unknown = [f"no setting {name!r}; {did_you_mean(name, known)}" for name in settings if name not in known]
     if unknown:
         raise InvalidConfig("\n".join(unknown))
+    if settings.get("keep_last") is not None and settings.get("output_dir") is None:
+        raise InvalidConfig("keep_last needs output_dir, the folder in which output files are kept")
     try:
         return NodeConfig.model_validate({"what": scenario_fields, **node_fields})
     except ValidationError as error:

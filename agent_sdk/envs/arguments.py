@@ -71,8 +71,6 @@ def for_node(arguments: Mapping[str, Any], name: str, slots: int = 1) -> dict[st
             settings[key] = _absolute(settings[key], always=key in files)
     if "plant_arguments" in settings and not PLANT_SETTINGS & settings.keys():
         raise InvalidConfig("plant_arguments needs a plant: plant='FILE.py:CLASS', fmu='FILE.fmu' or grid='FILE.yaml'")
-    if "keep_last" in settings and "output_dir" not in settings:
-        raise InvalidConfig("keep_last needs output_dir, the folder in which output files are kept")
     if "plant" in settings:
         settings["plant"] = _absolute_class(str(settings["plant"]))
     settings |= {option: absolute_source(str(settings[option])) for option in SHIPPED if option in settings}

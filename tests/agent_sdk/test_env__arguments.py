@@ -68,7 +68,6 @@ def test_env__file_of_a_plant_is_made_absolute_and_a_module_stays(user_folder: P
     ("arguments", "message"),
     [
         ({**BASE, "plant_arguments": {}}, r"plant_arguments needs a plant: plant='FILE.py:CLASS', fmu"),
-        ({**BASE, "keep_last": 1}, "keep_last needs output_dir, the folder in which output files are kept"),
         ({}, "name a building and a weather, a scenario, a file"),
         ({"building": "office-small"}, "name a building and a weather, a scenario, a file"),
         ({"weather": "USA_CO_Denver"}, "name a building and a weather, a scenario, a file"),
@@ -161,6 +160,12 @@ def test_env__configuration_file_is_made_absolute(user_folder: Path) -> None:
 )
 def test_env__scenarios_id_stays(user_folder: Path, scenario: str) -> None:
     assert for_node({"scenario": scenario}, "b")["scenario"] == scenario
+
+
+def test_read_config__number_of_kept_folders_needs_a_folder_to_keep_them_in(tmp_path: Path) -> None:
+    with pytest.raises(InvalidConfig, match="keep_last needs output_dir, the folder in which output files are kept"):
+        read_config({**BASE, "keep_last": 1})
+    assert read_config({**BASE, "keep_last": 1, "output_dir": tmp_path}).keep_last == 1
 
 
 # What to simulate

@@ -87,6 +87,14 @@ def test_scenario_answers__valid_scenario_is_summarized(answers: ScenarioAnswers
     assert yaml12.parse(answer["yaml"], "the answer") == FIELDS
 
 
+def test_scenario_answers__empty_scenario_is_not_saved(answers: ScenarioAnswers) -> None:
+    """A page could not open it again."""
+    answer = answers.check({})
+    assert answer["is_refused"]
+    assert answer["errors"] == ["scenario.yaml: building: it is missing; weather: it is missing"]
+    assert not answers.check({"building": "nowhere"})["is_refused"], "what has errors can be finished later"
+
+
 @pytest.mark.parametrize(
     ("fields", "text"),
     [
