@@ -1,4 +1,4 @@
-"""The fallback policy of the step exchange: disconnected controllers and missed deadlines."""
+"""The fallback policy of the step exchange: disconnected controllers, their return, and missed deadlines."""
 
 from __future__ import annotations
 
@@ -13,9 +13,12 @@ _BYPASSED = ControllerState.BYPASSED
 DISCONNECTED = "disconnected"
 """Reason in the event of a fallback after the grace period, as opposed to one after a deadline."""
 
+RECONNECTED = "is on the bus again, with its claim"
+"""What the event of a reconnection says of a controller, as opposed to those of claims and answers."""
+
 
 class FallbackRules:
-    """Applies the fallback policy when controllers disconnect or miss the deadline.
+    """Applies the fallback policy when controllers disconnect, return or miss the deadline.
 
     Args:
         exchange: its state.
@@ -37,6 +40,18 @@ class FallbackRules:
         waits = claimant.required and exchange.mode is Mode.LOCKSTEP and exchange.policy is Policy.WAIT
         text = f"{name} disconnected{'; the node waits for it' if waits else ''}"
         return [exchange.event(EventKind.DISCONNECTED, text, name)]
+
+    def on_reconnect(self, name: str, now_s: float) -> list[Event]:
+        """Handle the return of a disconnected controller whose claim nobody has replaced."""
+        exchange = self._exchange
+        claimant = exchange.claims.by_name.get(name)
+        if claimant is None or claimant.state.is_connected:
+            return []
+        claimant.transition(ControllerTrigger.RECONNECT)
+        claimant.connected_at_s = now_s
+        if name not in exchange.answers.controllers:
+            exchange.await_answer(claimant)
+        return [exchange.event(EventKind.CONNECTED, f"{name} {RECONNECTED}", name)]
 
     def bypass(self, name: str, now_s: float, grace_s: float = 0.0) -> list[Event]:
         """Apply the policy to a controller that has been disconnected for the grace period.

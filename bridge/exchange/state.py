@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 from zenostat.bridge.exchange.actuator_commands import ActuatorCommands
 from zenostat.bridge.exchange.answers import Answers
-from zenostat.bridge.exchange.claims import Claims
+from zenostat.bridge.exchange.claims import ClaimHolder, Claims
 from zenostat.bridge.exchange.transitions import TRANSITIONS, IllegalTransition, Trigger
 from zenostat.topics import codec
-from zenostat.topics.messages import Actuator, Event, EventKind, Mode, Policy, State
+from zenostat.topics.messages import Actuator, ControllerState, Event, EventKind, Mode, Policy, State
 
 MAX_EVENT_TEXT = 20_000
 """Largest number of characters in an event's text."""
@@ -126,6 +126,13 @@ class ExchangeState:
     def awaiting(self) -> list[str]:
         """Return the required controllers that have not answered the current sample."""
         return sorted(self.answers.pending)
+
+    def await_answer(self, claimant: ClaimHolder) -> None:
+        """Wait for a controller's answer to the current sample if it is required."""
+        if claimant.required and self.state is State.WAITING:
+            # Bypassed controllers were pending only so that the deadline set the pace.
+            bypassed = {c.name for c in self.claims.by_name.values() if c.state is ControllerState.BYPASSED}
+            self.answers.pending = (self.answers.pending - bypassed) | {claimant.name}
 
     def rejected(self, text: str, source: str) -> Event:
         """Count a rejected message and return its event."""

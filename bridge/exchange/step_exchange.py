@@ -209,12 +209,7 @@ class StepExchange(ExchangeState):
         self.commands.drop_own_expiries(claimant)
         for name in (*replaced, claim.controller):
             self.answers.forget(name)
-        if claim.required and self.state is State.WAITING:
-            # Bypassed controllers were pending only so that the deadline set the pace.
-            self.answers.pending -= {
-                holder.name for holder in self.claims.by_name.values() if holder.state is _BYPASSED
-            }
-            self.answers.pending.add(claim.controller)
+        self.await_answer(claimant)
         priority = "again" if is_renewal else f"at priority {claim.priority}"
         return [
             *(

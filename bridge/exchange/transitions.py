@@ -12,7 +12,8 @@ The module `step_exchange` has a drawing of the episode's states. Those of a con
                   └─────────▶ BYPASSED ◀──────────┘
 
 An answer changes nothing in the other states, nor does a deadline, or a reset in the state CONNECTED. A reset of all
-slots drops the claims of disconnected controllers. A controller that claims again begins as CONNECTED.
+slots drops the claims of disconnected controllers. A controller that claims again, or that is on the bus again with its
+claim, begins as CONNECTED.
 """
 
 from __future__ import annotations
@@ -51,12 +52,14 @@ class ControllerTrigger(StrEnum):
     """Inputs of a controller's state machine.
 
     `ANSWER`: its command is accepted. `DEADLINE`: it has not answered by the deadline. `DISCONNECT`: it has left the
-    bus. `BYPASS`: it has been disconnected for the grace period. `RESET`: a new episode begins in all slots.
+    bus. `RECONNECT`: it is on the bus again. `BYPASS`: it has been disconnected for the grace period. `RESET`: a new
+    episode begins in all slots.
     """
 
     ANSWER = "answer"
     DEADLINE = "deadline"
     DISCONNECT = "disconnect"
+    RECONNECT = "reconnect"
     BYPASS = "bypass"
     RESET = "reset"
 
@@ -76,11 +79,14 @@ CONTROLLER_TRANSITIONS: dict[tuple[ControllerState, ControllerTrigger], Controll
     (_DISCONNECTED, ControllerTrigger.ANSWER): _DISCONNECTED,
     (_DISCONNECTED, ControllerTrigger.DEADLINE): _ABSENT,
     (_DISCONNECTED, ControllerTrigger.BYPASS): _BYPASSED,
+    (_DISCONNECTED, ControllerTrigger.RECONNECT): _CONNECTED,
     (_ABSENT, ControllerTrigger.ANSWER): _DISCONNECTED,
     (_ABSENT, ControllerTrigger.DEADLINE): _ABSENT,
     (_ABSENT, ControllerTrigger.BYPASS): _BYPASSED,
+    (_ABSENT, ControllerTrigger.RECONNECT): _CONNECTED,
     (_BYPASSED, ControllerTrigger.ANSWER): _BYPASSED,
     (_BYPASSED, ControllerTrigger.DEADLINE): _BYPASSED,
+    (_BYPASSED, ControllerTrigger.RECONNECT): _CONNECTED,
 }
 
 

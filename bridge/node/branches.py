@@ -288,6 +288,7 @@ class BranchManager:
                 server.subscriptions.request(topic, kind, self._reject)
             server.subscriptions.watch_presence(
                 lambda controller: server.publish_events(exchange.fallback.on_disconnect(controller, monotonic())),
+                server.on_reconnect,
             )
             server.publish()
             server.announce()

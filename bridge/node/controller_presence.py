@@ -23,6 +23,8 @@ class ControllerPresence:
         node: the node's name.
         post: runs a task in the server's thread.
         on_disconnect: called in that thread with the name of each controller whose token is lost.
+        on_reconnect: called in that thread with the name of each controller whose token appears, for the first time or
+            again.
     """
 
     def __init__(
@@ -31,8 +33,9 @@ class ControllerPresence:
         node: str,
         post: Callable[[Callable[[], None]], None],
         on_disconnect: Callable[[str], None],
+        on_reconnect: Callable[[str], None],
     ) -> None:
-        self._post, self._on_disconnect = post, on_disconnect
+        self._post, self._on_disconnect, self._on_reconnect = post, on_disconnect, on_reconnect
         self._present, self._expected = set[str](), set[str]()
         tokens, callback = keys.CONTROLLER_TOKEN.everywhere(node), Callback(self._on_token, indirect=False)
         self._subscriber = session.liveliness().declare_subscriber(tokens, callback, history=True)
@@ -56,6 +59,7 @@ class ControllerPresence:
         name = keys.last_chunk(str(token.key_expr))
         if token.kind != zenoh.SampleKind.DELETE:
             self._present.add(name)
-            return
-        self._present.discard(name)
-        self._post(lambda: self._on_disconnect(name))
+            self._post(lambda: self._on_reconnect(name))
+        else:
+            self._present.discard(name)
+            self._post(lambda: self._on_disconnect(name))

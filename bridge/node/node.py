@@ -313,7 +313,7 @@ class Node:
         """Put the node on the bus: first what answers requests, its presence last."""
         server = self.server
         server.declare(self.status)
-        server.subscriptions.watch_presence(self._on_disconnect)
+        server.subscriptions.watch_presence(self._on_disconnect, server.on_reconnect)
         self._episodes.declare()
         self._recordings.declare()
         server.subscriptions.request(keys.REVOKE, Revoke, self._revoke)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import msgpack
 import numpy as np
 
-from zenostat.bridge.exchange.fallback import DISCONNECTED
+from zenostat.bridge.exchange.fallback import DISCONNECTED, RECONNECTED
 from zenostat.bridge.exchange.revocation import revoke
 from zenostat.bridge.exchange.state import MAX_SOURCE_NAME
 from zenostat.bridge.exchange.step_exchange import IllegalTransition, Trigger
@@ -305,6 +305,8 @@ class Repetition:
         exchange, now_s, name = self._exchange, monotonic(), event.source
         if event.kind is EventKind.DISCONNECTED:
             exchange.fallback.on_disconnect(name, now_s)
+        elif event.kind is EventKind.CONNECTED and event.text == f"{name} {RECONNECTED}":
+            exchange.fallback.on_reconnect(name, now_s)
         elif event.kind is EventKind.FALLBACK and event.text.startswith(f"{name} {DISCONNECTED};"):
             exchange.fallback.bypass(name, now_s)
         elif event.kind is EventKind.FALLBACK:

@@ -393,6 +393,14 @@ class NodeServer:
             grace_s = self.manifest.grace_s
             self.timer.at(monotonic() + grace_s, lambda: self.subscriptions.post(lambda: self._bypass(controller)))
 
+    def on_reconnect(self, controller: str) -> None:
+        """Record that a controller is on the bus again; if nobody was waited for, it has the whole deadline."""
+        now_s, awaited = monotonic(), self.exchange.awaiting()
+        events = self.exchange.fallback.on_reconnect(controller, now_s)
+        self.publish_events(events)
+        if events and not awaited:
+            self.pacing.wait(now_s)
+
     def revoke(self, name: str) -> None:
         """End the claims of a certificate's name that is revoked, and relinquish what it has set."""
         self.publish_events(revoke(self.exchange, name))

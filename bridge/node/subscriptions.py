@@ -369,9 +369,9 @@ class Subscriptions:
         subscriber = self._session.declare_subscriber(topic.everywhere(self.node), Callback(on_message, indirect=False))
         self._close.callback(subscriber.undeclare)
 
-    def watch_presence(self, on_disconnect: Callable[[str], None]) -> None:
-        """Follow the controllers' liveliness tokens; the server's thread calls `on_disconnect` for each lost one."""
-        self._presence = ControllerPresence(self._session, self.node, self.post, on_disconnect)
+    def watch_presence(self, on_disconnect: Callable[[str], None], on_reconnect: Callable[[str], None]) -> None:
+        """Follow the controllers' liveliness tokens; see `ControllerPresence`."""
+        self._presence = ControllerPresence(self._session, self.node, self.post, on_disconnect, on_reconnect)
         self._close.callback(self._presence.close)
 
     def expect_presence(self, controller: str, timer: Timer) -> None:

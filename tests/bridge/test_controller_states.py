@@ -14,7 +14,7 @@ from zenostat.topics.messages import ControllerState, EventKind, Policy
 CONNECTED, UNRESPONSIVE = ControllerState.CONNECTED, ControllerState.UNRESPONSIVE
 DISCONNECTED, ABSENT, BYPASSED = ControllerState.DISCONNECTED, ControllerState.ABSENT, ControllerState.BYPASSED
 ANSWER, DEADLINE, RESET = ControllerTrigger.ANSWER, ControllerTrigger.DEADLINE, ControllerTrigger.RESET
-DISCONNECT, BYPASS = ControllerTrigger.DISCONNECT, ControllerTrigger.BYPASS
+DISCONNECT, RECONNECT, BYPASS = ControllerTrigger.DISCONNECT, ControllerTrigger.RECONNECT, ControllerTrigger.BYPASS
 
 # The table
 
@@ -24,9 +24,9 @@ def test_controller_states__table_is_that_of_the_drawing() -> None:
     drawn = {
         CONNECTED: {ANSWER: CONNECTED, DEADLINE: UNRESPONSIVE, DISCONNECT: DISCONNECTED, RESET: CONNECTED},
         UNRESPONSIVE: {ANSWER: CONNECTED, DEADLINE: UNRESPONSIVE, DISCONNECT: ABSENT, RESET: CONNECTED},
-        DISCONNECTED: {ANSWER: DISCONNECTED, DEADLINE: ABSENT, BYPASS: BYPASSED},
-        ABSENT: {ANSWER: DISCONNECTED, DEADLINE: ABSENT, BYPASS: BYPASSED},
-        BYPASSED: {ANSWER: BYPASSED, DEADLINE: BYPASSED},
+        DISCONNECTED: {ANSWER: DISCONNECTED, DEADLINE: ABSENT, BYPASS: BYPASSED, RECONNECT: CONNECTED},
+        ABSENT: {ANSWER: DISCONNECTED, DEADLINE: ABSENT, BYPASS: BYPASSED, RECONNECT: CONNECTED},
+        BYPASSED: {ANSWER: BYPASSED, DEADLINE: BYPASSED, RECONNECT: CONNECTED},
     }
     assert {(state, what): to for state, row in drawn.items() for what, to in row.items()} == CONTROLLER_TRANSITIONS
 
@@ -55,11 +55,11 @@ def test_controller_states__pair_has_a_row_or_is_illegal(state: ControllerState,
     assert agent.state is state
 
 
-def test_controller_states__whether_it_is_connected_changes_only_where_it_disconnects() -> None:
-    """Nothing but a new claim brings a disconnected controller back."""
+def test_controller_states__whether_it_is_connected_changes_only_where_it_leaves_or_returns() -> None:
+    """No answer brings a disconnected controller back: it may have been sent before."""
     assert [state for state in ControllerState if state.is_connected] == [CONNECTED, UNRESPONSIVE]
     for (state, what), to in CONTROLLER_TRANSITIONS.items():
-        assert to.is_connected == (state.is_connected and what is not DISCONNECT)
+        assert to.is_connected == (what is RECONNECT or (state.is_connected and what is not DISCONNECT))
 
 
 # By calls of the exchange
@@ -101,6 +101,9 @@ class Schedule:
     def disconnects(self) -> list[EventKind]:
         return [event.kind for event in self.exchange.fallback.on_disconnect("agent", 0.0)]
 
+    def reconnects(self) -> list[EventKind]:
+        return [event.kind for event in self.exchange.fallback.on_reconnect("agent", 0.0)]
+
     def is_gone_for_the_grace_period(self) -> list[EventKind]:
         return [event.kind for event in self.exchange.fallback.bypass("agent", GRACE_S, GRACE_S)]
 
@@ -117,6 +120,7 @@ CALLS: dict[str, Callable[[Schedule], list[EventKind]]] = {
     "answer": Schedule.answers,
     "deadline": Schedule.misses_the_deadline,
     "disconnect": Schedule.disconnects,
+    "reconnect": Schedule.reconnects,
     "grace": Schedule.is_gone_for_the_grace_period,
     "claim": Schedule.claims_again,
     "reset": Schedule.begins_another_episode,
@@ -143,6 +147,7 @@ EXPECTED: dict[tuple[ControllerState, str], tuple[ControllerState | None, list[E
     (BYPASSED, "deadline"): (BYPASSED, []),
     (BYPASSED, "disconnect"): (BYPASSED, []),
     (BYPASSED, "grace"): (BYPASSED, []),
+    **{(s, "reconnect"): (s, []) if s.is_connected else (CONNECTED, [EventKind.CONNECTED]) for s in ControllerState},
     **{(state, "claim"): (CONNECTED, [EventKind.CONNECTED]) for state in ControllerState},
     **{(state, "reset"): (CONNECTED if state.is_connected else None, []) for state in ControllerState},
 }
@@ -189,6 +194,19 @@ def test_controller_states__in_each_state_the_node_waits_for_it_or_does_not(stat
     answer(at.exchange, "guard", [16.0, 29.0])
     assert at.exchange.ready_to_step() == (state is BYPASSED)
     assert at.exchange.awaiting() == ([] if state is BYPASSED else ["agent"])
+
+
+@pytest.mark.parametrize("state", [DISCONNECTED, ABSENT, BYPASSED])
+def test_controller_states__one_that_returns_is_waited_for_unless_it_has_answered(state: ControllerState) -> None:
+    at = in_state(state)
+    at.reconnects()
+    answer(at.exchange, "guard", [16.0, 29.0])
+    assert at.exchange.awaiting() == ["agent"]
+    answer(at.exchange, "agent", [20.0, 25.0])
+    at.disconnects()
+    at.reconnects()
+    assert at.exchange.awaiting() == []
+    assert at.exchange.ready_to_step()
 
 
 @pytest.mark.parametrize("state", ControllerState)

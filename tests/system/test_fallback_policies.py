@@ -21,8 +21,8 @@ from zenoh.handlers import FifoChannel
 import zenostat
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec, keys
-from zenostat.topics.errors import EpisodeAborted, InvalidConfig, ZenostatError
-from zenostat.topics.messages import ControllerState, ControllerStatus, Event, EventKind, Policy, State
+from zenostat.topics.errors import EpisodeAborted, InvalidConfig, RequestRejected, ZenostatError
+from zenostat.topics.messages import Claim, Command, ControllerState, ControllerStatus, Event, EventKind, Policy, State
 
 STEPS = 96
 POINT = "core_zn_cooling_setpoint"
@@ -176,6 +176,48 @@ def test_fallback_policies__one_that_was_killed_returns_at_the_present_step(scra
     assert [effective(sample, SOUTH[0]) for sample in received] == [26.0] * 31 + [27.0] * (STEPS - 31)
     # It had answered sample 21 before it was killed, or had not.
     assert fell in ([*range(22, 32)], [*range(23, 32)])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("policy", ["hold", "relinquish", "abort"])
+def test_fallback_policies__controller_whose_token_returns_is_connected_with_its_claim(
+    scratch: Path, policy: str
+) -> None:
+    """As after a lost link, of a client that knows nothing but the contract; the grace period of `abort` goes on."""
+    with (
+        office(scratch, policy=policy, grace_s=60.0 if policy == "abort" else 0.0) as (_, bus),
+        events_of(bus) as events,
+        bus.controller("office", name="south", actuators=SOUTH) as south,
+    ):
+
+        def declare_token() -> zenoh.LivelinessToken:
+            return bus.session.liveliness().declare_token(keys.CONTROLLER_TOKEN.at("office", sender="bare"))
+
+        token = declare_token()
+        bus.claim("office", Claim(controller="bare", actuators=NORTH))
+        token.undeclare()
+        left = next_event(events, EventKind.DISCONNECTED)
+        if policy != "abort":
+            assert next_event(events, EventKind.FALLBACK).source == left.source
+        token = declare_token()
+        back = next_event(events, EventKind.CONNECTED, EventKind.FAILED)
+        assert (left.source, back.source, back.text) == ("bare", "bare", "bare is on the bus again, with its claim")
+        assert status_of(bus, "bare").state is ControllerState.CONNECTED
+        with pytest.raises(RequestRejected, match="is claimed by 'bare'"):
+            bus.controller("office", name="other", actuators=NORTH)
+        sample = south.current()
+        sample.send(dict.fromkeys(SOUTH, 26.0))
+        until(lambda: status_of(bus, south.name).accepted == 1, "its command is there")
+        assert bus.status("office").step == [0], "it waits for the other"
+        command = Command(
+            episode=[sample.episode],
+            step=[sample.step],
+            operations=bytes(actuator.name in NORTH for actuator in south.manifest.actuators),
+            values=np.full(len(south.manifest.actuators), 27.0).tobytes(),
+        )
+        bus.session.put(keys.COMMAND.at("office", sender="bare"), codec.encode(command))
+        assert (effective(south.receive(), NORTH[0]), status_of(bus, "bare").missed) == (27.0, 0)
+        token.undeclare()
 
 
 # Frozen
