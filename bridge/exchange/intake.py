@@ -13,10 +13,14 @@ from zenostat.topics.errors import BadMessage
 from zenostat.topics.messages import ANONYMOUS, Command, ControllerState, Event, EventKind, State, Write
 
 MAX_MESSAGES_PER_STEP = 100
-"""Largest number of messages of one controller that are processed in one step, apart from fast-path commands."""
+"""Largest number of messages of one controller that are processed in one step. Further ones are only accepted if the
+step waits for them."""
 
 RATE_LIMITED = f"more than {MAX_MESSAGES_PER_STEP} messages in one step; this one was not processed"
 """Text of the rejection of each further one."""
+
+_MAX_AWAITED_BYTES = 1 << 10
+"""Size of a command that is read beyond that number, apart from its values."""
 
 _UNKNOWN_CONTROLLERS = ""  # no controller can have this name
 
@@ -60,11 +64,12 @@ class Intake:
     def receive_command(self, controller: str, payload: bytes, now_s: float, encoding: str = "") -> Event | None:
         """Accept or reject the payload of any command; return an event unless it is a normal answer.
 
-        Of each controller, only the first hundred such messages in a step are processed; the rest are counted as rate
-        limited and ignored. All controllers without a claim count as one.
+        Of each controller, only the first hundred such messages in a step are processed, and of the rest the first one
+        that answers the step; the others are counted as rate limited and ignored. All controllers without a claim count
+        as one.
         """
         if self.is_rate_limited(controller):
-            return None
+            return self.accept_awaited(controller, payload, now_s, encoding)[1]
         try:
             return self.command(controller, codec.decode(Command, payload, encoding), now_s)
         except BadMessage as error:
@@ -79,6 +84,32 @@ class Intake:
             return False
         exchange.counts.rate_limited += 1
         return True
+
+    def accept_awaited(
+        self, controller: str, payload: bytes, now_s: float, encoding: str = ""
+    ) -> tuple[bool, Event | None]:
+        """Accept a rate-limited command if it is a valid one for which the step waits, and else change nothing.
+
+        Without it, a controller that has sent too many invalid ones could not go on, nor could anybody.
+
+        Returns:
+            Whether it is accepted; its event, unless it is a normal answer.
+        """
+        exchange = self._exchange
+        if controller not in exchange.answers.pending or len(payload) > _MAX_AWAITED_BYTES + 2 * exchange.commands.size:
+            return False, None
+        claimant = exchange.claims.by_name[controller]
+        try:
+            command = codec.decode(Command, payload, encoding)
+            answered = [slot for slot, step in enumerate(command.step) if step is not None]
+            is_current = bool(answered) and self._answers_current_step(command, answered)
+            if not is_current or any(exchange.done[slot] for slot in answered):
+                return False, None
+            exchange.commands.put(claimant, command, answered)
+        except BadMessage:
+            return False, None
+        exchange.counts.rate_limited -= 1
+        return True, self._accept(claimant, answered, now_s)
 
     def command(self, controller: str, command: Command, now_s: float) -> Event | None:
         """Accept or reject a command; return an event unless it is a normal answer."""
@@ -107,8 +138,11 @@ class Intake:
             exchange.commands.put(claimant, command, answered)
         except BadMessage as error:
             return exchange.rejected(str(error), controller)
-        exchange.answers.record(claimant, answered, now_s)
-        exchange.counts.accepted += 1
+        return self._accept(claimant, answered, now_s)
+
+    def _accept(self, claimant: ClaimHolder, answered: Sequence[int], now_s: float) -> Event | None:
+        self._exchange.answers.record(claimant, answered, now_s)
+        self._exchange.counts.accepted += 1
         return self._delay_event(claimant, now_s)
 
     def _delay_event(self, claimant: ClaimHolder, now_s: float) -> Event | None:

@@ -115,17 +115,24 @@ class RequestHandlers:
         if access is not None and (reason := access.denial(keys.COMMAND_REQUEST, controller)):
             server.subscriptions.deny(keys.COMMAND_REQUEST, controller, reason)
         if not exchange.intake.accept_fast(controller, request.payload, now_s, request.encoding):
-            if exchange.intake.is_rate_limited(controller):
-                raise RequestRejected(RATE_LIMITED)
-            try:
-                command = codec.decode(Command, request.payload, request.encoding)
-            except BadMessage as error:
-                server.event(exchange.rejected(str(error), controller))
-                raise
-            event = exchange.intake.command(controller, command, now_s)
+            event = self._command_off_the_fast_path(request, now_s)
         reply = self._ack(event)
         server.subscriptions.end_turn()  # what came after the command may refer to the step that it completes
         return reply
+
+    def _command_off_the_fast_path(self, request: Request, now_s: float) -> Event | None:
+        intake, controller = self._server.exchange.intake, request.sender
+        if intake.is_rate_limited(controller):
+            is_accepted, event = intake.accept_awaited(controller, request.payload, now_s, request.encoding)
+            if not is_accepted:
+                raise RequestRejected(RATE_LIMITED)
+            return event
+        try:
+            command = codec.decode(Command, request.payload, request.encoding)
+        except BadMessage as error:
+            self._server.event(self._server.exchange.rejected(str(error), controller))
+            raise
+        return intake.command(controller, command, now_s)
 
     def _ack(self, event: Event | None = None) -> Ack:
         """Publish the event of a command or a write; return the reply, or raise `RequestRejected` with its text."""

@@ -20,7 +20,7 @@ from support.fallback_exchanges import (
 
 from zenostat.bridge.exchange.step_exchange import MAX_MESSAGES_PER_STEP, Trigger
 from zenostat.topics.errors import EpisodeAborted
-from zenostat.topics.messages import ControllerState, EventKind, Mode, Policy, State
+from zenostat.topics.messages import Command, ControllerState, EventKind, Mode, Policy, State
 
 # Gone
 
@@ -443,9 +443,31 @@ def test_step_exchange__flood_is_passed_over_and_the_others_are_served() -> None
         MAX_MESSAGES_PER_STEP,
     )
     assert at.intake.receive_command("cooler", wire(command([0.0, 26.0], step=1, operations=[KEEP, SET])), 1.0) is None
-    assert at.awaiting() == ["heater"]  # its own right command is passed over as well, until the next step
-    assert at.intake.receive_command("heater", wire(command([21.0, 0.0], step=1, operations=[SET, KEEP])), 1.0) is None
     assert at.awaiting() == ["heater"]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        command([99.0, 0.0], step=1, operations=[SET, KEEP]),
+        command([20.0, 0.0], step=0, operations=[SET, KEEP]),
+        command([20.0, 25.0], step=1, operations=[SET, SET]),
+        command([20.0, 0.0], step=[None], operations=[SET, KEEP]),
+        command([20.0] * 2_000, step=1, operations=[KEEP] * 2_000),
+    ],
+    ids=["out_of_bounds", "over", "unclaimed", "no_slot", "too_large"],
+)
+def test_step_exchange__answer_that_the_step_waits_for_is_accepted_after_a_flood(wrong: Command) -> None:
+    at = with_two(Policy.WAIT)
+    for _ in range(MAX_MESSAGES_PER_STEP + 50):
+        at.intake.receive_command("heater", wire(wrong), 1.0)
+    assert (at.counts.rate_limited, "heater" in at.awaiting()) == (50, True)
+    right = wire(command([21.0, 0.0], step=1, operations=[SET, KEEP]))
+    assert at.intake.receive_command("heater", right, 1.0) is None
+    assert at.awaiting() == ["cooler"]
+    assert (at.counts.rate_limited, status(at, "heater").accepted) == (50, 2)
+    assert at.intake.receive_command("heater", right, 1.0) is None
+    assert at.counts.rate_limited == 51, "it has answered"
 
 
 def test_step_exchange__flood_does_not_stop_a_usual_command_and_ends_with_the_step() -> None:

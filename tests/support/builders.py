@@ -109,7 +109,7 @@ def claim(
 def command(
     values: Sequence[float],
     *,
-    step: int | Sequence[int] = 0,
+    step: int | Sequence[int | None] = 0,
     episode: int | Sequence[int] = 0,
     operations: Sequence[CommandOp] | None = None,
 ) -> Command:
