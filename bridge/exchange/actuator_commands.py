@@ -23,6 +23,12 @@ from zenostat.topics.units import with_unit
 _SMALL = 32
 """Largest number of values for which a Python loop is faster than NumPy."""
 
+_ROUNDING = 1e-12
+"""Part of the simulated time by which a sum of timesteps and the same duration may differ."""
+
+_SHORTEST_S = 1e-3
+"""Duration of a written value that is to have an effect: less than a timestep, and more than rounding."""
+
 
 @dataclass(frozen=True, slots=True)
 class Expiry:
@@ -32,6 +38,10 @@ class Expiry:
     priority: int
     actuator: int
     source: str
+
+    def is_due(self, elapsed_s: float) -> bool:
+        """Return whether it has expired after so much simulated time."""
+        return self.at_s <= elapsed_s * (1.0 + _ROUNDING)
 
 
 @dataclass(frozen=True, slots=True)
@@ -194,7 +204,9 @@ class ActuatorCommands:
             priority = f"at priority {write.priority}"
             return f"{actuator.name} {'relinquished' if occupied else 'had nothing to relinquish'} {priority}"
         if write.duration_s is not None:
-            self._expiries.append(Expiry(elapsed_s + write.duration_s, write.priority, index, write.source))
+            self._expiries.append(
+                Expiry(elapsed_s + max(write.duration_s, _SHORTEST_S), write.priority, index, write.source)
+            )
         return f"{actuator.name} = {with_unit(f'{write.value:g}', actuator.unit)} at priority {write.priority}"
 
     def drop_own_expiries(self, claimant: ClaimHolder) -> None:
@@ -234,8 +246,8 @@ class ActuatorCommands:
 
     def expire(self, elapsed_s: float) -> list[tuple[str, str]]:
         """Relinquish written values that have expired; return a description and the source of each."""
-        expired = [e for e in self._expiries if e.at_s <= elapsed_s and self._is_in_force(e)]
-        self._expiries = [e for e in self._expiries if e.at_s > elapsed_s]
+        expired = [e for e in self._expiries if e.is_due(elapsed_s) and self._is_in_force(e)]
+        self._expiries = [e for e in self._expiries if not e.is_due(elapsed_s)]
         for e in expired:
             where = np.arange(self.array.shape[1]) == e.actuator
             self.array.relinquish(e.priority, [self.array.names.index(e.source or ANONYMOUS)], where)

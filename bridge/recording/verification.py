@@ -189,7 +189,7 @@ class Verifier:
         self._known = [False] * self._slots
         self._is_started = False
         self._order: RecordedOrder | None = None
-        self._last: dict[int, bool] = {}
+        self._is_over = [False] * self._slots
         self._unknown_samples = 0
         self._copies: dict[str, _Copy] = {}
         self._folders = itertools.count(1)
@@ -258,7 +258,7 @@ class Verifier:
     # Episodes and snapshots
 
     def _on_episode(self, record: RecordedEpisode) -> None:
-        self._order, self._last = None, {}
+        self._order = None
         if record.snapshot:
             self._return_to(record)
             return
@@ -272,7 +272,7 @@ class Verifier:
         plant.clean_up()
         self._is_started = True
         for slot in record.slots:
-            self._step[slot], self._known[slot] = 0, True
+            self._step[slot], self._known[slot], self._is_over[slot] = 0, True, False
         self.result.episodes += len(record.slots)
 
     def _return_to(self, record: RecordedEpisode) -> None:
@@ -286,7 +286,7 @@ class Verifier:
             return
         self._plant.restore(copy.plant, record.episode)
         self._plant.clean_up()
-        self._step, self._known = [*copy.step], [*copy.known]
+        self._step, self._known, self._is_over = [*copy.step], [*copy.known], [False] * self._slots
         self.result.episodes += sum(copy.known)
         self._uses[record.snapshot] -= 1
         if not self._uses[record.snapshot]:
@@ -317,8 +317,7 @@ class Verifier:
                 row = np.frombuffer(sample.fault_free_values or sample.values)
                 self._plant.expect(dict(zip(self._reader.manifest.names, row.tolist(), strict=False)))
             last = self._plant.step(self._commands(order.values), slots)
-            self._last = dict(zip(slots, last, strict=True))
-            for slot in slots:
+            for slot, self._is_over[slot] in zip(slots, last, strict=True):
                 self._step[slot] += 1
             self.result.steps += len(slots)
             if self._progress is not None:
@@ -358,7 +357,7 @@ class Verifier:
             ("step", sample.step[slot], step),
             ("time", sample.time[slot], (self._begin + elapsed).isoformat()),
             ("elapsed_s", sample.elapsed_s[slot], elapsed.total_seconds()),
-            ("end of the episode", bool(sample.flags[slot] & _TRUNCATED), self._last.get(slot, False)),
+            ("end of the episode", bool(sample.flags[slot] & _TRUNCATED), self._is_over[slot]),
         )
         for name, recorded, present in pairs:
             if recorded != present:

@@ -1,5 +1,6 @@
 """Writes to a step exchange: priorities, durations, and what is rejected."""
 
+import itertools
 import math
 
 import numpy as np
@@ -70,6 +71,20 @@ def test_step_exchange__write_for_1800_s_rules_two_timesteps_of_900_s(priority: 
     assert sources == [["", "wall"], ["", "wall"], ["", ""], ["", ""]]
     assert told_of == [(2, EventKind.EXPIRED, "wall")]
     assert not at.commands.has_expiries
+
+
+@pytest.mark.parametrize(("duration", "timesteps"), [("0.1", 1), ("0.3", 3), ("0.35", 4), ("7", 70), ("5e-324", 1)])
+@pytest.mark.parametrize("step_s", [0.1, 0.7, 1 / 3, 900.0])
+def test_step_exchange__written_value_rules_whole_timesteps_whatever_the_step(
+    step_s: float, duration: str, timesteps: int
+) -> None:
+    """`duration` is one of timesteps of 0.1 s; sums and products of such times differ in their last bits."""
+    duration_s = float(duration) / 0.1 * step_s or 5e-324
+    for first in [*range(200), 10**5 + 7, int(1e8 / step_s)]:
+        at = exchange(mode=Mode.FREE)
+        at.intake.write("cool", Write(value=28.0, duration_s=duration_s), first * step_s)
+        over = (k for k in itertools.count() if at.intake.expire((first + k) * step_s))
+        assert next(over) == timesteps, first
 
 
 def test_step_exchange__write_once_the_episode_is_over_is_refused() -> None:

@@ -72,6 +72,12 @@ def eventful(module_scratch: Path) -> Path:
                 break
             link.send(setpoints(link.manifest, rng))
             sample = link.receive()
+        for _ in range(3):
+            link.send(setpoints(link.manifest, rng), still=(0, 2))
+            link.receive()
+        link.reset(slots=[0], seed=12)
+        link.send(setpoints(link.manifest, rng), still=(2,))
+        link.receive()
     return path
 
 
@@ -88,7 +94,9 @@ def test_recording__slots_noise_faults_writes_snapshots_and_partial_resets_verif
     assert result.difference is None
     assert not result.skipped
     assert result.steps == sum(map(len, orders))
-    assert result.episodes == 3 + 3 + 3 + 1  # at the start, reset, return to the snapshot, reset of one slot
+    # At the start, reset, return to the snapshot, reset of one slot, and of one while another one is over.
+    assert result.episodes == 3 + 3 + 3 + 1 + 1
+    assert {(1,), (0, 1)} <= {*map(tuple, orders)}, "some go on after the others have ended"
 
 
 @pytest.mark.slow
