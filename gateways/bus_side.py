@@ -107,7 +107,7 @@ class BusSide:
 
     def fetch(self, topic: Topic, node: str) -> BusMessage | None:
         """Query a node and wait for its reply."""
-        for reply in self._session.get(topic.at(node)):
+        for reply in self._session.get(topic.at(node), consolidation=zenoh.ConsolidationMode.NONE):
             if reply.ok is not None:
                 return BusMessage(str(reply.ok.key_expr), str(reply.ok.encoding), reply.ok.payload.to_bytes())
         return None
@@ -124,24 +124,24 @@ class BusSide:
         timeout_s: float = _QUERY_S,
     ) -> None:
         """Query a node; `then` is called once, in the gateway's thread."""
-        key, answered = topic.at(node, name=name, sender=sender), False
+        key, answered, failure = topic.at(node, name=name, sender=sender), False, None
 
         def on_reply(reply: zenoh.Reply) -> None:
-            nonlocal answered
+            nonlocal answered, failure
             if answered:  # a second node of that name
                 return
-            answered = True
             if reply.ok is not None:
+                answered = True
                 message = BusMessage(key, str(reply.ok.encoding), reply.ok.payload.to_bytes())
-            else:
+                self._post(lambda: then(message))
+            else:  # of one way to the node; the reply may come on another one
                 reason = reply.err.payload.to_string() if reply.err else "no reason given"
                 error = ErrorReply(**errors.to_wire(PeerError(f"node {node!r} did not answer {topic.key}: {reason}")))
-                message = BusMessage(key, codec.encoding(ErrorReply), codec.encode(error))
-            self._post(lambda: then(message))
+                failure = BusMessage(key, codec.encoding(ErrorReply), codec.encode(error))
 
         def on_end() -> None:
             if not answered:
-                self._post(lambda: then(None))
+                self._post(lambda: then(failure))
 
         self._session.get(
             key,
@@ -149,6 +149,7 @@ class BusSide:
             payload=question,
             encoding=_encoding(topic) if question is not None else None,
             attachment=self._attachment if sender else None,
+            consolidation=zenoh.ConsolidationMode.NONE,  # see `transport.request.send_request`
             timeout=timeout_s,
         )
 

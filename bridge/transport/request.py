@@ -54,14 +54,17 @@ class PendingReply(Generic[M]):
             BadMessage: the reply is not valid.
             zenoh.ZError: the session is closed.
         """
+        reason = None
         for reply in self._replies:
-            if reply.ok is None:
+            if reply.ok is None:  # of one way to the node; the reply may come on another one
                 reason = reply.err.payload.to_string() if reply.err else "no reason given"
-                raise PeerError(f"node {self._node!r} did not answer {self._topic.key}: {replace_controls(reason)}")
+                continue
             encoding, payload = str(reply.ok.encoding), reply.ok.payload.to_bytes()
             if encoding == codec.encoding(ErrorReply):
                 raise from_wire(codec.decode(ErrorReply, payload, encoding).__dict__)
             return codec.decode(self._type, payload, encoding)
+        if reason is not None:
+            raise PeerError(f"node {self._node!r} did not answer {self._topic.key}: {replace_controls(reason)}")
         return None
 
 
@@ -107,6 +110,8 @@ def send_request(
         payload=payload,
         encoding=zenoh.Encoding(codec.encoding(type(request))) if request else None,
         attachment=attachment(via),
+        # Otherwise Zenoh waits for the end of the query, which does not come from a router that has just ended.
+        consolidation=zenoh.ConsolidationMode.NONE,
         timeout=timeout_s,
         cancellation_token=token,
     )

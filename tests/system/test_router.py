@@ -269,6 +269,22 @@ def test_router__two_routers(folder: Path, scratch: Path, closed: bool) -> None:
 
 
 @pytest.mark.slow
+def test_router__end_of_a_router_costs_nothing_to_those_beside_it(scratch: Path) -> None:
+    """Zenoh goes on asking the router for a while: the replies of the node itself have to be enough."""
+    endpoint = f"tcp/127.0.0.1:{free_port()}"
+    with ExitStack() as stack:
+        running = stack.enter_context(ExitStack())
+        running.enter_context(router(Place(endpoint, endpoint, None)))
+        node = stack.enter_context(node_on_bus(scratch / "node", **SMALL, connect=[endpoint]))[0]
+        bus = stack.enter_context(zenostat.connect(node.endpoint, affinity="off"))
+        bus.timeout_s = 5.0
+        assert bus.status("office").step == [0]
+        running.close()
+        asked = [bus.status("office").step for _ in range(3)]
+        assert asked == [[0]] * 3
+
+
+@pytest.mark.slow
 def test_router__router_keeps_the_rules(folder: Path, scratch: Path) -> None:
     endpoint = f"tls/127.0.0.1:{free_port()}"
     place = Place(endpoint, endpoint, router_keys(folder))
