@@ -378,7 +378,8 @@ class ControllerLink:
             still: Slots that do not advance in this timestep.
 
         Raises:
-            InvalidAction: Unknown actuator, wrong shape, or a value that is not finite.
+            InvalidAction: Unknown actuator, wrong shape, or a value of a mapping that is not finite. Values of an array
+                are checked by the node: `receive` then raises `RequestRejected`.
         """
         if self._latest is None:
             raise PeerError("there is no sample to answer yet; call current() or reset() first")
@@ -462,7 +463,11 @@ def open_link(
     required: bool = True,
 ) -> ControllerLink:
     """Connect a controller to a node; see `Bus.controller`."""
-    unique = f"{keys.check_name(name, 'the controller')}-{os.getpid()}-{next(_numbers)}"
+    suffix = f"-{os.getpid()}-{next(_numbers)}"
+    unique = keys.check_name(name, "the controller") + suffix
+    if len(unique) > keys.MAX_NAME:
+        longest = keys.MAX_NAME - len(suffix)
+        raise InvalidConfig(f"the controller {name!r}: use up to {longest} characters, since {suffix!r} is added to it")
     claim = check_claim(bus.sender(unique), priority=priority, actuators=actuators, required=required)
     link = ControllerLink(bus, node, claim, bus.affinity)
     bus.adopt(link)

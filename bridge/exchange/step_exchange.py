@@ -204,13 +204,14 @@ class StepExchange(ExchangeState):
             RequestRejected: unknown actuators, a priority that another connected controller has claimed, or too many
                 claims.
         """
-        is_renewal = claim.controller in self.claims.by_name
+        former = self.claims.by_name.get(claim.controller)
         claimant, replaced = self.claims.claim(claim, now_s)
         self.commands.drop_own_expiries(claimant)
         for name in (*replaced, claim.controller):
             self.answers.forget(name)
         self.await_answer(claimant)
-        priority = "again" if is_renewal else f"at priority {claim.priority}"
+        is_same = former is not None and former.priority == claim.priority
+        priority = "again" if is_same else f"at priority {claim.priority}"
         return [
             *(
                 self.event(EventKind.DISCONNECTED, f"{claim.controller} takes over from {name}", name)

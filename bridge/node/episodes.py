@@ -116,7 +116,9 @@ class EpisodeManager:
 
     def _reset(self, reset: Reset) -> Message:
         self._handled += 1
-        requested = list(dict.fromkeys(reset.slots)) if reset.slots is not None else [*range(self._slots)]
+        requested = reset.slots if reset.slots is not None else [*range(self._slots)]
+        if len({*requested}) < len(requested):
+            raise RequestRejected(f"slots {requested} name a slot twice")
         by_slot = dict(sorted(zip(requested, seeds_of(reset, len(requested)), strict=True)))
         slots, seeds = [*by_slot], [*by_slot.values()]
         self._server.check_slot(slots[-1])

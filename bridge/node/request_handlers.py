@@ -233,7 +233,8 @@ class RequestHandlers:
         server.publish_events(events)
         return Ack(episode=server.exchange.episode, text="\n".join(event.text for event in events))
 
-    def _stop(self, _: Stop) -> Message:
+    def _stop(self, stop: Stop) -> Message:
+        self._server.stopped_by = stop.source
         self._server.subscriptions.post(self._server.stop_serving)
         return Ack(episode=self._server.exchange.episode)
 

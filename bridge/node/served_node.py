@@ -37,6 +37,7 @@ class ServedNode(Protocol):
     """A node server as its parts see it; see `NodeServer`."""
 
     on_stop: Callable[[], None]
+    stopped_by: str
 
     @property
     def plant(self) -> RunningPlant:

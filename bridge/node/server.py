@@ -71,6 +71,7 @@ class NodeServer:
         access: permissions of senders; None without keys. Set it before `declare`.
         stopping: whether the server is about to end; errors of engines are then expected.
         on_stop: called by the thread that receives a stop request.
+        stopped_by: the sender of the request that stopped the node; empty if it named none, or before.
         samples: encodes samples.
         trials: answers the requests for trials.
         latest_sample: the encoded latest sample.
@@ -108,6 +109,7 @@ class NodeServer:
         self.on_event: Callable[[Event], None] | None = None
         self.on_stop = self.cancel_step
         self._stopped = False
+        self.stopped_by = ""
         self.failure = self.failure_error = ""
         self.latest_sample = b""
         self.samples = SampleEncoder(plant, exchange)
@@ -161,7 +163,8 @@ class NodeServer:
             self._stopped = True
             self.exchange.transition(Trigger.STOP)
             self.subscriptions.end()
-            self.event(self.exchange.event(EventKind.STOPPED, "the node was stopped by a request or a signal"))
+            text = "the node was stopped by a request or a signal"
+            self.event(self.exchange.event(EventKind.STOPPED, text, self.stopped_by))
 
     def stop_serving(self) -> None:
         """End the loop, in its own thread; a second call (a request, then the owner's end) has no effect."""
@@ -457,6 +460,8 @@ class NodeServer:
             self.injection.remember_commands(self.received)
         if self.injection is not None and previous is not None:
             self.injection.adopt(previous)
+        if self.injection is not None and self.latest_sample:  # the link of the commands that answer this sample
+            self.injection.link.move(self.exchange.step[0])
         if self.manifest.faults_injected != (self.injection is not None):
             self.describe({"faults_injected": self.injection is not None})
 

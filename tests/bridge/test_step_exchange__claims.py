@@ -67,6 +67,12 @@ def test_step_exchange__one_that_has_gone_is_waited_for_until_it_is_back() -> No
     assert advance(at) == ([21.0, 26.0], ["agent", "agent"])
 
 
+def test_step_exchange__event_of_a_claim_has_its_priority_where_that_is_new() -> None:
+    at = exchange()
+    texts = [claim(at, "agent", priority)[-1].text for priority in (10, 10, 5)]
+    assert texts == ["agent controls at priority 10", "agent controls again", "agent controls at priority 5"]
+
+
 def test_step_exchange__one_that_was_never_there_cannot_leave() -> None:
     at = exchange()
     assert at.fallback.on_disconnect("nobody", 0.0) == []

@@ -17,7 +17,7 @@ from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.transport.session import MAX_MESSAGE_BYTES
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected
-from zenostat.topics.messages import Claim, Event, EventKind, State
+from zenostat.topics.messages import Claim, Event, EventKind, Reset, State
 
 DAY = {**SMALL, "name": "office"}
 
@@ -270,11 +270,19 @@ def test_bus__second_claim_of_a_level_names_the_holder(bus: zenostat.Bus, second
         ({"priority": 17}, "priority"),
         ({"actuators": "core_zn_cooling_setpoint"}, "actuators"),
         ({"name": None}, "None"),
+        ({"name": "x" * 125}, r"use up to 1[12]\d characters, since '-\d+-\d+' is added to it"),
     ],
 )
 def test_bus__claim_that_is_not_valid_is_described(bus: zenostat.Bus, arguments: dict[str, Any], text: str) -> None:
     with pytest.raises(InvalidConfig, match=text):
         bus.controller("office", **arguments)
+
+
+def test_bus__reset_that_names_a_slot_twice_is_refused(bus: zenostat.Bus) -> None:
+    episode = bus.status("office").episode
+    with pytest.raises(RequestRejected, match=r"slots \[0, 0\] name a slot twice"):
+        bus.reset("office", Reset(slots=[0, 0], seed=[5, 6]))
+    assert bus.status("office").episode == episode
 
 
 def test_bus__nodes_controllers_and_status(bus: zenostat.Bus) -> None:

@@ -183,7 +183,7 @@ def test_fallback_policies__one_that_was_killed_returns_at_the_present_step(scra
 def test_fallback_policies__controller_whose_token_returns_is_connected_with_its_claim(
     scratch: Path, policy: str
 ) -> None:
-    """As after a lost link, of a client that knows nothing but the contract; the grace period of `abort` goes on."""
+    """A lost link, or one of a client that knows nothing but the contract; the grace period of `abort` goes on."""
     with (
         office(scratch, policy=policy, grace_s=60.0 if policy == "abort" else 0.0) as (_, bus),
         events_of(bus) as events,
