@@ -6,8 +6,6 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from zenostat.bridge.alarms.rules import point_alarms, read_rules
 from zenostat.bridge.faults import read_plan
 from zenostat.bridge.node.fault_injection import FaultInjection
@@ -19,7 +17,7 @@ from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.cosim.file import DistrictFile, read_district
 from zenostat.cosim.launch import PlantSet, input_files
 from zenostat.cosim.plant import DistrictPlant, describe
-from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.codec import validated
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Manifest
 from zenostat.topics.yaml12 import read_text
@@ -55,10 +53,7 @@ def read_settings(settings: Mapping[str, Any]) -> DistrictSettings:
         f"a district has no setting {name!r}; {did_you_mean(name, known)}" for name in fields if name not in known
     ]:
         raise InvalidConfig("\n".join(unknown))
-    try:
-        config = DistrictSettings.model_validate(fields)
-    except ValidationError as error:
-        raise InvalidConfig(describe_validation_errors(error)) from None
+    config = validated(DistrictSettings, fields)
     if config.slots != 1 or config.baseline:
         raise InvalidConfig("a district has one slot and no baseline; leave out slots and baseline")
     return config

@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.models.scenario.registry import find_scenario
 from zenostat.models.scenario.schema import Scenario, load_scenario, read_scenario
-from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.codec import validated
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, did_you_mean
 
 
@@ -47,10 +47,7 @@ def read_config(settings: Mapping[str, Any]) -> NodeConfig:
         raise InvalidConfig("\n".join(unknown))
     if settings.get("keep_last") is not None and settings.get("output_dir") is None:
         raise InvalidConfig("keep_last needs output_dir, the folder in which output files are kept")
-    try:
-        return NodeConfig.model_validate({"what": scenario_fields, **node_fields})
-    except ValidationError as error:
-        raise InvalidConfig(describe_validation_errors(error)) from None
+    return validated(NodeConfig, {"what": scenario_fields, **node_fields})
 
 
 def kept_episodes(config: NodeConfig) -> int | None:

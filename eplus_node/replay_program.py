@@ -12,12 +12,11 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from zenostat.bridge.node.program import main
 from zenostat.bridge.transport.session import open_session
-from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.codec import validated
 from zenostat.topics.extras import requires_extra
 from zenostat.topics.keys import Role
 
@@ -104,10 +103,7 @@ class ReplayProgram:
 
 
 def _create(fields: Mapping[str, Any]) -> ReplayProgram:
-    try:
-        return ReplayProgram(ReplaySettings.model_validate(fields))
-    except ValidationError as error:
-        raise InvalidConfig(describe_validation_errors(error, ReplaySettings.model_fields)) from None
+    return ReplayProgram(validated(ReplaySettings, fields))
 
 
 if __name__ == "__main__":

@@ -6,16 +6,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import ValidationError
-
 from zenostat.bridge.node.node import Node
 from zenostat.bridge.node.plant import PlantFactory
 from zenostat.bridge.node.server import Observer
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.bridge.recording.reader import RecordingReader
 from zenostat.eplus_node.verify_recording import RecordedPlant
-from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import InvalidConfig, InvalidRecording
+from zenostat.topics.codec import validated
+from zenostat.topics.errors import InvalidRecording
 
 RECORDED_SETTINGS = ("name", "mode", "speed", "policy", "grace_s", "deadline_s", "slots", "baseline")
 """Settings of a node that are those of the recorded one."""
@@ -28,10 +26,7 @@ def read_resumed(settings: Mapping[str, Any]) -> NodeSettings:
         InvalidRecording: it cannot be read, or is that of a district.
         InvalidConfig: a setting is not valid.
     """
-    try:
-        return NodeSettings.model_validate({**settings, **recorded_settings(Path(settings["resume"]))})
-    except ValidationError as error:
-        raise InvalidConfig(describe_validation_errors(error)) from None
+    return validated(NodeSettings, {**settings, **recorded_settings(Path(settings["resume"]))})
 
 
 def recorded_settings(path: Path) -> dict[str, Any]:

@@ -9,7 +9,6 @@ from contextlib import AsyncExitStack, nullcontext, suppress
 from typing import Any, TypeVar
 
 import zenoh
-from pydantic import ValidationError
 
 from zenostat.bridge.client.priorities import PriorityValue, decode_priorities
 from zenostat.bridge.client.sample import SampleView
@@ -163,10 +162,8 @@ class NodeClient:
         try:
             actuator_index(self.manifest.actuators).require([actuator])
             source = keys.own_name(self._identity, source or self.source)
-            try:
-                message = Write(value=value, priority=priority, duration_s=duration_s, source=source)
-            except ValidationError as error:
-                raise InvalidAction(f"{actuator}: {codec.describe_validation_errors(error)}") from None
+            fields = {"value": value, "priority": priority, "duration_s": duration_s, "source": source}
+            message = codec.validated(Write, fields, actuator, InvalidAction)
             with nullcontext() if value is None else self._written.sending(actuator, priority, source):
                 ack = await self.ask(keys.WRITE_REQUEST, message, Ack, name=actuator)
         except ZenostatError:

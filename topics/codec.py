@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from zenostat.topics.errors import BadMessage, did_you_mean
+from zenostat.topics.errors import BadMessage, InvalidConfig, ZenostatError, did_you_mean
 from zenostat.topics.messages import (
     SCHEMA_VERSION,
     Ack,
@@ -35,6 +35,7 @@ from zenostat.topics.messages import (
 from zenostat.topics.printable import replace_controls
 
 M = TypeVar("M", bound=Message)
+V = TypeVar("V", bound=BaseModel)
 
 MAX_BYTES = 8 * 1024 * 1024
 """Largest payload in bytes; larger ones are rejected unread."""
@@ -171,6 +172,21 @@ def _unpacked(payload: bytes, limit: int) -> Any:
         return container
 
     return msgpack.unpackb(payload, max_array_len=limit, max_map_len=limit, list_hook=count, object_hook=count)
+
+
+def validated(
+    model: type[V], fields: Mapping[str, Any], what: str = "", error: type[ZenostatError] = InvalidConfig
+) -> V:
+    """Return a pydantic model with these fields; `what` names them in errors.
+
+    Raises:
+        ZenostatError: of the class `error`; describes the invalid fields.
+    """
+    try:
+        return model.model_validate(dict(fields))
+    except ValidationError as invalid:
+        described = describe_validation_errors(invalid, model.model_fields)
+        raise error(f"{what}: {described}" if what else described) from None
 
 
 def describe_validation_errors(error: ValidationError, known: Iterable[str] = ()) -> str:

@@ -16,9 +16,9 @@ from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import yaml
-from pydantic import BaseModel, ValidationError
+from pydantic import BaseModel
 
-from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.codec import validated
 from zenostat.topics.errors import InvalidConfig, UsageError
 from zenostat.topics.user_file import user_file
 
@@ -242,11 +242,7 @@ def read_model(path: Path, model: type[M]) -> M:
     """
     with user_file(path):
         path = path.expanduser()
-    mapping = read_mapping(path)
-    try:
-        return model.model_validate(mapping)
-    except ValidationError as error:
-        raise InvalidConfig(f"{path}: {describe_validation_errors(error, model.model_fields)}") from None
+    return validated(model, read_mapping(path), str(path))
 
 
 def dump(plain: dict[str, Any]) -> str:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field
 
 from zenostat.topics import yaml12
 from zenostat.topics.atomic_file import atomic_file
-from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import InvalidConfig, UnknownName
+from zenostat.topics.codec import validated
+from zenostat.topics.errors import UnknownName
 from zenostat.topics.file_kinds import FileKind, check_file_kind
 
 
@@ -37,10 +37,7 @@ def read_controller_file(path: Path) -> ControllerFile:
     """
     fields = yaml12.read_mapping(path, UnknownName)
     check_file_kind(fields, FileKind.CONTROLLER, str(path))
-    try:
-        return ControllerFile.model_validate(fields)
-    except ValidationError as error:
-        raise InvalidConfig(f"{path}: {describe_validation_errors(error, ControllerFile.model_fields)}") from None
+    return validated(ControllerFile, fields, str(path))
 
 
 def write_controller_file(path: Path, controller: str, parameters: dict[str, Any]) -> None:

@@ -8,10 +8,9 @@ from collections.abc import Callable, Mapping
 from functools import cache, partial
 from typing import Any, get_type_hints
 
-from pydantic import BaseModel, ConfigDict, Field, PydanticUserError, TypeAdapter, ValidationError, create_model
+from pydantic import BaseModel, ConfigDict, Field, PydanticUserError, TypeAdapter, create_model
 
-from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.codec import validated
 
 _TYPES_OF_DEFAULTS: Mapping[type, Any] = {bool: bool, int: int | float, float: float, str: str}
 """Types of parameters without annotations, by those of their defaults."""
@@ -56,11 +55,7 @@ def check_values(factory: Callable[..., Any], values: Mapping[str, Any]) -> dict
     Raises:
         InvalidConfig: an unknown name, a value of another type or not finite, or a required parameter is missing.
     """
-    model = parameters_model(factory)
-    try:
-        return model.model_validate(dict(values)).model_dump(exclude_unset=True)
-    except ValidationError as error:
-        raise InvalidConfig(describe_validation_errors(error, model.model_fields)) from None
+    return validated(parameters_model(factory), values).model_dump(exclude_unset=True)
 
 
 def _type_hints(factory: Callable[..., Any]) -> dict[str, Any]:

@@ -16,14 +16,15 @@ from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
 from zenostat.agent_sdk.rewards.manifest_data import reward_data, task_paying
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.bus import connect as connect_bus
-from zenostat.bridge.client.controller_link import ControllerLink, check_claim
+from zenostat.bridge.client.connection import build
+from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.client.local_node import LocalNode, Monitor, ignore_interrupts
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.recording.file import next_recording
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import certificate_file, keys_folder
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected
-from zenostat.topics.messages import Manifest, RecordingState, RecordingStatus
+from zenostat.topics.messages import Claim, Manifest, RecordingState, RecordingStatus
 
 NAME = "building"
 AGENT = "agent"
@@ -92,7 +93,7 @@ class NodeConnection:
                 raise InvalidConfig(f"render_mode {render_mode!r}; there are: {', '.join(RENDER_MODES)}")
             if affinity not in list(Affinity):
                 raise InvalidConfig(f"affinity {affinity!r}; there are: {', '.join(Affinity)}")
-            check_claim(NAME, priority=priority)
+            build(Claim, controller=NAME, priority=priority)
             if keys is not None and connect is None:
                 raise InvalidConfig("keys= needs connect='tls/HOST:PORT'; a local node is not on a network")
             if link is not None:

@@ -32,9 +32,10 @@ from zenostat.agent_sdk.envs.space_names import SpaceNames
 from zenostat.agent_sdk.envs.vector_env import Observations, StepResult, check_mode
 from zenostat.agent_sdk.envs.vector_infos import Infos
 from zenostat.agent_sdk.rewards import AnyReward
-from zenostat.bridge.client.controller_link import check_claim
+from zenostat.bridge.client.connection import build
 from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.topics.errors import EpisodeChanged, InvalidConfig, ZenostatError
+from zenostat.topics.messages import Claim
 
 Result = tuple[Observation, float, bool, bool, Infos]
 OnError = Literal["truncate", "raise"]
@@ -100,7 +101,7 @@ class FleetVectorEnv(SlotAccess, SpaceNames, VectorEnv[Observations, Any, NDArra
         self.addresses = node_addresses(connect, node, num_envs)
         self.num_envs, self.autoreset_mode = len(self.addresses), check_mode(autoreset_mode)
         _check_arguments(node_arguments, on_error, render_mode)
-        check_claim("env", priority=priority)
+        build(Claim, controller="env", priority=priority)
         self._raises, self.render_mode = on_error == "raise", render_mode
         self._close = ExitStack()
         with ExitStack() as undo:

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, cast
 
-from pydantic import ValidationError
-
 from zenostat.agent_sdk.rewards.base import Reward
 from zenostat.agent_sdk.rewards.carbon import CarbonReward
 from zenostat.agent_sdk.rewards.config import RewardConfig
@@ -22,7 +20,7 @@ from zenostat.agent_sdk.rewards.occupied import OccupiedReward
 from zenostat.agent_sdk.rewards.occupied_cost import OccupiedCostReward
 from zenostat.agent_sdk.rewards.peak import PeakReward
 from zenostat.agent_sdk.rewards.thermal_sensation import ThermalSensationReward
-from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.codec import validated
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 REWARDS: dict[str, type[RewardConfig]] = {
@@ -84,7 +82,4 @@ def _read_config(config: Mapping[str, Any] | str) -> Reward:
         )
     if not isinstance(kind, str) or kind not in REWARDS:
         raise InvalidConfig(f"reward: there is no kind {kind!r}; {did_you_mean(str(kind), REWARDS)}")
-    try:
-        return REWARDS[kind].model_validate(parameters)
-    except ValidationError as error:
-        raise InvalidConfig(f"reward: {describe_validation_errors(error, REWARDS[kind].model_fields)}") from None
+    return validated(REWARDS[kind], parameters, "reward")

@@ -8,12 +8,11 @@ from datetime import datetime, timedelta
 from typing import Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from zenostat.agent_sdk.testing.rc_zones import Zone
 from zenostat.topics import VERSION
 from zenostat.topics.calendar import parse_day
-from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.codec import validated
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.keys import check_name
@@ -28,7 +27,6 @@ from zenostat.topics.messages import (
     Policy,
     Sensor,
     Task,
-    TerminationLimit,
     Versions,
 )
 from zenostat.topics.points import value_index
@@ -192,18 +190,14 @@ def _task(
         {**{k: v for k, v in limit.items() if k != "duration_h"}, "duration_s": 3600.0 * limit.get("duration_h", 0.0)}
         for limit in terminate
     ]
-    try:
-        return Task.model_validate(
-            {
-                "time": time,
-                "actions": actions,
-                "discrete_actions": choices,
-                "reward": None if reward is None else dict(reward),
-                "terminate": [TerminationLimit.model_validate(limit) for limit in limits],
-            }
-        )
-    except ValidationError as error:
-        raise InvalidConfig(f"the fake building's task: {describe_validation_errors(error)}") from None
+    fields = {
+        "time": time,
+        "actions": actions,
+        "discrete_actions": choices,
+        "reward": None if reward is None else dict(reward),
+        "terminate": limits,
+    }
+    return validated(Task, fields, "the fake building's task")
 
 
 def _default_actions(actuators: Sequence[Actuator], control: str) -> tuple[Action, ...]:

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Protocol, Self, cast
 
 import zenoh
-from pydantic import ValidationError
 from zenoh import QueryTarget
 
 from zenostat.bridge.client import fork_guard
@@ -362,10 +361,8 @@ class Connection:
         """
         manifest = self.manifest(node)
         actuator_index(manifest.actuators).require([point])
-        try:
-            write = Write(value=value, priority=priority, duration_s=duration_s, source=source)
-        except ValidationError as error:
-            raise InvalidAction(f"{point}: {codec.describe_validation_errors(error)}") from None
+        fields = {"value": value, "priority": priority, "duration_s": duration_s, "source": source}
+        write = codec.validated(Write, fields, point, InvalidAction)
         try:
             return self.ask(keys.WRITE_REQUEST, node, write, Ack, name=point)
         except NodeNotFound:
@@ -490,7 +487,4 @@ class Connection:
 
 def build(message_type: type[M], **fields: Any) -> M:
     """Build a message; `InvalidConfig` lists all invalid fields."""
-    try:
-        return message_type(**fields)
-    except ValidationError as error:
-        raise InvalidConfig(codec.describe_validation_errors(error, message_type.model_fields)) from None
+    return codec.validated(message_type, fields)

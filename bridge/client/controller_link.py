@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 import zenoh
 from numpy.typing import NDArray
-from pydantic import ValidationError
 from zenoh.handlers import RingChannel
 
 from zenostat.bridge.client.command_publisher import CommandPublisher
-from zenostat.bridge.client.connection import Connection
+from zenostat.bridge.client.connection import Connection, build
 from zenostat.bridge.client.presence import NodeWatch, check_interface, undeclare
 from zenostat.bridge.client.receive_watchdog import ReceiveWatchdog, query_sample
 from zenostat.bridge.client.sample import SampleView, is_after
@@ -29,7 +28,6 @@ from zenostat.bridge.transport.wakeup import Wake, stream_wake
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import (
     EpisodeChanged,
-    InvalidConfig,
     NodeLost,
     NodeNotFound,
     PeerError,
@@ -445,14 +443,6 @@ class ControllerLink:
             sample = self.receive()
 
 
-def check_claim(controller: str, **fields: Any) -> Claim:
-    """Return a claim with fields of `Claim`; `InvalidConfig` describes those that are not valid."""
-    try:
-        return Claim(controller=controller, **fields)
-    except ValidationError as error:
-        raise InvalidConfig(codec.describe_validation_errors(error, Claim.model_fields)) from None
-
-
 def open_link(
     bus: Connection,
     node: str,
@@ -468,7 +458,7 @@ def open_link(
     if len(unique) > keys.MAX_NAME:
         longest = keys.MAX_NAME - len(suffix)
         raise InvalidConfig(f"the controller {name!r}: use up to {longest} characters, since {suffix!r} is added to it")
-    claim = check_claim(bus.sender(unique), priority=priority, actuators=actuators, required=required)
+    claim = build(Claim, controller=bus.sender(unique), priority=priority, actuators=actuators, required=required)
     link = ControllerLink(bus, node, claim, bus.affinity)
     bus.adopt(link)
     return link

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import ValidationError
 
 from zenostat.bridge.client.command_publisher import CommandArrays
+from zenostat.bridge.client.connection import build
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.transport.request import PendingReply
 from zenostat.topics import codec
@@ -79,18 +79,16 @@ def trial_message(
     alternatives: int, timesteps: int, values: bytes, operations: bytes | None, *, at: Sample | None, priority: int = 10
 ) -> TrySteps:
     """Return the request for a trial of encoded commands; `InvalidConfig` if there are too few or too many."""
-    try:
-        return TrySteps(
-            episode=at.episode if at is not None else None,
-            step=at.step if at is not None else None,
-            alternatives=alternatives,
-            timesteps=timesteps,
-            priority=priority,
-            values=values,
-            operations=operations,
-        )
-    except ValidationError as error:
-        raise InvalidConfig(codec.describe_validation_errors(error, TrySteps.model_fields)) from None
+    return build(
+        TrySteps,
+        episode=at.episode if at is not None else None,
+        step=at.step if at is not None else None,
+        alternatives=alternatives,
+        timesteps=timesteps,
+        priority=priority,
+        values=values,
+        operations=operations,
+    )
 
 
 def tried_samples(reply: StepsTried, alternatives: int, manifest: Manifest) -> list[list[SampleView]]:

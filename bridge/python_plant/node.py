@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from zenostat.bridge.alarms.rules import point_alarms, read_rules
 from zenostat.bridge.faults import read_plan
@@ -18,7 +18,7 @@ from zenostat.bridge.node.settings import NodeSettings
 from zenostat.bridge.python_plant.class_plan import plan_class
 from zenostat.bridge.python_plant.plant import PythonPlant
 from zenostat.bridge.python_plant.shipped import SHIPPED, shipped_plant
-from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics.codec import validated
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.scenario_fields import NODE_ARGUMENTS
 
@@ -70,10 +70,7 @@ def read_settings(settings: Mapping[str, Any]) -> PlantSettings:
     known = list(PlantSettings.model_fields)
     if unknown := [name for name in set_fields if name not in known]:
         raise InvalidConfig("\n".join(_unknown_setting(name, known) for name in unknown))
-    try:
-        return PlantSettings.model_validate(set_fields)
-    except ValidationError as error:
-        raise InvalidConfig(describe_validation_errors(error)) from None
+    return validated(PlantSettings, set_fields)
 
 
 def _unknown_setting(name: str, known: Sequence[str]) -> str:

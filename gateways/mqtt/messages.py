@@ -6,8 +6,6 @@ import json
 from math import isnan
 from typing import Any
 
-from pydantic import ValidationError
-
 from zenostat.bridge.client.sample import SampleView
 from zenostat.gateways.points import Reading, effective_value
 from zenostat.topics import codec
@@ -39,10 +37,7 @@ def read_command(payload: bytes, *, priority: int, source: str) -> Write:
         shown = repr(payload[:80].decode("utf-8", "replace"))
         raise BadMessage(f'{shown} is neither a number nor JSON such as {{"value": 26.5}}') from None
     fields = content if isinstance(content, dict) else {"value": content}
-    try:
-        return Write.model_validate({"priority": priority, "source": source, **fields})
-    except ValidationError as error:
-        raise BadMessage(codec.describe_validation_errors(error, Write.model_fields)) from None
+    return codec.validated(Write, {"priority": priority, "source": source, **fields}, error=BadMessage)
 
 
 def accepted(command: Write, text: str, episode: int, step: int) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from zenostat.agent_sdk.envs.arguments import of_scenario
 from zenostat.lab.config_file import (
@@ -20,8 +20,7 @@ from zenostat.lab.config_file import (
     Seed,
     read_file,
 )
-from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.codec import validated
 from zenostat.topics.keys import safe_name
 from zenostat.topics.messages import MAX_SEEDS
 
@@ -159,10 +158,7 @@ def read_training(fields: Mapping[str, Any], what: str = "the training") -> Trai
         InvalidConfig: lists all errors of form. Names and values of the algorithm's parameters are checked by
             `zenostat.lab.training.parameters.check_algorithm`.
     """
-    try:
-        return TrainingConfig.model_validate(dict(fields))
-    except ValidationError as error:
-        raise InvalidConfig(f"{what}: {describe_validation_errors(error, TrainingConfig.model_fields)}") from None
+    return validated(TrainingConfig, fields, what)
 
 
 def load_training(path: str | Path) -> TrainingConfig:

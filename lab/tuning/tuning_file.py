@@ -6,11 +6,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, TypeVar
 
-from pydantic import ValidationError
-
 from zenostat.lab.config_file import read_file
 from zenostat.lab.tuning.study_config import StudyConfig
-from zenostat.topics.codec import describe_validation_errors
+from zenostat.topics import codec
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.file_kinds import FileKind
 
@@ -44,11 +42,7 @@ def validated(kind: type[C], fields: Mapping[str, Any], what: str) -> C:
     Raises:
         InvalidConfig: lists all errors.
     """
-    try:
-        config = kind.model_validate(dict(fields))
-    except ValidationError as error:
-        raise InvalidConfig(f"{what}: {describe_validation_errors(error, kind.model_fields)}") from None
-    checked: C = config.checked(what)
+    checked: C = codec.validated(kind, fields, what).checked(what)
     return checked
 
 

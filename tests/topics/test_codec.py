@@ -15,7 +15,7 @@ from support.builders import actuator, manifest, meter, sensor
 
 from zenostat.bridge.node.settings import NodeSettings
 from zenostat.topics import codec
-from zenostat.topics.errors import BadMessage
+from zenostat.topics.errors import BadMessage, InvalidAction
 from zenostat.topics.messages import (
     Ack,
     Claim,
@@ -325,3 +325,12 @@ def test_codec__message_cannot_be_changed_through_its_arrays() -> None:
     assert not array.flags.writeable
     with pytest.raises(ValueError, match="read-only"):
         array[0, 0] = np.pi
+
+
+@pytest.mark.parametrize(("what", "opening"), [("", "memory: "), ("the request", "the request: memory: ")])
+def test_validated__error_of_the_class_names_what_is_invalid(what: str, opening: str) -> None:
+    assert codec.validated(Query, {"memory": True}) == Query(memory=True)
+    with pytest.raises(InvalidAction) as caught:
+        codec.validated(Query, {"memory": "noon"}, what, InvalidAction)
+    assert str(caught.value).startswith(opening)
+    assert str(caught.value).endswith("got 'noon'")

@@ -6,10 +6,8 @@ import traceback
 from collections.abc import Mapping
 from typing import Any
 
-from pydantic import ValidationError
-
 from zenostat.topics import codec
-from zenostat.topics.errors import InvalidConfig, UnknownName, ZenostatError, did_you_mean
+from zenostat.topics.errors import UnknownName, ZenostatError, did_you_mean
 from zenostat.views.mcp.content import Content
 from zenostat.views.mcp.desk import Desk
 from zenostat.views.mcp.explaining import ExplainBuilding
@@ -68,7 +66,4 @@ def _read(name: str, arguments: Mapping[str, Any]) -> Tool:
     kind = TOOLS.get(name)
     if kind is None:
         raise UnknownName(f"no tool {name!r}; {did_you_mean(name, TOOLS)}")
-    try:
-        return kind.model_validate(dict(arguments))
-    except ValidationError as error:
-        raise InvalidConfig(codec.describe_validation_errors(error, kind.model_fields)) from None
+    return codec.validated(kind, arguments)

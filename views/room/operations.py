@@ -144,21 +144,14 @@ class Faults(Operation):
 
     @override
     def run(self, bus: Bus, node: str, operator: str) -> str:
-        plan = _fault_plan(self.plan)
+        plan = codec.validated(FaultPlan, self.plan)
         if self.replaces is not None:
-            shown, present = _fault_plan(self.replaces), bus.fault_plan(node)
+            shown, present = codec.validated(FaultPlan, self.replaces), bus.fault_plan(node)
             if (shown.seed, shown.faults) != (present.seed, present.faults):
                 raise InvalidConfig("the faults have changed in the meantime: look at the list, and try again")
         bus.faults(node, plan, source=operator)
         names = ", ".join(plan.names)
         return f"injected from the next sample on: {names}" if names else "no fault is injected any more"
-
-
-def _fault_plan(fields: dict[str, Any]) -> FaultPlan:
-    try:
-        return FaultPlan.model_validate(fields)
-    except ValidationError as error:
-        raise InvalidConfig(codec.describe_validation_errors(error)) from None
 
 
 class Record(Operation):
