@@ -105,9 +105,6 @@ class BranchVectorEnv(BuildingVectorEnv):
         self._infos.start_episodes(range(count), [episode_start] * count, self._add_info)
         self._connection.push_exit(undo.pop_all())
 
-    def _reset(self, *_: object) -> NoReturn:
-        raise InvalidConfig("a branch cannot be reset: it has no sample 0; close it and make another one")
-
     def __enter__(self) -> BranchVectorEnv:
         return self
 

@@ -16,12 +16,11 @@ from numpy.typing import ArrayLike, NDArray
 from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.action_values import Actions, as_array
 from zenostat.agent_sdk.envs.branch_env import BranchVectorEnv, branch_request, open_branch
-from zenostat.agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
+from zenostat.agent_sdk.envs.connection import RENDER_MODES, ConnectedEnv, NodeConnection, one_thread_while_open
 from zenostat.agent_sdk.envs.episode_state import EpisodeState
 from zenostat.agent_sdk.envs.infos import SampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
 from zenostat.agent_sdk.envs.snapshot import Snapshot, checked, from_options, take
-from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.agent_sdk.envs.trial_actions import trial_of_actions
 from zenostat.agent_sdk.envs.vector_infos import Infos
@@ -29,9 +28,8 @@ from zenostat.agent_sdk.envs.vector_sample import Link
 from zenostat.agent_sdk.rewards import AnyReward, Reward
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.client.sample import SampleView
-from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.runtime.affinity import Affinity
-from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, UsageError
+from zenostat.topics.errors import EpisodeChanged, UsageError
 from zenostat.topics.messages import WeatherSeries
 from zenostat.topics.points import observed_indices
 from zenostat.topics.scenario_fields import OtherArguments, expand_arguments
@@ -127,11 +125,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         self._actions = Actions(manifest)
         self.action_space = self._actions.space
         self.reward = connection.reward
-        self._state: EpisodeState[dict[int, float | None]] = EpisodeState(
-            self.reward.bind(manifest) if self.reward is not None else None,
-            TerminationLimits(manifest) if manifest.task.terminate else None,
-            {},
-        )
+        self._state: EpisodeState[dict[int, float | None]] = EpisodeState.of(manifest, self.reward, {})
         self.wrappers = self._state.wrappers
         self._renderer = EpisodeRenderer(manifest, self.reward) if render_mode == "rgb_array" else None
         self._history = self._renderer.histories[0] if self._renderer is not None else None
@@ -153,7 +147,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         link: Link = self._connection.link
         return link
 
-    @one_thread(BUSY)
+    @one_thread_while_open
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -182,18 +176,13 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         Warns:
             UserWarning: Another node was started, or the recording has stopped, with the reason.
         """
-        try:
-            return self._reset(None if seed is None else check_seed(seed), options or {})
-        except (EpisodeChanged, BusError):
-            self._connection.check_open()
-            raise
-
-    def _reset(self, seed: int | None, options: dict[str, Any]) -> tuple[Observation, dict[str, Any]]:
+        seed = None if seed is None else check_seed(seed)
         super().reset(seed=seed)
         self._connection.check_open()
         self._connection.restart_if_ended()
         self._connection.check_recording(stacklevel=3)
-        snapshot, self._pending = self._snapshot_of(options), None
+        self.manifest = self._connection.manifest
+        snapshot, self._pending = from_options(options or {}, self.manifest), None
         if snapshot is None:
             sample = self._sample = self._connection.reset(seed=seed)
             self._state.reset()
@@ -210,12 +199,6 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         if self._history is not None:
             self._history.start(now, values, info["effective"], info.get("reward_terms", {}))
         return self._observed(values, now - self._timestep if sample.step else now, now), info
-
-    def _snapshot_of(self, options: Mapping[str, Any]) -> Snapshot | None:
-        self.manifest = self._connection.manifest
-        if self.manifest.branch_of:
-            raise InvalidConfig("a branch cannot be reset: it has no sample 0; close it and make another one")
-        return from_options(options, self.manifest)
 
     def snapshot(self) -> Snapshot:
         """Take a snapshot of the episode, to return to with `reset(options={"snapshot": snap})` any number of times.
@@ -347,7 +330,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             raise EpisodeChanged("no episode is running; call reset() first")
         return self._sample
 
-    @one_thread(BUSY)
+    @one_thread_while_open
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Simulate one timestep under `action`.
 
@@ -362,12 +345,8 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             NodeLost, SimulatorError, RequestRejected, EpisodeChanged: See `ControllerLink.receive`.
             UsageError: Another thread is in `step` or `reset`.
         """
-        try:
-            self.step_async(action)
-            return self.step_wait()
-        except (EpisodeChanged, BusError):
-            self._connection.check_open()
-            raise
+        self.step_async(action)
+        return self.step_wait()
 
     def step_async(self, action: ArrayLike) -> None:
         """Send the command of one timestep; `step_wait` waits for its sample, and others can be sent in between.

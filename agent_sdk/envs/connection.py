@@ -20,6 +20,7 @@ from zenostat.bridge.client.connection import build
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.client.local_node import LocalNode, Monitor, ignore_interrupts
 from zenostat.bridge.client.sample import SampleView
+from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.recording.file import next_recording
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import certificate_file, keys_folder
@@ -314,3 +315,6 @@ class ConnectedEnv(SpaceNames):
     def _forkable_link(self) -> ControllerLink:
         self._connection.check_open()
         return require_node(self._connection.link)
+
+
+one_thread_while_open = one_thread(BUSY, lambda self: self._connection.check_open())

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.agent_sdk.envs.termination import TerminationLimits
-from zenostat.agent_sdk.rewards import BoundReward
+from zenostat.agent_sdk.rewards import BoundReward, Reward
 from zenostat.agent_sdk.rewards.base import Begin
+from zenostat.topics.messages import Manifest
 
 C = TypeVar("C")
 Context = Mapping[str, float | None]
@@ -52,6 +53,12 @@ class EpisodeState(Generic[C]):
     wrappers: WeakSet[Any] = field(default_factory=WeakSet)
     programs: list[ContextProgram] = field(default_factory=list)
     _reset_entries: dict[str, Any] | None = None
+
+    @classmethod
+    def of(cls, manifest: Manifest, reward: Reward | None, context: C, slots: int | None = None) -> EpisodeState[C]:
+        """Return the state of the task of a manifest, for a single building or for a number of slots."""
+        limits = TerminationLimits(manifest, slots) if manifest.task.terminate else None
+        return cls(None if reward is None else reward.bind(manifest), limits, context)
 
     def reset(self, slots: Sequence[int] | None = None) -> None:
         """Reset reward and limits for a new episode in these slots; None: in all."""

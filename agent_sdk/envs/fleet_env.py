@@ -29,7 +29,7 @@ from zenostat.agent_sdk.envs.fleet_nodes import (
 )
 from zenostat.agent_sdk.envs.slot_access import Seeds, SlotAccess, seeds_of, slots_of
 from zenostat.agent_sdk.envs.space_names import SpaceNames
-from zenostat.agent_sdk.envs.vector_env import Observations, StepResult, check_mode
+from zenostat.agent_sdk.envs.vector_env import Observations, StepResult, check_mode, check_restart
 from zenostat.agent_sdk.envs.vector_infos import Infos
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.client.connection import build
@@ -252,11 +252,7 @@ class FleetVectorEnv(SlotAccess, SpaceNames, VectorEnv[Observations, Any, NDArra
         if not self._started:
             raise EpisodeChanged("call reset() before step()")
         idle: list[int] = np.flatnonzero(self._done).tolist()
-        ended = [slot for slot in idle if not self._lost[slot]]
-        if ended and self.autoreset_mode is AutoresetMode.DISABLED:
-            raise EpisodeChanged(
-                f"the episode is over in slots {', '.join(map(str, ended))}; call reset(options={{'reset_mask': …}})"
-            )
+        check_restart(self.autoreset_mode, [slot for slot in idle if not self._lost[slot]])
         return idle
 
     def _simulate(self, actions: NDArray[Any], idle: Sequence[int]) -> dict[int, Result]:

@@ -109,8 +109,10 @@ def from_options(options: Mapping[str, Any], manifest: Manifest, allowed: Collec
         allowed: Names of the other options.
 
     Raises:
-        InvalidConfig: Unknown option, not a snapshot, or one that this environment cannot return to.
+        InvalidConfig: Unknown option, not a snapshot, or one that this environment cannot return to; or it is a branch.
     """
+    if manifest.branch_of:
+        raise InvalidConfig("a branch cannot be reset: it has no sample 0; close it and make another one")
     known = ("snapshot", *allowed)
     if unknown := sorted(set(options) - set(known)):
         raise InvalidConfig(f"unknown reset options {unknown}; available: {', '.join(map(repr, known))}")

@@ -14,20 +14,18 @@ from numpy.typing import ArrayLike, NDArray
 
 from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.action_values import Actions
-from zenostat.agent_sdk.envs.connection import BUSY, RENDER_MODES, ConnectedEnv, NodeConnection
+from zenostat.agent_sdk.envs.connection import RENDER_MODES, ConnectedEnv, NodeConnection, one_thread_while_open
 from zenostat.agent_sdk.envs.episode_state import EpisodeState
 from zenostat.agent_sdk.envs.infos import VectorSampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
 from zenostat.agent_sdk.envs.slot_access import Seeds, Slot, SlotAccess, seeds_of, slots_of
 from zenostat.agent_sdk.envs.snapshot import Snapshot, from_options, take
-from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.envs.vector_infos import Infos, masked, merge, select
 from zenostat.agent_sdk.envs.vector_sample import VectorLink, VectorSample
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.client.sample import SampleView
-from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.runtime.affinity import Affinity
-from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig
+from zenostat.topics.errors import EpisodeChanged, InvalidConfig
 from zenostat.topics.messages import WeatherSeries
 from zenostat.topics.points import observed_indices
 from zenostat.topics.scenario_fields import NodeArguments, expand_arguments
@@ -104,10 +102,8 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
             self.action_space = batch_space(self.single_action_space, num_envs)
             self.observation_space = batch_space(self.single_observation_space, num_envs)
             self.reward = self._connection.reward
-            self._state: EpisodeState[list[dict[int, float | None]]] = EpisodeState(
-                self.reward.bind(manifest) if self.reward is not None else None,
-                TerminationLimits(manifest, num_envs) if manifest.task.terminate else None,
-                [{} for _ in range(num_envs)],
+            self._state: EpisodeState[list[dict[int, float | None]]] = EpisodeState.of(
+                manifest, self.reward, [{} for _ in range(num_envs)], num_envs
             )
             self.wrappers = self._state.wrappers
             self._renderer = EpisodeRenderer(manifest, self.reward, num_envs) if render_mode == "rgb_array" else None
@@ -128,7 +124,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
 
     # Episodes
 
-    @one_thread(BUSY)
+    @one_thread_while_open
     def reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Start an episode in each slot, or in those of `options={"reset_mask": …}`, a bool array of shape (slots,).
 
@@ -146,13 +142,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
             UserWarning: The local node had ended and another one was started, or the recording has stopped, with the
                 reason.
         """
-        try:
-            return self._reset(seed, options or {})
-        except (EpisodeChanged, BusError):
-            self._connection.check_open()
-            raise
-
-    def _reset(self, seed: Seeds, options: dict[str, Any]) -> tuple[Observations, Infos]:
+        options = options or {}
         self._connection.check_open()
         if self._connection.restart_if_ended():
             self.manifest, self._sample = self._connection.manifest, None
@@ -223,7 +213,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
 
     # Timesteps
 
-    @one_thread(BUSY)
+    @one_thread_while_open
     def step(self, actions: ArrayLike) -> StepResult:
         """Simulate one timestep of each slot; with `NextStep`, slots whose episode has ended start a new one instead.
 
@@ -234,13 +224,6 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
             NodeLost, SimulatorError, RequestRejected, EpisodeChanged: See `ControllerLink.receive`.
             UsageError: Another thread is in `step` or `reset`.
         """
-        try:
-            return self._step(actions)
-        except (EpisodeChanged, BusError):
-            self._connection.check_open()
-            raise
-
-    def _step(self, actions: ArrayLike) -> StepResult:
         restarting = self._restarting_slots()
         commanded, operations = self._command(actions, restarting)
         ended = self._sample
@@ -272,10 +255,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
             self._connection.check_open()
             raise EpisodeChanged("call reset() before step()")
         done: list[int] = np.flatnonzero(self._done).tolist() if self._done.any() else []
-        if done and self.autoreset_mode is AutoresetMode.DISABLED:
-            raise EpisodeChanged(
-                f"the episode is over in slots {', '.join(map(str, done))}; call reset(options={{'reset_mask': …}})"
-            )
+        check_restart(self.autoreset_mode, done)
         return done
 
     def _outcome(
@@ -374,6 +354,14 @@ def check_count(count: int, name: str = "num_envs") -> int:
     if not isinstance(count, int | np.integer) or not 1 <= count <= MAX_SLOTS:
         raise InvalidConfig(f"{name} = {count!r}; a number from 1 to {MAX_SLOTS} expected")
     return int(count)
+
+
+def check_restart(mode: AutoresetMode, ended: Sequence[int]) -> None:
+    """Raise `EpisodeChanged` if the episode is over in slots that a step does not reset."""
+    if ended and mode is AutoresetMode.DISABLED:
+        raise EpisodeChanged(
+            f"the episode is over in slots {', '.join(map(str, ended))}; call reset(options={{'reset_mask': …}})"
+        )
 
 
 def check_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
-from typing import Concatenate, ParamSpec, Protocol, TypeVar
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar
 
-from zenostat.topics.errors import UsageError
+from zenostat.topics.errors import BusError, EpisodeChanged, UsageError
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -18,11 +18,14 @@ class _Guarded(Protocol):
     _busy: bool
 
 
-def one_thread(refusal: str) -> Callable[[Method[S, P, R]], Method[S, P, R]]:
+def one_thread(
+    refusal: str, explain: Callable[[Any], None] = lambda _: None
+) -> Callable[[Method[S, P, R]], Method[S, P, R]]:
     """Return a decorator of the methods that one thread at a time may call; the object has `_busy`, at first False.
 
     Args:
         refusal: text of the `UsageError` that any other thread gets meanwhile.
+        explain: called with the object after an error of the episode or the bus; may raise another one in its place.
     """
 
     def decorate(method: Method[S, P, R]) -> Method[S, P, R]:
@@ -33,6 +36,9 @@ def one_thread(refusal: str) -> Callable[[Method[S, P, R]], Method[S, P, R]]:
                 raise UsageError(refusal)
             try:
                 return method(self, *args, **kwargs)
+            except (EpisodeChanged, BusError):
+                explain(self)
+                raise
             finally:
                 self._busy = False
 
