@@ -285,37 +285,28 @@ class NodeServer:
 
     def publish(self) -> None:
         """Publish the present sample."""
-        exchange, plant, injection = self.exchange, self.plant, self.injection
-        values = self._encode_sample()
+        injection, values = self.injection, self._encode_sample()
         if injection is None:
             self.publications.sample(self.latest_sample)
         else:
             self._publish_with_faults(injection)
         if self._recorder is not None:
             self._recorder.add(SAMPLES, self.latest_sample)
-        if self.history is not None:
-            self.history.add(values, plant.effective, exchange.episode, exchange.step)
-        if self.alarms is not None:
-            self.publish_events(self.alarms.update(values, exchange.episode, exchange.step))
+        self.publish_events(self._account(values))
         now_s = monotonic()
         if self._sampled_s:
             self._cycle.add(now_s - self._sampled_s)
         self._sampled_s = now_s
         self.pacing.wait(now_s)
-        step = exchange.step[0]
-        self.publications.points.publish(values, exchange.episode[0], step, self.samples.time(step))
+        self._publish_points(values)
         if self._observer is not None:
             self._observer(self)
 
     def repeat_sample(self) -> bytes:
         """Take the present sample as `publish` does, but publish nothing; return it encoded."""
-        exchange, values = self.exchange, self._encode_sample()
+        self._account(self._encode_sample())
         if self.injection is not None:
             self.injection.drain_transitions()
-        if self.history is not None:
-            self.history.add(values, self.plant.effective, exchange.episode, exchange.step)
-        if self.alarms is not None:
-            self.alarms.update(values, exchange.episode, exchange.step)
         if self._warnings is not None:
             self._warnings.drain_step_warnings()
         return self.latest_sample
@@ -327,14 +318,12 @@ class NodeServer:
 
     def go_on(self, text: str) -> None:
         """Publish the latest sample of a node that goes on, and its event; no controller is connected yet."""
-        exchange, now_s = self.exchange, monotonic()
+        self._sampled_s = monotonic()
         self.publications.sample(self.latest_sample)
-        values, step = codec.decode(Sample, self.latest_sample).values, exchange.step[0]
-        self.publications.points.publish(values, exchange.episode[0], step, self.samples.time(step))
-        self._sampled_s = now_s
-        self.pacing.resume_at(now_s)
-        self.event(exchange.event(EventKind.RESUMED, text))
-        for name in [*exchange.claims.by_name]:
+        self._publish_points(codec.decode(Sample, self.latest_sample).values)
+        self.pacing.resume_at(self._sampled_s)
+        self.event(self.exchange.event(EventKind.RESUMED, text))
+        for name in [*self.exchange.claims.by_name]:
             self.on_disconnect(name)
 
     def _encode_sample(self) -> bytes:
@@ -344,6 +333,17 @@ class NodeServer:
             fault_free_values, values = values, self.injection.apply_to_sensors(values, self.exchange.step)
         self.latest_sample = self.samples.encode(self.exchange, values, fault_free_values)
         return values
+
+    def _account(self, values: bytes) -> list[Event]:
+        """Add the present values to the history, and return the events of the alarms."""
+        exchange = self.exchange
+        if self.history is not None:
+            self.history.add(values, self.plant.effective, exchange.episode, exchange.step)
+        return self.alarms.update(values, exchange.episode, exchange.step) if self.alarms is not None else []
+
+    def _publish_points(self, values: bytes) -> None:
+        step = self.exchange.step[0]
+        self.publications.points.publish(values, self.exchange.episode[0], step, self.samples.time(step))
 
     def _publish_with_faults(self, injection: FaultInjection) -> None:
         payload, now_s = self.latest_sample, monotonic()
