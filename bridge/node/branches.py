@@ -22,6 +22,7 @@ from zenostat.bridge.exchange.actuator_commands import CommandSnapshot
 from zenostat.bridge.exchange.step_exchange import StepExchange
 from zenostat.bridge.node.fault_injection import NO_FAULTS, FaultState
 from zenostat.bridge.node.manifest import site_fields
+from zenostat.bridge.node.planning import require_episodes
 from zenostat.bridge.node.plant import ForecastPlant, RunningPlant
 from zenostat.bridge.node.server import NodeServer
 from zenostat.topics import keys
@@ -37,7 +38,6 @@ from zenostat.topics.messages import (
     Reset,
     Revoke,
     StartRecording,
-    State,
     StopRecording,
     TakeSnapshot,
 )
@@ -54,7 +54,6 @@ _NODE_REQUESTS = (
     (keys.STOP_RECORDING, StopRecording),
     (keys.REVOKE, Revoke),
 )
-_NO_EPISODE = "there is nothing to fork: the episode is {}; reset it first"
 
 
 @dataclass(frozen=True, slots=True)
@@ -305,9 +304,9 @@ class BranchManager:
 
     def _allocate(self, prefix: str, *, from_snapshot: bool = False) -> tuple[str, Path]:
         """Return a name and a folder for a fork; raise `RequestRejected` if none is allowed now."""
-        state, limit = self._server.exchange.state, self._limit
-        if not from_snapshot and (state is not State.WAITING or any(self._server.exchange.done)):
-            raise RequestRejected(_NO_EPISODE.format(state if state in (State.STARTING, State.FAILED) else "over"))
+        limit = self._limit
+        if not from_snapshot:
+            require_episodes(self._server.exchange, "fork")
         count = len(self.snapshots) + sum(not branch.server.stopping for branch in self.branches.values())
         if count >= limit:
             raise RequestRejected(

@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from time import monotonic
 
+from zenostat.bridge.exchange.step_exchange import StepExchange
 from zenostat.bridge.node.plant import PlanningPlant, RunningPlant
 from zenostat.bridge.node.sample_encoding import SampleHead
 from zenostat.bridge.node.served_node import ServedNode
 from zenostat.topics import codec, errors
 from zenostat.topics.errors import BadMessage, PlantFailed, RequestRejected, SimulatorError
-from zenostat.topics.messages import Command, Event, Mode, PlanSimulated, SimulatePlan, State
+from zenostat.topics.messages import Command, Event, Mode, PlanSimulated, SimulatePlan, State, TrySteps
 
 
 class PlanSimulation:
@@ -37,7 +38,7 @@ class PlanSimulation:
         pending = self._commands(plan)
         samples: list[bytes] = []
         while pending and exchange.state is State.WAITING:
-            length = 1 if server.injection is not None else min(len(pending), self._steps_left())
+            length = 1 if server.injection is not None else min(len(pending), steps_left(server))
             if length == 1:
                 samples.append(self._step(plan.controller, pending[0]))
             else:
@@ -75,22 +76,14 @@ class PlanSimulation:
     def _commands(self, plan: SimulatePlan) -> list[tuple[bytes, bytes | None]]:
         """Return values and operations of each timestep; `RequestRejected` if the exchange would not accept one."""
         exchange = self._server.exchange
-        size, codes_size = exchange.commands.size, exchange.commands.size // 8
-        for name, raw, expected in (("values", plan.values, size), ("operations", plan.operations, codes_size)):
-            if raw is not None and len(raw) != plan.timesteps * expected:
-                raise RequestRejected(f"{name} has {len(raw)} bytes; {plan.timesteps} x {expected} expected")
-        values = [plan.values[i * size : (i + 1) * size] for i in range(plan.timesteps)]
-        codes = plan.operations
-        operations = [
-            None if codes is None else codes[i * codes_size : (i + 1) * codes_size] for i in range(plan.timesteps)
-        ]
+        commands = split_commands(plan, plan.timesteps, exchange.commands.size)
         holder = exchange.claims.by_name[plan.controller]
-        for number, (raw, code) in enumerate(zip(values, operations, strict=True)):
+        for number, command in enumerate(commands):
             try:
-                exchange.commands.check(holder, self._command(raw, code))
+                exchange.commands.check(holder, self._command(*command))
             except BadMessage as error:
                 raise RequestRejected(f"timestep {number} of the plan: {error}") from None
-        return list(zip(values, operations, strict=True))
+        return commands
 
     def _command(self, values: bytes, operations: bytes | None) -> Command:
         exchange = self._server.exchange
@@ -103,12 +96,6 @@ class PlanSimulation:
             self._server.event(event)
         if not self._server.exchange.ready_to_step():
             raise RequestRejected(event.text if event is not None else "the command was not accepted")
-
-    def _steps_left(self) -> int:
-        """Return the number of timesteps until the first of the running episodes ends."""
-        server, exchange = self._server, self._server.exchange
-        running = [step for step, done in zip(exchange.step, exchange.done, strict=True) if not done]
-        return server.plant.description.run_period.steps - max(running)
 
     def _step(self, controller: str, command: tuple[bytes, bytes | None]) -> bytes:
         server = self._server
@@ -145,6 +132,32 @@ class PlanSimulation:
             raise
         server.finish_steps(orders[-1])
         return [*samples, server.latest_sample]
+
+
+def require_episodes(exchange: StepExchange, verb: str) -> None:
+    """Raise `RequestRejected`, which says that there is nothing to `verb`, unless all slots are in an episode."""
+    if exchange.state is not State.WAITING or any(exchange.done):
+        state = exchange.state if exchange.state in (State.STARTING, State.FAILED) else "over"
+        raise RequestRejected(f"there is nothing to {verb}: the episode is {state}; reset it first")
+
+
+def steps_left(server: ServedNode) -> int:
+    """Return the number of timesteps until the first of the running episodes ends."""
+    exchange = server.exchange
+    running = [step for step, done in zip(exchange.step, exchange.done, strict=True) if not done]
+    return server.plant.description.run_period.steps - max(running)
+
+
+def split_commands(request: SimulatePlan | TrySteps, count: int, size: int) -> list[tuple[bytes, bytes | None]]:
+    """Return values, of `size` bytes, and operations of each command; `RequestRejected` if these are not `count`."""
+    values, codes, width = request.values, request.operations, size // 8
+    for name, raw, length in (("values", values, size), ("operations", codes, width)):
+        if raw is not None and len(raw) != count * length:
+            raise RequestRejected(f"{name} has {len(raw)} bytes; {count * length} expected: {count} x {length}")
+    return [
+        (values[i * size : (i + 1) * size], None if codes is None else codes[i * width : (i + 1) * width])
+        for i in range(count)
+    ]
 
 
 def simulate(plant: RunningPlant, orders: Sequence[bytes], active_slots: Sequence[int]) -> Iterator[list[bool]]:

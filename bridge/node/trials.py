@@ -15,14 +15,14 @@ from typing import Protocol, cast
 
 from zenostat.bridge.exchange.trial import TrialExchange
 from zenostat.bridge.node.fault_injection import FaultInjection
-from zenostat.bridge.node.planning import simulate
+from zenostat.bridge.node.planning import require_episodes, simulate, split_commands, steps_left
 from zenostat.bridge.node.plant import AbandonablePlant, ClosingPlant, PlantDescription, RunningPlant, TryingPlant
 from zenostat.bridge.node.sample_encoding import SampleEncoder, SampleHead
 from zenostat.bridge.node.served_node import ServedNode
 from zenostat.bridge.node.subscriptions import Request
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import BadMessage, PlantFailed, RequestRejected, SimulatorError
-from zenostat.topics.messages import Command, State, StepsTried, TrySteps
+from zenostat.topics.messages import Command, StepsTried, TrySteps
 
 MAX_COPIES = 8
 """Copies of a slot that simulate at the same time, which limits their memory; further alternatives follow these."""
@@ -81,7 +81,7 @@ class TrialSteps:
             SimulatorError: a copy failed; the plant is as it was.
         """
         self._check(request)
-        timesteps = min(request.timesteps, self._steps_left())
+        timesteps = min(request.timesteps, steps_left(self._server))
         alternatives = self._alternatives(request)
         self.collect()
         together = max(1, MAX_COPIES // self._server.exchange.slots)
@@ -91,9 +91,7 @@ class TrialSteps:
 
     def _check(self, request: TrySteps) -> None:
         server, exchange = self._server, self._server.exchange
-        if exchange.state is not State.WAITING or any(exchange.done):
-            state = exchange.state if exchange.state in (State.STARTING, State.FAILED) else "over"
-            raise RequestRejected(f"there is nothing to try: the episode is {state}; reset it first")
+        require_episodes(exchange, "try")
         for name, asked, present in (
             ("episode", request.episode, exchange.episode),
             ("step", request.step, exchange.step),
@@ -107,27 +105,17 @@ class TrialSteps:
                 f"{request.alternatives} alternatives of {request.timesteps} timesteps; "
                 f"a reply has room for {largest} samples"
             )
-        size = samples * exchange.commands.size
-        for field, raw, expected in (("values", request.values, size), ("operations", request.operations, size // 8)):
-            if raw is not None and len(raw) != expected:
-                shape = (request.alternatives, request.timesteps, *exchange.shape)
-                raise RequestRejected(f"{field} has {len(raw)} bytes; {expected} expected, for the shape {shape}")
-
-    def _steps_left(self) -> int:
-        server = self._server
-        return server.plant.description.run_period.steps - max(server.exchange.step)
 
     def _alternatives(self, request: TrySteps) -> list[_Alternative]:
         """Return the alternatives; `RequestRejected` if the exchange would not accept one of their commands."""
-        size, timesteps = self._server.exchange.commands.size, request.timesteps
+        count, timesteps = request.alternatives * request.timesteps, request.timesteps
+        commands = split_commands(request, count, self._server.exchange.commands.size)
         alternatives = []
         for number in range(request.alternatives):
             alternative = _Alternative(self._server, request.controller, request.priority)
-            for timestep, row in enumerate(range(number * timesteps, (number + 1) * timesteps)):
-                values, codes = request.values[row * size : (row + 1) * size], request.operations
-                operations = None if codes is None else codes[row * size // 8 : (row + 1) * size // 8]
+            for timestep, command in enumerate(commands[number * timesteps : (number + 1) * timesteps]):
                 try:
-                    alternative.add(values, operations)
+                    alternative.add(*command)
                 except BadMessage as error:
                     raise RequestRejected(f"alternative {number}, timestep {timestep}: {error}") from None
             alternatives.append(alternative)
