@@ -27,7 +27,7 @@ class _Settings(Protocol):
     def check(self) -> bool: ...
 
 
-class ServedNode(AbstractContextManager[Any], Protocol):
+class RunnableNode(AbstractContextManager[Any], Protocol):
     """A node that is on the bus while it is entered."""
 
     @property
@@ -58,7 +58,7 @@ def _print_line(**fields: Any) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # the owner has ended, which the lifeline detects as well
 
 
-def run(create: Callable[[Mapping[str, Any]], ServedNode]) -> int:
+def run(create: Callable[[Mapping[str, Any]], RunnableNode]) -> int:
     """Run a node until it ends.
 
     Args:
@@ -94,7 +94,7 @@ def run(create: Callable[[Mapping[str, Any]], ServedNode]) -> int:
     return 0
 
 
-def main(create: Callable[[Mapping[str, Any]], ServedNode]) -> None:
+def main(create: Callable[[Mapping[str, Any]], RunnableNode]) -> None:
     """Run a node and exit; see `run`."""
     code = run(create)
     for ignored in TERMINATION_SIGNALS:  # everything is closed; a signal would only change the exit code
