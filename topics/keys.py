@@ -168,7 +168,7 @@ BATCH = Topic("batch/stream", Role.NODE, Batch, Delivery.DROP)
 CLAIM = Topic("rpc/claim/{sender}", Role.CONTROLLER, Claim, Delivery.QUERY, reply=Ack)
 RESET = Topic("rpc/reset/{sender}", Role.OPERATOR, Reset, Delivery.QUERY, reply=Ack)
 SNAPSHOT = Topic("rpc/snapshot/{sender}", Role.CONTROLLER, TakeSnapshot, Delivery.QUERY, reply=SnapshotTaken)
-DROP = Topic("rpc/drop/{sender}", Role.CONTROLLER, DropSnapshot, Delivery.QUERY, reply=Ack, also=Role.OPERATOR)
+DROP_SNAPSHOT = Topic("rpc/drop/{sender}", Role.CONTROLLER, DropSnapshot, Delivery.QUERY, reply=Ack, also=Role.OPERATOR)
 """Controllers drop their own snapshots with it, and operators any."""
 BRANCH = Topic("rpc/branch/{sender}", Role.CONTROLLER, CreateBranch, Delivery.QUERY, reply=BranchCreated)
 PLAN = Topic("rpc/plan/{sender}", Role.CONTROLLER, SimulatePlan, Delivery.QUERY, reply=PlanSimulated)
@@ -220,7 +220,7 @@ TOPICS = (
     CLAIM,
     RESET,
     SNAPSHOT,
-    DROP,
+    DROP_SNAPSHOT,
     BRANCH,
     PLAN,
     TRY,

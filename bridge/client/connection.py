@@ -444,7 +444,7 @@ class Connection:
 
     def drop(self, node: str, snapshot: str, controller: str = "") -> None:
         """Drop a snapshot of an owner and free its memory; `RequestRejected` if the node has none of that name."""
-        self.ask(keys.DROP, node, build(DropSnapshot, snapshot=snapshot, controller=controller), Ack)
+        self.ask(keys.DROP_SNAPSHOT, node, build(DropSnapshot, snapshot=snapshot, controller=controller), Ack)
 
     def branch(self, node: str, branch: CreateBranch) -> str:
         """Create a branch of a node and return the branch's name; a branch is a node like any other.

@@ -48,7 +48,7 @@ if TYPE_CHECKING:
 _NODE_REQUESTS = (
     (keys.RESET, Reset),
     (keys.SNAPSHOT, TakeSnapshot),
-    (keys.DROP, DropSnapshot),
+    (keys.DROP_SNAPSHOT, DropSnapshot),
     (keys.BRANCH, CreateBranch),
     (keys.RECORD, StartRecording),
     (keys.STOP_RECORDING, StopRecording),

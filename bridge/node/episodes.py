@@ -70,7 +70,7 @@ class EpisodeManager:
         subscriptions = self._server.subscriptions
         subscriptions.request(keys.RESET, Reset, self._reset, on_receipt=self._on_receipt)
         subscriptions.request(keys.SNAPSHOT, TakeSnapshot, self._snapshot)
-        subscriptions.request(keys.DROP, DropSnapshot, self._drop)
+        subscriptions.request(keys.DROP_SNAPSHOT, DropSnapshot, self._drop)
         subscriptions.request(keys.BRANCH, CreateBranch, self._branch)
 
     def begin_first(self) -> None:
@@ -211,7 +211,7 @@ class EpisodeManager:
         sender = request.controller
         if access is not None and not (access.is_same_holder(sender, owner) or access.operates(sender)):
             reason = f"snapshot {request.snapshot} is that of {owner!r}"
-            self._server.subscriptions.deny(keys.DROP, sender, reason)
+            self._server.subscriptions.deny(keys.DROP_SNAPSHOT, sender, reason)
         self._branches.drop(request.snapshot)
         return Ack(episode=self._exchange.episode)
 

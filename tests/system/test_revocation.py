@@ -196,7 +196,7 @@ def test_access__controller_ends_its_own_branches_and_drops_its_own_snapshots_on
         link, foreign = second.controller("room", required=False), other.controller("room", priority=11, required=False)
         snapshot = ask(link.bus.session, keys.SNAPSHOT, TakeSnapshot(), link.name).snapshot
         branch = second.branch("room", CreateBranch(controller=link.name))
-        reply = ask(other.session, keys.DROP, DropSnapshot(snapshot=snapshot), foreign.name)
+        reply = ask(other.session, keys.DROP_SNAPSHOT, DropSnapshot(snapshot=snapshot), foreign.name)
         assert (reply.error, reply.message) == ("AccessDenied", f"snapshot {snapshot} is that of {link.name!r}")
         for target, reason in (("room", "may not stop a node"), (branch, "may not end a branch of")):
             reply = ask(other.session, keys.STOP, Stop(), "controller", node=target)
