@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from zenostat.bridge.runtime.processes import ZENOSTAT
 from zenostat.cli.console import out
 from zenostat.topics.errors import InvalidConfig
 
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from zenostat.metrics.episode_metrics import EpisodeMetrics
     from zenostat.metrics.trajectory import Trajectory
     from zenostat.views.report import Comparison
-
-ZENOSTAT = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 
 
 def write_demo_report(comparison: Comparison, path: Path) -> list[str]:

@@ -20,6 +20,7 @@ import psutil
 from zenostat.bridge.python_plant.shipped import PLANT_SETTINGS
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime.processes import ZENOSTAT, end_processes
 from zenostat.bridge.runtime.scratch import Scratch
 from zenostat.bridge.runtime.signals import defer_interrupts, override_signals
 from zenostat.topics.errors import NodeLost, from_wire
@@ -214,7 +215,7 @@ class Monitor:
 
     def __init__(self, endpoint: str, keys: Path | None = None) -> None:
         display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        program = [sys.executable, "-P", "-m", "zenostat.cli.main", "monitor", "--connect", endpoint]
+        program = [*ZENOSTAT, "monitor", "--connect", endpoint]
         program += ["--keys", str(keys)] if keys is not None else []
         self._process = subprocess.Popen([*program, *([] if display else ["--web"])], stdin=subprocess.DEVNULL)
         self._owner = os.getpid()
@@ -223,9 +224,4 @@ class Monitor:
         """Close the view and end its process."""
         if os.getpid() != self._owner:
             return  # the exit of a forked child must not end its parent's monitor
-        self._process.terminate()
-        try:
-            self._process.wait(timeout=_EXIT_TIMEOUT_S)
-        except subprocess.TimeoutExpired:
-            self._process.kill()
-            self._process.wait()
+        end_processes([self._process], _EXIT_TIMEOUT_S)

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from zenostat.bridge.runtime.processes import end_processes
 from zenostat.lab.tuning.search_space import DEFAULT, ask, decode, encode
 from zenostat.lab.tuning.study_config import StudyConfig, starting_point
 from zenostat.lab.tuning.study_storage import (
@@ -309,15 +310,8 @@ class Tuning:
         """End the processes of the trials; their nodes end with them."""
         processes = [worker.process for worker in self._workers] + [process for process, _ in self._idle]
         self._idle = []
+        end_processes(processes, _END_S)
         for process in processes:
-            process.terminate()
-        deadline = time.monotonic() + _END_S
-        for process in processes:
-            try:
-                process.wait(max(deadline - time.monotonic(), 0.1))
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
             _close_input(process)
 
     def best(self) -> optuna.trial.FrozenTrial | None:

@@ -18,6 +18,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from zenostat.bridge.runtime.processes import end_processes
 from zenostat.topics.errors import InvalidConfig, ViewerError
 
 NO_VULKAN = (
@@ -134,12 +135,7 @@ def serving(*options: str, environment: Mapping[str, str] | None = None) -> Iter
             _wait_for_port(server, port)
             yield server
         finally:
-            process.terminate()
-            try:
-                process.wait(_EXIT_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
-                process.wait()
+            end_processes([process], _EXIT_S)
 
 
 @contextmanager

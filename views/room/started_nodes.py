@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from zenostat.bridge.runtime.processes import ZENOSTAT, end_processes
 from zenostat.topics.errors import NodeNotFound, RequestRejected, did_you_mean, from_wire
 from zenostat.topics.keys import check_name
 from zenostat.views.room.numbers import to_json
@@ -21,7 +22,6 @@ from zenostat.views.room.updates import Updates
 TOPIC = "started"
 MODULE = "zenostat.eplus_node"
 REPLAY_MODULE = "zenostat.eplus_node.replay_program"
-_COMMAND = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 
 MAX_RUNNING = 8
 """Largest number of nodes that run at a time."""
@@ -156,14 +156,7 @@ class StartedNodes:
         with self._lock:
             self._is_closed = True
             nodes, threads = [*self._nodes], [*self._threads]
-        for node in nodes:
-            if node.process.poll() is None:
-                node.process.terminate()
-        for node in nodes:
-            try:
-                node.process.wait(_END_S)
-            except subprocess.TimeoutExpired:
-                node.process.kill()
+        end_processes([node.process for node in nodes], _END_S)
         for thread in threads:
             thread.join(_END_S)
 
@@ -206,7 +199,7 @@ class StartedNodes:
         keys = self._settings.get("keys")
         options = ["--connect", self._settings["connect"][0], *(["--keys", str(keys)] if keys else [])]
         controller = subprocess.Popen(
-            [*_COMMAND, "run", "--node", node.name, "--controller", node.controller, *options],
+            [*ZENOSTAT, "run", "--node", node.name, "--controller", node.controller, *options],
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, process_group=0,
         )  # fmt: skip
         threading.Thread(target=self._watch_controller, args=(node, controller), daemon=True).start()

@@ -6,7 +6,6 @@ import asyncio
 import base64
 import hashlib
 import subprocess
-import sys
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -18,6 +17,7 @@ from starlette.responses import FileResponse, JSONResponse, Response
 from starlette.routing import Route
 
 from zenostat.agent_sdk.controllers.training_folder import SCENARIO, model_file
+from zenostat.bridge.runtime.processes import ZENOSTAT, end_processes
 from zenostat.topics.errors import NameInUse, RequestRejected, UnknownName
 from zenostat.topics.messages import Mode
 from zenostat.views.report.document import REPORT_SCRIPT
@@ -28,7 +28,6 @@ from zenostat.views.room.operations import read_body
 from zenostat.views.room.started_nodes import StartedNodes
 from zenostat.views.room.trainings import REPORT, Trainings
 
-_COMMAND = [sys.executable, "-P", "-m", "zenostat.cli.main"]
 _DIGEST = base64.b64encode(hashlib.sha256(REPORT_SCRIPT.encode()).digest()).decode()
 REPORT_POLICY = (
     "sandbox allow-scripts allow-popups; default-src 'none'; img-src data:; style-src 'unsafe-inline'; "
@@ -185,7 +184,7 @@ class _Reports:
         with self._lock:
             if self._is_closed or self._process is not None:
                 raise RequestRejected("another report is being made; try again when it is there")
-            command = [*_COMMAND, "report", str(folder), "--out", str(folder / REPORT)]
+            command = [*ZENOSTAT, "report", str(folder), "--out", str(folder / REPORT)]
             self._process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
                 encoding="utf-8", errors="replace", process_group=0,
@@ -205,8 +204,4 @@ class _Reports:
         with self._lock:
             self._is_closed, process = True, self._process
         if process is not None:
-            process.terminate()
-            try:
-                process.wait(_END_S)
-            except subprocess.TimeoutExpired:
-                process.kill()
+            end_processes([process], _END_S)
