@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import inspect
-import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from importlib.machinery import ModuleSpec, PathFinder
+from collections.abc import Callable
 from pathlib import Path
 from types import ModuleType
 
 from zenostat.agent_sdk.controllers.base import Controller, ControllerProtocol
 from zenostat.agent_sdk.controllers.controller_file import read_controller_file
 from zenostat.agent_sdk.controllers.parameters import check_parameters, with_parameters
-from zenostat.bridge.runtime.source_loader import source_spec
+from zenostat.bridge.runtime.source_loader import importable, load_file
 from zenostat.bridge.runtime.user_code import describe_user_error
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 
@@ -86,53 +82,16 @@ def _load_module(source: str) -> ModuleType:
         raise UnknownName(f"there is no file {path.absolute()} to load a controller from")
     folder = path.absolute().parent if is_file else Path.cwd()
     try:
-        with _importable(folder):
-            return _load_file(path) if is_file else importlib.import_module(source)
+        with importable(folder):
+            if not is_file:
+                return importlib.import_module(source)
+            if path.suffix != ".py":
+                raise ImportError(f"{path} is not a Python file")
+            return load_file(f"_controller_{path.stem}", path.absolute())
     except (Exception, SystemExit) as error:
         if isinstance(error, ModuleNotFoundError) and error.name and f"{source}.".startswith(f"{error.name}."):
             raise UnknownName(f"there is no module {source!r}, neither installed nor in {folder}") from None
         raise InvalidConfig(f"loading {source} failed: {describe_user_error(error)}") from error
-
-
-def _load_file(path: Path) -> ModuleType:
-    name = f"_controller_{path.stem}"
-    if path.suffix != ".py":
-        raise ImportError(f"{path} is not a Python file")
-    spec = source_spec(name, path.absolute())
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # dataclasses and pickle look up their module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[name]
-        raise
-    return module
-
-
-class _FolderFinder:
-    """Meta path finder for modules in one folder."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = str(folder)
-
-    def find_spec(
-        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
-    ) -> ModuleSpec | None:
-        """Find a top-level module in the folder; see `importlib.abc.MetaPathFinder`."""
-        return PathFinder.find_spec(name, [self._folder], target) if path is None else None
-
-
-@contextmanager
-def _importable(folder: Path) -> Iterator[None]:
-    """Make modules in a folder importable within the context."""
-    finder = _FolderFinder(folder)
-    importlib.invalidate_caches()
-    sys.meta_path.insert(0, finder)
-    try:
-        yield
-    finally:
-        sys.meta_path.remove(finder)
 
 
 def _controller_class(module: ModuleType, name: str, source: str) -> Callable[..., ControllerProtocol]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import importlib.util
 import inspect
 import json
 import re
@@ -19,7 +18,7 @@ from typing import Any, TypeGuard
 
 from pydantic import ValidationError
 
-from zenostat.bridge.runtime.source_loader import source_spec
+from zenostat.bridge.runtime.source_loader import load_file, make_importable
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import InvalidConfig, ZenostatError, did_you_mean
 from zenostat.topics.keys import check_name
@@ -113,14 +112,8 @@ def load_class(plant: str, *, own_class: bool = False) -> type[Any]:
 def _load_file(path: Path) -> Any:
     if not path.is_file():
         raise InvalidConfig(f"plant: no file {path}")
-    sys.path.insert(0, str(path.parent.absolute()))  # as for a script: modules beside the file can be imported
-    name = _module_name(path.stem)
-    spec = source_spec(name, path)
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules[name] = module  # for pickles of its classes
-    spec.loader.exec_module(module)
-    return module
+    make_importable(path.parent.absolute())
+    return load_file(_module_name(path.stem), path)
 
 
 def _module_name(stem: str) -> str:
@@ -131,7 +124,7 @@ def _module_name(stem: str) -> str:
 
 
 def _load_module(name: str) -> Any:
-    sys.path.insert(0, str(Path.cwd()))
+    make_importable(Path.cwd())
     try:
         return importlib.import_module(name)
     except ModuleNotFoundError as error:

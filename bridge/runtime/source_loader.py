@@ -1,10 +1,15 @@
-"""Load a Python file of the user's own as it is now."""
+"""Load a Python file of the user's own as it is now, with the modules beside it."""
 
 from __future__ import annotations
 
 import importlib.util
-from importlib.machinery import ModuleSpec, SourceFileLoader
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from zenostat.topics.typing_compat import override
@@ -22,8 +27,48 @@ class _SourceLoader(SourceFileLoader):
         return self.source_to_code(self.get_data(self.path), self.path)
 
 
-def source_spec(name: str, path: Path) -> ModuleSpec:
-    """Return the spec of a module from a file, which is compiled from its text; see `importlib.util`."""
-    spec = importlib.util.spec_from_file_location(name, path, loader=_SourceLoader(name, str(path)))
+def load_file(name: str, path: Path) -> ModuleType:
+    """Load a file as a module of this name, compiled from its present text."""
+    loader = _SourceLoader(name, str(path))
+    spec = importlib.util.spec_from_file_location(name, path, loader=loader)
     assert spec is not None
-    return spec
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # dataclasses and pickle look up their module
+    try:
+        loader.exec_module(module)
+    except BaseException:
+        del sys.modules[name]
+        raise
+    return module
+
+
+@dataclass(frozen=True)
+class _FolderFinder:
+    """Meta path finder for modules in one folder."""
+
+    folder: str
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Find a top-level module in the folder; see `importlib.abc.MetaPathFinder`."""
+        return PathFinder.find_spec(name, [self.folder], target) if path is None else None
+
+
+def make_importable(folder: Path) -> None:
+    """Let modules in a folder be imported from now on, before installed ones of the same name."""
+    if (finder := _FolderFinder(str(folder))) not in sys.meta_path:
+        importlib.invalidate_caches()
+        sys.meta_path.insert(0, finder)
+
+
+@contextmanager
+def importable(folder: Path) -> Iterator[None]:
+    """Make modules in a folder importable within the context."""
+    finder = _FolderFinder(str(folder))
+    importlib.invalidate_caches()
+    sys.meta_path.insert(0, finder)
+    try:
+        yield
+    finally:
+        sys.meta_path.remove(finder)

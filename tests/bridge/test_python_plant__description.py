@@ -235,7 +235,7 @@ def test_python_plant__reward_is_a_kind_with_parameters_that_can_be_sent(reward:
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder of modules; the import system is as before afterwards."""
-    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path])
     monkeypatch.chdir(tmp_path)
     modules = {*sys.modules}
     yield tmp_path
@@ -250,6 +250,18 @@ def test_python_plant__class_is_named_by_file_or_module(folder: Path) -> None:
     assert create("my-tank.v2.py:Tank", {"volume": 2}).volume == 2
     assert create(f"{folder}/my-tank.v2.py:Tank", {}).volume == 1
     assert create("plant_package.tanks:Tank", {}).volume == 3
+
+
+def test_python_plant__class_imports_modules_beside_its_file_whenever_it_does(folder: Path) -> None:
+    present = [*sys.path]
+    (folder / "tank_sizes.py").write_text("VOLUME = 3\n")
+    (folder / "tank_losses.py").write_text("RATE = 0.5\n")
+    (folder / "tank_file.py").write_text(
+        "from tank_sizes import VOLUME\nclass Tank:\n    volume = VOLUME\n"
+        "    def step(self):\n        from tank_losses import RATE\n        return RATE * self.volume\n"
+    )
+    assert create("tank_file.py:Tank", {}).step() == 1.5
+    assert sys.path == present
 
 
 @pytest.mark.parametrize("plant", ["tank.py", "tank", ":Tank", "tank.py:", "tank.py:2", "", ".tank:Tank"])
@@ -303,7 +315,7 @@ def test_python_plant__file_that_is_written_again_within_a_second_is_the_new_one
 ) -> None:
     """Python's cached bytecode is valid for a text of the same length and time."""
     monkeypatch.setattr(sys, "dont_write_bytecode", False)
-    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "meta_path", [*sys.meta_path])
     file = tmp_path / "rewritten_tank.py"
     for name in ("push", "pull", "push"):
         monkeypatch.delitem(sys.modules, "rewritten_tank", raising=False)
