@@ -12,7 +12,7 @@
     │   ├── BadMessage          malformed, oversized, or of another schema version
     │   ├── RequestRejected     a request or command that the node rejected
     │   │   └── AccessDenied    under another's name, or not permitted to its sender
-    │   ├── EpisodeChanged      somebody else reset or stopped the episode
+    │   ├── EpisodeChanged      the episode is over or has not begun, or somebody else reset or stopped it
     │   └── EpisodeAborted      the fallback policy ended the episode: a controller sent no command
     ├── SimulatorError          EnergyPlus, or another plant, failed
     │   ├── ModelError          EnergyPlus rejected the model or stopped with an error
@@ -97,7 +97,7 @@ class AccessDenied(RequestRejected):
 
 
 class EpisodeChanged(PeerError):
-    """Somebody else reset or stopped the episode."""
+    """The episode is over or has not begun, or somebody else reset or stopped it."""
 
 
 class EpisodeAborted(PeerError):

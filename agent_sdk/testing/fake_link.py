@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from zenostat.agent_sdk.testing.fake_building import FakeBuilding
 from zenostat.bridge.client.sample import SampleView
-from zenostat.topics.errors import EpisodeChanged, InvalidAction, PeerError, RequestRejected
+from zenostat.topics.errors import EpisodeChanged, InvalidAction, PeerError, RequestRejected, UsageError
 from zenostat.topics.messages import Ack, CommandOp, EngineStart, EpisodeStart, Flag, Sample, WeatherSeries
 from zenostat.topics.points import actuator_index, bound_arrays, check_command, describe_violation, value_index
 
@@ -89,7 +89,7 @@ class FakeLink:
             InvalidAction: an unknown actuator, a wrong shape, or a value that is not finite.
         """
         if self._latest is None:
-            raise PeerError("there is no sample to answer yet; call reset() first")
+            raise UsageError("there is no sample to answer yet; call reset() first")
         if self._latest.truncated:
             return
         self._sent = (

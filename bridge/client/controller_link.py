@@ -30,8 +30,8 @@ from zenostat.topics.errors import (
     EpisodeChanged,
     NodeLost,
     NodeNotFound,
-    PeerError,
     RequestRejected,
+    UsageError,
     ZenostatError,
     from_wire,
 )
@@ -378,9 +378,10 @@ class ControllerLink:
         Raises:
             InvalidAction: Unknown actuator, wrong shape, or a value of a mapping that is not finite. Values of an array
                 are checked by the node: `receive` then raises `RequestRejected`.
+            UsageError: There is no sample to answer yet.
         """
         if self._latest is None:
-            raise PeerError("there is no sample to answer yet; call current() or reset() first")
+            raise UsageError("there is no sample to answer yet; call current() or reset() first")
         if self._ended is not None:
             raise self._ended
         if self._done:
@@ -411,7 +412,7 @@ class ControllerLink:
     def try_steps(self, alternatives: Sequence[Sequence[CommandValues]]) -> list[list[SampleView]]:
         """Return the samples that would follow each of several sequences of commands; see `Bus.try_steps`."""
         if self._latest is None:
-            raise PeerError("there is no sample to try from yet; call receive() or reset() first")
+            raise UsageError("there is no sample to try from yet; call receive() or reset() first")
         request = trial_request(self.manifest, alternatives, at=self._latest.message)
         return self.trial(request)
 

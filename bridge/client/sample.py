@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.topics import codec
-from zenostat.topics.errors import UnknownName
+from zenostat.topics.errors import UsageError
 from zenostat.topics.messages import Flag, Manifest, Sample, WeatherSeries
 from zenostat.topics.points import PointIndex
 
@@ -130,17 +130,18 @@ class SampleView:
     def send(self, values: Mapping[str, float | None] | NDArray[np.float64] | None = None) -> None:
         """Answer this sample; see `ControllerLink.send`."""
         if self._link is None:
-            raise UnknownName("this sample was received by a listener; only a controller can answer")
+            raise UsageError("this sample was received by a listener; only a controller can answer")
         self._link.send(values)
 
     def weather(self, columns: Sequence[str]) -> WeatherSeries:
         """Return columns of the weather of this sample's episode; see `ControllerLink.weather`.
 
         Raises:
-            UnknownName: The sample was received by a listener, or there is no such column.
+            UsageError: The sample was received by a listener.
+            UnknownName: There is no such column.
         """
         if self._link is None:
-            raise UnknownName("this sample was received by a listener; only a controller can ask for its weather")
+            raise UsageError("this sample was received by a listener; only a controller can ask for its weather")
         return self._link.weather(columns, self.slot) if self.slot else self._link.weather(columns)
 
     def __repr__(self) -> str:
