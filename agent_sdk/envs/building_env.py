@@ -335,7 +335,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         """Simulate one timestep under `action`.
 
         `info` has `time` and `step` of the sample; for each actuator its commanded value (`action`), its effective
-        value (`effective`, NaN where EnergyPlus does not report it) and its value source (`value_source`: "agent" is
+        value (`effective`, NaN where the plant does not report it) and its value source (`value_source`: "agent" is
         this environment, "" the baseline control); `reward_terms`, whose sum is the reward, and `reward_metrics`; the
         node's counts of `late` and `rejected` messages; and at the episode's end `output_dir`, the folder of
         EnergyPlus's output files, if they are kept.

@@ -227,9 +227,7 @@ class FleetVectorEnv(SlotAccess, SpaceNames, VectorEnv[Observations, Any, NDArra
         """
         self._begin_call()
         idle = self._idle_slots()
-        self._actions.rows(
-            actions, self.num_envs, idle
-        )  # an invalid action is connected before the first command is sent
+        self._actions.rows(actions, self.num_envs, idle)  # rejects an invalid action before a command is sent
         results = self._simulate(np.asarray(actions), idle)
         rewards, restarted = np.zeros(self.num_envs), dict[int, Infos]()
         terminated, truncated = np.zeros(self.num_envs, np.bool_), np.zeros(self.num_envs, np.bool_)

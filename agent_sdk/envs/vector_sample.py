@@ -73,7 +73,7 @@ class VectorSample:
         sample: The sample as returned by the link.
         message: The sample message.
         values: Values of sensors, then meters, shape (slots, points), in manifest order and units; read-only.
-        fault_free_values: Values as EnergyPlus computed them: `values` without injected faults; same shape.
+        fault_free_values: Values as the plant computed them: `values` without injected faults; same shape.
         truncated: Whether each slot is at the end of its run period, shape (slots,).
     """
 
@@ -90,7 +90,7 @@ class VectorSample:
 
     @property
     def effective(self) -> Floats:
-        """Effective value of each actuator, shape (slots, actuators); NaN where EnergyPlus does not report it."""
+        """Effective value of each actuator, shape (slots, actuators); NaN where the plant does not report it."""
         return self._actuator_values(self.message.effective, "effective")
 
     @property

@@ -265,7 +265,7 @@ class ControllerLink:
 
         Raises:
             NodeLost: The node is gone.
-            SimulatorError: EnergyPlus failed; the text contains its messages.
+            SimulatorError: The plant failed; the text contains its messages.
             RequestRejected: The node rejected this controller's last command.
             EpisodeChanged: Another controller reset the node, or another thread closed the link.
             UsageError: Another thread is in `receive` or `reset`.

@@ -79,13 +79,13 @@ class SampleView:
 
     @property
     def fault_free_values(self) -> NDArray[np.float64]:
-        """Values as EnergyPlus computed them: `values` without the faults that the node injects; same shape."""
+        """Values as the plant computed them: `values` without the faults that the node injects; same shape."""
         raw = self.message.fault_free_values
         return self._points(raw, "fault_free_values") if raw else self.values
 
     @property
     def effective(self) -> NDArray[np.float64]:
-        """Effective value of each actuator, shape (actuators,); NaN where EnergyPlus does not report it."""
+        """Effective value of each actuator, shape (actuators,); NaN where the plant does not report it."""
         return self._actuators(self.message.effective, "effective")
 
     @property
