@@ -113,7 +113,15 @@ def _member(kind: type[E], value: str, what: str, known: Iterable[E] = ()) -> E:
 
 
 class Bus(Connection):
-    """A connection to all nodes that are reachable through one endpoint; its attributes are those of `Connection`."""
+    """A connection to all nodes that are reachable through one endpoint.
+
+    Attributes:
+        endpoint: Its endpoint.
+        identity: The name in its certificate; empty without keys.
+        roles: The roles of its certificate; none without keys.
+        session: The Zenoh session.
+        timer: For the checks of controllers that have waited for long; its thread starts with the first controller.
+    """
 
     def listen(self, node: str) -> AbstractContextManager[Iterator[SampleView]]:
         """Receive all samples of a node from now on: `with bus.listen("office") as samples:`.

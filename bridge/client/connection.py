@@ -84,16 +84,11 @@ class Link(Protocol):
 class Connection:
     """Requests to all nodes that are reachable through one endpoint.
 
-    Attributes:
-        endpoint: Its endpoint.
-        identity: The name in its certificate; empty without keys.
-        roles: The roles of its certificate; none without keys.
-        session: The Zenoh session.
+    Attributes (besides those that `Bus` describes):
         affinity: Placement of its threads.
         placement: Places them like the threads of a local node.
         timeout_s: Time after which a node that is present but does not answer fails a request with `PeerError`.
         via: Protocol of those for whom it sends requests, which recordings show as the way in; empty for itself.
-        timer: For the checks of controllers that have waited for long; its thread starts with the first controller.
     """
 
     def __init__(self, endpoint: str, session: OpenSession, affinity: Affinity) -> None:

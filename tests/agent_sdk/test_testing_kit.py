@@ -284,8 +284,8 @@ def test_testing_kit__what_a_node_refuses_a_fake_refuses() -> None:
     with pytest.raises(UsageError, match=r"call reset\(\) first"):
         link.send({})
     sample = link.reset(seed=0)
-    heard = SampleView(sample.message, link.manifest, value_index(link.manifest))
-    for use in (heard.send, lambda: heard.weather(["dry_bulb_temperature"])):
+    listened = SampleView(sample.message, link.manifest, value_index(link.manifest))
+    for use in (listened.send, lambda: listened.weather(["dry_bulb_temperature"])):
         with pytest.raises(UsageError, match="received by a listener") as caught:
             use()
         assert not isinstance(caught.value, UnknownName)
