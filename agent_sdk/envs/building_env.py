@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.action_values import Actions, as_array
 from zenostat.agent_sdk.envs.branch_env import BranchVectorEnv, branch_request, open_branch
-from zenostat.agent_sdk.envs.connection import RENDER_MODES, ConnectedEnv, NodeConnection, one_thread_while_open
+from zenostat.agent_sdk.envs.connection import RENDER_MODES, ConnectedEnv, Link, NodeConnection, one_caller
 from zenostat.agent_sdk.envs.episode_state import EpisodeState
 from zenostat.agent_sdk.envs.infos import SampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
@@ -24,7 +24,6 @@ from zenostat.agent_sdk.envs.snapshot import Snapshot, checked, from_options, ta
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.agent_sdk.envs.trial_actions import trial_of_actions
 from zenostat.agent_sdk.envs.vector_infos import Infos
-from zenostat.agent_sdk.envs.vector_sample import Link
 from zenostat.agent_sdk.rewards import AnyReward, Reward
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.client.sample import SampleView
@@ -147,7 +146,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         link: Link = self._connection.link
         return link
 
-    @one_thread_while_open
+    @one_caller
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
@@ -330,7 +329,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
             raise EpisodeChanged("no episode is running; call reset() first")
         return self._sample
 
-    @one_thread_while_open
+    @one_caller
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Simulate one timestep under `action`.
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.snapshot import require_node
 from zenostat.agent_sdk.envs.space_names import SpaceNames
+from zenostat.agent_sdk.envs.vector_sample import Floats
 from zenostat.agent_sdk.rewards import AnyReward, Reward, read_reward
 from zenostat.agent_sdk.rewards.manifest_data import reward_data, task_paying
 from zenostat.bridge.client.bus import Bus
@@ -25,13 +26,61 @@ from zenostat.bridge.recording.file import next_recording
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import certificate_file, keys_folder
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected
-from zenostat.topics.messages import Claim, Manifest, RecordingState, RecordingStatus
+from zenostat.topics.messages import Ack, Claim, Manifest, RecordingState, RecordingStatus, WeatherSeries
 
 NAME = "building"
 AGENT = "agent"
 """The environment's name in its own `info["value_source"]`; its name on the bus differs from run to run."""
 RENDER_MODES = ("rgb_array", "rerun")
 BUSY = "another thread is in step() or reset() of this environment; one thread at a time, or an environment for each"
+
+
+class Link(Protocol):
+    """The link of an environment: samples in, commands out."""
+
+    manifest: Manifest
+    accepted: Ack
+    name: str
+
+    def reset(self, *, seed: int | None = None) -> SampleView:
+        """Start a new episode and return its sample 0."""
+
+    def receive(self) -> SampleView:
+        """Wait for the next sample."""
+
+    def send(self, values: Floats, operations: bytes | None = None) -> None:
+        """Answer the current sample with a value and a `CommandOp` byte for each actuator (None: all are set)."""
+
+    def weather(self, columns: Sequence[str]) -> WeatherSeries:
+        """Return columns of the weather of the current episode."""
+
+    def close(self) -> None:
+        """Disconnect; idempotent."""
+
+
+class VectorLink(Protocol):
+    """The link of a vector environment: samples of all slots in, commands for all slots out."""
+
+    manifest: Manifest
+    accepted: Ack
+    name: str
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, slots: list[int] | None = None, snapshot: str = ""
+    ) -> SampleView:
+        """Start new episodes in these slots, or in all; return the sample in which they are at sample 0."""
+
+    def receive(self) -> SampleView:
+        """Wait for the next sample."""
+
+    def send(self, values: Floats, operations: bytes | None = None, *, still: Sequence[int] = ()) -> None:
+        """Answer the current sample: shape (slots, actuators); slots in `still` do not advance."""
+
+    def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
+        """Return columns of the weather of a slot's current episode."""
+
+    def close(self) -> None:
+        """Disconnect; idempotent."""
 
 
 @dataclass(frozen=True)
@@ -317,4 +366,4 @@ class ConnectedEnv(SpaceNames):
         return require_node(self._connection.link)
 
 
-one_thread_while_open = one_thread(BUSY, lambda self: self._connection.check_open())
+one_caller = one_thread(BUSY, lambda self: self._connection.check_open())

@@ -7,7 +7,7 @@ from typing import Any
 
 from zenostat.agent_sdk.envs import arguments
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.agent_sdk.envs.vector_sample import Link
+from zenostat.agent_sdk.envs.connection import Link
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.errors import InvalidConfig

@@ -14,14 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.action_values import Actions
-from zenostat.agent_sdk.envs.connection import RENDER_MODES, ConnectedEnv, NodeConnection, one_thread_while_open
+from zenostat.agent_sdk.envs.connection import RENDER_MODES, ConnectedEnv, NodeConnection, VectorLink, one_caller
 from zenostat.agent_sdk.envs.episode_state import EpisodeState
 from zenostat.agent_sdk.envs.infos import VectorSampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
 from zenostat.agent_sdk.envs.slot_access import Seeds, Slot, SlotAccess, seeds_of, slots_of
 from zenostat.agent_sdk.envs.snapshot import Snapshot, from_options, take
 from zenostat.agent_sdk.envs.vector_infos import Infos, masked, merge, select
-from zenostat.agent_sdk.envs.vector_sample import VectorLink, VectorSample
+from zenostat.agent_sdk.envs.vector_sample import VectorSample
 from zenostat.agent_sdk.rewards import AnyReward
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
@@ -124,7 +124,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
 
     # Episodes
 
-    @one_thread_while_open
+    @one_caller
     def reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None) -> tuple[Observations, Infos]:
         """Start an episode in each slot, or in those of `options={"reset_mask": …}`, a bool array of shape (slots,).
 
@@ -213,7 +213,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
 
     # Timesteps
 
-    @one_thread_while_open
+    @one_caller
     def step(self, actions: ArrayLike) -> StepResult:
         """Simulate one timestep of each slot; with `NextStep`, slots whose episode has ended start a new one instead.
 

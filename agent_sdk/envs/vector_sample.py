@@ -1,10 +1,9 @@
-"""One sample of all slots as arrays, and the links that environments use."""
+"""One sample of all slots as arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from datetime import datetime
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,58 +11,10 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.envs.time_features import time_features
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec
-from zenostat.topics.messages import Ack, Flag, Manifest, WeatherSeries
+from zenostat.topics.messages import Flag
 
 Floats = NDArray[np.float64]
 _TRUNCATED = int(Flag.TRUNCATED)
-
-
-class Link(Protocol):
-    """The link of an environment: samples in, commands out."""
-
-    manifest: Manifest
-    accepted: Ack
-    name: str
-
-    def reset(self, *, seed: int | None = None) -> SampleView:
-        """Start a new episode and return its sample 0."""
-
-    def receive(self) -> SampleView:
-        """Wait for the next sample."""
-
-    def send(self, values: NDArray[np.float64], operations: bytes | None = None) -> None:
-        """Answer the current sample with a value and a `CommandOp` byte for each actuator (None: all are set)."""
-
-    def weather(self, columns: Sequence[str]) -> WeatherSeries:
-        """Return columns of the weather of the current episode."""
-
-    def close(self) -> None:
-        """Disconnect; idempotent."""
-
-
-class VectorLink(Protocol):
-    """The link of a vector environment: samples of all slots in, commands for all slots out."""
-
-    manifest: Manifest
-    accepted: Ack
-    name: str
-
-    def reset(
-        self, *, seed: int | list[int | None] | None = None, slots: list[int] | None = None, snapshot: str = ""
-    ) -> SampleView:
-        """Start new episodes in these slots, or in all; return the sample in which they are at sample 0."""
-
-    def receive(self) -> SampleView:
-        """Wait for the next sample."""
-
-    def send(self, values: Floats, operations: bytes | None = None, *, still: Sequence[int] = ()) -> None:
-        """Answer the current sample: shape (slots, actuators); slots in `still` do not advance."""
-
-    def weather(self, columns: Sequence[str], slot: int = 0) -> WeatherSeries:
-        """Return columns of the weather of a slot's current episode."""
-
-    def close(self) -> None:
-        """Disconnect; idempotent."""
 
 
 class VectorSample:
