@@ -19,11 +19,12 @@ from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.bus import connect as connect_bus
 from zenostat.bridge.client.connection import build
 from zenostat.bridge.client.controller_link import ControllerLink
-from zenostat.bridge.client.local_node import LocalNode, Monitor, ignore_interrupts
+from zenostat.bridge.client.local_node import LocalNode, ignore_interrupts
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.recording.file import next_recording
 from zenostat.bridge.runtime.affinity import Affinity
+from zenostat.bridge.runtime.processes import Monitor
 from zenostat.bridge.transport.session import certificate_file, keys_folder
 from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected
 from zenostat.topics.messages import Ack, Claim, Manifest, RecordingState, RecordingStatus, WeatherSeries

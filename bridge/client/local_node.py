@@ -12,7 +12,6 @@ import threading
 import time
 import weakref
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import psutil
@@ -20,7 +19,6 @@ import psutil
 from zenostat.bridge.python_plant.shipped import PLANT_SETTINGS
 from zenostat.bridge.runtime import affinity
 from zenostat.bridge.runtime.affinity import Affinity
-from zenostat.bridge.runtime.processes import ZENOSTAT, end_processes
 from zenostat.bridge.runtime.scratch import Scratch
 from zenostat.bridge.runtime.signals import defer_interrupts, override_signals
 from zenostat.topics.errors import NodeLost, from_wire
@@ -208,20 +206,3 @@ def _is_suspended(pid: int) -> bool:
         return bool(psutil.Process(pid).status() == psutil.STATUS_STOPPED)
     except psutil.Error:
         return False
-
-
-class Monitor:
-    """A live view of a bus in a process of its own: Rerun's viewer if there is a display, else its web page."""
-
-    def __init__(self, endpoint: str, keys: Path | None = None) -> None:
-        display = os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")
-        program = [*ZENOSTAT, "monitor", "--connect", endpoint]
-        program += ["--keys", str(keys)] if keys is not None else []
-        self._process = subprocess.Popen([*program, *([] if display else ["--web"])], stdin=subprocess.DEVNULL)
-        self._owner = os.getpid()
-
-    def close(self) -> None:
-        """Close the view and end its process."""
-        if os.getpid() != self._owner:
-            return  # the exit of a forked child must not end its parent's monitor
-        end_processes([self._process], _EXIT_TIMEOUT_S)
