@@ -17,6 +17,8 @@ import termios
 from contextlib import suppress
 from typing import Any, NoReturn
 
+from zenostat.bridge.engine.protocol import PROCESS_ID
+
 _scratch_folder = ""
 
 
@@ -86,6 +88,28 @@ def clone() -> int:
     if child < 0:
         raise OSError(ctypes.get_errno(), "the engine cannot be forked")
     return int(child)
+
+
+def fork_with_sockets(
+    orders: socket.socket, frames: socket.socket, length: int, *, refusal: int = 0
+) -> tuple[dict[str, Any], socket.socket, socket.socket] | None:
+    """Carry out a `FORK` order with a text of `length` bytes, or answer it with the error number `refusal`.
+
+    Return, in the child, the fields of its `EngineSpec`, and its sockets; the parent's are closed there.
+    """
+    raw, descriptors, _, _ = socket.recv_fds(orders, length, 2)
+    fields, sockets = json.loads(raw), [socket.socket(fileno=descriptor) for descriptor in descriptors]
+    try:
+        child = -refusal or clone()
+    except OSError as error:
+        child = -(error.errno or 1)
+    for unused in sockets if child else (orders, frames):
+        unused.close()
+    if child:
+        frames.sendall(PROCESS_ID.pack(child))
+        return None
+    die_with_parent(fields["parent"])
+    return fields, sockets[0], sockets[1]
 
 
 _NOT_AGAIN = os.O_CREAT | os.O_EXCL | os.O_TRUNC | getattr(os, "O_TMPFILE", 0)

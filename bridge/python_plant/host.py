@@ -25,8 +25,8 @@ from typing import Any, NoReturn
 
 from zenostat.bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
 from zenostat.bridge.engine.system_calls import (
-    clone,
     die_with_parent,
+    fork_with_sockets,
     lead_session,
     leave,
     receive_spec,
@@ -239,23 +239,12 @@ class PlantHost:
 
     def _fork(self) -> None:
         """Fork the process; the child continues with the sockets and the folder that the node sent."""
-        raw, descriptors, _, _ = socket.recv_fds(self._orders, int(self._order[1]), 2)
-        child_fields = json.loads(raw)
-        orders, frames = (socket.socket(fileno=descriptor) for descriptor in descriptors)
-        try:
-            child = clone() if len(os.listdir("/proc/self/task")) == 1 else -errno.EBUSY  # a fork loses threads
-        except OSError as error:
-            child = -(error.errno or 1)
-        if child:
-            orders.close()
-            frames.close()
-            self._frames.sendall(PROCESS_ID.pack(child))
+        refusal = 0 if len(os.listdir("/proc/self/task")) == 1 else errno.EBUSY  # a fork loses threads
+        if (forked := fork_with_sockets(self._orders, self._frames, int(self._order[1]), refusal=refusal)) is None:
             return
-        die_with_parent(child_fields["parent"])
         lead_session()
+        child_fields, orders, frames = forked
         self._spec = self._spec | child_fields
-        self._orders.close()
-        self._frames.close()
         self._use(orders, frames, poll=self._spec["poll"])
         self._frames.sendall(PROCESS_ID.pack(os.getpid()))
         set_up_process(self._spec)

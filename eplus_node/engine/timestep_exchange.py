@@ -7,7 +7,6 @@ and starts no thread, so that the process can be forked while it waits.
 from __future__ import annotations
 
 import ctypes
-import json
 import os
 import socket
 from array import array
@@ -19,8 +18,7 @@ from typing import Any, NoReturn
 
 from zenostat.bridge.engine.protocol import PROCESS_ID, FrameKind, OrderKind
 from zenostat.bridge.engine.system_calls import (
-    clone,
-    die_with_parent,
+    fork_with_sockets,
     leave,
     reopen_files,
     replace_file,
@@ -341,29 +339,16 @@ class Engine:
 
     def _fork(self) -> None:
         """Fork the process; the child continues with the sockets and the folder that the node sent."""
-        length = int(self.command[1])
-        raw, descriptors, _, _ = socket.recv_fds(self.orders, length, 2)
-        child_fields = json.loads(raw)
-        orders, frames = (socket.socket(fileno=descriptor) for descriptor in descriptors)
         self.forks += 1
         # A forked engine that has simulated has its memory in small pages, which only matters if it is forked often.
         if self.forked and self.forks >= _FORKS_BEFORE_COLLAPSE and self.forks & (self.forks - 1) == 0:
             collapse_huge_pages()
-        try:
-            child = clone()
-        except OSError as error:
-            child = -(error.errno or 1)
-        if child:
-            orders.close()
-            frames.close()
-            self.frames.sendall(PROCESS_ID.pack(child))
+        if (forked := fork_with_sockets(self.orders, self.frames, int(self.command[1]))) is None:
             return
-        die_with_parent(child_fields["parent"])  # first: what follows may take a while
+        child_fields, orders, frames = forked
         self.spec = spec = self.spec | child_fields
         self.forked, self.forks = True, 0
         self.forecast_error, self.forecast_begin = spec["forecast_error"], self.step
-        self.orders.close()
-        self.frames.close()
         self.orders, self.frames = orders, frames
         self.orders_descriptor, self.frames_descriptor = orders.fileno(), frames.fileno()
         self.polling = Polling(enabled=spec["poll"])
