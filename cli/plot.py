@@ -81,7 +81,7 @@ def _print_json(history: History) -> None:
 
 
 def _times(history: History) -> list[datetime]:
-    begin, step_s = datetime.fromisoformat(history.manifest.begin), history.manifest.step_s
+    begin, step_s = history.manifest.time_at(0), history.manifest.step_s
     return [begin + timedelta(seconds=step * step_s) for step in history.step.tolist()]
 
 

@@ -281,7 +281,7 @@ def _run_period(
 
 def _begin(file: DistrictFile, members: Mapping[str, Member], errors: FileErrors, warnings: list[str]) -> datetime:
     """Return the time of sample 0: that of the first building, or else of the first plant."""
-    begins = {name: datetime.fromisoformat(member.manifest.begin) for name, member in members.items()}
+    begins = {name: member.manifest.time_at(0) for name, member in members.items()}
     buildings = [name for name, plant in file.spec.plants.items() if kind_of(plant) == ("building",)]
     reference = [*buildings, *begins][0]
     begin = begins[reference]

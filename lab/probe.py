@@ -195,7 +195,7 @@ def _steps(manifest: Manifest, length: int, days: int, at: Sequence[float]) -> l
             f"expected at least one timestep ({format_duration(manifest.step_s)}), one day and one hour from 0 "
             f"to below 24, got {length} timesteps, days={days}, at={[*at]}"
         )
-    begin, step = datetime.fromisoformat(manifest.begin), manifest.timestep
+    begin, step = manifest.time_at(0), manifest.timestep
     period = ceil(manifest.steps * step / timedelta(days=1))
     candidates: set[int] = set()
     for number in range(days):

@@ -127,7 +127,7 @@ class MetricsAccumulator:
         prices: Mapping[str, Rate] | None = None,
         emissions: Mapping[str, Rate] | None = None,
     ) -> None:
-        self._step_h = manifest.step_s / 3600.0
+        self._step_h = manifest.step_h
         self._step = timedelta(hours=self._step_h)
         meters = facility_sources(manifest)
         meters |= {f"{_HVAC}{fuel}": source for fuel, source in hvac_sources(manifest).items()}

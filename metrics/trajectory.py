@@ -129,7 +129,7 @@ class Trajectory:
     @property
     def step_h(self) -> float:
         """Length of a timestep in hours."""
-        return self.manifest.step_s / 3600.0
+        return self.manifest.step_h
 
     @property
     def time(self) -> NDArray[np.datetime64]:

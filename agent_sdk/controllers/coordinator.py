@@ -92,7 +92,7 @@ class DistrictCoordinator(Controller):
             if _COOLING in actuator.name and (own := actuator.baseline_sensor) is not None and own in index
         ]
         self._flexible = [b.power for b in self._batteries] + [c.power for c in self._chargers]
-        self._step_h = manifest.step_s / 3600.0
+        self._step_h = manifest.step_h
         self._recovery = _RECOVERY_PER_H * self._step_h
         self._share, self._kw = 0.0, inf
 

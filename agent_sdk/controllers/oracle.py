@@ -89,7 +89,7 @@ class OracleController(Controller):
         seed: int | None = 0,
     ) -> None:
         super().__init__(manifest)
-        step_h = manifest.step_s / 3600.0
+        step_h = manifest.step_h
         self._timesteps = max(1, round(number("horizon", horizon, minimum=step_h) / step_h))
         self._block = max(1, round(number("block", block, minimum=step_h) / step_h))
         self._samples = integer("samples", samples, minimum=4, maximum=256)

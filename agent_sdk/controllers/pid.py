@@ -97,7 +97,7 @@ class PIDController(Controller):
             raise InvalidConfig(
                 f"{', '.join(sorted(conflicts))}: the controller's own output cannot have a fixed value"
             )
-        self._dt_h = manifest.step_s / 3600.0
+        self._dt_h = manifest.step_h
         self._integral_gain = min(self._gains[1] * self._dt_h, self._max_integral_gain())
         self._integral, self._previous = 0.0, math.nan
 

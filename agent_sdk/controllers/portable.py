@@ -159,7 +159,7 @@ class PortableSetback(_Portable):
     def _value(self, zone: str, people: int, setpoint: _Setpoint, sample: SampleView) -> float:
         """Return the setpoint of an empty zone."""
         temperature = self._temperatures.get(zone)
-        distance_k = self.manifest.step_s / 3600.0
+        distance_k = self.manifest.step_h
         if temperature is not None:
             distance_k = (float(sample.values[temperature]) - setpoint.occupied) * setpoint.sign
         self._start.observe(setpoint.name, distance_k, sample.time)

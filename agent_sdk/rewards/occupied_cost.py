@@ -70,7 +70,6 @@ class OccupiedCostReward(OccupiedComfort, EnergyReward):
         occupied, meter = self._occupied_degrees(manifest), self._energy_meter(manifest)
         demand = meter if self.demand is None else EnergyMeter(self.kind, self.demand, manifest)
         peaks = SlotState(self.kind, month=-1.0, peak_kw=self.threshold_kw)
-        step_h = manifest.step_s / 3600.0
         terms = [Term("cost", -self.weight * self.lambda_cost, energy_cost(meter, self.price))]
         metrics = ["energy_kwh", "cost"]
         if self.gas_price is not None:
@@ -80,5 +79,5 @@ class OccupiedCostReward(OccupiedComfort, EnergyReward):
             metrics += ["gas_kwh", "gas_cost"]
         increase = PeakIncrease(demand, peaks, self.threshold_kw, "demand_kwh")
         terms.append(Term("peak", -self.weight * self.lambda_peak, increase))
-        terms.append(Term("comfort", -(1.0 - self.weight) * self.lambda_temperature * step_h, occupied))
+        terms.append(Term("comfort", -(1.0 - self.weight) * self.lambda_temperature * manifest.step_h, occupied))
         return TermSum(terms, [*metrics, "demand_kwh", "peak_kw", "degrees_outside", "people"], peaks)

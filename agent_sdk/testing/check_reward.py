@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -169,7 +168,7 @@ def _shapes(context: _CheckContext) -> Iterator[str]:
                     f"but {float(single[0]):g} alone"
                 )
                 return
-    same = [datetime.fromisoformat(context.manifest.begin)] * _SLOTS
+    same = [context.manifest.time_at(0)] * _SLOTS
     with_list = context.bind()(context.values[0].copy(), same)[0]
     if not np.allclose(context.bind()(context.values[0].copy(), same[0])[0], with_list, rtol=_ROUNDING, atol=_ROUNDING):
         yield "one time for all buildings results in another reward than a list of equal times"

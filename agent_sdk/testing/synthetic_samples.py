@@ -39,7 +39,7 @@ def _column(point: Sensor | Meter, count: int, random: np.random.Generator) -> N
 
 def episode_starts(manifest: Manifest, count: int, shift_h: float = 0.0) -> list[datetime]:
     """Return the start times of `count` timesteps of an episode, moved by `shift_h` hours."""
-    first = datetime.fromisoformat(manifest.begin) + timedelta(hours=shift_h)
+    first = manifest.time_at(0) + timedelta(hours=shift_h)
     return [first + timedelta(seconds=k * manifest.step_s) for k in range(count)]
 
 

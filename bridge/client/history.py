@@ -95,7 +95,7 @@ def last_step(manifest: Manifest, end: datetime | str | None) -> int | None:
 
 def _steps(manifest: Manifest, moment: datetime | str, what: str) -> float:
     """Return the timesteps from the begin of the episode to a time, not rounded."""
-    begin = datetime.fromisoformat(manifest.begin)
+    begin = manifest.time_at(0)
     if isinstance(moment, str):
         try:
             moment = parse_moment_within(moment, begin, datetime.fromisoformat(manifest.end))

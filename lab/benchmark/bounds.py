@@ -324,7 +324,7 @@ class _Branches:
 
     def __init__(self, env: BuildingEnv, seed: int) -> None:
         self._env, self._seed = env, seed
-        self._step_h = env.manifest.step_s / 3600.0
+        self._step_h = env.manifest.step_h
 
     def begin(self) -> None:
         """Go to the first sample of the episode."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
-
 from zenostat.agent_sdk.controllers import Controller, PIDController, Values
 from zenostat.agent_sdk.controllers.action_roles import Role, bind_actions
 from zenostat.agent_sdk.controllers.comfort_band import comfort_bands, inside
@@ -32,7 +30,7 @@ class TwoLoopPID(Controller):
         actions = {binding.role: binding.action.name for binding in bind_actions(manifest)}
         if rated is None or set(actions) != {Role.HEATING, Role.COOLING}:
             raise ControllerMismatch("two PID loops need zones with a comfort band, a heating and a cooling setpoint")
-        low, high = inside(comfort_bands(manifest)(datetime.fromisoformat(manifest.begin)))
+        low, high = inside(comfort_bands(manifest)(manifest.time_at(0)))
         sensor = manifest.sensors[int(rated.zones[0])].name
         self._loops = [
             PIDController(manifest, setpoint=setpoint, sensor=sensor, actuator=actions[role])

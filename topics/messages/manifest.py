@@ -191,6 +191,11 @@ class Manifest(Message):
         """Length of a timestep."""
         return timedelta(seconds=self.step_s)
 
+    @property
+    def step_h(self) -> float:
+        """Length of a timestep in hours."""
+        return self.step_s / 3600.0
+
     def time_at(self, step: int) -> datetime:
         """Return the simulated time of the sample of a step, naive local standard time.
 

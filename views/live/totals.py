@@ -47,7 +47,7 @@ class Totals:
     """
 
     def __init__(self, manifest: Manifest, roles: PointRoles) -> None:
-        self._step_h = manifest.step_s / 3600.0
+        self._step_h = manifest.step_h
         self._sources = (roles.facility_power, roles.hvac_power)
         self._fuels = fuels_besides_electricity(roles)
         self._sums = np.zeros(4 + len(self._fuels))  # facility kWh, HVAC kWh, K h, occupied K h, fuels kWh

@@ -112,7 +112,7 @@ class MakeReport(Tool):
             trajectories = {self.node: _so_far(desk, description)}
         else:
             futures = {"baseline": Future(is_relinquished=True), "as is": Future()}
-            step_h = description.manifest.step_s / 3600  # a trajectory begins with the sample after the first timestep
+            step_h = description.manifest.step_h  # a trajectory begins with the sample after the first timestep
             samples = _simulate(desk, description, futures, self.hours + step_h)
             trajectories = {name: _trajectory(description, each) for name, each in samples.items()}
         comparison = _comparison(trajectories)

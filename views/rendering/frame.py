@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from datetime import datetime
 from typing import Any
 
 import numpy as np
@@ -44,7 +43,7 @@ class EpisodeFrame:
         self._quantities = FrameQuantities(manifest, reward)
         self._dimensions = len(manifest.task.discrete_actions) or len(manifest.task.actions)
         self._terms: tuple[str, ...] | None = None
-        self._begin = datetime.fromisoformat(manifest.begin)
+        self._begin = manifest.time_at(0)
         with context("default"):  # not the user's own style
             self._text = TextPainter()
         self.panels: list[Panel] = []

@@ -145,7 +145,7 @@ def simulate_futures(
     manifest = description.manifest
     if hours is None:
         hours = min(24.0, longest_future_h(manifest.step_s))
-    steps, step_h = int(hours * 3600 / manifest.step_s + 1e-6), manifest.step_s / 3600
+    steps, step_h = int(hours * 3600 / manifest.step_s + 1e-6), manifest.step_h
     if steps < 1:
         raise InvalidConfig(f"hours: at least a timestep of {step_h:g} h expected")
     if steps > MAX_FUTURE_STEPS:
@@ -298,7 +298,7 @@ def futures_content(description: NodeDescription, futures: Mapping[str, list[Sam
 
 def _totals(description: NodeDescription, values: Floats, times: list[datetime]) -> dict[str, float | None]:
     """Return energy by fuel in kWh, peak power in kW, and K h outside the band, of occupied zones and of all."""
-    step_h = description.manifest.step_s / 3600
+    step_h = description.manifest.step_h
     totals: dict[str, float | None] = {"hours": number(len(values) * step_h)}
     for name, source in (("facility", description.roles.facility_power), ("hvac", description.roles.hvac_power)):
         if source is not None:
