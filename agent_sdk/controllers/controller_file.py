@@ -8,7 +8,6 @@ from typing import Any
 from pydantic import BaseModel, ConfigDict, Field
 
 from zenostat.topics import yaml12
-from zenostat.topics.atomic_file import atomic_file
 from zenostat.topics.codec import validated
 from zenostat.topics.errors import UnknownName
 from zenostat.topics.file_kinds import FileKind, check_file_kind
@@ -38,10 +37,3 @@ def read_controller_file(path: Path) -> ControllerFile:
     fields = yaml12.read_mapping(path, UnknownName)
     check_file_kind(fields, FileKind.CONTROLLER, str(path))
     return validated(ControllerFile, fields, str(path))
-
-
-def write_controller_file(path: Path, controller: str, parameters: dict[str, Any]) -> None:
-    """Write a controller file, replacing one that exists."""
-    with atomic_file(path) as temporary:
-        fields = {"controller": controller, "parameters": parameters}
-        temporary.write_text(yaml12.dump(fields), encoding="utf-8")
