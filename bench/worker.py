@@ -196,7 +196,7 @@ def engines(node_settings: dict[str, Any], pace: Pace, *, count: int) -> None:
     """Step the engines of one node together through their sockets alone: no bus, no node, no controller."""
     from zenostat.bridge.engine.client import EngineClient
     from zenostat.bridge.engine.group import EngineGroup
-    from zenostat.eplus_node.engine.spec import engine_spec
+    from zenostat.eplus_node.engine_spec import engine_spec
 
     folder = Path(tempfile.mkdtemp())
     checked, files = scenes.prepared(node_settings, folder)

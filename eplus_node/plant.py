@@ -14,9 +14,9 @@ from zenostat.bridge.engine.group import EngineGroup
 from zenostat.bridge.engine.lists import close_all, start_all
 from zenostat.bridge.engine.spec import EngineSpec
 from zenostat.bridge.node.plant import PlantContext, PlantDescription, RunningPlant, Site, WeatherTable
-from zenostat.eplus_node.engine.episode_folders import create_fork_folder, link_weather
-from zenostat.eplus_node.engine.fork_template import EngineTemplate
-from zenostat.eplus_node.engine.pool import EnginePool, EpisodeWeather
+from zenostat.eplus_node.engine_pool import EnginePool, EpisodeWeather
+from zenostat.eplus_node.episode_folders import create_fork_folder, link_weather
+from zenostat.eplus_node.fork_template import EngineTemplate
 from zenostat.eplus_node.plan import Plan, describe
 from zenostat.models.scenario.episode_weather import WeatherDraw, WeatherSource, series
 from zenostat.models.weather.epw import find_column

@@ -1,1 +1,1 @@
-"""EnergyPlus in a process of its own, and the node's side of it."""
+"""The process in which EnergyPlus runs; the node's side of it is in the folder above."""

@@ -16,8 +16,8 @@ from support.nodes import runs, until
 
 from zenostat.bridge.engine.client import EngineClient
 from zenostat.eplus_node.config import read_config
-from zenostat.eplus_node.engine.fork_template import EngineTemplate
-from zenostat.eplus_node.engine.pool import EnginePool
+from zenostat.eplus_node.engine_pool import EnginePool
+from zenostat.eplus_node.fork_template import EngineTemplate
 from zenostat.eplus_node.plan import Plan
 from zenostat.eplus_node.plan import plan as read_plan
 from zenostat.models.catalog import find_weather

@@ -11,8 +11,8 @@ import pytest
 from support.box_model import box_model
 
 from zenostat.eplus_node.config import read_config
-from zenostat.eplus_node.engine.fork_template import EngineTemplate
-from zenostat.eplus_node.engine.pool import EnginePool
+from zenostat.eplus_node.engine_pool import EnginePool
+from zenostat.eplus_node.fork_template import EngineTemplate
 from zenostat.eplus_node.plan import plan
 from zenostat.models.catalog import find_weather
 

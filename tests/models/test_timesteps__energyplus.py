@@ -12,8 +12,8 @@ from support.box_model import box_model
 from support.energyplus_alone import run_energyplus
 
 from zenostat.eplus_node.config import read_config
-from zenostat.eplus_node.engine.fork_template import EngineTemplate
-from zenostat.eplus_node.engine.pool import EnginePool
+from zenostat.eplus_node.engine_pool import EnginePool
+from zenostat.eplus_node.fork_template import EngineTemplate
 from zenostat.eplus_node.plan import plan
 from zenostat.models.building.model import Building
 from zenostat.models.building.run_needs import changed_timesteps

@@ -122,7 +122,7 @@ _NODE_STARTS_THEM = """
 import sys
 if sys.orig_argv[-2:] == ["-m", "zenostat.eplus_node"]:
     from dataclasses import replace
-    from zenostat.eplus_node.engine import spec
+    from zenostat.eplus_node import engine_spec as spec
     spec.ENERGYPLUS = replace(spec.ENERGYPLUS, command=(sys.executable, "-P", {engine!r}, "zenostat.eplus_node.engine"))
 """
 

@@ -12,9 +12,9 @@ from pathlib import Path
 from zenostat.bridge.engine.client import EngineClient
 from zenostat.bridge.engine.registry import EngineRegistry
 from zenostat.bridge.engine.spec import EngineSpec
-from zenostat.eplus_node.engine.episode_folders import EpisodeFolders, is_used
-from zenostat.eplus_node.engine.fork_template import EngineTemplate
-from zenostat.eplus_node.engine.spec import engine_spec
+from zenostat.eplus_node.engine_spec import engine_spec
+from zenostat.eplus_node.episode_folders import EpisodeFolders, is_used
+from zenostat.eplus_node.fork_template import EngineTemplate
 from zenostat.eplus_node.plan import Plan
 from zenostat.models.scenario.episode_weather import EpisodeFiles, WeatherDraw, WeatherSampler
 from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, SimulatorError
