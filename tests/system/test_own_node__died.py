@@ -101,8 +101,9 @@ def test_own_node__vector_environment() -> None:
     env = gym.make_vec("zenostat/Building-v1", 2, "vector_entry_point", **SMALL, affinity="off")
     first, _ = env.reset(seed=7)
     kill_node(env)
-    with pytest.warns(UserWarning, match=STARTED), pytest.raises(EpisodeChanged, match="all slots"):
+    with pytest.warns(UserWarning, match=STARTED) as caught, pytest.raises(EpisodeChanged, match="all slots"):
         env.reset(options={"reset_mask": np.array([True, False])})
+    assert caught[0].filename == __file__
     again, _ = env.reset(seed=7)
     assert np.array_equal(first, again)
     env.step(env.action_space.sample())
