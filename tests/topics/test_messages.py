@@ -10,7 +10,7 @@ from support.builders import NAN, actuator, manifest, meter, sensor
 
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import messages
-from zenostat.topics.errors import BadMessage, UnknownName
+from zenostat.topics.errors import BadMessage, UnknownName, UsageError
 from zenostat.topics.messages import Claim, Command, Event, EventKind, Flag, Manifest, Message, Sample, Sensor, Write
 from zenostat.topics.points import value_index
 
@@ -181,5 +181,7 @@ def test_messages__frame_of_another_size_is_a_bad_message() -> None:
 
 
 def test_messages__listener_cannot_answer() -> None:
-    with pytest.raises(UnknownName, match="only a controller can answer"):
-        view().send({"heat": 20.0})
+    for use in (view().send, lambda: view().weather(["dry_bulb_temperature"])):
+        with pytest.raises(UsageError, match="only a controller can") as caught:
+            use()
+        assert not isinstance(caught.value, UnknownName)
