@@ -20,9 +20,6 @@ from zenostat.models.scenario.episode_weather import EpisodeFiles, WeatherDraw, 
 from zenostat.topics.errors import EngineDied, ForkFailed, InvalidRecording, SimulatorError
 from zenostat.topics.messages import EngineStart
 
-_UNPREDICTABLE = 2
-"""Consecutive resets with a seed after which the next weather is not predicted."""
-
 
 @dataclass(frozen=True, slots=True)
 class PrefetchedEngine:
@@ -83,17 +80,16 @@ class EnginePool:
         self._folders = EpisodeFolders(plan, folder, subfolder)
         self._draws = WeatherSampler(len(plan.sources), scenario.weather_order, noisy=bool(scenario.weather_noise))
         self.warnings: list[str] = []
-        self._has_begun = False
         self._episode = 0
-        self._consecutive_seeds = 0
         self._templates = templates
         # EnergyPlus's end of run writes into the folder of the engine that was forked.
         self._end_as_branch = self._folders.keep or bool(subfolder)
         self._starting: EngineClient | None = None
-        self._next_draw: WeatherDraw | None = None
         self._prefetched: PrefetchedEngine | None = None
         self._output_kept = self._folders.keep
-        self.draw = self._draws.next()
+        first = self._draws.look_ahead()
+        assert first is not None
+        self.draw = first
         shared = self._template.files if self._draws.constant and not self._folders.keep else None
         self.files = shared if shared is not None else self._prepare_files(0)
         if self._draws.constant and not self._folders.keep:
@@ -131,7 +127,7 @@ class EnginePool:
             episode: its number.
             untouched: the engines of the present episode, if they still wait at its sample 0.
         """
-        return self._begin(self._draw(seed), episode, untouched=untouched, is_seeded=seed is not None)
+        return self._begin(self._draws.draw(seed), episode, untouched=untouched, is_seeded=seed is not None)
 
     def repeat_episode(self, draw: WeatherDraw, episode: int) -> EngineStart:
         """Begin an episode with this weather, and return where its engine will come from; no other one is prefetched.
@@ -141,7 +137,7 @@ class EnginePool:
         """
         if not (0 <= draw.source < len(self._plan.sources) and 0 <= draw.noise < 1 << 63):
             raise InvalidRecording(f"there is no weather {draw}; the scenario has {len(self._plan.sources)} files")
-        self._has_begun, self._consecutive_seeds = True, _UNPREDICTABLE
+        self._draws.expect_seed()
         return self._begin(draw, episode, untouched=(), is_seeded=True)
 
     def _begin(
@@ -188,18 +184,6 @@ class EnginePool:
         if template.files is None:
             template.files, template.noise_offset = self._folders.prepare_waiting(self.draw.source)
         return self._folders.prepare_noise(self.draw, template.files, episode)
-
-    def _draw(self, seed: int | None) -> WeatherDraw:
-        is_first, self._has_begun = not self._has_begun, True
-        self._consecutive_seeds = 0 if seed is None else self._consecutive_seeds + 1
-        if is_first and seed is None:
-            return self.draw
-        next_draw, self._next_draw = self._next_draw, None
-        if seed is not None:
-            self._draws.seed(seed)
-        elif next_draw is not None:
-            return next_draw
-        return self._draws.next()
 
     def start(self) -> None:
         """Start the engine of the present episode unless there is one; it advances to sample 0 on its own."""
@@ -253,14 +237,9 @@ class EnginePool:
 
         With a seed at each reset the next weather is unknown, and nothing is started.
         """
-        if (
-            self._folders.keep
-            or self._uses_template
-            or self._prefetched is not None
-            or self._consecutive_seeds >= _UNPREDICTABLE
-        ):
+        is_needed = not (self._folders.keep or self._uses_template or self._prefetched is not None)
+        if not is_needed or (draw := self._draws.look_ahead()) is None:
             return
-        draw = self._next_draw = self._draws.next()
         with suppress(SimulatorError):  # its files cannot be written now; it starts when the episode begins
             files = self._folders.prepare(draw, episode + 1)
             self._prefetched = PrefetchedEngine(draw, files, self._start_engine(files, self._spare))

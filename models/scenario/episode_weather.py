@@ -22,6 +22,9 @@ from zenostat.models.weather.noise import Variability, with_noise
 from zenostat.models.weather.records import KEPT, initial_value
 from zenostat.topics.errors import InvalidConfig
 
+_UNPREDICTABLE = 2
+"""Consecutive resets with a seed after which the next weather is not predicted."""
+
 
 @dataclass(frozen=True, slots=True)
 class WeatherSource:
@@ -52,21 +55,39 @@ class WeatherSampler:
 
     def __init__(self, sources: int, order: Order, *, noisy: bool) -> None:
         self._sources, self._order, self._noisy = sources, order, noisy
-        self.seed(None)
+        self._ahead: WeatherDraw | None = None
+        self._consecutive_seeds = 0
+        self._seed(None)
 
     @property
     def constant(self) -> bool:
         """Whether each episode has the same weather."""
         return self._sources == 1 and not self._noisy
 
-    def seed(self, seed: int | None) -> None:
-        """Restart the sequence of draws."""
+    def draw(self, seed: int | None) -> WeatherDraw:
+        """Return the draw of the next episode; a seed restarts the sequence."""
+        self._consecutive_seeds = 0 if seed is None else self._consecutive_seeds + 1
+        ahead, self._ahead = self._ahead, None
+        if seed is not None:
+            self._seed(seed)
+        return self._next() if ahead is None or seed is not None else ahead
+
+    def look_ahead(self) -> WeatherDraw | None:
+        """Return the draw of the next episode without a seed; None where a seed is to be expected."""
+        self._ahead = (self._ahead or self._next()) if self._consecutive_seeds < _UNPREDICTABLE else None
+        return self._ahead
+
+    def expect_seed(self) -> None:
+        """Predict nothing before an episode has been drawn without a seed."""
+        self._ahead, self._consecutive_seeds = None, _UNPREDICTABLE
+
+    def _seed(self, seed: int | None) -> None:
         source_seed, noise_seed = np.random.SeedSequence(seed).spawn(2)
         self._source_rng = np.random.Generator(np.random.PCG64(source_seed))
         self._noise_rng = np.random.Generator(np.random.PCG64(noise_seed))
         self._episode = 0
 
-    def next(self) -> WeatherDraw:
+    def _next(self) -> WeatherDraw:
         """Return the next draw. Each number has its own generator, so more weather files do not change the noise."""
         source, noise = int(self._source_rng.integers(self._sources)), int(self._noise_rng.integers(1 << 63))
         if self._order == "sequence":

@@ -21,6 +21,7 @@ from zenostat.eplus_node.fork_template import EngineTemplate
 from zenostat.eplus_node.plan import Plan
 from zenostat.eplus_node.plan import plan as read_plan
 from zenostat.models.catalog import find_weather
+from zenostat.models.scenario.episode_weather import WeatherDraw, WeatherSampler
 from zenostat.topics.errors import EngineDied, ForkFailed, SimulatorError
 from zenostat.topics.messages import EngineStart, State
 
@@ -282,3 +283,25 @@ def test_prefetch__with_a_damaged_weather_file_leaves_the_episode_running(
         pool.next_episode(None, 2, untouched=())
     first.close()
     pool.close()
+
+
+def test_weather_sampler__looking_ahead_changes_no_draw() -> None:
+    def drawn(looks: int) -> list[WeatherDraw]:
+        sampler = WeatherSampler(3, "random", noisy=True)
+        draws = [sampler.draw(5)]
+        for _ in range(6):
+            ahead = [sampler.look_ahead() for _ in range(looks)]
+            draws.append(sampler.draw(None))
+            assert ahead == draws[-1:] * looks
+        return draws
+
+    assert drawn(0) == drawn(1) == drawn(3)
+
+
+def test_weather_sampler__two_seeds_in_a_row_make_the_next_draw_unpredictable() -> None:
+    sampler, other = (WeatherSampler(3, "random", noisy=True) for _ in range(2))
+    assert [sampler.draw(4), sampler.look_ahead() is None] == [other.draw(4), False]
+    assert sampler.draw(4) == other.draw(4)
+    assert sampler.look_ahead() is None
+    assert sampler.draw(None) == other.draw(None)
+    assert sampler.look_ahead() == other.draw(None)
