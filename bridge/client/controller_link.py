@@ -28,6 +28,7 @@ from zenostat.bridge.transport.wakeup import Wake, stream_wake
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import (
     EpisodeChanged,
+    InvalidConfig,
     NodeLost,
     NodeNotFound,
     RequestRejected,
