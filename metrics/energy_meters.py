@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from zenostat.topics.energyplus_names import END_USES, FACILITY_POWER, HVAC_POWER
 from zenostat.topics.messages import Aggregation, Manifest, Meter
-from zenostat.topics.units import conversion
+from zenostat.topics.units import energy_kwh, quantity
 
 FUELS = {
     "electricity": "Electricity", "natural_gas": "NaturalGas", "district_cooling": "DistrictCooling",
@@ -106,18 +106,18 @@ def _meters(manifest: Manifest) -> dict[str, EnergySource]:
     """Return the meters of energy by `meter_name`."""
     sources: dict[str, EnergySource] = {}
     for index, meter in enumerate(manifest.meters, len(manifest.sensors)):
-        if (to_kwh := conversion(meter.unit, "kWh")) is not None:
-            source = EnergySource(index, to_kwh[0], f"meter {meter.meter or meter.name}")
+        if quantity(meter.unit) == "energy":
+            source = EnergySource(index, energy_kwh(meter.unit, manifest.step_s), f"meter {meter.meter or meter.name}")
             sources.setdefault(meter_name(meter), source)
     return sources
 
 
 def _rates(manifest: Manifest, variable: str) -> list[int]:
-    """Return the sensors of a demand rate in W, means over the timestep first."""
+    """Return the sensors of a demand rate, means over the timestep first."""
     rates = [
         index
         for index, sensor in enumerate(manifest.sensors)
-        if sensor.variable.casefold() == variable.casefold() and sensor.unit == "W"
+        if sensor.variable.casefold() == variable.casefold() and quantity(sensor.unit) == "power"
     ]
     return sorted(rates, key=lambda index: manifest.sensors[index].aggregation is Aggregation.INSTANT)
 
@@ -125,5 +125,5 @@ def _rates(manifest: Manifest, variable: str) -> list[int]:
 def _rate_source(manifest: Manifest, index: int) -> EnergySource:
     sensor = manifest.sensors[index]
     note = ", read at its end (an approximation)" if sensor.aggregation is Aggregation.INSTANT else ""
-    source = f"sensor {sensor.name}, W times the timestep{note}"
-    return EnergySource(index, 1e-3 / (3600.0 / manifest.step_s), source)
+    source = f"sensor {sensor.name}, {sensor.unit} times the timestep{note}"
+    return EnergySource(index, energy_kwh(sensor.unit, manifest.step_s), source)

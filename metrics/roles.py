@@ -29,12 +29,11 @@ from zenostat.topics.energyplus_names import (
     ZONE_HUMIDITY,
     ZONE_TEMPERATURES,
 )
-from zenostat.topics.messages import Actuator, Manifest, Meter
+from zenostat.topics.messages import Actuator, Manifest
+from zenostat.topics.units import power_kw, quantity
 
-_KWH = {"J": 1 / 3.6e6, "kJ": 1 / 3.6e3, "MJ": 1 / 3.6, "GJ": 1e3 / 3.6, "Wh": 1e-3, "kWh": 1.0, "MWh": 1e3}
 _IN_TOTALS = {name.casefold() for name in (HVAC_POWER, FACILITY_POWER, UNMET_HEATING, UNMET_COOLING)}
 """Output variables that pictures show in no plot of their own."""
-_KW = {"W": 1e-3, "kW": 1.0, "MW": 1e3}
 
 _ROOM_WORDS = {
     "apartment", "bedroom", "building", "classroom", "core", "flat", "hall", "house", "indoor", "inside", "kitchen",
@@ -154,7 +153,7 @@ def roles(manifest: Manifest) -> PointRoles:
     outdoor = _outdoor(manifest)
     facility = _power(manifest, _FACILITY)
     hvac = _power(manifest, _HVAC)
-    if facility is None and not any(point.unit in _KWH for point in manifest.meters):
+    if facility is None and not any(quantity(point.unit) == "energy" for point in manifest.meters):
         facility = _plant_power(manifest, hvac)
     end_uses, fuels, hvac_fuels = _meters(manifest)
     assigned = {index for zone in zones for index in _sensors(zone)}
@@ -340,15 +339,15 @@ def _power(manifest: Manifest, labels: Mapping[str, str]) -> PowerSource | None:
     sensors = {
         (sensor.variable or sensor.name.removesuffix("_power")).casefold(): i
         for i, sensor in reversed(list(enumerate(manifest.sensors)))
-        if sensor.unit in _KW
+        if quantity(sensor.unit) == "power"
     }
     for name, text in labels.items():
         index = meters.get(name)
-        if index is not None and manifest.meters[index].unit in _KWH:
-            return PowerSource(first + index, _meter_to_kw(manifest.meters[index], manifest), text)
+        if index is not None and quantity(manifest.meters[index].unit) == "energy":
+            return _source(manifest, first + index, text)
     for name, text in labels.items():
         if name in sensors:
-            return PowerSource(sensors[name], _KW[manifest.sensors[sensors[name]].unit], text)
+            return _source(manifest, sensors[name], text)
     return None
 
 
@@ -357,11 +356,11 @@ def _plant_power(manifest: Manifest, hvac: PowerSource | None) -> PowerSource | 
     sensors = [
         index
         for index, sensor in enumerate(manifest.sensors)
-        if sensor.unit in _KW and not sensor.variable and (hvac is None or index != hvac.index)
+        if quantity(sensor.unit) == "power" and not sensor.variable and (hvac is None or index != hvac.index)
     ]
     if len(sensors) != 1 or not _is_electric(manifest.sensors[sensors[0]].name):
         return None
-    return PowerSource(sensors[0], _KW[manifest.sensors[sensors[0]].unit], "Whole building")
+    return _source(manifest, sensors[0], "Whole building")
 
 
 def _is_electric(name: str) -> bool:
@@ -369,8 +368,8 @@ def _is_electric(name: str) -> bool:
     return bool(electric) and (electric != {"power"} or not _NOT_ELECTRIC_WORDS.intersection(words(name)))
 
 
-def _meter_to_kw(meter: Meter, manifest: Manifest) -> float:
-    return _KWH[meter.unit] * 3600.0 / manifest.step_s
+def _source(manifest: Manifest, index: int, text: str) -> PowerSource:
+    return PowerSource(index, power_kw(manifest.points[index].unit, manifest.step_s), text)
 
 
 def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse], list[EndUse]]:
@@ -382,11 +381,11 @@ def _meters(manifest: Manifest) -> tuple[list[EndUse], list[EndUse], list[EndUse
     seen: set[str] = set()
     for index, meter in enumerate(manifest.meters):
         name = meter_name(meter)
-        if meter.unit not in _KWH or name in seen:
+        if quantity(meter.unit) != "energy" or name in seen:
             continue
         seen.add(name)
         left, _, right = name.partition(":")
-        to_kw = _meter_to_kw(meter, manifest)
+        to_kw = power_kw(meter.unit, manifest.step_s)
         if left in _USE_RANK and right in _FUEL_RANK:
             text, fuel = _USE_LABELS[left], _FUEL_LABELS[right]
             is_hvac = _USE_RANK[left] < len(HVAC_END_USES)

@@ -113,6 +113,18 @@ def conversion(source: str, target: str) -> tuple[float, float] | None:
     return factor / divisor, (offset - base) / divisor
 
 
+def energy_kwh(unit: str, step_s: float) -> float:
+    """Return the factor from an energy of a timestep, or the mean power in it, to kWh; a `KeyError` for other units."""
+    kind, factor, _ = _CONVERSIONS[unit]
+    return {"energy": factor / 3.6e6, "power": factor / 1e3 / (3600.0 / step_s)}[kind]
+
+
+def power_kw(unit: str, step_s: float) -> float:
+    """Return the factor from an energy of a timestep, or the mean power in it, to kW; a `KeyError` for other units."""
+    kind, factor, _ = _CONVERSIONS[unit]
+    return {"energy": factor / 3.6e6 * 3600.0 / step_s, "power": factor / 1e3}[kind]
+
+
 @cache
 def unit_name(energyplus: str) -> str:
     """Return a unit's name on the bus: `degC` for `[C]`, `1` for no unit; unknown units are unchanged."""

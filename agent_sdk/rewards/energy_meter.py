@@ -13,7 +13,7 @@ from zenostat.topics.energyplus_names import HVAC_POWER
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.messages import Aggregation, Manifest, Sensor
 from zenostat.topics.points import value_index
-from zenostat.topics.units import conversion, quantity
+from zenostat.topics.units import energy_kwh, quantity
 
 METERS = ("Electricity:Facility", "HVAC:Electricity", "Electricity:HVAC")
 """Default meters; the first that exists is used."""
@@ -45,19 +45,13 @@ class EnergyMeter:
             check_distinct(kind, names)
             points = [_index(kind, name, manifest) for name in names]
         self._indices = indices(points)
-        self._kwh = np.array([_to_kwh(manifest.points[i].unit, manifest.step_s) for i in points])
+        self._kwh = np.array([energy_kwh(manifest.points[i].unit, manifest.step_s) for i in points])
         self.kw_per_kwh = 3600.0 / manifest.step_s
         """Mean power in kW of a timestep that used 1 kWh."""
 
     def kwh(self, values: NDArray[np.float64]) -> Any:
         """Return the energy of the timestep in kWh, with the leading shape of `values`."""
         return np.add.reduce(values.take(self._indices, axis=-1) * self._kwh, axis=-1)
-
-
-def _to_kwh(unit: str, step_s: float) -> float | None:
-    """Return the factor from an energy of a timestep, or a power in it, to kWh; None for other units."""
-    energy, power = conversion(unit, "kWh"), conversion(unit, "kW")
-    return energy[0] if energy is not None else power[0] / (3600.0 / step_s) if power is not None else None
 
 
 def _default(kind: str, manifest: Manifest, default: Sequence[str]) -> list[int]:

@@ -9,14 +9,18 @@ import pytest
 from support.builders import manifest, meter, sensor
 from support.data_packs import sinergym
 
+from zenostat.agent_sdk.rewards.energy_meter import EnergyMeter
 from zenostat.agent_sdk.testing import FakeBuilding
-from zenostat.bridge.python_plant.description import describe, load_class
+from zenostat.bridge.python_plant.description import describe as describe_plant
+from zenostat.bridge.python_plant.description import load_class
 from zenostat.metrics.comfort import DEFAULT_BAND_DEGC
 from zenostat.metrics.energy_meters import FUELS, facility_sources, hvac_sources
 from zenostat.metrics.reward_comfort import comfort, display_comfort
 from zenostat.metrics.roles import PowerSource, roles
 from zenostat.topics.keys import safe_name
 from zenostat.topics.messages import Actuator, Aggregation, Manifest, Meter, Sensor, Task
+from zenostat.topics.units import units_of
+from zenostat.views.room.description import describe
 
 JULY = datetime(2017, 7, 3, 12)
 
@@ -150,7 +154,7 @@ def test_roles__fake_building_has_zones_and_powers_under_energyplus_names_and_as
 
 def test_roles__plant_of_ones_own_has_a_room_and_its_tank_is_none() -> None:
     example = Path(__file__).parents[2] / "examples" / "own_plant.py"
-    plant = describe(load_class(f"{example}:HeatPumpRoom")())
+    plant = describe_plant(load_class(f"{example}:HeatPumpRoom")())
     of = manifest(
         sensors=[Sensor(name=p.name, unit=p.unit) for p in plant.sensors],
         meters=[Meter(name=p.name, unit=p.unit) for p in plant.meters],
@@ -274,3 +278,33 @@ def test_roles__only_temperature_of_a_plant_with_a_setpoint_is_a_zone() -> None:
         sensors=[Sensor(name="temperature", unit="degC")], actuators=[Actuator(name="setpoint", unit="degC")]
     )
     assert len(roles(plant).zones) == 1
+
+
+ENERGIES = {
+    "J": 3.6e6, "kJ": 3600.0, "MJ": 3.6, "GJ": 3.6e-3, "Wh": 1000.0, "kWh": 1.0, "MWh": 1e-3, "kBtu": 3.412141633,
+    "therm": 0.03412141633,
+}  # fmt: skip
+"""1 kWh in each unit of energy; a BTU is 1055.05585262 J."""
+POWERS = {"W": 4000.0, "kW": 4.0, "MW": 0.004}
+"""The mean power of 1 kWh in a quarter of an hour."""
+
+
+def test_units__those_of_energy_and_power_are_all_checked() -> None:
+    assert {*ENERGIES} == {*units_of("energy")}
+    assert {*POWERS} == {*units_of("power")}
+
+
+@pytest.mark.parametrize(("unit", "value"), (ENERGIES | POWERS).items())
+def test_units__kilowatt_hour_of_a_quarter_of_an_hour_counts_everywhere_in_each_unit(unit: str, value: float) -> None:
+    power = sensor("electricity", "Facility Total Electricity Demand Rate", "Whole Building", unit)
+    meters = [Meter(name="electricity", meter="Electricity:Facility", unit=unit)] if unit in ENERGIES else []
+    of = manifest(sensors=[] if meters else [power], meters=meters)
+    (source,) = facility_sources(of).values()
+    shown = roles(of).facility_power
+    (point,) = describe(of, None).content["points"]
+    reward = EnergyMeter("linear", ["electricity"], of)
+    assert shown is not None
+    assert value * source.to_kwh == pytest.approx(1.0)
+    assert value * shown.to_kw == pytest.approx(4.0)
+    assert (point["unit"], value * point["factor"]) == ("kW", pytest.approx(4.0))
+    assert reward.kwh(np.array([value])) == pytest.approx(1.0)

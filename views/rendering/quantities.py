@@ -14,6 +14,7 @@ from zenostat.metrics.reward_comfort import comfort, display_comfort
 from zenostat.metrics.roles import PointRoles, roles
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
 from zenostat.topics.messages import Action, Actuator, DiscreteAction, Manifest
+from zenostat.topics.units import power_kw, quantity
 from zenostat.views.display.colors import zone_color
 from zenostat.views.rendering.artists import Dash
 from zenostat.views.rendering.data import Floats, Window
@@ -99,8 +100,8 @@ class FrameQuantities:
         groups: dict[str, list[tuple[str, Values]]] = {}
         for index in (index for indices in point_roles.others.values() for index in indices):
             point = self._manifest.points[index]
-            if point.unit in ("J", "W"):
-                unit, factor = "kW", 1e-3 / (self._manifest.step_s if point.unit == "J" else 1.0)
+            if quantity(point.unit) in ("energy", "power"):
+                unit, factor = "kW", power_kw(point.unit, self._manifest.step_s)
             else:
                 unit, factor = point_unit(point), 1.0
             groups.setdefault(unit, []).append((point_roles.labels[index], column(index, factor)))

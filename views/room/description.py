@@ -11,12 +11,11 @@ from zenostat.metrics.reward_comfort import display_comfort
 from zenostat.metrics.roles import PointRoles, PowerSource, roles
 from zenostat.topics.messages import Actuator, Geometry, Manifest, Meter, Sensor, Systems
 from zenostat.topics.points import PointIndex
+from zenostat.topics.units import power_kw, quantity
 from zenostat.views.display.colors import hex_color, zone_color
 from zenostat.views.room.schematic import schematic
 from zenostat.views.room.storeys import storeys
 
-_ENERGY_KW = {"J": 1e-3, "kJ": 1.0, "MJ": 1e3, "GJ": 1e6, "Wh": 3.6, "kWh": 3600.0}
-"""kW of one unit of energy in a second."""
 NO_SETPOINT = -999.0
 """EnergyPlus's setpoint of a node that has none (`SensedNodeFlagValue` in its source)."""
 
@@ -134,10 +133,8 @@ def _points(manifest: Manifest, point_roles: PointRoles, places: dict[str, int])
             "high": point.high,
             "zone": zone_of.get(index, places.get(key)),
         }
-        if isinstance(point, Meter) and point.unit in _ENERGY_KW:
-            entry |= {"unit": "kW", "factor": _ENERGY_KW[point.unit] / manifest.step_s}
-        elif point.unit == "W" and not isinstance(point, Actuator):
-            entry |= {"unit": "kW", "factor": 1e-3}
+        if quantity(point.unit) == {Meter: "energy", Sensor: "power"}.get(type(point)):
+            entry |= {"unit": "kW", "factor": power_kw(point.unit, manifest.step_s)}
         if isinstance(point, Actuator):
             entry["default"] = point.default
         elif _is_setpoint_of_node(point):
