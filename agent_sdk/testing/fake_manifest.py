@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-import numpy as np
 
 from zenostat.agent_sdk.testing.rc_zones import Zone
 from zenostat.topics import VERSION
 from zenostat.topics.calendar import parse_day
 from zenostat.topics.codec import validated
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, THERMOSTAT
-from zenostat.topics.errors import InvalidConfig, did_you_mean
-from zenostat.topics.keys import check_name
+from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.keys import check_name, safe_name
 from zenostat.topics.messages import (
     Action,
     Actuator,
@@ -30,6 +29,7 @@ from zenostat.topics.messages import (
     Versions,
 )
 from zenostat.topics.points import value_index
+from zenostat.topics.task_actions import default_actions, equal_steps, named_actions
 
 HEATING, COOLING = HEATING_SETPOINT, COOLING_SETPOINT
 
@@ -87,8 +87,8 @@ def build_manifest(
     if equipment_control:
         actuators += [_actuator("equipment", "Schedule:Constant", "Schedule Value", "EQUIPMENT", "1", (0.0, 1.0))]
     sensors, meters = _sensors(zones), _meters()
-    dimensions = _default_actions(actuators, control) if actions is None else _selected_actions(actuators, actions)
-    task = _task(dimensions, _discrete_actions(dimensions, actuators, control, discrete), time, reward, terminate)
+    dimensions, choices = _actions(actuators, control, actions, discrete)
+    task = _task(dimensions, choices, time, reward, terminate)
     manifest = Manifest(
         node="fake",
         instance="fake",
@@ -161,7 +161,7 @@ def _meters() -> list[Meter]:
 def _actuators(zones: Sequence[Zone]) -> list[Actuator]:
     """Return a heating and a cooling setpoint for each zone, in this order."""
     return [
-        _actuator(f"{zone.name}_{_safe(kind)}", _THERMOSTAT, kind, zone.name.upper(), "degC", bounds)
+        _actuator(f"{zone.name}_{safe_name(kind)}", _THERMOSTAT, kind, zone.name.upper(), "degC", bounds)
         for zone in zones
         for kind, bounds in _BOUNDS.items()
     ]
@@ -175,8 +175,22 @@ def _actuator(name: str, component: str, control: str, key: str, unit: str, boun
     )  # fmt: skip
 
 
-def _safe(kind: str) -> str:
-    return kind.lower().replace(" ", "_")
+def _actions(
+    actuators: Sequence[Actuator], control: str, groups: Mapping[str, Sequence[str]] | None, discrete: int | None
+) -> tuple[tuple[Action, ...], tuple[DiscreteAction, ...]]:
+    if control not in ("point", "zone", "building"):
+        raise InvalidConfig(f"control = {control!r}; expected 'point', 'zone' or 'building'")
+    if discrete is not None and not 2 <= discrete <= 1000:
+        raise InvalidConfig(f"discrete = {discrete}; expected 2 to 1000 steps")
+    errors: list[str] = []
+    if groups is None:
+        actions = default_actions(actuators, control, errors)
+    else:
+        actions = named_actions(groups, actuators, errors)
+    choices = () if discrete is None else equal_steps(actions, actuators, control, discrete, errors)
+    if errors:
+        raise InvalidConfig("\n".join(errors))
+    return actions, choices
 
 
 def _task(
@@ -198,65 +212,3 @@ def _task(
         "terminate": limits,
     }
     return validated(Task, fields, "the fake building's task")
-
-
-def _default_actions(actuators: Sequence[Actuator], control: str) -> tuple[Action, ...]:
-    if control not in ("point", "zone", "building"):
-        raise InvalidConfig(f"control = {control!r}; expected 'point', 'zone' or 'building'")
-    groups: dict[str, list[Actuator]] = {}
-    for actuator in actuators:
-        is_shared = control == "building" and actuator.component_type == _THERMOSTAT
-        groups.setdefault(_safe(actuator.control_type) if is_shared else actuator.name, []).append(actuator)
-    return tuple(_action(name, members) for name, members in groups.items())
-
-
-def _selected_actions(actuators: Sequence[Actuator], actions: Mapping[str, Sequence[str]]) -> tuple[Action, ...]:
-    by_name, assigned, selected = {a.name: a for a in actuators}, set[str](), []
-    for name, members in actions.items():
-        for member in members:
-            if member not in by_name:
-                raise InvalidConfig(
-                    f"action {name!r}: there is no actuator {member!r}; {did_you_mean(member, by_name)}"
-                )
-            if member in assigned:
-                raise InvalidConfig(f"action {name!r}: the actuator {member!r} already belongs to another action")
-            assigned.add(member)
-        if not members:
-            raise InvalidConfig(f"action {name!r} has no actuators; name at least one")
-        selected.append(_action(check_name(name, "the action"), [by_name[member] for member in members]))
-    return tuple(selected)
-
-
-def _action(name: str, members: Sequence[Actuator]) -> Action:
-    first = members[0]
-    return Action(
-        name=name, unit=first.unit, low=first.low, high=first.high, actuators=tuple(member.name for member in members)
-    )
-
-
-def _discrete_actions(
-    actions: Sequence[Action], actuators: Sequence[Actuator], control: str, count: int | None
-) -> tuple[DiscreteAction, ...]:
-    """Return equal steps as for `discrete: count` in a scenario: heating setpoints rise, cooling setpoints fall."""
-    if count is None:
-        return ()
-    if not 2 <= count <= 1000:
-        raise InvalidConfig(f"discrete = {count}; expected 2 to 1000 steps")
-    by_name = {a.name: a for a in actuators}
-    groups: dict[str, list[Action]] = {}
-    for action in actions:
-        first = by_name[action.actuators[0]]
-        is_paired = first.component_type == _THERMOSTAT and control != "point"
-        group = ("all" if control == "building" else first.key) if is_paired else action.name
-        groups.setdefault(f"{first.component_type}/{group}", []).append(action)
-    choices = []
-    for members in groups.values():
-        columns = []
-        for action in members:
-            assert action.low is not None
-            assert action.high is not None
-            steps = np.linspace(action.low, action.high, count)
-            columns.append(steps[::-1] if by_name[action.actuators[0]].control_type == COOLING else steps)
-        rows = tuple(tuple(row) for row in np.column_stack(columns).tolist())
-        choices.append(DiscreteAction(actions=tuple(a.name for a in members), values=rows))
-    return tuple(choices)

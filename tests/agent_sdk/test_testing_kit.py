@@ -233,7 +233,12 @@ def test_testing_kit__heating_setpoint_above_the_cooling_setpoint_is_refused() -
         ({"actions": {"a": ["zone_9_heating_setpoint"]}}, "no actuator 'zone_9_heating_setpoint'; did you mean"),
         (
             {"actions": {"a": ["zone_1_heating_setpoint"], "b": ["zone_1_heating_setpoint"]}},
-            "already belongs to another action",
+            "action 'b': the actuator 'zone_1_heating_setpoint' belongs to action 'a'",
+        ),
+        ({"actions": {"a": []}}, "action 'a' has no actuators; name at least one"),
+        (
+            {"actions": {"a": ["zone_1_heating_setpoint", "zone_1_cooling_setpoint"]}},
+            "action 'a': its lower bound 22.5 is not below its upper bound 22.5",
         ),
         ({"terminate": [{"points": ["zone_9"], "high": 30.0}]}, "no sensor or meter 'zone_9'"),
         ({"time": ["century"]}, "time.0"),
