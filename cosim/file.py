@@ -22,6 +22,7 @@ from pydantic import (
 from zenostat.cosim.market import MarketSpec
 from zenostat.topics.calendar import parse_duration
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.file_fields import as_tuple
 from zenostat.topics.messages.base import SafeName
 from zenostat.topics.model_file import FileErrors, read_with_lines
 from zenostat.topics.scenario_fields import MEANING, NodeArguments
@@ -99,14 +100,10 @@ PointName = Annotated[str, Field(pattern=r"^[A-Za-z0-9_][A-Za-z0-9_\-]*\.[A-Za-z
 """A point with its plant: `PLANT.POINT`."""
 
 
-def _as_tuple(value: Any) -> Any:
-    return (value,) if isinstance(value, str) else value
-
-
 Targets = Annotated[
     tuple[PointName, ...],
     Field(min_length=1),
-    BeforeValidator(_as_tuple, json_schema_input_type=PointName | Annotated[list[PointName], Field(min_length=1)]),
+    BeforeValidator(as_tuple, json_schema_input_type=PointName | Annotated[list[PointName], Field(min_length=1)]),
 ]
 """One point, or several that get the same value."""
 

@@ -36,7 +36,7 @@ from zenostat.metrics.fuel_rates import Rate, read_emissions, read_prices
 from zenostat.metrics.statistics import MetricSummary, summarize
 from zenostat.metrics.trajectory import Trajectory
 from zenostat.metrics.trajectory_recorder import TrajectoryRecorder
-from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean
+from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did_you_mean, repeated
 from zenostat.topics.keys import safe_name
 from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import SUFFIX
@@ -426,9 +426,8 @@ def controller_factories(
     if isinstance(controllers, str) or not controllers:
         raise InvalidConfig(f"controllers: expected a list of names, such as ['baseline', 'rbc'], got {controllers!r}")
     named = controllers if isinstance(controllers, Mapping) else dict(zip(controllers, controllers, strict=True))
-    if len(named) < len(controllers):
-        duplicate = next(name for name in controllers if list(controllers).count(name) > 1)
-        raise InvalidConfig(f"the controller {duplicate} is listed twice, but would give the same results")
+    if twice := repeated(controllers):
+        raise InvalidConfig(f"the controller {twice[0]} is listed twice, but would give the same results")
     for name in named:
         if not name.strip() or replace_controls(name) != name:
             raise InvalidConfig(f"controllers: {name!r} is no name: a text without control characters expected")

@@ -5,43 +5,25 @@ Numbers without a unit in their name are in the unit of the point. `docs/alarms.
 
 from __future__ import annotations
 
-import re
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, BeforeValidator, ConfigDict, Field, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from zenostat.topics.calendar import Weekday, check_hours
+from zenostat.topics.calendar import Weekday
 from zenostat.topics.errors import did_you_mean
-from zenostat.topics.messages import AlarmPriority, Finite, Lines, Message, NotifyType, SafeName
+from zenostat.topics.file_fields import FilePart, Hours, Names, check_unique
+from zenostat.topics.keys import is_name
+from zenostat.topics.messages import AlarmPriority, Finite, Lines, NotifyType, SafeName
 from zenostat.topics.messages.alarms import MAX_DURATION_S
 from zenostat.topics.points import check_order
 
-Hours = Annotated[tuple[Finite, Finite], AfterValidator(check_hours)]
 NotNegative = Annotated[float, Field(ge=0, strict=True)]
-Pattern = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-*]{1,128}$")]
-Names = Annotated[
-    tuple[Pattern, ...],
-    BeforeValidator(
-        lambda value: (value,) if isinstance(value, str) else value, json_schema_input_type=str | list[str]
-    ),
-    Field(min_length=1),
-]
-"""One or several names; `*` matches any characters."""
-
 
 MAX_RULES = 1000
 """Largest number of rules of a node."""
 
-_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.\-]{0,127}")
 
-
-class _Part(Message):
-    """A part of the rules; its validator is built when it is first used, since most programs use none."""
-
-    model_config = ConfigDict(defer_build=True)
-
-
-class _Fields(_Part):
+class _Fields(FilePart):
     """A map of fields whose unknown names are errors with similar names."""
 
     @model_validator(mode="before")
@@ -106,7 +88,7 @@ class AlarmRule(_Fields):
     """
 
     name: SafeName
-    points: Names
+    points: Annotated[Names, Field(min_length=1)]
     high: Finite | None = None
     low: Finite | None = None
     unit: Annotated[str, Field(max_length=64)] | None = None
@@ -125,7 +107,7 @@ class AlarmRule(_Fields):
     @field_validator("name", mode="before")
     @classmethod
     def _check_name(cls, name: Any) -> Any:
-        if isinstance(name, str) and not _NAME.fullmatch(name):
+        if isinstance(name, str) and not is_name(name):
             raise ValueError("a name has up to 128 letters, digits, '_', '.' and '-', such as zone_too_warm")
         return name
 
@@ -141,7 +123,7 @@ class AlarmRule(_Fields):
         return self
 
 
-class AlarmRules(_Part):
+class AlarmRules(FilePart):
     """The alarm rules of a node.
 
     Attributes:
@@ -155,8 +137,5 @@ class AlarmRules(_Part):
     def _check_names(cls, alarms: tuple[AlarmRule, ...]) -> tuple[AlarmRule, ...]:
         if not 1 <= len(alarms) <= MAX_RULES:
             raise ValueError(f"expected 1 to {MAX_RULES} rules, got {len(alarms)}")
-        names = [rule.name for rule in alarms]
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        if repeated:
-            raise ValueError(f"each rule needs a unique name; used more than once: {', '.join(map(repr, repeated))}")
+        check_unique((rule.name for rule in alarms), "rule")
         return alarms

@@ -36,10 +36,12 @@ import difflib
 import heapq
 import itertools
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from typing import TypeVar
 
 T = TypeVar("T")
+Item = TypeVar("Item", bound=Hashable)
 MAX_LISTED = 10
 """Number of errors that an error text lists."""
 
@@ -221,6 +223,11 @@ def list_errors(head: str, errors: Sequence[str], *, limit: int = MAX_LISTED) ->
     """Return an error text of several lines: the head, the first errors, and how many more there are."""
     more = [f"and {len(errors) - limit} more"] if len(errors) > limit else []
     return "\n  ".join([head, *errors[:limit], *more])
+
+
+def repeated(items: Iterable[Item]) -> list[Item]:
+    """Return the items that occur more than once, in their order."""
+    return [item for item, times in Counter(items).items() if times > 1]
 
 
 def did_you_mean(name: str, known: Iterable[str], *, limit: int = 5) -> str:

@@ -11,15 +11,15 @@ from pydantic import (
     AfterValidator,
     BaseModel,
     BeforeValidator,
-    ConfigDict,
     Field,
     field_validator,
     model_validator,
 )
 
-from zenostat.topics.calendar import Weekday, check_hours, parse_moment
+from zenostat.topics.calendar import Weekday, parse_moment
 from zenostat.topics.errors import did_you_mean
-from zenostat.topics.messages import Count, Finite, Message
+from zenostat.topics.file_fields import FilePart, Hours, Names, check_unique
+from zenostat.topics.messages import Count, Finite
 from zenostat.topics.messages.base import SourceName
 from zenostat.topics.points import check_order
 
@@ -29,30 +29,13 @@ def _check_moment(text: str) -> str:
     return text
 
 
-def _as_tuple(value: Any) -> Any:
-    return (value,) if isinstance(value, str) else value
-
-
 Moment = Annotated[str, AfterValidator(_check_moment)]
-Hours = Annotated[tuple[Finite, Finite], AfterValidator(check_hours)]
 Probability = Annotated[float, Field(gt=0, le=1, strict=True)]
 Positive = Annotated[float, Field(gt=0, strict=True)]
 Steps = Annotated[int, Field(ge=1, lt=2**31, strict=True)]
-Pattern = Annotated[str, Field(pattern=r"^[A-Za-z0-9_.\-*]{1,128}$")]
-Names = Annotated[
-    tuple[Pattern, ...],
-    BeforeValidator(_as_tuple, json_schema_input_type=str | list[str]),
-]
-"""One or several names; `*` matches any characters."""
 
 
-class _Part(Message):
-    """A part of a fault plan; its validator is built when it is first used, since most programs use none."""
-
-    model_config = ConfigDict(defer_build=True)
-
-
-class When(_Part):
+class When(FilePart):
     """Conditions under which a fault is active: at the samples that meet all of them; always, if there are none.
 
     Starts are inclusive, ends exclusive. A command is affected at the sample that it answers.
@@ -93,7 +76,7 @@ class When(_Part):
         return self
 
 
-class AnyFault(_Part):
+class AnyFault(FilePart):
     """Base class of all faults.
 
     Attributes:
@@ -291,7 +274,7 @@ def _check_kind(value: Any) -> Any:
 Fault = Annotated[AnyPointFault | AnyLinkFault, Field(discriminator="kind"), BeforeValidator(_check_kind)]
 
 
-class FaultPlan(_Part):
+class FaultPlan(FilePart):
     """Faults to inject into a node. Faults of the same point are applied in this order, each to the previous result.
 
     Attributes:
@@ -312,10 +295,7 @@ class FaultPlan(_Part):
     @field_validator("faults")
     @classmethod
     def _check_names(cls, faults: tuple[Fault, ...]) -> tuple[Fault, ...]:
-        names = _names(faults)
-        repeated = sorted({name for name in names if names.count(name) > 1})
-        if repeated:
-            raise ValueError(f"each fault needs a unique name; used more than once: {', '.join(map(repr, repeated))}")
+        check_unique(_names(faults), "fault")
         return faults
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
@@ -15,7 +15,15 @@ from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.bus import connect as connect_bus
 from zenostat.bridge.transport.session import certificate_file, check_endpoint
-from zenostat.topics.errors import BusError, ErrorCollector, InvalidConfig, PeerError, SimulatorError, ZenostatError
+from zenostat.topics.errors import (
+    BusError,
+    ErrorCollector,
+    InvalidConfig,
+    PeerError,
+    SimulatorError,
+    ZenostatError,
+    repeated,
+)
 from zenostat.topics.keys import check_name
 from zenostat.topics.messages import Manifest
 
@@ -76,10 +84,8 @@ def node_addresses(
         errors.collect(partial(check_name, str(name), "the node"))
     errors.raise_if_any()
     addresses = tuple(NodeAddress(*address) for address in zip(endpoints, names, strict=True))
-    if repeated := [address for address, times in Counter(addresses).items() if times > 1]:
-        raise InvalidConfig(
-            f"node {repeated[0].node!r} at {repeated[0].endpoint} is listed twice; a node has one controller"
-        )
+    if twice := repeated(addresses):
+        raise InvalidConfig(f"node {twice[0].node!r} at {twice[0].endpoint} is listed twice; a node has one controller")
     if count not in (None, len(addresses)):
         raise InvalidConfig(
             f"num_envs = {count}, but connect and node list {len(addresses)} nodes: "

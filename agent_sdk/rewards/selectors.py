@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.topics.energyplus_names import HVAC_POWER, ZONE_TEMPERATURES
-from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.errors import InvalidConfig, did_you_mean, repeated
 from zenostat.topics.messages import Manifest
 from zenostat.topics.points import value_index
 
@@ -55,7 +55,7 @@ def named(kind: str, name: str, manifest: Manifest, units: Sequence[str]) -> int
 
 def check_distinct(kind: str, names: Sequence[str]) -> None:
     """Raise `InvalidConfig` if a reward names a point twice."""
-    if twice := [name for name in names if names.count(name) > 1]:
+    if twice := repeated(names):
         raise InvalidConfig(f"the {kind} reward names {twice[0]!r} twice, which would count it twice")
 
 

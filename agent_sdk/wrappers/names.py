@@ -12,7 +12,7 @@ from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import ArrayLike
 
 from zenostat.agent_sdk.wrappers.gymnasium_wrappers import Trait, wrappers_with
-from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.errors import InvalidConfig, did_you_mean, repeated
 
 _KEEP_ORDER = wrappers_with(Trait.KEEPS_ORDER)
 _STACK = "FrameStackObservation"
@@ -159,7 +159,7 @@ def indices_of(wanted: Iterable[str], names: Sequence[str], label: str, kind: st
     """
     wanted = list(wanted)
     errors = [f"{label}: no {kind} {name!r}; {did_you_mean(str(name), names)}" for name in wanted if name not in names]
-    errors += [f"{label}: {name!r} is listed twice" for name in dict.fromkeys(wanted) if wanted.count(name) > 1]
+    errors += [f"{label}: {name!r} is listed twice" for name in repeated(wanted)]
     if errors:
         raise InvalidConfig("\n".join(errors))
     return [names.index(name) for name in wanted]

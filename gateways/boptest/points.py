@@ -13,7 +13,7 @@ from math import inf, pi
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.errors import InvalidConfig, repeated
 from zenostat.topics.messages import Actuator, Manifest, Meter, Sensor
 
 Floats = NDArray[np.float64]
@@ -90,9 +90,8 @@ class PointTable:
             map(self._input, manifest.actuators, range(len(input_scales)), (s[0] for s in input_scales))
         )
         self.activates = tuple(f"{point.name.removesuffix('_u')}_activate" for point in self.inputs)
-        names = [point.name for point in (*self.measurements, *self.inputs)]
-        if repeated := {name for name in names if names.count(name) > 1}:
-            raise InvalidConfig(f"points that differ only by case cannot be BOPTEST points: {sorted(repeated)}")
+        if twice := repeated(point.name for point in (*self.measurements, *self.inputs)):
+            raise InvalidConfig(f"points that differ only by case cannot be BOPTEST points: {sorted(twice)}")
         self.measured = {point.name: index for index, point in enumerate(self.measurements)}
         self.commanded = {point.name: index for index, point in enumerate(self.inputs)}
         self.activated = {name: index for index, name in enumerate(self.activates)}

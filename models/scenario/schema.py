@@ -29,6 +29,7 @@ from zenostat.models.catalog import MODEL_SUFFIXES, WEATHER_SUFFIXES
 from zenostat.models.weather.noise import ColumnNoise
 from zenostat.topics.codec import describe_validation_errors
 from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
+from zenostat.topics.file_fields import as_tuple
 from zenostat.topics.file_kinds import FileKind, check_file_kind
 from zenostat.topics.messages import Aggregation, SafeName, TimeField
 from zenostat.topics.points import check_order
@@ -132,10 +133,6 @@ def _from_list(spec_type: type[_Part]) -> BeforeValidator:
     return BeforeValidator(read, json_schema_input_type=spec_type | list[str | float | None])
 
 
-def _as_tuple(value: Any) -> Any:
-    return (value,) if isinstance(value, str) else value
-
-
 def _is_list(value: Any) -> str:
     return "@list" if isinstance(value, list | tuple) else "@number"
 
@@ -173,7 +170,7 @@ Count = Annotated[int, Field(strict=True)]
 Weathers = Annotated[
     tuple[str, ...],
     Field(min_length=1),
-    BeforeValidator(_as_tuple, json_schema_input_type=str | Annotated[list[str], Field(min_length=1)]),
+    BeforeValidator(as_tuple, json_schema_input_type=str | Annotated[list[str], Field(min_length=1)]),
 ]
 Discrete = Annotated[
     Annotated[int, Field(ge=2, le=1000, strict=True), Tag("@number")]

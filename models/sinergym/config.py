@@ -21,7 +21,7 @@ from zenostat.models.sinergym.section_reader import SectionReader
 from zenostat.models.weather.epw import find_column
 from zenostat.models.weather.noise import ColumnNoise
 from zenostat.topics.codec import describe_validation_errors
-from zenostat.topics.errors import InvalidConfig, did_you_mean
+from zenostat.topics.errors import InvalidConfig, did_you_mean, repeated
 from zenostat.topics.keys import check_name
 from zenostat.topics.messages import Aggregation, TimeField
 from zenostat.topics.scenario_ids import CONTINUOUS, DISCRETE
@@ -210,7 +210,7 @@ class Reader(SectionReader):
             return {}
         if len(files) != len(keys) or not files:
             self.add_error(f"{setting}: {len(files)} weather_files but {len(keys)} keys; each file needs a key")
-        for key in dict.fromkeys(key for key in keys if keys.count(key) > 1):
+        for key in repeated(keys):
             self.add_error(f"{setting}.keys: {key!r} appears twice")
         for key in keys:
             self.collect(lambda key=key: check_name(key, "the key"), f"{setting}.keys")  # type: ignore[misc]

@@ -20,6 +20,7 @@ from zenostat.topics.errors import (
     ZenostatError,
     did_you_mean,
     from_wire,
+    repeated,
     to_wire,
 )
 
@@ -215,3 +216,8 @@ def test_errors__path_of_a_unix_socket_is_not_taken_over(tmp_path: Path) -> None
     path.write_text("")
     with pytest.raises(AddressInUse, match="already exists"):
         open_session(listen=[f"unixsock-stream/{path}"])
+
+
+def test_repeated__names_each_item_that_occurs_twice_once_in_their_order() -> None:
+    assert repeated(["b", "a", "c", "a", "b", "a"]) == ["b", "a"]
+    assert repeated(iter(range(3))) == []
