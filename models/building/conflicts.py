@@ -19,10 +19,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.topics.energyplus_names import SCHEDULE_VALUE, THERMOSTAT
 from zenostat.topics.messages import Actuator
-
-Objects = Mapping[str, Mapping[str, Any]]
 
 _ZONE_CONTROL = THERMOSTAT.casefold()
 _SCHEDULE_VALUE = SCHEDULE_VALUE.casefold()
@@ -45,7 +44,7 @@ _BEFORE_RUN = {"endofzonesizing", "endofsystemsizing", "aftercomponentinputreadi
 """Calling points of EMS programs that run only before the simulation; values that they set do not last into it."""
 
 
-def conflicts(objects: Objects, actuators: Sequence[Actuator]) -> list[str]:
+def conflicts(objects: ModelObjects, actuators: Sequence[Actuator]) -> list[str]:
     """Return a line for each conflict between the model and an actuator, with the reason.
 
     Args:
@@ -61,7 +60,7 @@ def conflicts(objects: Objects, actuators: Sequence[Actuator]) -> list[str]:
     return list(dict.fromkeys(lines))
 
 
-def overridden_actuators(objects: Objects, actuators: Sequence[Actuator]) -> dict[str, list[str]]:
+def overridden_actuators(objects: ModelObjects, actuators: Sequence[Actuator]) -> dict[str, list[str]]:
     """Return the reasons why actuators have no effect, by actuator; actuators without conflicts are left out."""
     model = _Model(objects)
     reasons = {actuator.name: list(model.reasons(actuator)) for actuator in actuators}
@@ -71,7 +70,7 @@ def overridden_actuators(objects: Objects, actuators: Sequence[Actuator]) -> dic
 class ProgramOverrides:
     """Programs that may set a control during the simulation: EMS programs, plug-ins, external interfaces."""
 
-    def __init__(self, objects: Objects) -> None:
+    def __init__(self, objects: ModelObjects) -> None:
         self._objects, self._programs = objects, _Programs(objects)
 
     def reasons(self, component_type: str, control_type: str, key: str) -> Iterator[str]:
@@ -88,7 +87,7 @@ class ProgramOverrides:
 class _Model:
     """A model's EMS, thermostats and schedule users; names are case-folded."""
 
-    def __init__(self, objects: Objects) -> None:
+    def __init__(self, objects: ModelObjects) -> None:
         self.objects = objects
         self.ems = _Programs(objects)
         self.thermostats = list(thermostat_setpoints(objects))
@@ -168,7 +167,7 @@ class _Model:
 class _Programs:
     """The EMS programs that run during the simulation, with the actuators that they set and the sensors they read."""
 
-    def __init__(self, objects: Objects) -> None:
+    def __init__(self, objects: ModelObjects) -> None:
         self.actuators: dict[tuple[str, str, str], list[str]] = {}
         for name, fields in objects.get(_EMS + "Actuator", {}).items():
             self.actuators.setdefault(_control(fields), []).append(name)
@@ -231,7 +230,7 @@ def _control(fields: Mapping[str, Any]) -> tuple[str, str, str]:
     )
 
 
-def _zones(objects: Objects, name: object) -> list[str]:
+def _zones(objects: ModelObjects, name: object) -> list[str]:
     """Return the zones, case-folded, of a zone, zone list, space or space list."""
     folded = _fold(name)
     for list_type, entries_field, name_field, nested in (
@@ -248,7 +247,7 @@ def _zones(objects: Objects, name: object) -> list[str]:
     return [folded]
 
 
-def thermostat_setpoints(objects: Objects) -> Iterator[tuple[str, str, str]]:
+def thermostat_setpoints(objects: ModelObjects) -> Iterator[tuple[str, str, str]]:
     """Yield (zone, control, schedule), all case-folded, for each setpoint that a thermostat uses."""
     setpoints = {
         (_fold(kind), _fold(name)): (kind, fields)
@@ -268,14 +267,14 @@ def thermostat_setpoints(objects: Objects) -> Iterator[tuple[str, str, str]]:
                         yield zone, control, _fold(fields.get(source))
 
 
-def thermostats(objects: Objects, zone: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def thermostats(objects: ModelObjects, zone: str) -> Iterator[tuple[str, Mapping[str, Any]]]:
     """Yield name and fields of the thermostats of a zone (a case-folded name)."""
     for name, fields in objects.get("ZoneControl:Thermostat", {}).items():
         if zone in _zones(objects, fields.get("zone_or_zonelist_name")):
             yield name, fields
 
 
-def _approach_zones(objects: Objects) -> Iterator[tuple[str, str]]:
+def _approach_zones(objects: ModelObjects) -> Iterator[tuple[str, str]]:
     """Yield (zone, IT equipment) where approach temperatures determine the supply air: only at VAV terminals."""
     outlets = {
         _fold(fields.get("air_outlet_node_name"))
@@ -290,7 +289,7 @@ def _approach_zones(objects: Objects) -> Iterator[tuple[str, str]]:
                 yield zone, name
 
 
-def _users(objects: Objects) -> dict[str, set[str]]:
+def _users(objects: ModelObjects) -> dict[str, set[str]]:
     """Return each string in the model, case-folded, with the types of the objects that have it in their fields.
 
     EMS objects, outputs and thermostat setpoints that no thermostat uses do not count as users.
@@ -322,7 +321,7 @@ def _texts(value: object) -> Iterator[str]:
             yield from _texts(item)
 
 
-def _external(objects: Objects, control: tuple[str, str, str]) -> Iterator[str]:
+def _external(objects: ModelObjects, control: tuple[str, str, str]) -> Iterator[str]:
     """Yield the external interfaces that may set the same control or the same schedule."""
     for kind, items in objects.items():
         if not kind.startswith("ExternalInterface:"):
@@ -333,7 +332,7 @@ def _external(objects: Objects, control: tuple[str, str, str]) -> Iterator[str]:
                 yield f"{kind} {name!r} is on the same control and may take precedence"
 
 
-def _plugins(objects: Objects, actuators: Sequence[Actuator]) -> Iterator[str]:
+def _plugins(objects: ModelObjects, actuators: Sequence[Actuator]) -> Iterator[str]:
     plugins = objects.get("PythonPlugin:Instance", {})
     if plugins and actuators:
         names = ", ".join(repr(actuator.name) for actuator in actuators[:3]) + (", …" if len(actuators) > 3 else "")

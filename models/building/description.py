@@ -16,11 +16,10 @@ from zenostat.models.building.model import Building
 from zenostat.models.building.run_needs import assumptions
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.building.summary import BuildingSummary, building_summary, zone_areas, zone_multipliers
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.models.points.discovery import texts
 from zenostat.models.weather.header import Header
 from zenostat.topics.energyplus_names import SCHEDULE_VALUE, THERMOSTAT
-
-Objects = Mapping[str, dict[str, dict[str, Any]]]
 
 _SCHEDULE_PARTS = ("Schedule:Day", "Schedule:Week")
 
@@ -146,7 +145,7 @@ def describe_model(building: Building, version: str) -> ModelDescription:
     )
 
 
-def _place(objects: Objects) -> Header:
+def _place(objects: ModelObjects) -> Header:
     """Return the location of the model itself; a weather file of a scenario replaces it."""
     fields: Mapping[str, Any] = next(iter(objects.get("Site:Location", {}).values()), {})
     latitude, longitude, zone, elevation = (
@@ -155,7 +154,7 @@ def _place(objects: Objects) -> Header:
     return Header("", latitude, longitude, zone, elevation, (1, 1), (12, 31))
 
 
-def _zones(objects: Objects, geometry: BuildingGeometry) -> Iterator[ZoneDescription]:
+def _zones(objects: ModelObjects, geometry: BuildingGeometry) -> Iterator[ZoneDescription]:
     places = {zone.name: zone for zone in geometry.geometry.zones} if geometry.geometry is not None else {}
     areas, multipliers = zone_areas(objects), zone_multipliers(objects)
     schedules = {name.casefold(): name for kind in _schedule_types(objects) for name in objects[kind]}
@@ -182,17 +181,17 @@ def _zones(objects: Objects, geometry: BuildingGeometry) -> Iterator[ZoneDescrip
         )
 
 
-def _named(objects: Objects, prefix: str) -> Iterator[str]:
+def _named(objects: ModelObjects, prefix: str) -> Iterator[str]:
     for kind, items in objects.items():
         if kind == prefix or (prefix.endswith(":") and kind.startswith(prefix)):
             yield from (f"{kind} {name}" for name in items)
 
 
-def _schedule_types(objects: Objects) -> list[str]:
+def _schedule_types(objects: ModelObjects) -> list[str]:
     return [kind for kind in objects if kind.startswith("Schedule:") and not kind.startswith(_SCHEDULE_PARTS)]
 
 
-def _schedules(objects: Objects) -> Iterator[ScheduleDescription]:
+def _schedules(objects: ModelObjects) -> Iterator[ScheduleDescription]:
     names = {name.casefold() for kind in _schedule_types(objects) for name in objects[kind]}
     uses: dict[str, Counter[str]] = defaultdict(Counter)
     for kind, items in objects.items():
@@ -206,7 +205,7 @@ def _schedules(objects: Objects) -> Iterator[ScheduleDescription]:
             yield ScheduleDescription(name, kind, dict(uses[name.casefold()].most_common()))
 
 
-def _actuators(objects: Objects, schedules: tuple[ScheduleDescription, ...]) -> Iterator[Actuatable]:
+def _actuators(objects: ModelObjects, schedules: tuple[ScheduleDescription, ...]) -> Iterator[Actuatable]:
     """Yield the setpoints of thermostats, then the schedules that something uses."""
     overrides = ProgramOverrides(objects)
     zones = {name.casefold(): name for name in objects.get("Zone", {})}

@@ -13,7 +13,7 @@ from enum import StrEnum
 from functools import cache
 from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
@@ -31,13 +31,11 @@ from zenostat.models.building.schedule_rules import schedule_findings
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.building.template_references import is_template, traced_references
 from zenostat.models.cache import cached_bytes, digest
-from zenostat.models.input_format.source_model import SourceModel
+from zenostat.models.input_format.source_model import ModelObjects, SourceModel
 from zenostat.topics.errors import list_errors
 
 REQUIRED = ("Building", "GlobalGeometryRules")
 """Types of which EnergyPlus requires an object."""
-
-Objects = Mapping[str, Mapping[str, Any]]
 
 
 class Severity(StrEnum):
@@ -74,9 +72,9 @@ class _Model(Protocol):
     """The parts of a `Building` that `cached_diagnostics` needs."""
 
     @property
-    def objects(self) -> Objects: ...
+    def objects(self) -> ModelObjects: ...
     @property
-    def unexpanded(self) -> Objects: ...
+    def unexpanded(self) -> ModelObjects: ...
     @property
     def content(self) -> str: ...
     @property
@@ -84,7 +82,7 @@ class _Model(Protocol):
 
 
 def diagnose(
-    objects: Objects, source: SourceModel | None = None, unexpanded: Objects | None = None
+    objects: ModelObjects, source: SourceModel | None = None, unexpanded: ModelObjects | None = None
 ) -> list[Diagnostic]:
     """Return the diagnostics of a model, errors first, each in the order of the file.
 
@@ -104,7 +102,7 @@ def diagnose(
     return sorted(diagnostics, key=lambda each: (each.severity is Severity.WARNING, each.line or 0))
 
 
-def diagnose_format(objects: Objects, source: SourceModel | None = None) -> list[Diagnostic]:
+def diagnose_format(objects: ModelObjects, source: SourceModel | None = None) -> list[Diagnostic]:
     """Return the errors of a file's syntax, and of the objects against the schema; arguments as in `diagnose`."""
     issues = source.issues if source is not None else ()
     diagnostics = [Diagnostic(Severity.ERROR, kind, name, "", text, line) for line, kind, name, text in issues]
@@ -120,7 +118,7 @@ def diagnose_format(objects: Objects, source: SourceModel | None = None) -> list
     return sorted(diagnostics, key=lambda each: each.line or 0)
 
 
-def diagnose_unexpanded(objects: Objects, source: SourceModel) -> list[Diagnostic]:
+def diagnose_unexpanded(objects: ModelObjects, source: SourceModel) -> list[Diagnostic]:
     """Return the errors of a model whose HVACTemplate objects could not be expanded; arguments as in `diagnose`.
 
     Each reference of a template to a missing object counts, since nothing shows which of them ExpandObjects needs.
@@ -153,7 +151,7 @@ def _is_known(kind: str, items: object) -> bool:
 
 
 def _rule_diagnostics(
-    objects: Objects, invalid: Collection[tuple[str, str]], unexpanded: Objects
+    objects: ModelObjects, invalid: Collection[tuple[str, str]], unexpanded: ModelObjects
 ) -> Iterator[Diagnostic]:
     """Yield the diagnostics of the rules; schedules and values that do not match the schema are left out."""
     valid = {

@@ -10,7 +10,8 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from zenostat.models.building.findings import FieldFinding, Objects, RuleFinding, finding
+from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.topics.errors import did_you_mean
 
 _EMS = "EnergyManagementSystem:"
@@ -41,7 +42,7 @@ FUNCTIONS = (*_OTHERS.split(), *(day + quantity for day in _DAYS for quantity in
 """Built-in functions of EnergyPlus's runtime language; case does not matter."""
 
 
-def program_findings(objects: Objects) -> Iterator[RuleFinding]:
+def program_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
     """Yield the errors of all programs and subroutines: of their syntax, and of those that run themselves."""
     programs = [
         (kind, name, fields)
@@ -136,7 +137,7 @@ def _block_error(keyword: str, path: str, ifs: list[tuple[str, bool]], loops: li
     return ""
 
 
-def _endless_calls(objects: Objects) -> Iterator[RuleFinding]:
+def _endless_calls(objects: ModelObjects) -> Iterator[RuleFinding]:
     """Yield an error for each program or subroutine that is called and runs itself, also through others."""
     kinds, calls = dict[str, tuple[str, str]](), dict[str, dict[str, str]]()
     for kind in (f"{_EMS}Program", f"{_EMS}Subroutine"):

@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-Objects = dict[str, dict[str, dict[str, Any]]]
+from zenostat.models.input_format.source_model import ObjectsOfType
 
 FILE_FIELDS = {
     "Chiller:Electric:ASHRAE205": "representation_file_name",
@@ -20,13 +20,13 @@ FILE_FIELDS = {
 """The fields that name a file, by object type."""
 
 
-def with_absolute_paths(objects: Objects, folder: Path) -> Objects:
+def with_absolute_paths(objects: dict[str, ObjectsOfType], folder: Path) -> dict[str, ObjectsOfType]:
     """Return a model whose files are named by absolute paths; it is the same object if it names no relative one.
 
     EnergyPlus looks in the folder of its input file, which is a copy in another folder. A file that does not exist
     keeps its name, except for that of a schedule, whose error then names the folder.
     """
-    changed: Objects = {}
+    changed: dict[str, ObjectsOfType] = {}
     for kind, field in FILE_FIELDS.items():
         for name, fields in objects.get(kind, {}).items():
             path = fields.get(field)

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-Objects = Mapping[str, Mapping[str, Any]]
 """A model or a part of it: by type, the fields of each object by its name."""
 
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from math import cos, isfinite, radians, sin
 from typing import Any, NamedTuple
 
-from zenostat.models.building.model import Objects
+from zenostat.models.input_format.source_model import ModelObjects
 
 SITE = None
 """Frame of what does not turn with the building; other frames are a zone, case-folded, or `""`: the building."""
@@ -34,7 +34,7 @@ class Frame(NamedTuple):
         return dx * c + dy * s, dy * c - dx * s, z - self.z
 
 
-def frames(objects: Mapping[str, Objects], *, is_world: bool) -> dict[str | None, Frame]:
+def frames(objects: ModelObjects, *, is_world: bool) -> dict[str | None, Frame]:
     """Return the coordinate systems of a model.
 
     A zone is turned by its direction of relative north and moved to its origin; then the building is turned by its
@@ -50,7 +50,7 @@ def frames(objects: Mapping[str, Objects], *, is_world: bool) -> dict[str | None
     return result
 
 
-def _first(objects: Mapping[str, Objects], kind: str) -> Mapping[str, Any]:
+def _first(objects: ModelObjects, kind: str) -> Mapping[str, Any]:
     return next(iter(objects.get(kind, {}).values()), {})
 
 

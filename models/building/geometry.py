@@ -9,9 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.models.building.frames import Frame
-from zenostat.models.building.model import Building, Objects
+from zenostat.models.building.model import Building
 from zenostat.models.building.polygons import Polygon, PolygonReader
 from zenostat.models.building.summary import conditioned_zones, used_zones, zone_areas, zone_multipliers
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.models.weather.header import Header
 from zenostat.topics.messages import Geometry, SurfaceKind, ZoneGeometry
 
@@ -113,7 +114,7 @@ def _areas(placed: _Corners) -> NDArray[np.float64]:
 
 
 def _zones(
-    objects: Mapping[str, Objects], polygons: Sequence[Polygon], placed: _Corners
+    objects: ModelObjects, polygons: Sequence[Polygon], placed: _Corners
 ) -> tuple[list[ZoneGeometry], list[float]]:
     """Return the zones, and the heights of the storeys' floors in m.
 
@@ -143,7 +144,7 @@ def _zones(
     return zones, storeys
 
 
-def _floor_areas(objects: Mapping[str, Objects]) -> dict[str, float]:
+def _floor_areas(objects: ModelObjects) -> dict[str, float]:
     try:
         return {zone: max(0.0, area) for zone, area in zone_areas(objects).items()}
     except (KeyError, TypeError, ValueError):  # a floor whose corners are no numbers

@@ -28,6 +28,7 @@ from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
 from zenostat.models.input_format.encoding import check_encoding, decode_idf
 from zenostat.models.input_format.idf_reader import idf_version
+from zenostat.models.input_format.source_model import ObjectsOfType
 from zenostat.models.scenario.run_period import Period, year_of
 from zenostat.models.upgrade.files import cached_upgrade
 from zenostat.models.upgrade.upgrade import UpgradedModel, upgrade_epjson
@@ -35,7 +36,6 @@ from zenostat.models.upgrade.versions import short
 from zenostat.topics.calendar import format_month_day, is_month_day, parse_day
 from zenostat.topics.errors import InvalidConfig
 
-Objects = dict[str, dict[str, Any]]
 """epJSON: object type, object name, fields."""
 
 _OTHER_PROGRAMS = (
@@ -61,11 +61,11 @@ class Building:
     """
 
     name: str
-    objects: dict[str, Objects]
+    objects: dict[str, ObjectsOfType]
     content: str
     notes: tuple[str, ...] = ()
     file: str = ""
-    unexpanded: dict[str, Objects] = field(default_factory=dict)
+    unexpanded: dict[str, ObjectsOfType] = field(default_factory=dict)
 
     def find(self, kind: str, name: str) -> dict[str, Any]:
         """Return an object's fields by type and name, both in any case; empty if there is none."""
@@ -204,7 +204,7 @@ def read_building(entry: Entry) -> Building:
     return Building(entry.name, objects, content, (*translation, *summary, *notes), str(entry.path), unexpanded)
 
 
-def _expand(objects: dict[str, Objects], path: Path) -> tuple[dict[str, Objects], tuple[str, ...]]:
+def _expand(objects: dict[str, ObjectsOfType], path: Path) -> tuple[dict[str, ObjectsOfType], tuple[str, ...]]:
     """Return `templates.expand` of a file's objects; its errors begin with those of the templates' fields.
 
     ExpandObjects itself names no field, and not every object.
@@ -294,7 +294,7 @@ def with_edits(building: Building, edits: Edits) -> Building:
 
 def for_episode(
     building: Building, period: Period, *, outputs: bool = False, requested: Iterable[tuple[str, str]] = ()
-) -> dict[str, Objects]:
+) -> dict[str, ObjectsOfType]:
     """Return the objects for one episode: its run period and timestep, without design-day environments.
 
     Objects that act on the building are unchanged.
@@ -326,7 +326,7 @@ def for_episode(
     return objects
 
 
-def write(objects: dict[str, Objects], folder: Path) -> Path:
+def write(objects: dict[str, ObjectsOfType], folder: Path) -> Path:
     """Write `in.epJSON` into `folder` and return its path."""
     path = folder / "in.epJSON"
     path.write_text(json.dumps(objects))

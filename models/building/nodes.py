@@ -11,7 +11,8 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from zenostat.models.building.findings import FieldFinding, Objects, RuleFinding, finding
+from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.topics.errors import did_you_mean
 
 _NODE = re.compile(r"(\w*_)?node(_or_nodelist)?(_\w*)?name|\w*_node_or_nodelist_name")
@@ -51,7 +52,7 @@ class UnconnectedNode(NamedTuple):
         return f"{text}; {did_you_mean(self.node, self.known)}"
 
 
-def unconnected_nodes(objects: Objects) -> Iterator[UnconnectedNode]:
+def unconnected_nodes(objects: ModelObjects) -> Iterator[UnconnectedNode]:
     """Yield the nodes that only one field names, except for those that may be the end of an air stream."""
     uses: dict[str, list[tuple[str, str, str, str]]] = defaultdict(list)
     for kind, items in objects.items():
@@ -67,7 +68,7 @@ def unconnected_nodes(objects: Objects) -> Iterator[UnconnectedNode]:
             yield UnconnectedNode(kind, name, field, spelling, known)
 
 
-def nodes_without_setpoint(objects: Objects) -> Iterator[RuleFinding]:
+def nodes_without_setpoint(objects: ModelObjects) -> Iterator[RuleFinding]:
     """Yield a warning for each node whose setpoint an object needs, and that no setpoint manager or EMS actuator sets.
 
     A plug-in or an external interface may set any node, so a model with one of these has no such warnings.
@@ -84,7 +85,7 @@ def nodes_without_setpoint(objects: Objects) -> Iterator[RuleFinding]:
                         yield finding(kind, name, FieldFinding(path, text, is_fatal=False))
 
 
-def managed_nodes(objects: Objects) -> set[str]:
+def managed_nodes(objects: ModelObjects) -> set[str]:
     """Return the nodes, case-folded, that a setpoint manager or an EMS actuator may set."""
     managed = {
         node.casefold()
@@ -99,13 +100,13 @@ def managed_nodes(objects: Objects) -> set[str]:
     return _with_list_members(objects, managed)
 
 
-def _with_list_members(objects: Objects, names: set[str]) -> set[str]:
+def _with_list_members(objects: ModelObjects, names: set[str]) -> set[str]:
     """Return names of nodes and node lists, case-folded, with the nodes in these lists."""
     lists = [fields for name, fields in objects.get("NodeList", {}).items() if name.casefold() in names]
     return names | {str(node.get("node_name", "")).casefold() for each in lists for node in each.get("nodes", ())}
 
 
-def outdoor_nodes_without_air(objects: Objects) -> Iterator[RuleFinding]:
+def outdoor_nodes_without_air(objects: ModelObjects) -> Iterator[RuleFinding]:
     """Yield a warning for each mixer whose outdoor air comes neither from outdoors nor from other equipment.
 
     EnergyPlus reports it as a severe error, and simulates the mixer nevertheless.
@@ -125,7 +126,7 @@ def outdoor_nodes_without_air(objects: Objects) -> Iterator[RuleFinding]:
             yield finding("OutdoorAir:Mixer", name, FieldFinding(_OUTDOOR_AIR, text, is_fatal=False))
 
 
-def shared_branches(objects: Objects) -> Iterator[RuleFinding]:
+def shared_branches(objects: ModelObjects) -> Iterator[RuleFinding]:
     """Yield an error for each branch list that two sides of loops name, and each branch that is in two lists."""
     loops = {kind: items for kind, items in objects.items() if kind.endswith("Loop") or kind == "AirLoopHVAC"}
     lists = {kind: items for kind, items in objects.items() if kind == "BranchList"}

@@ -10,10 +10,9 @@ from typing import Any
 
 from zenostat.models.building import schema
 from zenostat.models.engine_library import key_pattern
+from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
 from zenostat.topics.energyplus_names import COMPUTED_ON_REQUEST
 from zenostat.topics.errors import InvalidConfig
-
-Objects = dict[str, dict[str, Any]]
 
 _ACTING_TYPES = ("OutputControl:ReportingTolerances", "OutputControl:ResilienceSummaries")
 """Output objects on which values of output variables depend: unmet hours, and the heat index."""
@@ -68,7 +67,7 @@ _METERS = "to observe a meter, name it in `meters`"
 _HINTS = {"Output:Variable": _SENSORS, "Output:Meter": _METERS, "Output:Meter:Cumulative": _METERS}
 
 
-def without_files(objects: Mapping[str, Objects]) -> dict[str, Objects]:
+def without_files(objects: ModelObjects) -> dict[str, ObjectsOfType]:
     """Return the objects without those that only write files, so that EnergyPlus writes only its errors.
 
     A request for a variable that an EMS program reads is kept where EnergyPlus computes the variable only on request.
@@ -92,7 +91,7 @@ def _acts(diagnostic: Mapping[str, Any]) -> bool:
     return str(diagnostic.get("key", "")).casefold() in _ACTING_DIAGNOSTICS
 
 
-def _requests_of_programs(objects: Mapping[str, Objects]) -> Objects:
+def _requests_of_programs(objects: ModelObjects) -> ObjectsOfType:
     read = {
         str(fields.get("output_variable_or_output_meter_name", "")).casefold()
         for fields in objects.get("EnergyManagementSystem:Sensor", {}).values()
@@ -104,7 +103,7 @@ def _requests_of_programs(objects: Mapping[str, Objects]) -> Objects:
     }
 
 
-def with_requests(objects: dict[str, Objects], requested: Iterable[tuple[str, str]]) -> dict[str, Objects]:
+def with_requests(objects: dict[str, ObjectsOfType], requested: Iterable[tuple[str, str]]) -> dict[str, ObjectsOfType]:
     """Return the objects with an `Output:Variable` for each output variable, given by name and key.
 
     Its frequency is that of the fewest reports; where EnergyPlus writes no output files, nothing is written. All keys

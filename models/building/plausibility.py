@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from zenostat.models.building.findings import FieldFinding, Objects, RuleFinding, finding
+from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
 from zenostat.models.building.schedule_limits import schedule_values, schedules
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.topics.calendar import format_month_day, is_month_day
 
 _SURFACES = ("BuildingSurface", "Wall", "RoofCeiling", "Roof", "Ceiling", "Floor")
@@ -24,7 +25,7 @@ _HOTTEST_HEATING_C = 40.0
 """A heating setpoint that is always above it is none of a room."""
 
 
-def plausibility_findings(objects: Objects) -> Iterator[RuleFinding]:
+def plausibility_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
     """Yield the findings; EnergyPlus itself ends only at zones without surfaces and at unused equipment lists."""
     yield from _run_findings(objects)
     yield from _zone_findings(objects)
@@ -39,7 +40,7 @@ def _number(fields: Mapping[str, Any], name: str, default: float) -> float:
     return value if isinstance(value, (int, float)) else default
 
 
-def _run_findings(objects: Objects) -> Iterator[RuleFinding]:
+def _run_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
     if not objects.get("Version"):
         text = "the model has no Version object; it is read as one of the engine's version"
         yield RuleFinding("Version", "", "", text, is_fatal=False)
@@ -61,7 +62,7 @@ def _run_findings(objects: Objects) -> Iterator[RuleFinding]:
                 yield finding("RunPeriod", name, FieldFinding(f"{end}_day_of_month", text, is_fatal=False))
 
 
-def _zone_findings(objects: Objects) -> Iterator[RuleFinding]:
+def _zone_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
     with_surfaces = _zones_of(objects, _SURFACES)
     for name in objects.get("Zone", {}):
         if name.casefold() not in with_surfaces:
@@ -87,7 +88,7 @@ def _zone_findings(objects: Objects) -> Iterator[RuleFinding]:
             yield finding("ZoneHVAC:EquipmentList", name, FieldFinding("", text))
 
 
-def _zones_of(objects: Objects, types: tuple[str, ...]) -> set[str]:
+def _zones_of(objects: ModelObjects, types: tuple[str, ...]) -> set[str]:
     """Return the zones, case-folded, that objects of some types name, also by lists and spaces."""
     named = {
         str(value).casefold()
@@ -107,7 +108,7 @@ def _zones_of(objects: Objects, types: tuple[str, ...]) -> set[str]:
     return named | {zone for space, zone in spaces.items() if space in named}
 
 
-def _setpoint_findings(objects: Objects) -> Iterator[RuleFinding]:
+def _setpoint_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
     by_name = {name.casefold(): (kind, fields) for kind, name, fields in schedules(objects)}
 
     def values(schedule: object) -> list[float]:
@@ -140,7 +141,7 @@ def _setpoint_findings(objects: Objects) -> Iterator[RuleFinding]:
             yield finding("ThermostatSetpoint:DualSetpoint", name, finding_of)
 
 
-def _material_findings(objects: Objects) -> Iterator[RuleFinding]:
+def _material_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
     for name, fields in objects.get("Material", {}).items():
         conductivity, density = _number(fields, "conductivity", 0.0), _number(fields, "density", _LIGHTEST)
         thickness = _number(fields, "thickness", 0.0)
@@ -164,7 +165,7 @@ _SIZED = {
 """By type of a loop: its field that may be sized, and the type and field of the object that says how."""
 
 
-def _sizing_findings(objects: Objects) -> Iterator[RuleFinding]:
+def _sizing_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
     for kind, (path, sizing, loop) in _SIZED.items():
         sized = {str(fields.get(loop, "")).casefold() for fields in objects.get(sizing, {}).values()}
         for name, fields in objects.get(kind, {}).items():

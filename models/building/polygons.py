@@ -13,7 +13,7 @@ from math import acos, atan2, cos, degrees, hypot, isfinite, radians, sin
 from typing import Any
 
 from zenostat.models.building.frames import SITE, frames
-from zenostat.models.building.model import Objects
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.topics.messages import SurfaceKind
 
 Corner = tuple[float, float, float]
@@ -105,7 +105,7 @@ class PolygonReader:
         broken: label and reason of each surface that cannot be drawn.
     """
 
-    def __init__(self, objects: Mapping[str, Objects]) -> None:
+    def __init__(self, objects: ModelObjects) -> None:
         self._objects = objects
         rules = next(iter(objects.get("GlobalGeometryRules", {}).values()), {})
         self._is_clockwise = str(rules.get("vertex_entry_direction")).casefold() == "clockwise"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-Objects = Mapping[str, Mapping[str, Any]]
+from zenostat.models.input_format.source_model import ModelObjects
 
 _SIZING_FIELDS = (
     "do_zone_sizing_calculation",
@@ -18,7 +18,7 @@ _FINITE_DIFFERENCE = "conductionfinitedifference"
 _FINITE_DIFFERENCE_STEPS = 20
 
 
-def simulation_control(objects: Objects) -> dict[str, Any]:
+def simulation_control(objects: ModelObjects) -> dict[str, Any]:
     """Return the fields of `SimulationControl` for an episode: sizing as the model requests it, then the run period.
 
     A model without that object that has both `Autosize` fields and sizing objects could not run: it is sized.
@@ -32,14 +32,14 @@ def simulation_control(objects: Objects) -> dict[str, Any]:
     return control
 
 
-def lacks_design_days(objects: Objects) -> bool:
+def lacks_design_days(objects: ModelObjects) -> bool:
     """Whether a model requests sizing and has no sizing periods, with which EnergyPlus ends."""
     control = simulation_control(objects)
     is_sized = any(str(control.get(field, "")).casefold() == "yes" for field in _SIZING_FIELDS)
     return is_sized and not any(items for kind, items in objects.items() if kind.startswith("SizingPeriod:"))
 
 
-def changed_timesteps(objects: Objects, steps_per_hour: int) -> tuple[str, str, str, int] | None:
+def changed_timesteps(objects: ModelObjects, steps_per_hour: int) -> tuple[str, str, str, int] | None:
     """Return the field because of which EnergyPlus takes another number of timesteps per hour, and that number.
 
     The rules were determined by experiment with EnergyPlus 25.2.
@@ -58,7 +58,7 @@ def changed_timesteps(objects: Objects, steps_per_hour: int) -> tuple[str, str, 
     return None
 
 
-def assumptions(objects: Objects, *, has_dates: bool) -> Iterator[str]:
+def assumptions(objects: ModelObjects, *, has_dates: bool) -> Iterator[str]:
     """Yield a sentence for each thing that a run of the model assumes.
 
     Args:
@@ -81,7 +81,7 @@ def assumptions(objects: Objects, *, has_dates: bool) -> Iterator[str]:
         yield "the model has no sizing periods; it is sized for the design days of the weather file"
 
 
-def _lacks_control(objects: Objects) -> bool:
+def _lacks_control(objects: ModelObjects) -> bool:
     has_sizing = any(kind in objects for kind in ("Sizing:Zone", "Sizing:System", "Sizing:Plant"))
     return not objects.get("SimulationControl") and has_sizing and _has_autosize(objects)
 

@@ -6,13 +6,14 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from zenostat.models.building.compact_schedules import compact_values
-from zenostat.models.building.findings import FieldFinding, Objects, RuleFinding, finding
+from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
+from zenostat.models.input_format.source_model import ModelObjects
 
 _TOLERANCE = 1.2e-7
 """EnergyPlus's own, the resolution of a 32-bit float."""
 
 
-def limit_findings(objects: Objects) -> Iterator[RuleFinding]:
+def limit_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
     """Yield the findings on limits, and on the schedules that do not keep them."""
     limits = dict[str, tuple[str, float, float]]()
     for name, fields in objects.get("ScheduleTypeLimits", {}).items():
@@ -28,9 +29,9 @@ def limit_findings(objects: Objects) -> Iterator[RuleFinding]:
             yield finding("ScheduleTypeLimits", name, FieldFinding("lower_limit_value", text))
         if not text:
             limits[name.casefold()] = (name, float(low), float(high))
-    for kind, name, fields in schedules(objects):
-        own = limits.get(str(fields.get("schedule_type_limits_name", "")).casefold())
-        for path, value in schedule_values(objects, kind, fields) if own else ():
+    for kind, name, schedule in schedules(objects):
+        own = limits.get(str(schedule.get("schedule_type_limits_name", "")).casefold())
+        for path, value in schedule_values(objects, kind, schedule) if own else ():
             if own and not own[1] - _TOLERANCE <= value <= own[2] + _TOLERANCE:
                 text = f"but its type {own[0]!r} has the limits {own[1]:g} and {own[2]:g}"
                 shown = f": {path} is {value:g}, {text}" if path else f": a value is {value:g}, {text}"
@@ -38,14 +39,14 @@ def limit_findings(objects: Objects) -> Iterator[RuleFinding]:
                 break
 
 
-def schedules(objects: Objects) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
+def schedules(objects: ModelObjects) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
     """Yield type, name and fields of the schedules whose values `schedule_values` knows."""
     for kind in ("Schedule:Constant", "Schedule:Compact", "Schedule:Year"):
         for name, fields in objects.get(kind, {}).items():
             yield kind, name, fields
 
 
-def schedule_values(objects: Objects, kind: str, fields: Mapping[str, Any]) -> list[tuple[str, float]]:
+def schedule_values(objects: ModelObjects, kind: str, fields: Mapping[str, Any]) -> list[tuple[str, float]]:
     """Return path and value of a schedule's values; without a path, the values of other objects that it refers to."""
     if kind == "Schedule:Constant":
         value = fields.get("hourly_value", 0.0)
@@ -62,7 +63,7 @@ def schedule_values(objects: Objects, kind: str, fields: Mapping[str, Any]) -> l
     return [("", value) for value in _day_values(objects, days)]
 
 
-def _day_values(objects: Objects, days: set[str]) -> Iterator[float]:
+def _day_values(objects: ModelObjects, days: set[str]) -> Iterator[float]:
     for kind in ("Schedule:Day:Hourly", "Schedule:Day:Interval", "Schedule:Day:List"):
         for name, fields in objects.get(kind, {}).items():
             if name.casefold() in days:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from zenostat.models.building.compact_schedules import compact_findings
-from zenostat.models.building.findings import FieldFinding, Objects, RuleFinding, finding
+from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
 from zenostat.models.building.schedule_fields import (
     DAY_MIN,
     LAST_DAY,
@@ -18,11 +18,12 @@ from zenostat.models.building.schedule_fields import (
     unknown_day_words,
 )
 from zenostat.models.building.schedule_files import file_findings
+from zenostat.models.input_format.source_model import ModelObjects
 
 _PARTS = ("Schedule:Day:", "Schedule:Week:")
 
 
-def schedule_findings(objects: Objects) -> Iterator[RuleFinding]:
+def schedule_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
     """Yield the findings on the schedules of a model, which matches the schema."""
     for kind, check in _CHECKS.items():
         for name, fields in objects.get(kind, {}).items():
@@ -30,7 +31,7 @@ def schedule_findings(objects: Objects) -> Iterator[RuleFinding]:
     yield from _repeated_names(objects)
 
 
-def _repeated_names(objects: Objects) -> Iterator[RuleFinding]:
+def _repeated_names(objects: ModelObjects) -> Iterator[RuleFinding]:
     """Yield an error for each schedule whose name one of another type has."""
     first: dict[str, str] = {}
     for kind in (each for each in objects if each.startswith("Schedule:") and not each.startswith(_PARTS)):

@@ -11,7 +11,8 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from zenostat.models.building.systems import PASSIVE, SIDES, Objects, System, SystemObjects
+from zenostat.models.building.systems import PASSIVE, SIDES, System, SystemObjects
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.topics.messages import LoopSide, ServedZone, SystemComponent, SystemLoop, SystemNode, Systems
 
 _INLET = re.compile(r"(?=.*(inlet|outdoor_air_stream|return_air_stream)).*node.*name")
@@ -19,7 +20,7 @@ _OUTLET = re.compile(r"(?=.*(outlet|mixed_air|relief_air_stream)).*node.*name")
 _PORT = re.compile(r"_node.*")
 
 
-def systems(objects: Objects) -> Systems:
+def systems(objects: ModelObjects) -> Systems:
     """Return the systems of a model; a loop, branch or component that the model only names has no parts."""
     return _Schematic(objects).systems()
 
@@ -27,7 +28,7 @@ def systems(objects: Objects) -> Systems:
 class _Schematic:
     """The components of a model, numbered as they are met."""
 
-    def __init__(self, objects: Objects) -> None:
+    def __init__(self, objects: ModelObjects) -> None:
         self._objects = objects
         self._model = SystemObjects(objects)
         self._components: list[SystemComponent] = []

@@ -12,10 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.models import energyplus
-from zenostat.models.building.model import Building, Objects, read_building
+from zenostat.models.building.model import Building, read_building
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
-from zenostat.models.points.discovery import Kinds, locations, own_zones, texts, zone_names
+from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
+from zenostat.models.points.discovery import locations, own_zones, texts, zone_names
 
 _FORMAT = "1"  # raise it when the summary of the same file changes
 
@@ -85,7 +86,7 @@ def floor_area_m2(building: Building) -> float | None:
         return None
 
 
-def zone_areas(objects: Kinds) -> dict[str, float]:
+def zone_areas(objects: ModelObjects) -> dict[str, float]:
     """Return each zone's floor area in m2 without multipliers: its own field, else the sum of its spaces and floors."""
     spaces = _folded(objects.get("Space", {}))
     of_zone: dict[str, float] = defaultdict(float)
@@ -103,7 +104,7 @@ def zone_areas(objects: Kinds) -> dict[str, float]:
     }
 
 
-def zone_multipliers(objects: Kinds) -> dict[str, float]:
+def zone_multipliers(objects: ModelObjects) -> dict[str, float]:
     """Return the number of identical zones that each zone stands for: its multiplier times that of its zone groups."""
     lists = _folded(objects.get("ZoneList", {}))
     group: dict[str, float] = defaultdict(lambda: 1.0)
@@ -116,7 +117,7 @@ def zone_multipliers(objects: Kinds) -> dict[str, float]:
     }
 
 
-def _counted_areas(objects: Kinds) -> dict[str, float]:
+def _counted_areas(objects: ModelObjects) -> dict[str, float]:
     """Return the zones that are part of the total floor area, with their areas times their multipliers (m2)."""
     zones, multipliers = objects.get("Zone", {}), zone_multipliers(objects)
     return {
@@ -126,7 +127,7 @@ def _counted_areas(objects: Kinds) -> dict[str, float]:
     }
 
 
-def _floors(objects: Kinds) -> Iterator[tuple[str, str, float]]:
+def _floors(objects: ModelObjects) -> Iterator[tuple[str, str, float]]:
     """Yield (zone, space, area in m2) of each floor.
 
     A ceiling whose outside boundary is a zone is that zone's floor: EnergyPlus creates the missing surface (Input
@@ -158,17 +159,17 @@ def _area(fields: Mapping[str, Any]) -> float:
     return sqrt(sum(part * part for part in total)) / 2
 
 
-def conditioned_zones(objects: Kinds) -> set[str]:
+def conditioned_zones(objects: ModelObjects) -> set[str]:
     """Return the case-folded names of the zones with HVAC equipment or a thermostat."""
     return _zones_of(objects, ("ZoneHVAC:EquipmentConnections", "ZoneControl:Thermostat", "HVACTemplate:Zone:"))
 
 
-def used_zones(objects: Kinds) -> set[str]:
+def used_zones(objects: ModelObjects) -> set[str]:
     """Return the case-folded names of the zones with HVAC, people, lights or equipment; not plena and attics."""
     return conditioned_zones(objects) | _zones_of(objects, ("People", "Lights", "ElectricEquipment", "GasEquipment"))
 
 
-def _zones_of(objects: Kinds, kinds: tuple[str, ...]) -> set[str]:
+def _zones_of(objects: ModelObjects, kinds: tuple[str, ...]) -> set[str]:
     """Return the case-folded names of the zones of all objects whose type starts with one of `kinds`."""
     zones = zone_names(objects)
     return {
@@ -208,7 +209,7 @@ _SYSTEMS = (
 )
 
 
-def _hvac(objects: Kinds) -> str:
+def _hvac(objects: ModelObjects) -> str:
     """Describe the HVAC briefly: air loops, zone equipment, cooling, heating, coils in ducts and surfaces."""
     parents = _coil_parents(objects)
 
@@ -236,7 +237,7 @@ def _hvac(objects: Kinds) -> str:
     return ", ".join(dict.fromkeys(parts)) or "none"
 
 
-def _coil_parents(objects: Kinds) -> dict[str, str]:
+def _coil_parents(objects: ModelObjects) -> dict[str, str]:
     """Return the type of the object that each coil belongs to, looking through coil systems."""
     direct = {
         coil.casefold(): (kind, name.casefold())
@@ -255,7 +256,7 @@ def _coil_parents(objects: Kinds) -> dict[str, str]:
     return parents
 
 
-def _air_loops(objects: Kinds) -> list[str]:
+def _air_loops(objects: ModelObjects) -> list[str]:
     """Describe the air loops, as `3 air loops VAV`: their number, and whether their fans' flow varies."""
     loops = objects.get("AirLoopHVAC", {})
     if not loops:
@@ -274,7 +275,7 @@ def _air_loops(objects: Kinds) -> list[str]:
     return [f"{text} ({len(varying)} VAV)" if varying else text]
 
 
-def _radiant(objects: Kinds) -> list[str]:
+def _radiant(objects: ModelObjects) -> list[str]:
     """Describe radiant systems by the surfaces that they are in, as `radiant floor`."""
     surfaces = _folded(objects.get("BuildingSurface:Detailed", {}))
     groups = _folded(objects.get("ZoneHVAC:LowTemperatureRadiant:SurfaceGroup", {}))
@@ -308,7 +309,7 @@ _ELECTRIC = ("Lights", "Electric", "Exterior:Lights", "Fan:", "Pump:", "Chiller:
 _IDEAL_LOADS = {"cooling_fuel_type": "DistrictCooling", "heating_fuel_type": "DistrictHeatingWater"}
 
 
-def _fuels(objects: Kinds) -> tuple[str, ...]:
+def _fuels(objects: ModelObjects) -> tuple[str, ...]:
     """Return the fuels that the building uses, electricity first: `natural gas`, `district heating water`, etc."""
     fuels = {"electricity"} if any(kind.startswith(_ELECTRIC) for kind in objects) else set()
     for kind, items in objects.items():
@@ -327,7 +328,7 @@ def _fuel_words(fuel: str) -> str:
     return re.sub(r"(?<=[a-z])(?=[A-Z0-9])", " ", fuel).lower()
 
 
-def _folded(items: Objects) -> dict[str, dict[str, Any]]:
+def _folded(items: ObjectsOfType) -> dict[str, dict[str, Any]]:
     return {name.casefold(): fields for name, fields in items.items()}
 
 

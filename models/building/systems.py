@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-Objects = Mapping[str, Mapping[str, Any]]
+from zenostat.models.input_format.source_model import ModelObjects
 
 SIDES = {
     "PlantLoop": (("supply", "plant_side_branch_list_name"), ("demand", "demand_side_branch_list_name")),
@@ -43,7 +43,7 @@ class System:
 class SystemObjects:
     """Lookup of a model's objects and nodes; names are case-folded."""
 
-    def __init__(self, objects: Objects) -> None:
+    def __init__(self, objects: ModelObjects) -> None:
         self.objects = objects
         self._named = {
             (kind.casefold(), name.casefold()): (kind, name, fields)
@@ -152,7 +152,7 @@ def _numbered_parts(fields: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             yield kind, name
 
 
-def air_loops(objects: Objects) -> list[System]:
+def air_loops(objects: ModelObjects) -> list[System]:
     """Return the air loops: the components of their supply side, then a part for each zone with its terminal units."""
     model = SystemObjects(objects)
     terminals = list(model.zone_equipment())
@@ -167,7 +167,7 @@ def air_loops(objects: Objects) -> list[System]:
     return loops
 
 
-def plant_loops(objects: Objects) -> list[System]:
+def plant_loops(objects: ModelObjects) -> list[System]:
     """Return the plant and condenser loops, each with the parts `supply` and `demand`."""
     model = SystemObjects(objects)
     return [
@@ -177,7 +177,7 @@ def plant_loops(objects: Objects) -> list[System]:
     ]
 
 
-def economizers(objects: Objects) -> dict[str, System]:
+def economizers(objects: ModelObjects) -> dict[str, System]:
     """Return the outdoor air controller of each air loop that has an economizer, by the loop's name."""
     model = SystemObjects(objects)
     controllers = {}
@@ -189,7 +189,7 @@ def economizers(objects: Objects) -> dict[str, System]:
     return controllers
 
 
-def zone_equipment(objects: Objects) -> dict[str, list[System]]:
+def zone_equipment(objects: ModelObjects) -> dict[str, list[System]]:
     """Return the equipment of each zone, terminal units included, by the zone's name."""
     equipment: dict[str, list[System]] = defaultdict(list)
     for zone, system in SystemObjects(objects).zone_equipment():

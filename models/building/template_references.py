@@ -7,8 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from zenostat.models.building.references import DanglingReference, dangling_references
-
-Objects = Mapping[str, Mapping[str, Any]]
+from zenostat.models.input_format.source_model import ModelObjects
 
 _PREFIX = "hvactemplate:"
 
@@ -25,12 +24,12 @@ def is_template(kind: str) -> bool:
     return kind.casefold().startswith(_PREFIX)
 
 
-def templates_of(objects: Objects) -> dict[str, Mapping[str, Any]]:
+def templates_of(objects: ModelObjects) -> dict[str, Mapping[str, Any]]:
     """Return the HVACTemplate objects of a model."""
     return {kind: items for kind, items in objects.items() if is_template(kind) and items}
 
 
-def traced_references(objects: Objects, unexpanded: Objects) -> Iterator[TracedReference]:
+def traced_references(objects: ModelObjects, unexpanded: ModelObjects) -> Iterator[TracedReference]:
     """Yield the dangling references of a model, those of templates in place of what follows from them.
 
     ExpandObjects copies a name, or makes others from it: `all` becomes `all Dual SP Control`. A template's reference
@@ -52,7 +51,7 @@ def traced_references(objects: Objects, unexpanded: Objects) -> Iterator[TracedR
 
 
 def _following(
-    reference: DanglingReference, others: Iterable[DanglingReference], unexpanded: Objects
+    reference: DanglingReference, others: Iterable[DanglingReference], unexpanded: ModelObjects
 ) -> Iterator[DanglingReference]:
     """Yield the references of expanded objects whose names are made of a template's."""
     pattern = re.compile(rf"(?<!\w){re.escape(reference.value)}(?!\w)", re.IGNORECASE)

@@ -23,7 +23,7 @@ from zenostat.models.input_format.idd import dictionary
 from zenostat.models.input_format.idf_reader import read_idf
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
-from zenostat.models.input_format.source_model import Objects, SourceModel
+from zenostat.models.input_format.source_model import ObjectsOfType, SourceModel
 from zenostat.topics.errors import InvalidConfig, ModelError, list_errors
 
 _FORMAT = "2"
@@ -34,7 +34,7 @@ _NOT_PASSED = ("energymanagementsystem:", "output", "meter:", "pythonplugin:")
 _MESSAGE = "Output:PreprocessorMessage"
 
 
-def expand(objects: Objects, *, file: str) -> tuple[Objects, tuple[str, ...]]:
+def expand(objects: dict[str, ObjectsOfType], *, file: str) -> tuple[dict[str, ObjectsOfType], tuple[str, ...]]:
     """Return the model with its templates expanded, and notes: the numbers of objects, and ExpandObjects's warnings.
 
     The result is cached by content. Objects that are not templates are unchanged.
@@ -121,7 +121,7 @@ def _messages(expanded: SourceModel) -> Iterator[tuple[str, str]]:
             yield severity.casefold(), " ".join(lines)
 
 
-def _added(expanded: Objects, passed: Mapping[str, Mapping[str, Any]]) -> Objects:
+def _added(expanded: dict[str, ObjectsOfType], passed: Mapping[str, Mapping[str, Any]]) -> dict[str, ObjectsOfType]:
     """Return the objects that ExpandObjects added; it copies those of the model first, in their order."""
     added = {}
     for kind, items in expanded.items():

@@ -17,9 +17,8 @@ from typing import Any, NamedTuple
 from zenostat.models.building import schema
 from zenostat.models.building.compact_schedules import compact_values
 from zenostat.models.building.edits import Edits
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.topics.errors import InvalidConfig, did_you_mean
-
-Objects = Mapping[str, Mapping[str, Mapping[str, Any]]]
 
 OPERATIONS: dict[str, Callable[[float, float], float]] = {
     "multiply": operator.mul,
@@ -239,7 +238,7 @@ class Place(NamedTuple):
     number: float
 
 
-def places(objects: Objects, parameter: ModelParameter) -> list[tuple[FieldEdit, Place]]:
+def places(objects: ModelObjects, parameter: ModelParameter) -> list[tuple[FieldEdit, Place]]:
     """Return the numbers that a parameter changes, each with its edit.
 
     Raises:
@@ -257,14 +256,14 @@ def places(objects: Objects, parameter: ModelParameter) -> list[tuple[FieldEdit,
     return result
 
 
-def _matching(objects: Objects, edit: FieldEdit) -> Iterator[tuple[str, Mapping[str, Any]]]:
+def _matching(objects: ModelObjects, edit: FieldEdit) -> Iterator[tuple[str, Mapping[str, Any]]]:
     pattern = edit.objects.casefold().replace("[", "[[]")  # only * and ? are wildcards
     for name, fields in objects.get(edit.type, {}).items():
         if fnmatchcase(name.casefold(), pattern):
             yield name, fields
 
 
-def _places(objects: Objects, edit: FieldEdit) -> Iterator[Place]:
+def _places(objects: ModelObjects, edit: FieldEdit) -> Iterator[Place]:
     for name, fields in _matching(objects, edit):
         if not edit.fields:
             yield from _schedule_places(edit.type, name, fields)
@@ -276,7 +275,7 @@ def _places(objects: Objects, edit: FieldEdit) -> Iterator[Place]:
                 yield Place(edit.type, name, field, float(value))
 
 
-def _places_of_schedule(objects: Objects, name: str, visited: set[str]) -> Iterator[Place]:
+def _places_of_schedule(objects: ModelObjects, name: str, visited: set[str]) -> Iterator[Place]:
     """Yield the values of a schedule; of those of years and weeks, the values of their days."""
     if name.casefold() in visited:
         return
@@ -323,7 +322,7 @@ def _schedule_places(kind: str, name: str, fields: Mapping[str, Any]) -> Iterato
                 yield Place(kind, name, field, float(value))
 
 
-def _nothing_to_edit(objects: Objects, edit: FieldEdit) -> str:
+def _nothing_to_edit(objects: ModelObjects, edit: FieldEdit) -> str:
     """Return why an edit changes nothing, and what would be right."""
     kinds = [kind for kind in objects if objects[kind]]
     if not objects.get(edit.type):
@@ -336,7 +335,7 @@ def _nothing_to_edit(objects: Objects, edit: FieldEdit) -> str:
     return f"{edit.type} {names[0]!r} has no number as {fields} (what EnergyPlus sizes cannot be edited)"
 
 
-def edits_of(objects: Objects, parameter: ModelParameter, value: float) -> Edits:
+def edits_of(objects: ModelObjects, parameter: ModelParameter, value: float) -> Edits:
     """Return the edits of a model, as of a scenario, for a value of a parameter; see `apply_edits`."""
     changed: dict[tuple[str, str], dict[str, Any]] = {}
     for edit, place in places(objects, parameter):

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 from zenostat.models.input_format.layout import Layout, Rules, TypeLayout
 from zenostat.models.input_format.shifted_fields import shift_hint
 from zenostat.models.input_format.source_model import (
-    Objects,
+    ObjectsOfType,
     ShiftHint,
     SourceField,
     SourceModel,
@@ -124,7 +124,7 @@ class _Reader:
     def __init__(self, layout: Layout, lines: Sequence[str]) -> None:
         self.entries: list[SourceObject] = []
         self.known: list[SourceObject] = []
-        self.objects: Objects = {}
+        self.objects: dict[str, ObjectsOfType] = {}
         self.issues: list[SyntaxIssue] = []
         self._sources: dict[tuple[str, str], tuple[TypeLayout, list[_Value]]] = {}
         self._layout = layout

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
-Objects = dict[str, dict[str, dict[str, Any]]]
-"""epJSON: object type, object name, fields."""
+ObjectsOfType = dict[str, dict[str, Any]]
+"""Objects of one type by name, each with its fields."""
+ModelObjects = Mapping[str, ObjectsOfType]
+"""Objects of a model by type, as in epJSON."""
 
 
 class SourceField(NamedTuple):
@@ -74,7 +76,7 @@ class SourceModel:
     """
 
     entries: tuple[SourceObject, ...] = ()
-    objects: Objects = field(default_factory=dict)
+    objects: dict[str, ObjectsOfType] = field(default_factory=dict)
     issues: tuple[SyntaxIssue, ...] = ()
     hint: Callable[[str, str], ShiftHint | None] = field(default=_no_hint, compare=False)
 

@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 
 from zenostat.models import energyplus
 from zenostat.models.building.diagnostics import cached_diagnostics, describe
-from zenostat.models.building.model import Building, Objects, check_runnable, for_episode, write
+from zenostat.models.building.model import Building, check_runnable, for_episode, write
 from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.building.source_lines import locator
 from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.models.scenario.run_period import Period
 from zenostat.models.weather import design_days
 from zenostat.models.weather.header import Header, read_header
@@ -25,8 +26,6 @@ from zenostat.topics.calendar import LEAP_YEAR
 from zenostat.topics.energyplus_names import HVAC_METERS
 from zenostat.topics.errors import ModelError
 from zenostat.topics.units import unit_name
-
-Kinds = Mapping[str, Objects]
 
 _FORMAT = "3"
 
@@ -188,7 +187,7 @@ _SURFACE = re.compile(r"(\w+_)?surface_name")
 _NODE = re.compile(r"\w*node\w*_name")
 
 
-def locations(objects: Kinds) -> dict[str, str]:
+def locations(objects: ModelObjects) -> dict[str, str]:
     """Return the zone or loop of each object and node, whose names are in upper case, as in EnergyPlus's lists.
 
     The references between objects are followed, in this order of precedence: the zone that an object names as its
@@ -215,7 +214,7 @@ def locations(objects: Kinds) -> dict[str, str]:
 _LOOPS = ("AirLoopHVAC", "PlantLoop", "CondenserLoop")
 
 
-def _tiers(objects: Kinds, zones: Mapping[str, Sequence[str]]) -> list[dict[str, list[str]]]:
+def _tiers(objects: ModelObjects, zones: Mapping[str, Sequence[str]]) -> list[dict[str, list[str]]]:
     """Return the objects directly in each place, by rank: zone, air loop, supply side, demand side, other zones."""
     own: dict[str, list[str]] = defaultdict(list)
     named: dict[str, list[str]] = defaultdict(list)
@@ -284,7 +283,7 @@ def _unshared(
     return {name: next(iter(places)) for name, places in reached_from.items() if len(places) == 1}
 
 
-def _add_neighbors(objects: Kinds, location: dict[str, str]) -> None:
+def _add_neighbors(objects: ModelObjects, location: dict[str, str]) -> None:
     """Add to `location` the objects without a place whose surfaces or nodes are all in one place."""
     for _ in range(2):  # a window's blind follows the window, which follows the wall
         for items in objects.values():
@@ -295,7 +294,7 @@ def _add_neighbors(objects: Kinds, location: dict[str, str]) -> None:
                     location[name.upper()] = places.pop()
 
 
-def zone_names(objects: Kinds) -> dict[str, tuple[str, ...]]:
+def zone_names(objects: ModelObjects) -> dict[str, tuple[str, ...]]:
     """Return the zones that each zone, space, zone list and space list contains; their names are in upper case."""
     zones = {zone.upper(): (zone,) for zone in objects.get("Zone", {})}
     zones_of: dict[str, tuple[str, ...]] = dict(zones)

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from zenostat.models import energyplus
 from zenostat.models.building.conflicts import ProgramOverrides, thermostat_setpoints, thermostats
-from zenostat.models.building.model import Building, Objects, for_episode, write
+from zenostat.models.building.model import Building, for_episode, write
 from zenostat.models.building.source_lines import locator
 from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.input_format.source_model import ObjectsOfType
 from zenostat.models.points.selection import Points
 from zenostat.models.scenario.run_period import Period
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, SCHEDULE_VALUE, THERMOSTAT
@@ -86,7 +87,7 @@ def schedule_values(building: Building, period: Period, weather: Path, names: li
     return np.frombuffer(cached_bytes(f"schedules/{key}.f64", make), np.float64).reshape(period.steps, len(names))
 
 
-def _schedules_alone(objects: dict[str, Objects]) -> dict[str, Objects]:
+def _schedules_alone(objects: dict[str, ObjectsOfType]) -> dict[str, ObjectsOfType]:
     kept = {
         kind: items
         for kind, items in objects.items()

@@ -11,7 +11,7 @@ from typing import NamedTuple
 from zenostat.models.building import systems
 from zenostat.models.building.summary import conditioned_zones, zone_areas
 from zenostat.models.building.systems import System
-from zenostat.models.points.discovery import Kinds
+from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.models.semantic.brick_classes import EQUIPMENT, LOOP_OF_TYPE, PUMP_OF_LOOP
 
 _TRANSPARENT = ("AirLoopHVAC:OutdoorAirSystem", "CoilSystem:", "ZoneHVAC:AirDistributionUnit", "OutdoorAir:Mixer")
@@ -80,7 +80,7 @@ class Structure:
                 yield key
 
 
-def read_structure(name: str, objects: Kinds) -> Structure:
+def read_structure(name: str, objects: ModelObjects) -> Structure:
     """Return the zones, spaces, air loops, plant loops and zone equipment of a model.
 
     Each air loop is a `brick:AHU` with its components as parts, and a `brick:Air_Loop`, which includes it and its
@@ -112,7 +112,7 @@ def equipment_class(kind: str) -> str:
     return EQUIPMENT[max(matching, key=len)] if matching else "HVAC_Equipment"
 
 
-def _add_zones(structure: Structure, objects: Kinds) -> None:
+def _add_zones(structure: Structure, objects: ModelObjects) -> None:
     conditioned, areas = conditioned_zones(objects), _areas(objects)
     zones: dict[str, Key] = {}
     for name in objects.get("Zone", {}):
@@ -126,7 +126,7 @@ def _add_zones(structure: Structure, objects: Kinds) -> None:
             structure.link(place, Relation.HAS_PART, structure.add("Space", name, "Space"))
 
 
-def _areas(objects: Kinds) -> Mapping[str, float]:
+def _areas(objects: ModelObjects) -> Mapping[str, float]:
     """Return each zone's floor area in m2; none at all if a surface lacks what EnergyPlus needs of it as well."""
     try:
         return zone_areas(objects)
@@ -182,7 +182,7 @@ def _add_zone_equipment(structure: Structure, zone: Key, system: System) -> Key:
     return added
 
 
-def _add_plant_loop(structure: Structure, objects: Kinds, loop: System) -> None:
+def _add_plant_loop(structure: Structure, objects: ModelObjects, loop: System) -> None:
     sides = {side.name: [each for part in side.parts for each in _opened(part)] for side in loop.parts}
     brick_class = _loop_class(objects, loop, sides)
     water_loop = structure.add(loop.kind, loop.name, brick_class)
@@ -200,7 +200,7 @@ def _add_plant_loop(structure: Structure, objects: Kinds, loop: System) -> None:
             structure.link(source, Relation.FEEDS, served)
 
 
-def _loop_class(objects: Kinds, loop: System, sides: Mapping[str, list[System]]) -> str:
+def _loop_class(objects: ModelObjects, loop: System, sides: Mapping[str, list[System]]) -> str:
     """Return the class of a plant loop: by its sizing object, or else by what supplies it."""
     kinds = [each.kind for each in sides.get("supply", ())]
     if loop.kind == "CondenserLoop":

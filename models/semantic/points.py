@@ -8,7 +8,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from zenostat.models.building.conflicts import thermostat_setpoints
-from zenostat.models.points.discovery import Kinds, locations, texts
+from zenostat.models.input_format.source_model import ModelObjects
+from zenostat.models.points.discovery import locations, texts
 from zenostat.models.semantic.brick_classes import (
     LEAVING_SETPOINT,
     METERS,
@@ -81,7 +82,7 @@ class _Node(NamedTuple):
     place: str
 
 
-def semantic_points(objects: Kinds, structure: Structure, points: Points) -> list[SemanticPoint]:
+def semantic_points(objects: ModelObjects, structure: Structure, points: Points) -> list[SemanticPoint]:
     """Return the sensors, meters and actuators of a node with their classes and owners, in the manifest's order."""
     owners = _Owners(objects, structure)
     return [
@@ -94,7 +95,7 @@ def semantic_points(objects: Kinds, structure: Structure, points: Points) -> lis
 class _Owners:
     """Lookup of the entities that the keys of points name; names are case-folded."""
 
-    def __init__(self, objects: Kinds, structure: Structure) -> None:
+    def __init__(self, objects: ModelObjects, structure: Structure) -> None:
         self._objects, self._structure = objects, structure
         self._zones = {key.name.casefold(): key for key in structure.classes if key.kind == "Zone"}
         named: dict[str, list[Key]] = defaultdict(list)
@@ -195,7 +196,7 @@ class _ScheduleUse(NamedTuple):
     node: str
 
 
-def _schedule_uses(objects: Kinds) -> dict[str, list[_ScheduleUse]]:
+def _schedule_uses(objects: ModelObjects) -> dict[str, list[_ScheduleUse]]:
     """Return the uses of schedules by case-folded name, except those by other schedules and by outputs."""
     uses: dict[str, list[_ScheduleUse]] = defaultdict(list)
     for kind, items in objects.items():
@@ -216,7 +217,7 @@ def _managed_node(kind: str, fields: Mapping[str, Any]) -> str:
     return str(fields.get("setpoint_node_or_nodelist_name", "")).casefold()
 
 
-def _loop_nodes(objects: Kinds) -> Iterator[tuple[str, _Node]]:
+def _loop_nodes(objects: ModelObjects) -> Iterator[tuple[str, _Node]]:
     """Yield the ends of the loops' supply sides by the case-folded names of their nodes; of node lists, all members."""
     lists = {
         name.casefold(): [str(entry.get("node_name", "")).casefold() for entry in fields.get("nodes", ())]

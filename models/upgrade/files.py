@@ -15,7 +15,7 @@ from zenostat.models.catalog import MODEL_SUFFIXES
 from zenostat.models.input_format.encoding import check_encoding, decode_idf
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
-from zenostat.models.input_format.source_model import Objects
+from zenostat.models.input_format.source_model import ObjectsOfType
 from zenostat.models.upgrade.programs import run_programs
 from zenostat.models.upgrade.step import Change
 from zenostat.models.upgrade.upgrade import UpgradedModel, upgrade_epjson, upgrade_idf
@@ -88,7 +88,7 @@ def _with_programs(path: Path, programs: Path) -> UpgradedModel:
     return replace(upgraded, before=result.versions[0], changes=(*own, *upgraded.changes))
 
 
-def write_model(objects: Objects, path: Path) -> None:
+def write_model(objects: dict[str, ObjectsOfType], path: Path) -> None:
     """Write a model of the engine's version as an IDF or an epJSON, by the suffix; a present file is replaced.
 
     Raises:

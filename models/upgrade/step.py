@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from zenostat.models.input_format.source_model import Objects
+from zenostat.models.input_format.source_model import ObjectsOfType
 
 Renames = tuple[tuple[str, str], ...]
 """Patterns of whole field names, and their replacements."""
@@ -55,7 +55,7 @@ class UpgradingModel:
     """
 
     def __init__(self, objects: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> None:
-        self.objects: Objects = {
+        self.objects: dict[str, ObjectsOfType] = {
             kind: {name: dict(fields) for name, fields in items.items()} for kind, items in objects.items()
         }
         self.changes: list[Change] = []

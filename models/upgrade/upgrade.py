@@ -14,7 +14,7 @@ from typing import Any
 from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.input_format.idf_reader import idf_version, read_idf, version_line
-from zenostat.models.input_format.source_model import Objects, SourceModel
+from zenostat.models.input_format.source_model import ObjectsOfType, SourceModel
 from zenostat.models.upgrade.apply import apply
 from zenostat.models.upgrade.step import Change, Refusal, UpgradingModel
 from zenostat.models.upgrade.versions import layout_of, short, steps_between
@@ -31,7 +31,7 @@ class UpgradedModel:
         changes: what was changed, in order.
     """
 
-    objects: Objects
+    objects: dict[str, ObjectsOfType]
     before: str
     after: str
     changes: tuple[Change, ...] = ()

@@ -15,9 +15,9 @@ from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
-from zenostat.models.building.model import Objects
 from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.cache import cached_bytes, digest
+from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
 from zenostat.models.weather.header import DesignConditions, Header
 from zenostat.topics.errors import InvalidConfig, ModelError
 
@@ -36,8 +36,8 @@ class Site:
         source: description of their origin, for users.
     """
 
-    location: Objects
-    design_days: Objects = field(default_factory=dict)
+    location: ObjectsOfType
+    design_days: ObjectsOfType = field(default_factory=dict)
     source: str = ""
 
 
@@ -65,7 +65,7 @@ def site(epw: Path, header: Header) -> Site:
     return Site(location, from_header(header, header.design), f"design days from the header of {epw.name}{note}")
 
 
-def apply(objects: Mapping[str, Objects], site: Site) -> dict[str, Objects]:
+def apply(objects: ModelObjects, site: Site) -> dict[str, ObjectsOfType]:
     """Return `objects` with the site's location and design days; everything else is unchanged.
 
     The model keeps its design days if the site has none. A model without design days gets none if it has nothing to
@@ -110,7 +110,7 @@ def ddy_of(epw: Path) -> Path | None:
     return next(in_any_case, None)
 
 
-def _read_ddy(path: Path) -> dict[str, Objects]:
+def _read_ddy(path: Path) -> dict[str, ObjectsOfType]:
     """Return the objects of a DDY file, which is an IDF without a version."""
     raw = path.read_bytes()
     try:
@@ -131,7 +131,7 @@ def _read_ddy(path: Path) -> dict[str, Objects]:
         raise InvalidConfig(f"{path} cannot be read as design days: {error}") from None
 
 
-def _location(header: Header) -> Objects:
+def _location(header: Header) -> ObjectsOfType:
     place = {
         "latitude": header.latitude_deg,
         "longitude": header.longitude_deg,
@@ -150,7 +150,7 @@ def standard_pressure(elevation_m: float) -> float:
     return float(101_325.0 * (1.0 - 2.25577e-5 * elevation_m) ** 5.2559)
 
 
-def from_header(header: Header, design: DesignConditions) -> Objects:
+def from_header(header: Header, design: DesignConditions) -> ObjectsOfType:
     """Return a winter and a summer design day, as in a DDY file.
 
     Winter: the dry bulb all day, saturated air, no sun. Summer: the dry bulb at the hottest hour with its mean wet

@@ -9,13 +9,14 @@ from support.geometry_models import DENVER, EVERY_FORM, box, model, rules, surfa
 
 from zenostat.models import catalog
 from zenostat.models.building.geometry import building_geometry
-from zenostat.models.building.model import Building, Objects, read_building
+from zenostat.models.building.model import Building, read_building
 from zenostat.models.building.summary import building_summary, zone_areas
+from zenostat.models.input_format.source_model import ObjectsOfType
 from zenostat.topics import codec
 from zenostat.topics.messages import Geometry, SurfaceKind
 from zenostat.views.display.surfaces import Surface, area, surfaces, triangulate
 
-NEED: dict[str, Objects] = {"Building": {"b": {}}, "Zone": {"A": {}}}
+NEED: dict[str, ObjectsOfType] = {"Building": {"b": {}}, "Zone": {"A": {}}}
 
 
 def decoded(building: Building) -> tuple[Geometry, list[Surface]]:
@@ -117,7 +118,7 @@ def zones_of(
     *levels: tuple[str, float, float], people: tuple[str, ...] = (), hvac: tuple[str, ...] = ()
 ) -> tuple[tuple[float, ...], dict[str, int]]:
     """Storeys of boxes with a name, the height of the floor and of the room."""
-    walls: Objects = {}
+    walls: ObjectsOfType = {}
     for name, z, height in levels:
         walls |= box(name, 0, 0, z, (8, 6, height))
     geometry, _ = decoded(
@@ -227,7 +228,7 @@ def test_geometry__window_without_its_wall_is_left_out_and_named() -> None:
 
 
 @pytest.mark.parametrize("objects", [{}, {"BuildingSurface:Detailed": {"line": BROKEN["line"][0]}}])
-def test_geometry__model_without_a_usable_surface_has_no_geometry(objects: dict[str, Objects]) -> None:
+def test_geometry__model_without_a_usable_surface_has_no_geometry(objects: dict[str, ObjectsOfType]) -> None:
     geometry, note = building_geometry(model(**NEED, **objects), DENVER)
     assert geometry is None
     assert note.startswith("model has no surface that can be drawn")

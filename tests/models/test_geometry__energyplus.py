@@ -1,6 +1,5 @@
 """Surfaces against EnergyPlus's own EIO file: every form of surface in every coordinate system, and whole buildings."""
 
-from collections.abc import Mapping
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -11,8 +10,9 @@ from support.geometry_models import DENVER, EVERY_FORM, rules
 
 from zenostat.models import catalog
 from zenostat.models.building.geometry import building_geometry
-from zenostat.models.building.model import Building, Objects, read_building
+from zenostat.models.building.model import Building, read_building
 from zenostat.models.building.polygons import PolygonReader
+from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
 from zenostat.topics.messages import SurfaceKind
 from zenostat.views.display.surfaces import Surface, sun_direction, surfaces
 
@@ -22,7 +22,7 @@ _PRINTED_M = 0.0051
 _APPENDIX_G = {"Compliance:Building": {"c": {"building_rotation_for_appendix_g": 33}}}
 
 # Counter-clockwise from the upper left in relative coordinates stands first; the others are read from the same numbers.
-SYSTEMS: dict[str, dict[str, Objects]] = {
+SYSTEMS: dict[str, dict[str, ObjectsOfType]] = {
     "relative": rules(),
     "clockwise from the lower left": rules(
         vertex_entry_direction="Clockwise", starting_vertex_position="LowerLeftCorner"
@@ -40,7 +40,7 @@ SYSTEMS: dict[str, dict[str, Objects]] = {
 }
 
 
-def named_surfaces(objects: Mapping[str, Objects]) -> dict[str, Surface]:
+def named_surfaces(objects: ModelObjects) -> dict[str, Surface]:
     """The surfaces of a geometry by the names that EnergyPlus gives them."""
     building = Building("model", dict(objects), "digest")
     geometry, note = building_geometry(building, DENVER)
@@ -59,7 +59,7 @@ def named_surfaces(objects: Mapping[str, Objects]) -> dict[str, Surface]:
     return named
 
 
-def check(objects: Mapping[str, Objects], folder: Path, extra: Mapping[str, Objects] | None = None) -> int:
+def check(objects: ModelObjects, folder: Path, extra: ModelObjects | None = None) -> int:
     """Compare all surfaces of a model; return their number."""
     own, expected = named_surfaces(objects), eio.surfaces(eio.simulate(objects, folder, extra))
     assert {surface.name for surface in expected} == own.keys()

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from support.energyplus_alone import run_energyplus
-from zenostat.models.building.model import Objects
 from zenostat.models.catalog import bundled_weathers
+from zenostat.models.input_format.source_model import ObjectsOfType
 
 _WALLS = {
     "Roof": ("Roof", ((0, 5, 3), (0, 0, 3), (5, 0, 3), (5, 5, 3))),
@@ -34,7 +34,7 @@ def _surface(kind: str, corners: tuple[tuple[int, int, int], ...], boundary: str
     }
 
 
-def box_model(schedule: str = "Always") -> dict[str, Objects]:
+def box_model(schedule: str = "Always") -> dict[str, ObjectsOfType]:
     """Return the objects of a box of 25 m2 with lights, without HVAC, for a day; the lights follow `schedule`."""
     surfaces = {name: _surface(kind, corners, "Outdoors") for name, (kind, corners) in _WALLS.items()}
     return {
@@ -80,7 +80,7 @@ def box_model(schedule: str = "Always") -> dict[str, Objects]:
     }
 
 
-def exit_code(objects: dict[str, Objects], folder: Path) -> int:
+def exit_code(objects: dict[str, ObjectsOfType], folder: Path) -> int:
     """Return the exit code of EnergyPlus for a model."""
     folder.mkdir()
     path = folder / "in.epJSON"

@@ -4,7 +4,6 @@
 """
 
 import json
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from support.energyplus_alone import run_energyplus
-from zenostat.models.building.model import Objects
 from zenostat.models.catalog import find_weather
+from zenostat.models.input_format.source_model import ModelObjects
 
 WEATHER = find_weather("USA_CO_Denver").path
 
@@ -36,7 +35,7 @@ class EioSurface:
     corners: NDArray[np.float64]
 
 
-def simulate(objects: Mapping[str, Objects], folder: Path, extra: Mapping[str, Objects] | None = None) -> Path:
+def simulate(objects: ModelObjects, folder: Path, extra: ModelObjects | None = None) -> Path:
     """Run the geometry of a model with some more objects; return the folder of EnergyPlus's files."""
     kept = {kind: items for kind, items in objects.items() if kind.startswith(_GEOMETRY) or kind == "Zone"}
     kept |= {

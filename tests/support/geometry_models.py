@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from zenostat.models.building.model import Building, Objects
+from zenostat.models.building.model import Building
+from zenostat.models.input_format.source_model import ObjectsOfType
 from zenostat.models.weather.header import Header
 
 DENVER = Header("Denver", 39.72, -104.75, -7.0, 1726.0, (1, 1), (12, 31))
@@ -18,7 +19,7 @@ def model(**kinds: dict[str, dict[str, Any]]) -> Building:
     return Building("model", rules() | kinds, "digest")
 
 
-def rules(**fields: str) -> dict[str, Objects]:
+def rules(**fields: str) -> dict[str, ObjectsOfType]:
     """The rules of geometry, with these fields in place of the usual ones."""
     usual = {
         "starting_vertex_position": "UpperLeftCorner",
@@ -50,7 +51,7 @@ def box(
     *,
     below: str = "Ground",
     above: str = "Outdoors",
-) -> Objects:
+) -> ObjectsOfType:
     """The six surfaces of a zone; `below` and `above` are the boundary conditions of its floor and its ceiling."""
     a, b, c = x + size[0], y + size[1], z + size[2]
     return {
@@ -65,7 +66,7 @@ def box(
     }
 
 
-CONSTRUCTIONS: dict[str, Objects] = {
+CONSTRUCTIONS: dict[str, ObjectsOfType] = {
     "Version": {"v": {"version_identifier": "25.2"}},
     "Material": {
         "brick": {"roughness": "Rough", "thickness": 0.1, "conductivity": 1, "density": 1000, "specific_heat": 1000}
@@ -109,7 +110,7 @@ _FIN = {
 }
 _QUADRANGLE = ((1.0, 1.0, 3.0), (5.0, 2.0, 3.0), (4.0, 6.0, 3.0), (0.0, 5.0, 3.0))
 
-EVERY_FORM: dict[str, Objects] = {
+EVERY_FORM: dict[str, ObjectsOfType] = {
     **CONSTRUCTIONS,
     "Building": {"b": {"north_axis": 25.0}},
     "Zone": {
