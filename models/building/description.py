@@ -12,12 +12,12 @@ from zenostat.models.building import schema, systems
 from zenostat.models.building.conflicts import ProgramOverrides, thermostat_setpoints
 from zenostat.models.building.diagnostics import Diagnostic, Severity, cached_diagnostics
 from zenostat.models.building.geometry import BuildingGeometry, building_geometry
+from zenostat.models.building.locations import texts
 from zenostat.models.building.model import Building
 from zenostat.models.building.run_needs import assumptions
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.building.summary import BuildingSummary, building_summary, zone_areas, zone_multipliers
 from zenostat.models.input_format.source_model import ModelObjects
-from zenostat.models.points.discovery import texts
 from zenostat.models.weather.header import Header
 from zenostat.topics.energyplus_names import SCHEDULE_VALUE, THERMOSTAT
 

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
+from zenostat.models.building.locations import zones_of
 from zenostat.models.building.schedule_limits import schedule_values, schedules
 from zenostat.models.input_format.source_model import ModelObjects
 from zenostat.topics.calendar import format_month_day, is_month_day
@@ -63,7 +64,7 @@ def _run_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
 
 
 def _zone_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
-    with_surfaces = _zones_of(objects, _SURFACES)
+    with_surfaces = zones_of(objects, _SURFACES)
     for name in objects.get("Zone", {}):
         if name.casefold() not in with_surfaces:
             yield finding(
@@ -74,7 +75,7 @@ def _zone_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
             "Zone", "", "", "the model has no Zone object, so there is nothing to simulate", is_fatal=False
         )
     zones = {name.casefold() for name in objects.get("Zone", {})}
-    controlled = _zones_of(objects, ("ZoneControl:Thermostat",))
+    controlled = zones_of(objects, ("ZoneControl:Thermostat",))
     for name, fields in objects.get("ZoneHVAC:EquipmentConnections", {}).items():
         zone = str(fields.get("zone_name", ""))
         if zone.casefold() in zones - controlled and fields.get("zone_air_inlet_node_or_nodelist_name"):
@@ -86,26 +87,6 @@ def _zone_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
         if name.casefold() not in used and not objects.get("SpaceHVAC:EquipmentConnections"):
             text = ": no ZoneHVAC:EquipmentConnections names this list; each list needs a zone"
             yield finding("ZoneHVAC:EquipmentList", name, FieldFinding("", text))
-
-
-def _zones_of(objects: ModelObjects, types: tuple[str, ...]) -> set[str]:
-    """Return the zones, case-folded, that objects of some types name, also by lists and spaces."""
-    named = {
-        str(value).casefold()
-        for kind, items in objects.items()
-        if kind in types or kind.startswith(tuple(f"{each}:" for each in types))
-        for fields in items.values()
-        for field, value in fields.items()
-        if field.startswith(("zone_name", "zone_or_zonelist"))
-    }
-    spaces = {name.casefold(): str(f.get("zone_name", "")).casefold() for name, f in objects.get("Space", {}).items()}
-    for name, fields in objects.get("SpaceList", {}).items():
-        if name.casefold() in named:
-            named |= {str(entry.get("space_name", "")).casefold() for entry in fields.get("spaces", ())}
-    for name, fields in objects.get("ZoneList", {}).items():
-        if name.casefold() in named:
-            named |= {str(entry.get("zone_name", "")).casefold() for entry in fields.get("zones", ())}
-    return named | {zone for space, zone in spaces.items() if space in named}
 
 
 def _setpoint_findings(objects: ModelObjects) -> Iterator[RuleFinding]:

@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.models import energyplus
+from zenostat.models.building.locations import locations, texts, zones_of
 from zenostat.models.building.model import Building, read_building
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
 from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
-from zenostat.models.points.discovery import locations, own_zones, texts, zone_names
 
 _FORMAT = "1"  # raise it when the summary of the same file changes
 
@@ -161,24 +161,12 @@ def _area(fields: Mapping[str, Any]) -> float:
 
 def conditioned_zones(objects: ModelObjects) -> set[str]:
     """Return the case-folded names of the zones with HVAC equipment or a thermostat."""
-    return _zones_of(objects, ("ZoneHVAC:EquipmentConnections", "ZoneControl:Thermostat", "HVACTemplate:Zone:"))
+    return zones_of(objects, ("ZoneHVAC:EquipmentConnections", "ZoneControl:Thermostat", "HVACTemplate:Zone:"))
 
 
 def used_zones(objects: ModelObjects) -> set[str]:
     """Return the case-folded names of the zones with HVAC, people, lights or equipment; not plena and attics."""
-    return conditioned_zones(objects) | _zones_of(objects, ("People", "Lights", "ElectricEquipment", "GasEquipment"))
-
-
-def _zones_of(objects: ModelObjects, kinds: tuple[str, ...]) -> set[str]:
-    """Return the case-folded names of the zones of all objects whose type starts with one of `kinds`."""
-    zones = zone_names(objects)
-    return {
-        zone.casefold()
-        for kind, items in objects.items()
-        if kind.startswith(kinds)
-        for fields in items.values()
-        for zone in own_zones(fields, zones)
-    }
+    return conditioned_zones(objects) | zones_of(objects, ("People", "Lights", "ElectricEquipment", "GasEquipment"))
 
 
 # HVAC and fuels in words

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from zenostat.models.building.locations import locations
 from zenostat.models.building.model import Building
-from zenostat.models.points.discovery import PointCatalog, locations
+from zenostat.models.points.discovery import PointCatalog
 from zenostat.models.points.selection import Points, actuator_bounds, meter_low, sensor_bounds
 
 

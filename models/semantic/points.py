@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 from zenostat.models.building.conflicts import thermostat_setpoints
+from zenostat.models.building.locations import locations, texts
 from zenostat.models.input_format.source_model import ModelObjects
-from zenostat.models.points.discovery import locations, texts
 from zenostat.models.semantic.brick_classes import (
     LEAVING_SETPOINT,
     METERS,

@@ -11,9 +11,10 @@ from support.energyplus_alone import run_energyplus
 
 from zenostat.models import catalog
 from zenostat.models.building import summary
+from zenostat.models.building.locations import locations
 from zenostat.models.building.model import Building, for_episode, read_building, write
 from zenostat.models.building.summary import BuildingSummary, building_summary, listed_summaries, zone_areas
-from zenostat.models.points.discovery import discover, locations
+from zenostat.models.points.discovery import discover
 from zenostat.models.scenario.run_period import Period
 
 # Multipliers of zones and of a list of zones, plenums, attics, no heating in some zones, condenser loops.
