@@ -14,6 +14,7 @@ from zenostat.models.building.schedule_fields import (
     FieldError,
     date_of,
     day_of_year,
+    has_other_days,
     number,
     unknown_day_words,
 )
@@ -31,14 +32,17 @@ def compact_findings(fields: Mapping[str, Any]) -> Iterator[FieldFinding]:
         yield reader.finding(str(error))
 
 
-def compact_values(fields: Mapping[str, Any]) -> list[tuple[str, float]]:
-    """Return the path and the value of each field with a value that EnergyPlus uses; none if it does not accept one."""
+def compact_values(fields: Mapping[str, Any], *, design_days: bool = True) -> list[tuple[str, float]]:
+    """Return the path and the value of each field with a value that EnergyPlus uses; none if it does not accept one.
+
+    Without `design_days`, values that are those of design days alone are left out.
+    """
     reader = _Reader(fields)
     try:
         list(reader.read())
     except FieldError:
         return []
-    return reader.values
+    return [(path, value) for days, path, value in reader.values if design_days or has_other_days(days)]
 
 
 def _text(value: Any) -> str:
@@ -46,13 +50,13 @@ def _text(value: Any) -> str:
 
 
 class _Reader:
-    """The fields of one schedule, the position of the one that is read, and path and number of the values so far."""
+    """The fields of one schedule, the position of the one that is read, and the values so far with day types and path."""
 
     def __init__(self, fields: Mapping[str, Any]) -> None:
         entries = [entry.get("field", "") for entry in fields.get("data", ()) if isinstance(entry, Mapping)]
         while entries and not _text(entries[-1]):
             entries.pop()
-        self.values: list[tuple[str, float]] = []
+        self.values: list[tuple[str, str, float]] = []
         self._entries = entries
         self._at = 0
 
@@ -114,6 +118,7 @@ class _Reader:
                 self._at += 1
                 return
             days.add(self._field)
+            self._days = self._field
             yield from (self.finding(f"but {note}", is_fatal=False) for note in unknown_day_words(self._field))
             self._at += 1
             if not self._begins(_UNTIL):
@@ -149,7 +154,7 @@ class _Reader:
             if read is None:
                 raise FieldError("where the value is expected, which is a number")
             if times.last > before:
-                self.values.append((f"data[{self._at}].field", read))
+                self.values.append((self._days, f"data[{self._at}].field", read))
             if not _text(value):
                 yield self.finding("where the value is expected; EnergyPlus uses 0", is_fatal=False)
             self._at += 1

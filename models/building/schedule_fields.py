@@ -41,6 +41,7 @@ _GROUPS: dict[str, tuple[str, ...]] = {
 """Words that EnergyPlus looks for anywhere in a list of day types, in its order, and the day types that each means."""
 
 _REST = "ALLOTHERDAY"
+_DESIGN_DAYS = ("summerdesignday", "winterdesignday", "customday")
 _DAY_WORDS = ("AllDays", "AllOtherDays", "Weekdays", "Weekends", "Holidays", *DAY_TYPES)
 _MONTHS = ("JAN", "FEB", "MAR", "APR", "MAY", "JUN", "JUL", "AUG", "SEP", "OCT", "NOV", "DEC")
 _BEFORE = date(LEAP_YEAR, 1, 1) - timedelta(days=1)
@@ -49,6 +50,12 @@ _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eEdD][+-]?\d+)?")
 
 class FieldError(Exception):
     """A field that EnergyPlus does not accept; the text follows the field's name and value."""
+
+
+def has_other_days(days: str) -> bool:
+    """Return whether a list of day types, such as `For: Weekdays SummerDesignDay`, has others than design days."""
+    words = re.findall(r"\w+", days.strip().casefold().removeprefix("for"))
+    return any(not word.startswith(_DESIGN_DAYS) for word in words)
 
 
 def number(value: Any) -> float | None:

@@ -7,8 +7,10 @@ from typing import Any
 
 from zenostat.models.building.compact_schedules import compact_values
 from zenostat.models.building.findings import FieldFinding, RuleFinding, finding
+from zenostat.models.building.schedule_fields import has_other_days
 from zenostat.models.input_format.source_model import ModelObjects
 
+SCHEDULES = ("Schedule:Constant", "Schedule:Compact", "Schedule:Year")
 _TOLERANCE = 1.2e-7
 """EnergyPlus's own, the resolution of a 32-bit float."""
 
@@ -41,25 +43,31 @@ def limit_findings(objects: ModelObjects) -> Iterator[RuleFinding]:
 
 def schedules(objects: ModelObjects) -> Iterator[tuple[str, str, Mapping[str, Any]]]:
     """Yield type, name and fields of the schedules whose values `schedule_values` knows."""
-    for kind in ("Schedule:Constant", "Schedule:Compact", "Schedule:Year"):
+    for kind in SCHEDULES:
         for name, fields in objects.get(kind, {}).items():
             yield kind, name, fields
 
 
-def schedule_values(objects: ModelObjects, kind: str, fields: Mapping[str, Any]) -> list[tuple[str, float]]:
+def schedule_values(
+    objects: ModelObjects, kind: str, fields: Mapping[str, Any], *, design_days: bool = True
+) -> list[tuple[str, float]]:
     """Return path and value of a schedule's values; without a path, the values of other objects that it refers to."""
     if kind == "Schedule:Constant":
         value = fields.get("hourly_value", 0.0)
         return [("hourly_value", value)] if isinstance(value, (int, float)) else []
     if kind == "Schedule:Compact":
-        return compact_values(fields)
+        return compact_values(fields, design_days=design_days)
     weeks = {str(entry.get("schedule_week_name", "")).casefold() for entry in fields.get("schedule_weeks", ())}
     days = set[str]()
     for week in ("Schedule:Week:Daily", "Schedule:Week:Compact"):
         for name, own in objects.get(week, {}).items():
             if name.casefold() in weeks:
-                parts = [own, *own.get("data", ())]
-                days |= {str(v).casefold() for part in parts for f, v in part.items() if f.endswith("day_name")}
+                days |= {
+                    str(day).casefold()
+                    for part in (own, *own.get("data", ()))
+                    for field, day in part.items()
+                    if field.endswith("day_name") and (design_days or has_other_days(part.get("daytype_list", field)))
+                }
     return [("", value) for value in _day_values(objects, days)]
 
 

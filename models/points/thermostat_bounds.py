@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
-from typing import Any
 
 from zenostat.models.building.model import Building
 from zenostat.models.building.schedule_files import file_values
+from zenostat.models.building.schedule_limits import SCHEDULES, schedule_values
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT
 
 _DEFAULT = {HEATING_SETPOINT: (15.0, 22.5), COOLING_SETPOINT: (22.5, 30.0)}
@@ -25,7 +24,6 @@ _THERMOSTATS = {
     HEATING_SETPOINT: ("DualSetpoint", "SingleHeating", "SingleHeatingOrCooling"),
     COOLING_SETPOINT: ("DualSetpoint", "SingleCooling", "SingleHeatingOrCooling"),
 }
-_DESIGN_DAYS = ("summerdesignday", "winterdesignday", "customday")
 
 
 def setpoint_bounds(building: Building, control_type: str) -> tuple[float, float] | None:
@@ -54,61 +52,8 @@ def _scheduled(building: Building, control_type: str) -> Iterator[float]:
 
 def _values(building: Building, name: str) -> Iterator[float]:
     """Yield the values of a schedule on all days but design days."""
-    for kind in _SCHEDULES:
-        schedule = building.find(kind, name)
-        if not schedule:
-            continue
-        if kind == "Schedule:Compact":
-            yield from _compact_values(schedule)
-        elif kind == "Schedule:Constant":
-            yield float(schedule.get("hourly_value", 0.0))
-        elif kind == "Schedule:File":
-            yield from file_values(schedule)
-        elif kind in _DAYS:
-            yield from (float(value) for value in _numbers(schedule))
-        else:
-            for used in dict.fromkeys(_references(schedule)):
-                yield from _values(building, used)
-
-
-_DAYS = ("Schedule:Day:Hourly", "Schedule:Day:Interval", "Schedule:Day:List")
-_SCHEDULES = (
-    "Schedule:Compact", "Schedule:Constant", "Schedule:File", "Schedule:Year",
-    "Schedule:Week:Daily", "Schedule:Week:Compact", *_DAYS,
-)  # fmt: skip
-
-
-def _compact_values(schedule: dict[str, Any]) -> Iterator[float]:
-    is_counted = True
-    for entry in schedule.get("data", []):
-        field = entry.get("field")
-        if isinstance(field, str) and field.strip().casefold().startswith("for"):
-            is_counted = _has_other_days(field)
-        elif isinstance(field, int | float) and is_counted:
-            yield float(field)
-
-
-def _has_other_days(days: str) -> bool:
-    """Return whether a list of day types, such as `For: Weekdays SummerDesignDay`, has others than design days."""
-    words = re.findall(r"\w+", days.strip().casefold().removeprefix("for"))
-    return any(not word.startswith(_DESIGN_DAYS) for word in words)
-
-
-def _numbers(schedule: dict[str, Any]) -> Iterator[float]:
-    for field, value in schedule.items():
-        if isinstance(value, list):
-            yield from (float(part["value_until_time"]) for part in value if "value_until_time" in part)
-            yield from (float(part["value"]) for part in value if "value" in part)
-        elif field.startswith("hour_") and isinstance(value, int | float):
-            yield float(value)
-
-
-def _references(schedule: dict[str, Any]) -> Iterator[str]:
-    """Yield the names of the week or day schedules that a year or a week uses."""
-    for field, value in schedule.items():
-        if isinstance(value, list):
-            for part in value:
-                if _has_other_days(str(part.get("daytype_list", "AllDays"))):
-                    yield from (str(name) for key, name in part.items() if key.startswith("schedule_"))
-        elif field.endswith("schedule_day_name") and not any(day in field.replace("_", "") for day in _DESIGN_DAYS):
-            yield str(value)
+    for kind in SCHEDULES:
+        if fields := building.find(kind, name):
+            yield from (value for _, value in schedule_values(building.objects, kind, fields, design_days=False))
+    if fields := building.find("Schedule:File", name):
+        yield from file_values(fields)

@@ -19,6 +19,9 @@ def building(heating: dict[str, Any], **objects: dict[str, Any]) -> Building:
     return Building("a.epJSON", {"ThermostatSetpoint:DualSetpoint": {"t": thermostat}, **objects, **heating}, "")
 
 
+YEAR_END = "Through: 12/31"
+
+
 def compact(*fields: str | float) -> dict[str, Any]:
     return {"Schedule:Compact": {"Heat": {"data": [{"field": field} for field in fields]}}}
 
@@ -61,11 +64,12 @@ def week_compact(days: str) -> dict[str, Any]:
 @pytest.mark.parametrize(
     ("schedule", "expected"),
     [
-        (compact("Through: 12/31", "For: AllDays", "Until: 24:00", 7.2), 7.2),
-        (compact("For: Weekdays", "Until: 24:00", 21.0, "For: WinterDesignDay", "Until: 24:00", 8.0), 15.0),
-        (compact("For: Weekdays WinterDesignDay", "Until: 24:00", 9.0), 9.0),
-        (compact("For: AllDays", "Until: 24:00", -60.0), 15.0),  # off
-        (compact("For: AllDays", "Until: 24:00", 21.0), 15.0),
+        (compact(YEAR_END, "For: AllDays", "Until: 24:00", 7.2), 7.2),
+        (compact(YEAR_END, "For: AllDays", "Until: 24:00", "7.2"), 7.2),  # EnergyPlus reads the text
+        (compact(YEAR_END, "For: Weekdays", "Until: 24:00", 21.0, "For: WinterDesignDay", "Until: 24:00", 8.0), 15.0),
+        (compact(YEAR_END, "For: Weekdays WinterDesignDay", "Until: 24:00", 9.0), 9.0),
+        (compact(YEAR_END, "For: AllDays", "Until: 24:00", -60.0), 15.0),  # off
+        (compact(YEAR_END, "For: AllDays", "Until: 24:00", 21.0), 15.0),
         ({"Schedule:Constant": {"HEAT": {"hourly_value": 12.5}}}, 12.5),
         ({"Schedule:Day:Hourly": {}, "Schedule:Compact": {}}, 15.0),  # of a program: unknown
         (YEAR, 11.0),
