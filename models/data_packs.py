@@ -234,7 +234,8 @@ def _pip_error(pack: Pack, output: str) -> str:
 
 def check_hash(wheel: Path, pack: Pack) -> None:
     """Check that a file has the pack's SHA-256; `InvalidConfig` if not."""
-    actual = hashlib.sha256(wheel.read_bytes()).hexdigest()
+    with wheel.open("rb") as file:
+        actual = hashlib.file_digest(file, "sha256").hexdigest()
     if actual != pack.sha256:
         raise InvalidConfig(
             f"{wheel.name} is not the expected {pack.requirement}: its sha256 is {actual}, not {pack.sha256}"

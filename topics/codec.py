@@ -10,6 +10,7 @@ import itertools
 import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
+from math import prod
 from typing import Any, TypeVar, get_args
 
 import msgpack
@@ -290,9 +291,7 @@ def indices(raw: bytes, shape: tuple[int, ...], what: str) -> NDArray[np.uint16]
 
 def _array(raw: bytes, kind: np.dtype[Any], shape: tuple[int, ...], what: str) -> NDArray[Any]:
     array = np.frombuffer(raw, kind) if len(raw) % kind.itemsize == 0 else None
-    expected = 1
-    for length in shape:
-        expected *= length
+    expected = prod(shape)
     if array is None or array.size != expected:
         raise BadMessage(
             f"{what} has {len(raw)} bytes; {expected * kind.itemsize} expected: "
