@@ -9,7 +9,6 @@ _NAMES = {
     "C": "degC",
     "deltaC": "delta_degC",
     "%": "percent",
-    "deg": "deg",
     "degree": "deg",
     "fraction": "fraction",
     "each": "count",

@@ -12,7 +12,6 @@ _SIZING_FIELDS = (
     "do_system_sizing_calculation",
     "do_plant_sizing_calculation",
 )
-_DESIGN_DAY = "SizingPeriod:DesignDay"
 
 _FINITE_DIFFERENCE = "conductionfinitedifference"
 _FINITE_DIFFERENCE_STEPS = 20

@@ -16,8 +16,6 @@ from zenostat.plants.fmi.variables import PointNames, Variable, inputs, outputs
 from zenostat.topics.errors import InvalidConfig
 
 _TASKS = "/proc/self/task"
-_MAX_STEPS = 1000
-"""Timesteps of an episode whose FMU names no step size, at most."""
 
 
 class FmuPlant:
