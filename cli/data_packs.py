@@ -9,6 +9,7 @@ import typer
 from zenostat.cli.console import err, out
 from zenostat.cli.tables import show
 from zenostat.models import data_packs
+from zenostat.topics.plurals import counted
 
 app = typer.Typer(add_completion=False, rich_markup_mode="markdown")
 
@@ -64,4 +65,4 @@ def remove(name: Annotated[str, typer.Argument(help="Name of the pack.", metavar
 
 def _contents(pack: data_packs.Pack) -> str:
     counts = {"building": len(pack.buildings), "weather file": len(pack.weathers), "scenario": pack.scenarios}
-    return ", ".join(f"{count} {noun}{'' if count == 1 else 's'}" for noun, count in counts.items())
+    return ", ".join(counted(count, noun) for noun, count in counts.items())

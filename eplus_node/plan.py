@@ -38,6 +38,7 @@ from zenostat.topics.errors import ErrorCollector, InvalidConfig, UnknownName
 from zenostat.topics.fault_plan import FaultPlan, Loss
 from zenostat.topics.keys import check_name
 from zenostat.topics.messages import Aggregation, Manifest, Mode, Policy, Systems, Task, Versions
+from zenostat.topics.plurals import counted
 
 REPEATED_SETTINGS = ("shrink_caches", "monitoring", "systems", "building", "weather")
 """Settings of a provenance. A recording is data of anybody: no other setting of a node may come from one."""
@@ -277,8 +278,8 @@ def _check_noise_start(
     days = (period.end - period.begin).days + 1
     if days <= NOISE_FREE_DAYS:
         raise InvalidConfig(
-            f"noise_start: third_day needs a run period of at least {NOISE_FREE_DAYS + 1} days; this one has {days} "
-            f"day{'' if days == 1 else 's'}, and they would have no noise"
+            f"noise_start: third_day needs a run period of at least {NOISE_FREE_DAYS + 1} days; this one has "
+            f"{counted(days, 'day')}, and they would have no noise"
         )
     reader = reads_whole_weather(model.objects)
     if reader:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from zenostat.metrics.roles import roles
 from zenostat.topics.messages import Manifest
+from zenostat.topics.plurals import counted
 
 Floats = NDArray[np.float64]
 
@@ -41,7 +42,7 @@ class Comfort:
     ) -> None:
         self.zones = np.array(zones, np.intp)
         self.people = tuple(people)
-        self.source = f"{len(zones)} zone{'' if len(zones) == 1 else 's'}, {source}"
+        self.source = f"{counted(len(zones), 'zone')}, {source}"
         self.follows_setpoints = follows_setpoints
         self._band = band
         self._always_occupied = np.array([index is None for index in people], bool)

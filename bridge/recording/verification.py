@@ -120,8 +120,7 @@ class Verification:
         if not self.episodes:
             return f"nothing could be verified{end}"
         if not self.steps and self.tolerance is None:
-            plural = "s" if self.episodes > 1 else ""
-            compared = f"the first sample of {self.episodes} episode{plural}, after which there is no timestep"
+            compared = f"the first sample of {counted(self.episodes, 'episode')}, after which there is no timestep"
         if self.tolerance is None:
             return f"identical{' up to the damage' if self.is_damaged else ''}: {compared}{end}"
         above = [name for name, value in self.greatest.items() if not value <= self.tolerance]

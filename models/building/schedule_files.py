@@ -9,6 +9,7 @@ from typing import Any
 from zenostat.models.building.findings import FieldFinding
 from zenostat.models.building.schedule_fields import number
 from zenostat.topics.errors import did_you_mean
+from zenostat.topics.plurals import counted
 
 _SEPARATORS = {"Comma": ",", "Semicolon": ";", "Space": " ", "Tab": "\t"}
 _SHOWN = 40
@@ -77,7 +78,7 @@ def _table_findings(fields: Mapping[str, Any], path: Path, text: str, minutes: i
     for line, row in enumerate(rows, skipped + 1):
         cells = _cells(row, separator)
         if len(cells) != width:
-            text = f": {path}, line {line}, has {_columns(cells)}, but line {skipped + 1} has {width}"
+            text = f": {path}, line {line}, has {counted(len(cells), 'column')}, but line {skipped + 1} has {width}"
             yield FieldFinding("file_name", text)
             return
         if not cells[column - 1].strip() or number(cells[column - 1].strip()) is None:
@@ -98,10 +99,6 @@ def _table_findings(fields: Mapping[str, Any], path: Path, text: str, minutes: i
 
 def _cells(row: str, separator: str) -> list[str]:
     return row.rstrip("\r").split(_SEPARATORS.get(separator, ","))
-
-
-def _columns(cells: list[str]) -> str:
-    return f"{len(cells)} column{'' if len(cells) == 1 else 's'}"
 
 
 def _header(line: int, skipped: int) -> str:

@@ -17,6 +17,7 @@ from zenostat.models.building.model import Building, read_building
 from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
 from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
+from zenostat.topics.plurals import counted
 
 _FORMAT = "1"  # raise it when the summary of the same file changes
 
@@ -257,7 +258,7 @@ def _air_loops(objects: ModelObjects) -> list[str]:
         for name, fields in items.items()
         if kind == "Fan:VariableVolume" or fields.get("speed_control_method") == "Continuous"
     } & set(loops)
-    text = f"{len(loops)} air loop" + ("s" if len(loops) > 1 else "")
+    text = counted(len(loops), "air loop")
     if len(varying) == len(loops):
         return [f"{text} VAV"]
     return [f"{text} ({len(varying)} VAV)" if varying else text]

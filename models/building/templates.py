@@ -25,6 +25,7 @@ from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
 from zenostat.models.input_format.source_model import ObjectsOfType, SourceModel
 from zenostat.topics.errors import InvalidConfig, ModelError, list_errors
+from zenostat.topics.plurals import counted
 
 _FORMAT = "2"
 _TIMEOUT_S = 60.0
@@ -68,7 +69,7 @@ def expand(objects: dict[str, ObjectsOfType], *, file: str) -> tuple[dict[str, O
     for kind, items in added.items():
         result[kind] = _joined(kind, result.get(kind, {}), items)
     count, total = (sum(map(len, part.values())) for part in (templates, added))
-    note = f"{count} HVACTemplate object{'s' if count > 1 else ''} expanded to {total} objects by ExpandObjects"
+    note = f"{counted(count, 'HVACTemplate object')} expanded to {total} objects by ExpandObjects"
     return result, (note, *(message for severity, message in messages if severity == "warning"))
 
 

@@ -19,6 +19,7 @@ from zenostat.models.upgrade.apply import apply
 from zenostat.models.upgrade.step import Change, Refusal, UpgradingModel
 from zenostat.models.upgrade.versions import layout_of, short, steps_between
 from zenostat.topics.errors import InvalidConfig, list_errors
+from zenostat.topics.plurals import counted
 
 
 @dataclass(frozen=True)
@@ -46,13 +47,9 @@ class UpgradedModel:
             return f"{head}: nothing had to be changed"
         objects = len({(change.kind, change.name) for change in self.changes})
         return (
-            f"{head}: {_counted(len(self.changes), 'change')} in {_counted(objects, 'object')} "
+            f"{head}: {counted(len(self.changes), 'change')} in {counted(objects, 'object')} "
             "(`zenostat models upgrade FILE` lists them)"
         )
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def upgrade_idf(text: str, *, name: str, engine: str | None = None) -> UpgradedModel:

@@ -7,7 +7,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, prod
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from zenostat.models.cache import cached_dir
 from zenostat.plants.fmi.variables import FLOATING, NUMERIC, number, settable_bounds
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.extras import import_extra
+from zenostat.topics.plurals import counted
 
 CO_SIMULATION, MODEL_EXCHANGE = "CoSimulation", "ModelExchange"
 MAX_BYTES = 4 << 30
@@ -210,11 +211,9 @@ def _start_error(variable: Any, value: Any) -> str:
 
 def _number_error(variable: Any, value: Any) -> str:
     parts = value if isinstance(value, list) else [value]
-    count = 1
-    for size in variable.shape or ():
-        count *= int(size)
+    count = prod(map(int, variable.shape or ()))
     if len(parts) != count:
-        return f"{count} value{'s' if count > 1 else ''} expected"
+        return f"{counted(count, 'value')} expected"
     low, high = settable_bounds(variable)
     for part in parts:
         try:
