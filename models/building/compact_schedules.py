@@ -50,7 +50,7 @@ def _text(value: Any) -> str:
 
 
 class _Reader:
-    """The fields of one schedule, the position of the one that is read, and the values so far with day types and path."""
+    """The fields of one schedule, the position of the one that is read, and the values so far, with days and path."""
 
     def __init__(self, fields: Mapping[str, Any]) -> None:
         entries = [entry.get("field", "") for entry in fields.get("data", ()) if isinstance(entry, Mapping)]
