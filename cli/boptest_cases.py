@@ -14,11 +14,11 @@ from typing import Any
 from zenostat.gateways.boptest.cases import TestCase
 from zenostat.models import catalog
 from zenostat.models.building.summary import listed_summaries
-from zenostat.models.cache import cache_dir
 from zenostat.models.scenario.registry import find_scenario
 from zenostat.models.scenario.schema import Scenario, load_scenario
 from zenostat.topics import yaml12
 from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.cache import cache_dir
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.scenario_ids import BUILDINGS, WEATHERS, pack_ids
 

@@ -19,7 +19,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 
-from zenostat.models.cache import cached_dir, evict, find_dir
+from zenostat.topics.cache import cached_dir, evict, find_dir
 from zenostat.topics.errors import InvalidConfig, UnknownName, did_you_mean
 from zenostat.topics.scenario_ids import PAPER_IDS, pack_ids
 

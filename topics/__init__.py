@@ -1,6 +1,6 @@
 """The contract: key expressions, message classes, units, serialization and errors.
 
-Apart from reading a YAML file, no I/O.
+Besides, what all packages need of files: reading those of users, atomic writes, locks, the cache. No bus.
 """
 
 VERSION = "0.1.0"

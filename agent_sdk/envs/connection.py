@@ -20,6 +20,7 @@ from zenostat.bridge.client.bus import connect as connect_bus
 from zenostat.bridge.client.connection import build
 from zenostat.bridge.client.controller_link import ControllerLink
 from zenostat.bridge.client.local_node import LocalNode, ignore_interrupts
+from zenostat.bridge.client.node_arguments import for_node
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.client.thread_guard import one_thread
 from zenostat.bridge.recording.file import next_recording
@@ -172,7 +173,7 @@ class NodeConnection:
     def _start_local(
         self, node_arguments: Mapping[str, Any], reward: AnyReward | None, node: str, priority: int, placement: Affinity
     ) -> None:
-        settings = arguments.for_node(node_arguments, node, self._slots)
+        settings = for_node(node_arguments, node, self._slots)
         arguments.check_agent_settings(reward, settings, placement)
         if not arguments.is_of_scenario(reward):
             settings["environment_reward"] = reward_data(None if reward is None else read_reward(reward))

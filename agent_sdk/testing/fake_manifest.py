@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from datetime import datetime, timedelta
 from typing import Any
 
-
 from zenostat.agent_sdk.testing.rc_zones import Zone
 from zenostat.topics import VERSION
 from zenostat.topics.calendar import parse_day

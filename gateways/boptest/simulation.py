@@ -17,9 +17,9 @@ from weakref import WeakSet
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.agent_sdk.envs.arguments import for_node
 from zenostat.bridge.client.bus import Bus, connect
 from zenostat.bridge.client.local_node import LocalNode
+from zenostat.bridge.client.node_arguments import for_node
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.topics.errors import InvalidConfig

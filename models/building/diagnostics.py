@@ -30,8 +30,8 @@ from zenostat.models.building.schedule_limits import limit_findings
 from zenostat.models.building.schedule_rules import schedule_findings
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.building.template_references import is_template, traced_references
-from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.source_model import ModelObjects, SourceModel
+from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.errors import list_errors
 
 REQUIRED = ("Building", "GlobalGeometryRules")

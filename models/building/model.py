@@ -24,7 +24,6 @@ from zenostat.models.building.edits import Edits, apply_edits
 from zenostat.models.building.external_files import with_absolute_paths
 from zenostat.models.building.run_needs import changed_timesteps, simulation_control
 from zenostat.models.building.source_lines import read_source
-from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
 from zenostat.models.input_format.encoding import check_encoding, decode_idf
 from zenostat.models.input_format.idf_reader import idf_version
@@ -33,6 +32,7 @@ from zenostat.models.scenario.run_period import Period, year_of
 from zenostat.models.upgrade.files import cached_upgrade
 from zenostat.models.upgrade.upgrade import UpgradedModel, upgrade_epjson
 from zenostat.models.upgrade.versions import short
+from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.calendar import format_month_day, is_month_day, parse_day
 from zenostat.topics.errors import InvalidConfig
 

@@ -14,7 +14,7 @@ from typing import Any
 
 from zenostat.models import energyplus
 from zenostat.models.building import schema
-from zenostat.models.cache import cached_bytes
+from zenostat.topics.cache import cached_bytes
 
 FORMAT = "2"
 """Version of the stored file."""

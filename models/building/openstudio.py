@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from zenostat.models import energyplus
-from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.energyplus import ISOLATED
+from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.errors import InvalidConfig, MissingExtra
 
 SUFFIXES = (".osm", ".gbxml", ".xml")

@@ -25,7 +25,7 @@ from typing import Any, NamedTuple
 from cbor2 import CBORDecodeError, CBORDecoder
 
 from zenostat.models import energyplus
-from zenostat.models.cache import cached_bytes
+from zenostat.topics.cache import cached_bytes
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 FORMAT = "1"

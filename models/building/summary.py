@@ -14,9 +14,9 @@ from typing import Any
 from zenostat.models import energyplus
 from zenostat.models.building.locations import locations, texts, zones_of
 from zenostat.models.building.model import Building, read_building
-from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import Entry
 from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
+from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.plurals import counted
 
 _FORMAT = "1"  # raise it when the summary of the same file changes

@@ -17,13 +17,13 @@ from typing import Any
 from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.template_references import templates_of
-from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.encoding import decode_idf
 from zenostat.models.input_format.idd import dictionary
 from zenostat.models.input_format.idf_reader import read_idf
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
 from zenostat.models.input_format.source_model import ObjectsOfType, SourceModel
+from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.errors import InvalidConfig, ModelError, list_errors
 from zenostat.topics.plurals import counted
 

@@ -19,7 +19,6 @@ from zenostat.models.building.edits import apply_edits
 from zenostat.models.building.model import Building, check_runnable, for_episode, read_building, write
 from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.building.source_lines import locator
-from zenostat.models.cache import digest
 from zenostat.models.calibration.model_edits import ModelParameter, edits_of
 from zenostat.models.calibration.targets import Target
 from zenostat.models.catalog import find_building
@@ -30,6 +29,7 @@ from zenostat.models.weather import design_days
 from zenostat.models.weather.header import check_complete, check_covers, read_header
 from zenostat.models.weather.records import check_records
 from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.cache import digest
 from zenostat.topics.errors import InvalidConfig, ModelError
 
 _CLOCK = "2"

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.models import energyplus
-from zenostat.models.cache import cached_bytes
 from zenostat.models.input_format.layout import Layout, Rules, TypeLayout, engine_layout
+from zenostat.topics.cache import cached_bytes
 
 _ENTRIES = 50
 """Entries of a list that the dictionary has; EnergyPlus's own has between 10 and 2,000."""

@@ -16,10 +16,10 @@ from zenostat.models import energyplus
 from zenostat.models.building.conflicts import ProgramOverrides, thermostat_setpoints, thermostats
 from zenostat.models.building.model import Building, for_episode, write
 from zenostat.models.building.source_lines import locator
-from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.source_model import ObjectsOfType
 from zenostat.models.points.selection import Points
 from zenostat.models.scenario.run_period import Period
+from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, SCHEDULE_VALUE, THERMOSTAT
 from zenostat.topics.errors import ErrorCollector, InvalidConfig
 from zenostat.topics.keys import MAX_NAME, safe_name

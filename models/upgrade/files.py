@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.models import energyplus
-from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.catalog import MODEL_SUFFIXES
 from zenostat.models.input_format.encoding import check_encoding, decode_idf
 from zenostat.models.input_format.idf_writer import write_idf
@@ -21,6 +20,7 @@ from zenostat.models.upgrade.step import Change
 from zenostat.models.upgrade.upgrade import UpgradedModel, upgrade_epjson, upgrade_idf
 from zenostat.models.upgrade.versions import short
 from zenostat.topics.atomic_file import atomic_file
+from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.user_file import user_file
 

@@ -16,9 +16,9 @@ from typing import Any
 from zenostat.models import energyplus
 from zenostat.models.building import schema
 from zenostat.models.building.run_needs import lacks_design_days
-from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
 from zenostat.models.weather.header import DesignConditions, Header
+from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.errors import InvalidConfig, ModelError
 
 _LOCATION, _DAY = "Site:Location", "SizingPeriod:DesignDay"

@@ -9,10 +9,10 @@ from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
-from zenostat.models.cache import cached_bytes, digest
 from zenostat.models.weather.design_days import standard_pressure
 from zenostat.models.weather.epw import COLUMNS
 from zenostat.models.weather.header import HEADER_LINES, Header, read_header
+from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.errors import InvalidConfig
 
 _FORMAT = "3"

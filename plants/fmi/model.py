@@ -11,8 +11,8 @@ from math import isfinite, prod
 from pathlib import Path
 from typing import Any
 
-from zenostat.models.cache import cached_dir
 from zenostat.plants.fmi.variables import FLOATING, NUMERIC, number, settable_bounds
+from zenostat.topics.cache import cached_dir
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 from zenostat.topics.extras import import_extra
 from zenostat.topics.plurals import counted

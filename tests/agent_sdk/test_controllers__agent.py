@@ -251,7 +251,7 @@ def test_load_controller__file_beside_modules_with_the_names_of_our_packages(
     (tmp_path / "models.py").write_text("SETPOINT = 27.5\n")
     (tmp_path / "topics.py").write_text("OFFSET = 0.5\n")
     (tmp_path / "mine.py").write_text(
-        "from models import SETPOINT\nfrom topics import OFFSET\nfrom zenostat.models import cache\n"
+        "from models import SETPOINT\nfrom topics import OFFSET\nfrom zenostat.models import catalog\n"
         + MINE.replace("self.setpoint}", "SETPOINT + OFFSET}")
     )
     controller = load_controller(f"{tmp_path / 'mine.py'}:Mine")(node())

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import zenostat  # noqa: F401  # registers the environments
-from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO, check_agent_settings, fields_of_file, for_node
+from zenostat.agent_sdk.envs.arguments import FROM_SCENARIO, check_agent_settings, fields_of_file
+from zenostat.bridge.client.node_arguments import for_node
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.eplus_node.config import read_config
 from zenostat.models.catalog import find_building

@@ -83,7 +83,7 @@ def test_layers__allowed_imports_are_no_faults(check: dict[str, Any], tmp_path: 
         ("bridge/a.py", "import zenostat.topics\nimport zenostat.bridge.node\nimport json\n"),
         (
             "eplus_node/a.py",
-            "from zenostat.bridge import node\nfrom zenostat.models import cache\nimport pyenergyplus.api\n",
+            "from zenostat.bridge import node\nfrom zenostat.models import catalog\nimport pyenergyplus.api\n",
         ),
         ("gateways/x/a.py", "import zenostat.bridge.client\nfrom zenostat.gateways import bus_side\n"),
         ("cli/a.py", "def f():\n    import zenostat\n    import zenostat.gateways.x\n"),

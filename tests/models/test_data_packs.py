@@ -19,9 +19,9 @@ from support.data_packs import pack_of, sinergym, wheel
 
 from zenostat.models import catalog
 from zenostat.models import data_packs as store
-from zenostat.models.cache import cached_dir, evict
 from zenostat.models.catalog import find_building, find_weather
 from zenostat.models.data_packs import PACKS, Pack, add, check_hash, folder, installed, remove, unzip
+from zenostat.topics.cache import cached_dir, evict
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.scenario_ids import pack_ids
 

@@ -13,8 +13,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from zenostat.models import cache as cache_module
-from zenostat.models.cache import cached_bytes, cached_dir, digest
+from zenostat.topics import cache as cache_module
+from zenostat.topics.cache import cached_bytes, cached_dir, digest
 from zenostat.topics.errors import InvalidConfig
 
 
