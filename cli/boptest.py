@@ -16,7 +16,7 @@ from zenostat.topics.extras import requires_extra
 from zenostat.topics.plurals import counted
 
 if TYPE_CHECKING:
-    from zenostat.gateways.boptest.server import HttpServer
+    from zenostat.gateways.boptest.server import BoptestServer
     from zenostat.gateways.clients import Clients
 
 
@@ -46,7 +46,7 @@ def boptest(
     """
     with requires_extra("boptest", "the BOPTEST gateway", "FastAPI, uvicorn and httptools"):
         from zenostat.gateways.boptest.app import Service
-        from zenostat.gateways.boptest.server import HttpServer
+        from zenostat.gateways.boptest.server import BoptestServer
     from zenostat.cli.boptest_cases import BundledTestCases
     from zenostat.gateways.boptest.manager import TestManager
     from zenostat.gateways.boptest.prices import read_rates as rates_of
@@ -55,13 +55,13 @@ def boptest(
     rates = rates_of(read_rates("--price", prices), read_rates("--emissions", emissions))
     manager = TestManager(BundledTestCases(files or ()), rates, timeout_s=timeout, max_tests=max_tests, notify=notify)
     service = Service(manager, single=testcase is not None, clients=known)
-    with HttpServer(service, address, expose=expose) as server:
+    with BoptestServer(service, address, expose=expose) as server:
         if testcase is not None:
             service.testid = manager.select(testcase, keep=True)
         _serve(server, testcase, known)
 
 
-def _serve(server: HttpServer, testcase: str | None, clients: Clients) -> None:
+def _serve(server: BoptestServer, testcase: str | None, clients: Clients) -> None:
     """Serve until a signal, and report how many requests there were."""
     with override_signals(lambda *_: server.stop(), *TERMINATION_SIGNALS):
         single = f", {testcase} on the paths without a test id" if testcase else ""

@@ -74,7 +74,7 @@ def mcp(
     import_extra("mcp", "mcp", "the MCP server")  # first: the extra has all that the modules below need as well
     from zenostat.views.mcp.call_log import CallLog
     from zenostat.views.mcp.desk import Desk
-    from zenostat.views.mcp.server import MAX_RUNNING, HttpServer, ToolServer
+    from zenostat.views.mcp.server import MAX_RUNNING, HttpToolServer, ToolServer
     from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
 
     check_name(name, "--name")
@@ -98,7 +98,7 @@ def mcp(
             stack.enter_context(override_signals(lambda number, _: os._exit(128 + number), *TERMINATION_SIGNALS))
             asyncio.run(server.serve_stdio())
             return
-        http = stack.enter_context(HttpServer(server, address, token))
+        http = stack.enter_context(HttpToolServer(server, address, token))
         stack.enter_context(override_signals(lambda *_: http.stop(), *TERMINATION_SIGNALS))
         out.print(f"ready: {http.url}", soft_wrap=True)
         where = f"in {token_file}" if token_file is not None else token

@@ -8,7 +8,7 @@ import ipaddress
 import socket
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from typing import Any, Self
 
 import uvicorn
 
@@ -64,11 +64,10 @@ def listen(address: str, default: str, program: str, *, is_exposed: bool = False
     return listening
 
 
-def names_of(listening: socket.socket) -> tuple[str, frozenset[str]]:
-    """Return the host and port of a socket as URLs have them, and the permitted values of the header `Host`."""
+def host_and_port(listening: socket.socket) -> tuple[str, int]:
+    """Return the host of a socket as URLs have it, and its port."""
     host, port = listening.getsockname()[:2]
-    name = f"[{host}]:{port}" if ":" in host else f"{host}:{port}"
-    return name, frozenset({name, f"localhost:{port}"})
+    return f"[{host}]" if ":" in host else host, port
 
 
 class LoopbackServer(uvicorn.Server):
@@ -116,3 +115,34 @@ class LoopbackServer(uvicorn.Server):
     def capture_signals(self) -> Iterator[None]:
         """Leave signals to the process."""
         yield
+
+
+class HttpServer:
+    """A listening socket, and the server that runs on it.
+
+    Args:
+        listening: the socket; the end of the context closes it.
+        url: of what is served.
+        server: the server.
+
+    Attributes:
+        url: of what is served.
+    """
+
+    def __init__(self, listening: socket.socket, url: str, server: LoopbackServer) -> None:
+        self.url = url
+        self._socket, self._server = listening, server
+
+    def run(self) -> None:
+        """Serve until `stop` is called."""
+        self._server.run(sockets=[self._socket])
+
+    def stop(self) -> None:
+        """End `run`; from any thread or signal handler."""
+        self._server.should_exit = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import asyncio
-from types import TracebackType
 from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
 from zenostat.bridge.http.connections import BoundedConnection
-from zenostat.bridge.http.server import LoopbackServer, listen
+from zenostat.bridge.http.server import HttpServer, LoopbackServer, host_and_port, listen
 from zenostat.gateways.addresses import is_loopback
 from zenostat.gateways.boptest.app import Service
 
@@ -20,7 +19,7 @@ _IDLE_S = 900
 has advanced the building."""
 
 
-class HttpServer:
+class BoptestServer(HttpServer):
     """A listening socket, and the server that runs on it.
 
     Args:
@@ -38,42 +37,28 @@ class HttpServer:
 
     def __init__(self, service: Service, address: str, *, expose: bool = False) -> None:
         self.service = service
-        self._socket = listen(
+        listening = listen(
             address,
             _DEFAULT_ADDRESS,
             "the gateway",
             is_exposed=expose,
             remedy="or pass --expose to allow it, without authentication",
         )
-        host, port = self._socket.getsockname()[:2]
-        service.is_local = is_loopback(host)
-        self.url = f"http://{f'[{host}]' if ':' in host else host}:{port}"
-        manager = service.manager
-        self._server = LoopbackServer(
+        host, port = host_and_port(listening)
+        service.is_local = is_loopback(host.strip("[]"))
+        server = LoopbackServer(
             service,
-            lambda: asyncio.to_thread(manager.interrupt),
+            lambda: asyncio.to_thread(service.manager.interrupt),
             http=_Protocol,
             lifespan="off",
             server_header=True,
             timeout_graceful_shutdown=_SHUTDOWN_S,
             timeout_keep_alive=_IDLE_S,
         )
+        super().__init__(listening, f"http://{host}:{port}", server)
 
-    def run(self) -> None:
-        """Serve until `stop` is called."""
-        self._server.run(sockets=[self._socket])
-
-    def stop(self) -> None:
-        """End `run`; from any thread or signal handler."""
-        self._server.should_exit = True
-
-    def __enter__(self) -> HttpServer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._socket.close()
+    def __exit__(self, *_: object) -> None:
+        super().__exit__()
         self.service.close()
 
 

@@ -11,7 +11,7 @@ from zenostat.cli.boptest_cases import BundledTestCases
 from zenostat.gateways.boptest.app import Service
 from zenostat.gateways.boptest.manager import TestManager
 from zenostat.gateways.boptest.prices import read_rates
-from zenostat.gateways.boptest.server import HttpServer
+from zenostat.gateways.boptest.server import BoptestServer
 from zenostat.gateways.clients import UNRESTRICTED, Clients
 
 DAY_S = 86400
@@ -57,7 +57,7 @@ def serving(*, single: str | None = None, clients: Clients = UNRESTRICTED, **opt
     """Run a service on a free port of loopback; in the end all tests are ended."""
     manager = TestManager(BundledTestCases(), read_rates(), **options)
     service = Service(manager, single=single is not None, clients=clients)
-    with HttpServer(service, "127.0.0.1:0") as server:
+    with BoptestServer(service, "127.0.0.1:0") as server:
         if single is not None:
             service.testid = manager.select(single, keep=True)
         thread = threading.Thread(target=server.run)

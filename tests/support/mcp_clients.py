@@ -14,7 +14,7 @@ from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.views.mcp.call_log import CallLog
 from zenostat.views.mcp.content import read_data
 from zenostat.views.mcp.desk import Desk
-from zenostat.views.mcp.server import MAX_RUNNING, HttpServer, ToolServer
+from zenostat.views.mcp.server import MAX_RUNNING, HttpToolServer, ToolServer
 from zenostat.views.mcp.writer import WriteLimits, Writer, WriteRule
 
 TOKEN = "t" * 40
@@ -35,9 +35,9 @@ def tool_server(endpoint: str, audit: Path, *rules: str, reports: Path | None = 
 
 
 @contextmanager
-def http_server(tools: ToolServer) -> Iterator[HttpServer]:
+def http_server(tools: ToolServer) -> Iterator[HttpToolServer]:
     """The tools over HTTP on a free port, in a thread."""
-    with HttpServer(tools, "127.0.0.1:0", TOKEN) as server:
+    with HttpToolServer(tools, "127.0.0.1:0", TOKEN) as server:
         thread = threading.Thread(target=server.run)
         thread.start()
         try:

@@ -7,7 +7,6 @@ import base64
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
 from threading import BoundedSemaphore
-from types import TracebackType
 from typing import Any
 
 from zenostat.topics import VERSION
@@ -24,7 +23,7 @@ with requires_extra("mcp", "the MCP server", "the MCP SDK"):
     from mcp.server.stdio import stdio_server
     from mcp.server.transport_security import TransportSecuritySettings
 
-    from zenostat.bridge.http.server import LoopbackServer, listen, names_of
+    from zenostat.bridge.http.server import HttpServer, LoopbackServer, host_and_port, listen
     from zenostat.views.room.access import Access, Guard
 
 DEFAULT_ADDRESS = "127.0.0.1:8700"
@@ -114,7 +113,7 @@ class ToolServer:
         return _result(content, is_error=is_error)
 
 
-class HttpServer:
+class HttpToolServer(HttpServer):
     """The tools over streamable HTTP, for programs of this machine that have the token.
 
     Args:
@@ -131,9 +130,9 @@ class HttpServer:
     """
 
     def __init__(self, tools: ToolServer, address: str, token: str) -> None:
-        self._socket = listen(address, DEFAULT_ADDRESS, "this server")
-        name, hosts = names_of(self._socket)
-        self.url = f"http://{name}{PATH}"
+        listening = listen(address, DEFAULT_ADDRESS, "this server")
+        host, port = host_and_port(listening)
+        hosts = frozenset({f"{host}:{port}", f"localhost:{port}"})
         security = TransportSecuritySettings(allowed_hosts=sorted(hosts), allowed_origins=[])
         app = tools.sdk.streamable_http_app(
             streamable_http_path=PATH,
@@ -143,23 +142,7 @@ class HttpServer:
             transport_security=security,
         )
         access = Access(hosts, "", api_token=token, program_paths=("/",), hint="see --token-file")
-        self._server = LoopbackServer(Guard(app, access))
-
-    def run(self) -> None:
-        """Serve until `stop` is called."""
-        self._server.run(sockets=[self._socket])
-
-    def stop(self) -> None:
-        """End `run`; from any thread or signal handler."""
-        self._server.should_exit = True
-
-    def __enter__(self) -> HttpServer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._socket.close()
+        super().__init__(listening, f"http://{host}:{port}{PATH}", LoopbackServer(Guard(app, access)))
 
 
 def _client(context: Any) -> str:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-from types import TracebackType
 
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.http.connections import BoundedH11
-from zenostat.bridge.http.server import LoopbackServer, listen
+from zenostat.bridge.http.server import HttpServer, LoopbackServer, host_and_port, listen
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.keys import Role
 from zenostat.views.room.access import Access
@@ -22,7 +21,7 @@ _HTTPS_PORT = 443
 _LOOPBACK = ("localhost", "127.0.0.1", "[::1]")
 
 
-class RoomServer:
+class RoomServer(HttpServer):
     """A listening socket, and the control room on it: on the loopback interface, or over a network with TLS.
 
     Args:
@@ -59,15 +58,14 @@ class RoomServer:
         users = None if tls is None else BusUsers(tls.keys)
         tls_settings = {} if tls is None else {**tls.settings(), "http": _TlsProtocol}
         names = None if tls is None else tls.hosts()
-        self._socket = listen(
+        listening = listen(
             address, DEFAULT_ADDRESS, "the control room", is_exposed=is_exposed and tls is not None, remedy=_REMEDY
         )
-        host, port = self._socket.getsockname()[:2]
-        host = f"[{host}]" if ":" in host else host
+        host, port = host_and_port(listening)
         names = (host, "localhost") if names is None else names
         scheme = "http" if tls is None else "https"
         host = next((name for name in names if name not in _LOOPBACK), names[0])
-        self.url = f"{scheme}://{host}:{port}"
+        url = f"{scheme}://{host}:{port}"
         hosts = frozenset(f"{name}:{port}" for name in names) | (frozenset(names) if port == _HTTPS_PORT else set())
         cookie = f"{'' if tls is None else '__Host-'}zenostat-room-{port}"
         access = Access(hosts, cookie, api_token=api_token, scheme=scheme, users=users)
@@ -77,28 +75,12 @@ class RoomServer:
                     f"--operator {operator!r} is no operator of the bus; create a certificate with: "
                     f"zenostat keys add {operator} --role operator"
                 )
-            self.room = Room(bus, access, self.url, settings)
+            self.room = Room(bus, access, url, settings)
         except BaseException:
-            self._socket.close()
+            listening.close()
             raise
         self.link = self.room.link(operator)
-        self._server = LoopbackServer(self.room.asgi, self.room.updates.close, **tls_settings)
-
-    def run(self) -> None:
-        """Serve until `stop` is called."""
-        self._server.run(sockets=[self._socket])
-
-    def stop(self) -> None:
-        """End `run`; from any thread or signal handler."""
-        self._server.should_exit = True
-
-    def __enter__(self) -> RoomServer:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._socket.close()
+        super().__init__(listening, url, LoopbackServer(self.room.asgi, self.room.updates.close, **tls_settings))
 
 
 class _TlsProtocol(BoundedH11):
