@@ -9,15 +9,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.builders import actuator, manifest, meter, sensor, view
-from support.controller_nodes import COOL, HEAT, PEOPLE, ROOM, node
-from support.first_rules import FirstRules
+from support.controller_nodes import PEOPLE, ROOM, node
 
 from zenostat.agent_sdk.controllers import Agent, RuleBasedController, load_controller, make_controller
 from zenostat.agent_sdk.controllers.optimum_start import OptimumStart
 from zenostat.agent_sdk.controllers.price_peaks import PricePeaks
-from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.testing.fake_env import FakeEnv
-from zenostat.lab.evaluate import run_episode
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.messages import Manifest
 
@@ -45,58 +42,20 @@ def setpoints(rules: Any, of: Manifest, at: datetime, **values: float) -> tuple[
     return result["heating_setpoint"], result["cooling_setpoint"]
 
 
-# Defaults
-
-SITE = node(
-    HEAT, COOL, actuator("chw_temperature", 5.0, 10.0), actuator("availability", 0.0, 1.0), sensors=(ROOM, PEOPLE)
-)
+# Fixed preconditioning
 
 
-@given(
-    parameters=st.fixed_dictionaries(
-        {},
-        optional={
-            "margin": st.floats(0.0, 3.0),
-            "setback": st.floats(0.0, 8.0),
-            "preconditioning": st.floats(0.0, 23.0),
-        },
-    ),
-    samples=st.lists(
-        st.tuples(st.integers(1, 90), st.sampled_from([0.0, 0.0, 0.3, 5.0]), st.floats(5.0, 40.0)), max_size=60
-    ),
-)
-def test_rules__parameters_of_before_give_the_same_to_the_bit(
-    parameters: dict[str, float], samples: list[tuple[int, float, float]]
-) -> None:
-    rules, former = RuleBasedController(SITE, **parameters), FirstRules(SITE, **parameters)
-    at = MONDAY
-    for quarters, people, air in samples:
-        at += quarters * QUARTER
-        sample = view(SITE, at, people=people, air=air)
-        assert rules.act(sample) == former.act(sample)
-
-
-def rows(env: Any, controller: Any) -> list[Any]:
-    """Totals and metrics of two episodes."""
-    agent = Agent(controller, env)
-    return [run_episode(env, lambda _: agent.action(env.sample), seed=seed)[0] for seed in (0, 1)]
-
-
-@pytest.mark.slow
-def test_rules__default_has_the_rows_of_before_in_the_fake_building() -> None:
-    for arguments in ({"end": "07-05"}, {"begin": "01-09", "end": "01-12", "reward": {"kind": "occupied"}}):
-        env = FakeEnv(zones=2, **arguments)
-        assert rows(env, RuleBasedController(env.manifest)) == rows(env, FirstRules(env.manifest))
-
-
-@pytest.mark.slow
-@pytest.mark.process
-def test_rules__default_has_the_rows_of_before_in_a_real_building() -> None:
-    env = BuildingEnv(scenario="ref-small-office-USA_CO_Denver-continuous-v1", begin="01-09", end="01-11")
-    try:
-        assert rows(env, RuleBasedController(env.manifest)) == rows(env, FirstRules(env.manifest))
-    finally:
-        env.close()
+def test_rules__zones_are_comfortable_while_people_are_present_or_expected() -> None:
+    of = office()
+    rules = RuleBasedController(of, margin=0.5, setback=2.0, preconditioning=2.0)
+    for day, hour, people, is_comfortable in (
+        (0, 5.75, 0, False), (0, 6.0, 0, True), (0, 9.0, 3, True), (0, 12.0, 0, False), (0, 13.0, 1, True),
+        (0, 20.0, 0, False), (1, 6.5, 0, False), (1, 6.75, 0, True), (1, 8.75, 0, True), (1, 9.0, 0, False),
+        (2, 6.75, 0, True), (2, 10.0, 1, True), (3, 7.5, 0, False), (3, 7.75, 0, True), (4, 1.0, 2, True),
+        (4, 22.5, 0, False), (4, 22.75, 0, True), (5, 0.75, 0, True), (5, 1.0, 0, False),
+    ):  # fmt: skip
+        expected = (20.5, 23.0) if is_comfortable else (18.0, 25.5)  # of 20 to 23.5 degC
+        assert setpoints(rules, of, MONDAY + timedelta(days=day, hours=hour), people=people) == expected, (day, hour)
 
 
 # Margins and setbacks
@@ -340,7 +299,7 @@ def test_rules__peak_of_the_next_day_is_seen_before_midnight() -> None:
     ("arguments", "of", "message"),
     [
         ({"precooling": 1.0}, office(), "needs the price of electricity, which the reward of node 'office' does not"),
-        ({"start_rate": 1.0, "start_outdoor": 0.1}, SITE, "start_outdoor needs the outdoor temperature: add"),
+        ({"start_rate": 1.0, "start_outdoor": 0.1}, node(), "start_outdoor needs the outdoor temperature: add"),
         ({"start_rate": 0.0}, office(), "start_rate = 0.0; expected a number of at least 0.01"),
         ({"limit_cooling": -1.0}, office(), "limit_cooling = -1.0; expected a number of at least 0"),
         ({"limit_start": 1.5}, office(), "limit_start = 1.5; expected a number from 0 to 1"),
