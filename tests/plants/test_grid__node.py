@@ -7,14 +7,13 @@ import gymnasium as gym
 import numpy as np
 import pytest
 import yaml
-from zenoh.handlers import FifoChannel
+from support.events import events_of, next_event
 
 import zenostat
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.eplus_node.verify_recording import verify
-from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidRecording
-from zenostat.topics.messages import Event, EventKind
+from zenostat.topics.messages import EventKind
 
 pytest.importorskip("power_grid_model")
 pytestmark = pytest.mark.process
@@ -68,11 +67,10 @@ def test_grid__power_flow_that_does_not_converge_is_an_event(env: BuildingEnv) -
     env.reset()
     with (
         zenostat.connect(env.local_node.endpoint, affinity="off") as bus,
-        bus.session.declare_subscriber(keys.EVENT.at(env.manifest.node), FifoChannel(1024)) as events,
+        events_of(bus, env.manifest.node) as events,
     ):
         go(env, 4)
-        while (event := codec.decode(Event, events.recv().payload.to_bytes())).kind is not EventKind.WARNING:
-            pass
+        event = next_event(events, EventKind.WARNING)
     assert event.step == 3
     text = event.text
     assert text.startswith("the power flow of step 3 does not converge")

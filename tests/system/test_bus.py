@@ -2,22 +2,21 @@
 
 import signal
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import zenoh
+from support.events import events_of, next_event
 from support.nodes import SMALL, NodeProgram, Program, node_on_bus, until
-from zenoh.handlers import FifoChannel
 
 import zenostat
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.transport.session import MAX_MESSAGE_BYTES
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import InvalidConfig, NodeNotFound, RequestRejected
-from zenostat.topics.messages import Claim, Event, EventKind, Reset, State
+from zenostat.topics.messages import Claim, EventKind, Reset, State
 
 DAY = {**SMALL, "name": "office"}
 
@@ -104,20 +103,6 @@ def bus(endpoint: str) -> Iterator[zenostat.Bus]:
 def second_bus(endpoint: str) -> Iterator[zenostat.Bus]:
     with zenostat.connect(endpoint, affinity="off") as connected:
         yield connected
-
-
-@contextmanager
-def events_of(bus: zenostat.Bus) -> Iterator[zenoh.Subscriber]:
-    with bus.session.declare_subscriber(keys.EVENT.at("office"), FifoChannel(1024)) as events:
-        yield events
-
-
-def next_event(events: zenoh.Subscriber, kind: EventKind) -> Event:
-    """The next event of that kind; others are passed over."""
-    while True:
-        event = codec.decode(Event, events.recv().payload.to_bytes())
-        if event.kind is kind:
-            return event
 
 
 # Strangers

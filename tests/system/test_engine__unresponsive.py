@@ -7,14 +7,13 @@ import gymnasium as gym
 import numpy as np
 import psutil
 import pytest
+from support.events import events_of, next_event
 from support.nodes import SMALL, Program, engines_of, node_on_bus, until
-from zenoh.handlers import FifoChannel
 
 import zenostat
 from zenostat.bridge.runtime.idle_watch import IdleWatch
-from zenostat.topics import codec, keys
 from zenostat.topics.errors import EngineUnresponsive, InvalidConfig
-from zenostat.topics.messages import EngineStart, Event, EventKind
+from zenostat.topics.messages import EngineStart, EventKind
 
 pytestmark = pytest.mark.usefixtures("scratch")
 
@@ -22,13 +21,6 @@ SOON: dict[str, Any] = {"unresponsive_s": 2.0, "affinity": "off"}
 NOISE = "zenostat/ref-small-office-USA_CO_Denver-continuous-stochastic-v1"
 DAY: dict[str, Any] = {key: SMALL[key] for key in ("begin", "end", "steps_per_hour")}
 MESSAGE = r"neither answered nor used processor time for 2 s after sample 1, and was killed"
-
-
-def next_of(events: Any, kind: EventKind) -> Event:
-    """The next event of a kind."""
-    while (event := codec.decode(Event, events.recv().payload.to_bytes())).kind is not kind:
-        pass
-    return event
 
 
 def test_engine__process_is_idle_only_while_it_uses_no_processor_time() -> None:
@@ -82,9 +74,9 @@ def test_engine__event_is_reported(folder: Path) -> None:
         link.reset().send()
         sample = link.receive()
         engines_of(node.pid)[-1].suspend()
-        with bus.session.declare_subscriber(keys.EVENT.at("office"), FifoChannel(1024)) as events:
+        with events_of(bus) as events:
             sample.send()
-            assert next_of(events, EventKind.FAILED).error == "EngineUnresponsive"
+            assert next_event(events, EventKind.FAILED).error == "EngineUnresponsive"
         assert bus.status("office").failure_error == "EngineUnresponsive"
 
 
@@ -106,11 +98,11 @@ def test_engine__one_that_waits_for_the_next_episode_is_replaced_with_a_warning(
         engines_of(own.pid)[place].suspend()
         with (
             zenostat.connect(own.endpoint, affinity="off") as bus,
-            bus.session.declare_subscriber(keys.EVENT.at("building"), FifoChannel(1024)) as events,
+            events_of(bus, "building") as events,
         ):
             assert env.reset()[1]["engine_start"] == engine_start
             assert env.step(env.action_space.low)[-1]["step"] == 1
-            assert "replaced: the engine process neither answered" in next_of(events, EventKind.WARNING).text
+            assert "replaced: the engine process neither answered" in next_event(events, EventKind.WARNING).text
 
 
 def test_engine__no_time_at_all_is_refused() -> None:

@@ -13,16 +13,15 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
-import zenoh
+from support.events import events_of, next_event
 from support.nodes import COOLING, SMALL, NodeProgram, Program, begin_new_episode, free_port, node_on_bus, until
 from support.run_cli import ZENOSTAT, error_of, run_program
-from zenoh.handlers import FifoChannel
 
 import zenostat
 from zenostat.bridge.client.sample import SampleView
 from zenostat.topics import codec, keys
 from zenostat.topics.errors import EpisodeAborted, InvalidConfig, RequestRejected, ZenostatError
-from zenostat.topics.messages import Claim, Command, ControllerState, ControllerStatus, Event, EventKind, Policy, State
+from zenostat.topics.messages import Claim, Command, ControllerState, ControllerStatus, EventKind, Policy, State
 
 STEPS = 96
 POINT = "core_zn_cooling_setpoint"
@@ -54,21 +53,6 @@ with zenostat.connect(endpoint, affinity="off") as bus, bus.controller("office",
 def office(folder: Path, **settings: Any) -> Iterator[tuple[NodeProgram, zenostat.Bus]]:
     with node_on_bus(folder / "node", **{**SMALL, **settings}) as (node, bus):
         yield node, bus
-
-
-@contextmanager
-def events_of(bus: zenostat.Bus) -> Iterator[zenoh.Subscriber]:
-    with bus.session.declare_subscriber(keys.EVENT.at("office"), FifoChannel(4096)) as events:
-        bus.status("office")  # an answer shows that the node has heard of the subscription
-        yield events
-
-
-def next_event(events: zenoh.Subscriber, *kinds: EventKind) -> Event:
-    """The next event of these kinds; others are passed over."""
-    while True:
-        event = codec.decode(Event, events.recv().payload.to_bytes())
-        if event.kind in kinds:
-            return event
 
 
 def to_the_end(samples: Iterator[SampleView]) -> list[SampleView]:
