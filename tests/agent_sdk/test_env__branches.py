@@ -3,7 +3,6 @@
 import gc
 import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +16,6 @@ from support.engine_forks import (
     KINDS,
     SMALL,
     Faults,
-    drop_forks,
     engines,
     episode,
     go,
@@ -38,20 +36,6 @@ from zenostat.topics.messages import State
 GROWTH_BYTES = 15e6
 PUT_TOGETHER_BYTES = 20e6
 ZENOH_THREADS = 6
-
-
-@pytest.fixture(scope="module")
-def shared_office(module_scratch: Path) -> Iterator[BuildingEnv]:
-    env = make(**FOUR)
-    yield env
-    env.close()
-
-
-@pytest.fixture
-def office(shared_office: BuildingEnv) -> Iterator[BuildingEnv]:
-    """The environment that tests of this module share; it begins and ends without snapshots and branches."""
-    yield shared_office
-    drop_forks(shared_office)
 
 
 # The same to the bit

@@ -1,6 +1,5 @@
 """Going back to where a building stood: exactly there, any number of times, and a clear word where that cannot be."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ from support.engine_forks import (
     FOUR,
     KINDS,
     SMALL,
-    drop_forks,
     episode,
     go,
     kill,
@@ -34,20 +32,6 @@ from zenostat.topics.messages import CreateBranch, EngineStart, Reset
 STOCHASTIC = SMALL.replace("continuous", "continuous-stochastic")
 COLUMNS = ["dry_bulb_temperature", "relative_humidity"]
 PEAK = {"kind": "peak"}
-
-
-@pytest.fixture(scope="module")
-def shared_office(module_scratch: Path) -> Iterator[BuildingEnv]:
-    env = make(**FOUR)
-    yield env
-    env.close()
-
-
-@pytest.fixture
-def office(shared_office: BuildingEnv) -> Iterator[BuildingEnv]:
-    """The environment that tests of this module share; it begins and ends without snapshots and branches."""
-    yield shared_office
-    drop_forks(shared_office)
 
 
 def back(env: BuildingEnv, snapshot: Any) -> dict[str, Any]:
