@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import psutil
 import pytest
+import zenoh
 from support.events import events_of, next_event
 from support.nodes import COOLING, SMALL, NodeProgram, Program, begin_new_episode, free_port, node_on_bus, until
 from support.run_cli import ZENOSTAT, error_of, run_program
