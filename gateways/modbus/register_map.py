@@ -23,9 +23,6 @@ MAP_VERSION = 1
 FIRST_VALUE = FIRST_INPUT_REGISTER
 """Address of the first sensor among the input registers, and of the first actuator among the discrete inputs."""
 
-MAX_ACTUATORS = 2000
-"""Largest number of coils that one request can read."""
-
 
 class Table(StrEnum):
     """A table of the Modbus data model."""

@@ -16,7 +16,6 @@ from zenostat.models.building import schema
 from zenostat.models.building.model import for_episode, read_building, write
 from zenostat.models.catalog import Entry, buildings, find_building, find_weather
 
-GYPSUM = "1/2IN Gypsum"
 MATERIAL = {"roughness": "Smooth", "thickness": 0.1, "conductivity": 0.2, "density": 800.0, "specific_heat": 900.0}
 
 
