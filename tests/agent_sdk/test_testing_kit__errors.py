@@ -281,6 +281,10 @@ REWARD_MUTANTS: dict[str, tuple[Any, dict[str, Any]]] = {
         {"resets single buildings": "changed the reward of other buildings"}),
     "writes": (changed(writes), {"changes neither values nor manifest": "modifies its argument values"}),
     "one for all": (changed(only_of_one), {SHAPES: "building 1 of 3 gets", "resets single buildings": None}),
+    "other in the end": (
+        changed(first_only),
+        {SHAPES: "at timestep 50 building 0 of 3 gets .*, but 0 alone", "resets single buildings": None},
+    ),
     "no state": (mutant(state=lambda self: {}), {"continues from a restored state": "restored from its state"}),
     "odd state": (mutant(state=lambda self: {"sums": self.sums}),
         {"continues from a restored state": "values other than strings, numbers, lists and dictionaries"}),
