@@ -10,7 +10,6 @@ from zenostat.lab.config_file import read_file
 from zenostat.lab.tuning.study_config import StudyConfig
 from zenostat.topics import codec
 from zenostat.topics.errors import InvalidConfig
-from zenostat.topics.file_kinds import FileKind
 
 C = TypeVar("C", bound=StudyConfig)
 
@@ -54,8 +53,3 @@ def _kind(fields: Mapping[str, Any]) -> type[StudyConfig]:
     from zenostat.lab.tuning.training_study import TrainingStudy  # torch takes seconds to import
 
     return TrainingStudy
-
-
-def load_tuning(path: Path) -> StudyConfig:
-    """Read a tuning file; errors as of `read_file` and `read_tuning`."""
-    return read_tuning(read_file(path, FileKind.TUNING), str(path), path.parent)

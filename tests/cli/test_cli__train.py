@@ -165,8 +165,9 @@ def test_cli__options_override_the_file_and_resume_continues(trained: Path, tmp_
 @pytest.mark.slow
 def test_cli__study_whose_trainings_are_invalid_ends_with_the_reason(tmp_path: Path) -> None:
     pytest.importorskip("optuna")
+    from support.tuning import load_tuning
+
     from zenostat.lab.tuning.study import Tuning
-    from zenostat.lab.tuning.tuning_file import load_tuning
     from zenostat.topics.errors import InvalidConfig
 
     tuning = Tuning(load_tuning(tmp_path / write(tmp_path, "s.yaml", STUDY, output=str(tmp_path / "study"))))

@@ -1,8 +1,6 @@
 """Studies: search spaces, studies that exist, lost databases, and the processes of trials."""
 
-import os
 import re
-import signal
 import threading
 from pathlib import Path
 from typing import Any
@@ -13,6 +11,8 @@ from zenostat.topics.errors import InvalidConfig
 
 optuna = pytest.importorskip("optuna")
 pytest.importorskip("stable_baselines3")
+
+from support.tuning import kill_first_process  # noqa: E402
 
 from zenostat.lab.tuning.search_space import distribution  # noqa: E402
 from zenostat.lab.tuning.study import Tuning, open_study, reason_of  # noqa: E402
@@ -200,15 +200,7 @@ def test_tuning__processes_with_one_seed_draw_what_one_process_draws(sampler: st
 def test_tuning__killed_process_fails_its_trial_and_no_other(tmp_path: Path) -> None:
     ended: list[Any] = []
     tuning = Tuning(study(tmp_path, workers=2, retries=1), ended.append)
-    start, killed = tuning._start, []
-
-    def kill_the_first() -> None:
-        start()
-        if not killed:
-            killed.append(tuning.processes[0])
-            os.kill(killed[0], signal.SIGKILL)
-
-    tuning._start = kill_the_first  # type: ignore[method-assign]
+    kill_first_process(tuning)
     assert tuning.run()
     states = [trial.state.name for trial in tuning.study.trials]
     assert states == ["FAIL", "COMPLETE", "COMPLETE", "COMPLETE"]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
-import signal
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,12 +18,14 @@ from zenostat.topics.errors import InvalidConfig, UnknownName
 
 optuna = pytest.importorskip("optuna")
 
+from support.tuning import kill_first_process, load_tuning  # noqa: E402
+
 from zenostat.lab.tuning import RULE_SEARCH_SPACE, tune_controller  # noqa: E402
 from zenostat.lab.tuning.controller_episodes import ControllerEpisodes  # noqa: E402
 from zenostat.lab.tuning.study import Tuning  # noqa: E402
 from zenostat.lab.tuning.study_figures import write_results  # noqa: E402
 from zenostat.lab.tuning.trial import mean_metric  # noqa: E402
-from zenostat.lab.tuning.tuning_file import load_tuning, read_tuning  # noqa: E402
+from zenostat.lab.tuning.tuning_file import read_tuning  # noqa: E402
 
 FAKE: dict[str, Any] = {"zones": 1, "end": "07-03", "steps_per_hour": 2, "control": "building"}
 ARGUMENTS = {"scenario": "Fake-v1", **FAKE}
@@ -291,15 +291,7 @@ def test_controller_study__has_the_trials_of_tune_controller_and_writes_a_file_t
 @pytest.mark.filterwarnings("ignore:Heartbeat of storage")
 def test_controller_study__killed_process_fails_its_trial_which_is_repeated(tmp_path: Path) -> None:
     tuning = Tuning(study(tmp_path, workers=2, retries=1))
-    start, killed = tuning._start, []
-
-    def kill_the_first() -> None:
-        start()
-        if not killed:
-            killed.append(tuning.processes[0])
-            os.kill(killed[0], signal.SIGKILL)
-
-    tuning._start = kill_the_first  # type: ignore[method-assign]
+    kill_first_process(tuning)
     assert tuning.run()
     assert [trial.state.name for trial in tuning.study.trials] == ["FAIL", *["COMPLETE"] * 4]
     (repeated,) = [trial for trial in tuning.study.trials if "retry_of" in trial.user_attrs]

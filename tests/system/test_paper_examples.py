@@ -73,7 +73,7 @@ def test_paper_search__best_combinations_continue_their_trainings(scratch: Path)
 
 def test_paper_search__has_108_combinations_of_two_years() -> None:
     pytest.importorskip("stable_baselines3")
-    from zenostat.lab.tuning.tuning_file import load_tuning
+    from support.tuning import load_tuning
 
     config = load_tuning(PAPER / "search.yaml")
     assert len(config.grid()) == 108
