@@ -48,8 +48,8 @@ class LogEntry:
         subject: The point that was written, what was requested, or what the alarm reports.
         result: `accepted`, or the reason why not; of an alarm, its new state.
         count: Number of consecutive accepted commands that the entry stands for.
-        proven: Name in the certificate that proves the sender's name, which is that or below it; empty if nothing
-            proves it.
+        proven: Name in the certificate that proves the sender's name, which is that or below it (of a gateway's client,
+            the gateway's); empty if nothing proves it.
         via: Way in to the bus: `zenoh`, or the protocol of a gateway; empty for an alarm, and if it was not recorded.
     """
 
@@ -62,11 +62,6 @@ class LogEntry:
     count: int = 1
     proven: str = ""
     via: str = ""
-
-    @property
-    def is_proven(self) -> bool:
-        """Whether a certificate proves who sent it; of a gateway's client, it proves the gateway."""
-        return bool(self.proven)
 
     @property
     def is_accepted(self) -> bool:

@@ -74,7 +74,7 @@ def test_log__has_the_proven_name_and_the_way_in_of_each_sender(recorded: Any) -
     assert [(entry.source, entry.proven) for entry in by_ann] == [("ann.screen", "ann")]
     # The command, and the gateway's relinquishment at its end. The certificate proves the gateway alone.
     assert [(entry.source, entry.proven) for entry in by_modbus] == [("gateway.modbus.panel", "gateway")] * 2
-    assert all(entry.is_proven for entry in log)
+    assert all(entry.proven for entry in log)
     faults = [entry for entry in log if entry.kind == "faults"]
     assert [entry.source for entry in faults] == ["ann.screen"]
     events = [event for _, event in recording.load(recorded.path).events]
