@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from support.certificates import house_keys
 from support.examples import ALL, FAST, QUICK
 from support.mqtt_broker import BROKER, missing_broker
 from support.nodes import SMALL, NodeProgram, begin_new_episode, node_on_bus, nothing_left
@@ -147,6 +148,12 @@ def module_folder() -> Iterator[Path]:
         yield short
 
 
+@pytest.fixture(scope="module")
+def pki(module_folder: Path) -> Path:
+    """A folder of keys for all roles; see `house_keys`."""
+    return house_keys(module_folder / "keys")
+
+
 @pytest.fixture
 def node(scratch: Path) -> Iterator[NodeProgram]:
     """A node `office` with the small building, as a program."""
@@ -156,8 +163,9 @@ def node(scratch: Path) -> Iterator[NodeProgram]:
 
 @pytest.fixture
 def bus(node: NodeProgram) -> Iterator[zenostat.Bus]:
-    """The bus of `node`."""
-    with zenostat.connect(node.endpoint, affinity="off") as connected:
+    """The bus of `node`; with keys, as the trainer."""
+    certificate = "trainer" if node.keys else None
+    with zenostat.connect(node.endpoint, keys=node.keys, certificate=certificate, affinity="off") as connected:
         yield connected
 
 

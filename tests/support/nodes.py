@@ -82,6 +82,7 @@ class NodeProgram:
         arguments: dict[str, Any] = {"listen": [f"unixsock-stream/{folder}/bus"], "folder": str(folder / "run")}
         arguments |= {"affinity": "off", "name": "office", **settings}
         self.name: str = arguments["name"]
+        self.keys: str | None = arguments.get("keys")
         self.endpoint: str = (arguments["listen"] or arguments["connect"])[0]
         self.process = subprocess.Popen(
             [
@@ -212,6 +213,12 @@ def command_of(process: psutil.Process) -> list[str]:
         return process.cmdline()
     except psutil.Error:
         return []
+
+
+def size_of(pid: int) -> tuple[int, int, float]:
+    """A process's descriptors, threads, and memory in MB."""
+    process = psutil.Process(pid)
+    return process.num_fds(), process.num_threads(), process.memory_info().rss / 1e6
 
 
 def runs(process: psutil.Process) -> bool:

@@ -8,10 +8,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import msgpack
-import psutil
 import pytest
 import zenoh
-from support.nodes import SMALL, NodeProgram, Program, node_on_bus, nothing_left, until, values_of_day
+from support.nodes import SMALL, NodeProgram, Program, node_on_bus, nothing_left, size_of, until, values_of_day
 from zenoh.handlers import RingChannel
 
 from zenostat.bridge.client.bus import Bus
@@ -184,11 +183,6 @@ def node_and_bus(folder: Path) -> Iterator[tuple[NodeProgram, Bus]]:
         yield node, bus
 
 
-def size(pid: int) -> tuple[int, int, float]:
-    process = psutil.Process(pid)
-    return process.num_fds(), process.num_threads(), process.memory_info().rss / 1e6
-
-
 @pytest.mark.slow
 @pytest.mark.variants
 @pytest.mark.parametrize("seconds", [4.0, FUZZ_S])
@@ -203,16 +197,16 @@ def test_malformed_messages__change_nothing(scratch: Path, seconds: float) -> No
                 while time.monotonic() < until_s:
                     fuzzer.tell()
                     assert values_of_day(link) == quiet
-                    warm = warm or size(node.pid)
+                    warm = warm or size_of(node.pid)
             published = [codec.decode(Event, e.payload.to_bytes()) for e in iter(events.try_recv, None)]
             status = bus.status("office")  # after them: what is told has been counted
             assert status.rejected > 20
             refusals = [event for event in published if event.kind is EventKind.REJECTED]
             assert any("not msgpack" in event.text for event in refusals)
             assert len(refusals) <= status.rejected
-        until(lambda: size(node.pid)[0] <= warm[0] + 5, "descriptors are given back")
-        until(lambda: size(node.pid)[1] <= warm[1] + 3, "threads have ended")
-        assert size(node.pid)[2] < warm[2] + 300  # Zenoh keeps buffers of the 64 MB messages
+        until(lambda: size_of(node.pid)[0] <= warm[0] + 5, "descriptors are given back")
+        until(lambda: size_of(node.pid)[1] <= warm[1] + 3, "threads have ended")
+        assert size_of(node.pid)[2] < warm[2] + 300  # Zenoh keeps buffers of the 64 MB messages
         assert values_of_day(link) == quiet
 
 
@@ -251,7 +245,7 @@ def test_valid_messages__leave_the_node_in_order(scratch: Path) -> None:
 def test_node__flood_is_bounded_and_others_are_served(scratch: Path, kind: str) -> None:
     with node_and_bus(scratch) as (node, bus), bus.controller("office") as link:
         quiet = values_of_day(link)
-        before = size(node.pid)
+        before = size_of(node.pid)
         with Program(FLOOD, kind, node.endpoint, link.name) as flood:
             assert flood.line() == "floods"
             assert values_of_day(link) == quiet
@@ -260,6 +254,6 @@ def test_node__flood_is_bounded_and_others_are_served(scratch: Path, kind: str) 
         # In each of 97 steps 100 of the controller and 100 of strangers; others are bounded by their queue.
         if kind in ("malformed", "duplicates"):
             assert status.rejected + status.late + status.duplicate <= 2 * 97 * 100
-        assert size(node.pid)[2] < before[2] + 100
+        assert size_of(node.pid)[2] < before[2] + 100
         assert values_of_day(link) == quiet
     assert node.process.returncode == 0

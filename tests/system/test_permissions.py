@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 import zenoh
-from support.certificates import house_keys
 from support.nodes import free_port, until
 from zenoh.handlers import Callback
 
@@ -61,11 +60,6 @@ class BareNode:
     def until(self, fence: str) -> set[tuple[str, str]]:
         """Return what has passed before a query on this key."""
         return set(iter(lambda: self.received.get(timeout=20), ("ask", fence)))
-
-
-@pytest.fixture(scope="module")
-def pki(module_folder: Path) -> Path:
-    return house_keys(module_folder / "keys")
 
 
 @pytest.fixture(scope="module")

@@ -22,8 +22,7 @@ import msgpack
 import psutil
 import pytest
 from support import role_fuzzer
-from support.certificates import house_keys
-from support.nodes import NodeProgram, free_port, until
+from support.nodes import NodeProgram, free_port, size_of, until
 
 import zenostat
 from zenostat import Bus, ControllerLink
@@ -97,11 +96,6 @@ class RoleFuzzer:
 
 
 @pytest.fixture(scope="module")
-def pki(module_folder: Path) -> Path:
-    return house_keys(module_folder / "keys")
-
-
-@pytest.fixture(scope="module")
 def node(module_folder: Path, pki: Path) -> Iterator[NodeProgram]:
     """A node with a state that could be changed: alarms, a fault, a pace, a written value, a snapshot, a recording."""
     (module_folder / "alarms.yaml").write_text(ALARMS)
@@ -109,12 +103,6 @@ def node(module_folder: Path, pki: Path) -> Iterator[NodeProgram]:
     settings = {"plant": PLANT, "listen": listen, "keys": str(pki), "alarms": f"{module_folder}/alarms.yaml"}
     with NodeProgram(module_folder / "node", **settings) as running:
         yield running
-
-
-@pytest.fixture(scope="module")
-def bus(node: NodeProgram, pki: Path) -> Iterator[Bus]:
-    with zenostat.connect(node.endpoint, keys=pki, certificate="trainer", affinity="off") as connected:
-        yield connected
 
 
 def day(link: ControllerLink) -> list[tuple[Any, ...]]:
@@ -183,11 +171,6 @@ def without_episode(content: dict[str, Any]) -> dict[str, Any]:
     return {name: value for name, value in content.items() if name not in ("episode", "reply")}
 
 
-def size(pid: int) -> tuple[int, int, float]:
-    process = psutil.Process(pid)
-    return process.num_fds(), process.num_threads(), process.memory_info().rss / 1e6
-
-
 def fuzz(folder: Path, node: NodeProgram, bus: Bus, pki: Path, seconds: float, topics: Sequence[Topic]) -> None:
     """Compare a node's days and its state without the fuzzer and with it."""
     print("FUZZ_SEED", SEED)  # noqa: T201  # to run a failure again
@@ -211,13 +194,13 @@ def fuzz(folder: Path, node: NodeProgram, bus: Bus, pki: Path, seconds: float, t
                 fuzzer.begin_round()
                 assert day(link) == alone
                 fuzzer.end_round()
-                warm = warm or size(node.pid)
+                warm = warm or size_of(node.pid)
             assert day(link) == alone
             assert state(bus, pki) == before
             assert psutil.Process(node.pid).children(recursive=True) == children, "nothing was started"
-            assert size(node.pid)[2] < warm[2] + 50
-            until(lambda: size(node.pid)[0] <= warm[0] + 5, "descriptors are given back")
-            until(lambda: size(node.pid)[1] <= warm[1] + 3, "threads have ended")
+            assert size_of(node.pid)[2] < warm[2] + 50
+            until(lambda: size_of(node.pid)[0] <= warm[0] + 5, "descriptors are given back")
+            until(lambda: size_of(node.pid)[1] <= warm[1] + 3, "threads have ended")
             assert set(fuzzer.sent) == {key for keys_ in wrong.values() for key in keys_}
         bus.stop_recording("office")
         link.close()

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 import zenoh
 from support.certificates import house_keys
+from support.events import events_of, next_event
 from support.nodes import NodeProgram, free_port, until
 from support.run_cli import run_program
 from zenoh.handlers import FifoChannel
@@ -26,7 +27,6 @@ from zenostat.topics.messages import (
     CreateBranch,
     DropSnapshot,
     ErrorReply,
-    Event,
     EventKind,
     Stop,
     TakeSnapshot,
@@ -39,12 +39,11 @@ BOTH = (Role.CONTROLLER, Role.OPERATOR)
 
 
 @pytest.fixture(scope="module")
-def pki(module_folder: Path) -> Path:
-    folder = house_keys(module_folder / "keys")
+def pki(pki: Path) -> Path:
     for name in PEOPLE:
-        add(folder, BOTH, name)
-    add(folder, Role.NODE, "gate")
-    return folder
+        add(pki, BOTH, name)
+    add(pki, Role.NODE, "gate")
+    return pki
 
 
 @pytest.fixture(scope="module")
@@ -62,13 +61,6 @@ def connect(node: NodeProgram, pki: Path, name: str) -> Bus:
 def operator(node: NodeProgram, pki: Path) -> Iterator[Bus]:
     with connect(node, pki, "operator") as bus:
         yield bus
-
-
-def next_event(events: zenoh.Subscriber, kind: EventKind) -> Event:
-    while True:
-        event = codec.decode(Event, events.recv().payload.to_bytes())
-        if event.kind is kind:
-            return event
 
 
 def ask(
@@ -98,9 +90,8 @@ def test_revoke__ends_claims_values_and_links_of_a_name_and_nothing_of_others(
     with (
         others,
         connect(node, pki, name) as own,
-        operator.session.declare_subscriber(keys.EVENT.at("room"), FifoChannel(4096)) as events,
+        events_of(operator, "room") as events,
     ):
-        operator.status("room")
         actuator, *rest = [actuator.name for actuator in operator.manifest("room").actuators]
         link = own.controller("room", name="agent", priority=9)
         kept = others.controller("room", name="agent", priority=11)
@@ -257,9 +248,8 @@ def test_revoked_file__that_is_damaged_is_reported_and_the_names_stay(scratch: P
     with (
         NodeProgram(scratch / "own", plant=PLANT, name="room", listen=listen, keys=str(pki)) as node,
         connect(node, pki, "operator") as bus,
-        bus.session.declare_subscriber(keys.EVENT.at("room"), FifoChannel(4096)) as events,
+        events_of(bus, "room") as events,
     ):
-        bus.status("room")
         (pki / REVOKED).write_text("second # left\nnot a name\n")
         assert "line 2: 'not a name' is not a name" in next_event(events, EventKind.WARNING).text
         with connect(node, pki, "second") as second:

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 import zenoh
 from support import security_page
-from support.certificates import expire, house_keys
+from support.certificates import expire
 from support.nodes import SMALL, NodeProgram, free_port, until
 from support.run_cli import run_program
 from zenoh.handlers import FifoChannel
@@ -43,12 +43,6 @@ _numbers = count()
 
 
 @pytest.fixture(scope="module")
-def pki(module_folder: Path) -> Path:
-    """The keys of the house, with a second controller's."""
-    return house_keys(module_folder / "keys")
-
-
-@pytest.fixture(scope="module")
 def strange_pki(module_folder: Path) -> Path:
     """The keys of another house."""
     make(module_folder / "strange")
@@ -61,12 +55,6 @@ def node(module_folder: Path, pki: Path) -> Iterator[NodeProgram]:
     listen = [f"tls/127.0.0.1:{free_port()}"]
     with NodeProgram(module_folder / "node", **SMALL, listen=listen, keys=str(pki)) as running:
         yield running
-
-
-@pytest.fixture
-def bus(node: NodeProgram, pki: Path) -> Iterator[Bus]:
-    with zenostat.connect(node.endpoint, keys=pki, certificate="trainer", affinity="off") as connected:
-        yield connected
 
 
 @pytest.fixture

@@ -13,7 +13,6 @@ from typing import Any
 
 import psutil
 import pytest
-from support.certificates import house_keys
 from support.links import CuttableLink
 from support.nodes import NodeProgram, free_port, until
 from support.run_cli import run_python
@@ -153,21 +152,10 @@ def test_threats__node_on_a_unix_socket_in_a_private_folder_is_out_of_reach_of_o
 
 
 @pytest.fixture(scope="module")
-def pki(module_folder: Path) -> Path:
-    return house_keys(module_folder / "keys")
-
-
-@pytest.fixture(scope="module")
 def node(module_folder: Path, pki: Path) -> Iterator[NodeProgram]:
     listen = [f"tls/127.0.0.1:{free_port()}"]
     with NodeProgram(module_folder / "node", plant=PLANT, listen=listen, keys=str(pki)) as running:
         yield running
-
-
-@pytest.fixture
-def bus(node: NodeProgram, pki: Path) -> Iterator[Bus]:
-    with zenostat.connect(node.endpoint, keys=pki, certificate="trainer", affinity="off") as connected:
-        yield connected
 
 
 @needs_root

@@ -7,10 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from support.certificates import house_keys
 from support.nodes import NodeProgram, free_port
 
-import zenostat
 from zenostat import Bus
 
 pytest.importorskip("zmq", reason="pyzmq is not installed")
@@ -37,11 +35,6 @@ class Room:
 
 
 @pytest.fixture(scope="module")
-def pki(module_folder: Path) -> Path:
-    return house_keys(module_folder / "keys")
-
-
-@pytest.fixture(scope="module")
 def node(module_folder: Path, pki: Path) -> Iterator[NodeProgram]:
     (module_folder / "room.py").write_text(PLANT)
     listen = [f"tls/127.0.0.1:{free_port()}"]
@@ -54,12 +47,6 @@ def node(module_folder: Path, pki: Path) -> Iterator[NodeProgram]:
 def gateway(node: NodeProgram, pki: Path) -> Iterator[GatewayProgram]:
     with GatewayProgram(node.endpoint, "--keys", str(pki)) as running:
         yield running
-
-
-@pytest.fixture
-def bus(node: NodeProgram, pki: Path) -> Iterator[Bus]:
-    with zenostat.connect(node.endpoint, keys=pki, certificate="trainer", affinity="off") as connected:
-        yield connected
 
 
 def example(language: str, folder: Path, gateway: GatewayProgram, name: str) -> list[str]:
