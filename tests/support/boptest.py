@@ -1,12 +1,13 @@
 """A BOPTEST service in this process, and requests to it as BOPTEST's clients send them."""
 
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import requests
 
+from support.http_servers import running
 from zenostat.cli.boptest_cases import BundledTestCases
 from zenostat.gateways.boptest.app import Service
 from zenostat.gateways.boptest.manager import TestManager
@@ -60,12 +61,17 @@ def serving(*, single: str | None = None, clients: Clients = UNRESTRICTED, **opt
     with BoptestServer(service, "127.0.0.1:0") as server:
         if single is not None:
             service.testid = manager.select(single, keep=True)
-        thread = threading.Thread(target=server.run)
-        thread.start()
-        try:
-            client = Client(server.url, service)
+        with running(server), (client := Client(server.url, service)).session:
             yield client
-        finally:
-            client.session.close()
-            server.stop()
-            thread.join()
+
+
+def hold(function: Callable[..., Any], in_progress: threading.Event, may_go_on: threading.Event) -> Callable[..., Any]:
+    """Return a function that signals when it has its result, and may return it later."""
+
+    def held(*arguments: Any) -> Any:
+        result = function(*arguments)
+        in_progress.set()
+        assert may_go_on.wait(60)
+        return result
+
+    return held

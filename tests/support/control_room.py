@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -12,6 +11,7 @@ from urllib.parse import urlsplit
 import pytest
 
 import zenostat
+from support.http_servers import running
 from zenostat.bridge.runtime.affinity import Affinity
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
@@ -39,14 +39,9 @@ def control_room(endpoint: str, *, keys: Any = None, role: Any = None, **setting
     with (
         zenostat.connect(endpoint, affinity=Affinity.OFF, wait=True, keys=keys, role=role) as bus,
         RoomServer(bus, "127.0.0.1:0", **settings) as server,
+        running(server),
     ):
-        thread = threading.Thread(target=server.run)
-        thread.start()
-        try:
-            yield server
-        finally:
-            server.stop()
-            thread.join()
+        yield server
 
 
 @contextmanager

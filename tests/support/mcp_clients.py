@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import AsyncIterator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager
@@ -10,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import zenostat
+from support.http_servers import running
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.views.mcp.call_log import CallLog
 from zenostat.views.mcp.content import read_data
@@ -37,14 +37,8 @@ def tool_server(endpoint: str, audit: Path, *rules: str, reports: Path | None = 
 @contextmanager
 def http_server(tools: ToolServer) -> Iterator[HttpToolServer]:
     """The tools over HTTP on a free port, in a thread."""
-    with HttpToolServer(tools, "127.0.0.1:0", TOKEN) as server:
-        thread = threading.Thread(target=server.run)
-        thread.start()
-        try:
-            yield server
-        finally:
-            server.stop()
-            thread.join()
+    with HttpToolServer(tools, "127.0.0.1:0", TOKEN) as server, running(server):
+        yield server
 
 
 @asynccontextmanager

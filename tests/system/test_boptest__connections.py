@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("fastapi", reason="fastapi is not installed")
 pytest.importorskip("httptools", reason="httptools is not installed")
 
-from support.boptest import DAY_S, Client, serving
+from support.boptest import DAY_S, Client, hold, serving
 
 from zenostat.gateways.boptest import app, server
 from zenostat.gateways.boptest.simulation import Simulation
@@ -21,19 +21,11 @@ from zenostat.gateways.boptest.simulation import Simulation
 def test_boptest__requests_that_wait_for_one_of_their_test_do_not_block_the_service(monkeypatch):
     """advance begins → more requests of the test than there are threads → other requests are answered"""
     in_progress, may_go_on, answers, waiting = threading.Event(), threading.Event(), Queue(), 20
-    original = Simulation.step
     monkeypatch.setattr(app, "_MAX_QUEUED", waiting)
-
-    def held(self, *args):
-        sample = original(self, *args)
-        in_progress.set()
-        assert may_go_on.wait(60)
-        return sample
-
     with serving(max_tests=1) as client:
         client.select("ref-small-office")
         client.put("step", step=300 * DAY_S)
-        monkeypatch.setattr(Simulation, "step", held)
+        monkeypatch.setattr(Simulation, "step", hold(Simulation.step, in_progress, may_go_on))
 
         def send(method, operation):
             one = Client(client.url)
@@ -61,14 +53,8 @@ def test_boptest__connections_without_a_complete_request_are_closed_unless_they_
     in_progress, may_go_on, answers = threading.Event(), threading.Event(), []
     head = b"POST /testcases/none/select HTTP/1.1\r\nHost: localhost\r\n"
     with serving() as client, ExitStack() as stack:
-        names = client.service.manager.cases.names
-
-        def held():
-            in_progress.set()
-            assert may_go_on.wait(60)
-            return names()
-
-        monkeypatch.setattr(client.service.manager.cases, "names", held)
+        cases = client.service.manager.cases
+        monkeypatch.setattr(cases, "names", hold(cases.names, in_progress, may_go_on))
         thread = threading.Thread(target=lambda: answers.append(client.request("GET", "/testcases")))
         thread.start()
         assert in_progress.wait(60)

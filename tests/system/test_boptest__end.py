@@ -7,7 +7,7 @@ import pytest
 pytest.importorskip("fastapi", reason="fastapi is not installed")
 pytest.importorskip("httptools", reason="httptools is not installed")
 
-from support.boptest import DAY_S, Client, serving
+from support.boptest import DAY_S, Client, hold, serving
 
 from zenostat.gateways.boptest import manager
 from zenostat.gateways.boptest.simulation import Interruption, Simulation
@@ -72,20 +72,12 @@ def test_boptest__test_that_is_starting_can_be_ended(monkeypatch, capfd, end):
 def test_boptest__stop_is_answered_while_a_request_is_in_progress_which_then_ends(monkeypatch, capfd, is_branch):
     """advance begins → stop is answered → advance goes on: ends with an error → the service ends quietly"""
     in_progress, may_go_on, answers = threading.Event(), threading.Event(), []
-    original = Simulation.step
-
-    def held(self, *args):
-        sample = original(self, *args)
-        in_progress.set()
-        assert may_go_on.wait(60)
-        return sample
-
     with serving() as client:
         parent = client.select("office-small")
         if is_branch:
             client.testid = client.request("POST", f"/branch/{parent}").json()["testid"]
         client.put("step", step=300 * DAY_S)
-        monkeypatch.setattr(Simulation, "step", held)
+        monkeypatch.setattr(Simulation, "step", hold(Simulation.step, in_progress, may_go_on))
         thread = threading.Thread(target=lambda: answers.append(client.answer("POST", "advance", {})))
         thread.start()
         assert in_progress.wait(60)
