@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -42,6 +44,14 @@ def control_room(endpoint: str, *, keys: Any = None, role: Any = None, **setting
         running(server),
     ):
         yield server
+
+
+def write_training(folder: Path, scenario: str = "tank") -> None:
+    """A training of half its steps, evaluated twice in two episodes."""
+    folder.mkdir(parents=True)
+    (folder / "training.yaml").write_text(f"algorithm: ppo\nscenario: {json.dumps(scenario)}\nsteps: 400\nseed: 3\n")
+    (folder / "versions.json").write_text('{"format": 1}')
+    (folder / "evaluations.csv").write_text("step,seed,reward\n100,1,-4\n100,2,-5\n200,1,-2\n200,2,-3\n")
 
 
 @contextmanager

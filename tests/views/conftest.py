@@ -1,10 +1,25 @@
-"""A browser, and one in which an operator has signed in to the module's control room."""
+"""Keys of a control room, a browser, and one in which an operator has signed in to the module's control room."""
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from support.control_room import Visitor, chromium
+
+from zenostat.bridge.transport import certificates
+from zenostat.topics.keys import Role
+
+
+@pytest.fixture(scope="module")
+def keys(module_folder: Path) -> Path:
+    """Keys of a bus with two operators, a monitor, and a certificate of the page."""
+    folder = module_folder / "keys"
+    certificates.make(folder)
+    for role, name in ((Role.OPERATOR, "ada"), (Role.OPERATOR, "eve"), (Role.MONITOR, "wall")):
+        certificates.add(folder, role, name)
+    certificates.add(folder, Role.NODE, "room", hosts=["room.example.org"])
+    return folder
 
 
 @pytest.fixture(scope="module")

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.control_room import NEEDS_CHROMIUM, Visitor, control_room, violations
+from support.control_room import NEEDS_CHROMIUM, Visitor, control_room, violations, write_training
 from support.nodes import SMALL, NodeProgram, until
 
 import zenostat
@@ -30,10 +30,7 @@ SETPOINT = "core_zn_cooling_setpoint"
 def training(folder: Path) -> None:
     """Two trainings with a reference, one of them damaged, and a study."""
     for name in ("ppo", "study/trials/0000/training"):
-        (folder / name).mkdir(parents=True)
-        (folder / name / "training.yaml").write_text("algorithm: ppo\nscenario: office\nsteps: 400\nseed: 3\n")
-        (folder / name / "versions.json").write_text('{"format": 1}')
-        (folder / name / "evaluations.csv").write_text("step,seed,reward\n100,1,-4\n100,2,-5\n200,1,-2\n200,2,-3\n")
+        write_training(folder / name, "office")
         (folder / name / "references.csv").write_text("controller,seed,reward\nbaseline,1,-4\n")
         (folder / name / "scenario.yaml").write_text("")
     (folder / "study/trials/0000/trial.json").write_text('{"metric": "reward", "training": {"algorithm": "ppo"}}')

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.control_room import NEEDS_CHROMIUM, control_room, violations
+from support.control_room import NEEDS_CHROMIUM, control_room, violations, write_training
 from support.nodes import NodeProgram, free_port, until
 from support.tank_plant import TANK
 
 import zenostat
-from zenostat.bridge.transport import certificates
 from zenostat.topics.keys import Role
 
 pytest.importorskip("starlette")
@@ -42,22 +41,9 @@ REFUSED = "wall may only read; changes need an operator."
 
 
 def training(folder: Path) -> None:
-    folder.mkdir(parents=True)
-    (folder / "training.yaml").write_text("algorithm: ppo\nscenario: tank\nsteps: 400\nseed: 3\n")
+    write_training(folder)
     (folder / "scenario.yaml").write_text("")
-    (folder / "versions.json").write_text('{"format": 1}')
-    (folder / "evaluations.csv").write_text("step,seed,reward\n100,1,-4\n200,1,-2\n")
     (folder / "run.mcap").write_bytes(b"")
-
-
-@pytest.fixture(scope="module")
-def keys(module_folder: Path) -> Path:
-    folder = module_folder / "keys"
-    certificates.make(folder)
-    certificates.add(folder, Role.OPERATOR, "ada")
-    certificates.add(folder, Role.MONITOR, "wall")
-    certificates.add(folder, Role.NODE, "room", hosts=["room.example.org"])
-    return folder
 
 
 @pytest.fixture(scope="module")

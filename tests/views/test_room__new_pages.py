@@ -1,12 +1,11 @@
 """The scenario builder, trainings and the audit log of the control room in a real browser."""
 
-import json
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support.control_room import NEEDS_CHROMIUM, Visitor, control_room
+from support.control_room import NEEDS_CHROMIUM, Visitor, control_room, write_training
 from support.nodes import NodeProgram, until
 from support.tank_plant import TANK
 
@@ -28,10 +27,7 @@ HOSTILE = "<img src=x onerror=\"document.title='taken'\">"
 
 
 def training(folder: Path) -> None:
-    folder.mkdir(parents=True)
-    (folder / "training.yaml").write_text(f"algorithm: ppo\nscenario: {json.dumps(HOSTILE)}\nsteps: 400\nseed: 3\n")
-    (folder / "versions.json").write_text('{"format": 1}')
-    (folder / "evaluations.csv").write_text("step,seed,reward\n100,1,-4\n100,2,-5\n200,1,-2\n200,2,-3\n")
+    write_training(folder, HOSTILE)
     (folder / "references.csv").write_text(f"controller,seed,reward\n{HOSTILE},1,-4\n")
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.control_room import NEEDS_CHROMIUM, Visitor, control_room
+from support.control_room import NEEDS_CHROMIUM, Visitor, control_room, write_training
 from support.nodes import NodeProgram, until
 
 import zenostat
@@ -81,13 +81,6 @@ actuators:
 """
 
 
-def training(folder: Path) -> None:
-    folder.mkdir(parents=True)
-    (folder / "training.yaml").write_text("algorithm: ppo\nscenario: tank\nsteps: 400\nseed: 3\n")
-    (folder / "versions.json").write_text('{"format": 1}')
-    (folder / "evaluations.csv").write_text("step,seed,reward\n100,1,-4\n200,1,-2\n")
-
-
 @pytest.fixture(scope="module")
 def tank(module_folder: Path) -> Iterator[NodeProgram]:
     (module_folder / "tank.py").write_text(TANK)
@@ -112,7 +105,7 @@ def bus(tank: NodeProgram) -> Iterator[zenostat.Bus]:
 def room(module_folder: Path, tank: NodeProgram, bus: zenostat.Bus) -> Iterator[Any]:
     (module_folder / "scenarios").mkdir()
     for name in ("ppo", "lr=1,seed=2", "50%2C"):
-        training(module_folder / "runs" / name)
+        write_training(module_folder / "runs" / name)
     settings = RoomSettings(scenarios=module_folder / "scenarios", trainings=module_folder / "runs")
     with control_room(tank.endpoint, settings=settings) as server:
         server.folder = module_folder

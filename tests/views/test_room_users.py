@@ -38,18 +38,6 @@ class Clock:
         return self.now_s
 
 
-@pytest.fixture(scope="module")
-def keys(module_folder: Path) -> Path:
-    """Keys of a bus with two operators, a monitor, and a certificate of the page."""
-    folder = module_folder / "keys"
-    certificates.make(folder)
-    certificates.add(folder, Role.OPERATOR, "ada")
-    certificates.add(folder, Role.OPERATOR, "eve")
-    certificates.add(folder, Role.MONITOR, "wall")
-    certificates.add(folder, Role.NODE, "room", hosts=["room.example.org"])
-    return folder
-
-
 @pytest.fixture
 def clock() -> Clock:
     return Clock()
