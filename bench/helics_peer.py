@@ -9,7 +9,6 @@ plant's time lies between two of the controller's, so that a measurement shows t
 from __future__ import annotations
 
 import importlib.util
-import socket
 import subprocess
 import sys
 from contextlib import suppress
@@ -53,9 +52,7 @@ class Controller:
     def __init__(self, core: str, offset_s: float) -> None:
         import helics
 
-        with socket.socket() as probe:
-            probe.bind(("127.0.0.1", 0))
-            port = int(probe.getsockname()[1])
+        port = programs.free_port()
         self._helics, self._offset_s = helics, offset_s
         self._broker = helics.helicsCreateBroker(core, "", f"--federates=2 --port={port}")
         plant = programs.command("helics_peer", core, str(port), str(offset_s))

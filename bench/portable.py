@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 import re
-import socket
 import subprocess
 import sys
 from collections.abc import Mapping, Sequence
@@ -19,6 +18,7 @@ from rich.console import Console
 from rich.table import Table
 
 import zenostat
+from bench import programs
 from zenostat.agent_sdk import semantic
 from zenostat.agent_sdk.controllers import Agent, Controller, PortableDemandLimit, PortableSetback
 from zenostat.topics.atomic_file import atomic_file
@@ -48,9 +48,7 @@ J_PER_KWH = 3.6e6
 
 def simulate(building: str, begin: str, end: str) -> dict[str, Any]:
     """Run all controllers in a node of a building; return energy, peak and unmet hours of each, and what it lacks."""
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
+    endpoint = f"tcp/127.0.0.1:{programs.free_port()}"
     settings = ("--building", building, "--weather", WEATHER, "--begin", begin, "--end", end, "--steps-per-hour", "6")
     program = [sys.executable, "-m", "zenostat", "node", *settings, "--name", "portable", "--listen", endpoint]
     with subprocess.Popen(program, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as node:

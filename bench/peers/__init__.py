@@ -10,7 +10,6 @@ from __future__ import annotations
 import ast
 import importlib.util
 import json
-import socket
 import subprocess
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
@@ -100,7 +99,7 @@ def run(kind: Kind, steps: int) -> model.Day:
         options |= {"steps": steps, "output": str(output)}
         federates: tuple[tuple[str, ...], ...] = ((),)
         if kind.tool == "HELICS":
-            options["port"], federates = _free_port(), (("office",), ("law",))
+            options["port"], federates = programs.free_port(), (("office",), ("law",))
         started = []
         for number, federate in enumerate(federates):
             command = programs.command(f"peers.{kind.tool.lower()}_loop", *federate, json.dumps(options))
@@ -120,12 +119,6 @@ def run(kind: Kind, steps: int) -> model.Day:
                 log.seek(0)
                 raise RuntimeError(f"{kind} failed:\n{log.read()[-3000:]}")
         return model.Day(**json.loads(output.read_text()))
-
-
-def _free_port() -> int:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def step_ms(day: model.Day) -> float:
