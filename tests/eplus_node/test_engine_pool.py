@@ -2,7 +2,6 @@
 
 import os
 import shutil
-import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +14,7 @@ from support.nodes import SMALL as OFFICE
 from support.nodes import runs, until
 
 from zenostat.bridge.engine.client import EngineClient
+from zenostat.bridge.runtime.idle_watch import IdleWatch
 from zenostat.eplus_node.config import read_config
 from zenostat.eplus_node.engine_pool import EnginePool
 from zenostat.eplus_node.fork_template import EngineTemplate
@@ -88,7 +88,9 @@ def test_prefetch__that_fails_starts_the_engine_at_the_reset(scratch: Path) -> N
     env = make(SMALL, **IN_TURN, **FOUR)
     env.reset()
     env.step([20.0, 25.0])
-    until(lambda: len(engines(env)) == 2 and _rests(engines(env)[-1]), "the next engine waits")
+    _, following = until(lambda: len(both := engines(env)) == 2 and both, "the next engine starts")
+    watch = IdleWatch(following.pid)
+    until(lambda: watch.look(0.005) > 0.3, "it waits")
     with no_room(env):
         _, info = env.reset()  # the engine is there; the next one cannot be
         assert info["engine_start"] == "prefetched"
@@ -136,12 +138,6 @@ def test_weather__file_that_is_damaged_while_a_node_runs_fails_its_episode(
     shutil.copy(scratch / "whole", scratch / "second.epw")
     assert env.reset()[1]["weather"] == "second"
     env.close()
-
-
-def _rests(process: psutil.Process) -> bool:
-    before = process.cpu_times()
-    time.sleep(0.3)
-    return bool(process.cpu_times() == before)
 
 
 @pytest.mark.slow
