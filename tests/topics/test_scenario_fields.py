@@ -146,7 +146,7 @@ def test_scenario_fields__page_is_what_the_code_gives() -> None:
     ("name", "values"), [("branches", (0, 4096)), ("keep_last", (1,)), ("unresponsive_s", (0.001,))]
 )
 def test_scenario_fields__values_of_a_range_are_accepted(name: str, values: tuple[float, ...]) -> None:
-    assert [getattr(read_config({name: value}), name) for value in values] == [*values]
+    assert [getattr(read_config({"output_dir": "/o", name: value}), name) for value in values] == [*values]
 
 
 @pytest.mark.parametrize(
@@ -155,7 +155,7 @@ def test_scenario_fields__values_of_a_range_are_accepted(name: str, values: tupl
 def test_scenario_fields__value_outside_its_range_is_rejected(name: str, values: tuple[float, ...]) -> None:
     for value in values:
         with pytest.raises(InvalidConfig, match=name):
-            read_config({name: value})
+            read_config({"output_dir": "/o", name: value})
 
 
 @pytest.mark.parametrize(
