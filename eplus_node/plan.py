@@ -24,8 +24,8 @@ from zenostat.models.points.discovery import PointCatalog
 from zenostat.models.points.monitoring import with_monitoring, with_systems, with_unobserved
 from zenostat.models.points.schedules import with_baseline_sensors, with_leads
 from zenostat.models.points.selection import Points
+from zenostat.models.run_period import Period, check_steps_per_hour
 from zenostat.models.scenario.episode_weather import NOISE_FREE_DAYS, WeatherSource, check_years, first_noisy_row
-from zenostat.models.scenario.run_period import Period, check_steps_per_hour
 from zenostat.models.scenario.schema import ActuatorSpec, Scenario, dump
 from zenostat.models.scenario.task import relative_actuators, task_of
 from zenostat.models.semantic.graph import semantic_turtle

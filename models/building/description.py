@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from zenostat.models.building import schema, systems
+from zenostat.models import schema
+from zenostat.models.building import systems
 from zenostat.models.building.conflicts import ProgramOverrides, thermostat_setpoints
 from zenostat.models.building.diagnostics import Diagnostic, Severity, cached_diagnostics
 from zenostat.models.building.geometry import BuildingGeometry, building_geometry

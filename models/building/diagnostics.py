@@ -15,8 +15,7 @@ from itertools import chain
 from pathlib import Path
 from typing import Protocol
 
-from zenostat.models import energyplus
-from zenostat.models.building import schema
+from zenostat.models import energyplus, schema
 from zenostat.models.building.ems_programs import program_findings
 from zenostat.models.building.external_files import versions_of_files
 from zenostat.models.building.nodes import (

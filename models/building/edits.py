@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from zenostat.models.building import schema
+from zenostat.models import schema
 from zenostat.topics.errors import InvalidConfig, did_you_mean
 
 Edits = dict[str, dict[str, dict[str, Any] | None]]

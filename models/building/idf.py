@@ -12,8 +12,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from zenostat.models import energyplus
-from zenostat.models.building import schema
+from zenostat.models import energyplus, schema
 from zenostat.models.building.diagnostics import describe, diagnose, diagnose_format, verdict
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.err_file import severe_messages

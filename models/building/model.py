@@ -28,7 +28,7 @@ from zenostat.models.catalog import Entry
 from zenostat.models.input_format.encoding import check_encoding, decode_idf
 from zenostat.models.input_format.idf_reader import idf_version
 from zenostat.models.input_format.source_model import ObjectsOfType
-from zenostat.models.scenario.run_period import Period, year_of
+from zenostat.models.run_period import Period, year_of
 from zenostat.models.upgrade.files import cached_upgrade
 from zenostat.models.upgrade.upgrade import UpgradedModel, upgrade_epjson
 from zenostat.models.upgrade.versions import short

@@ -12,8 +12,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from zenostat.models import energyplus
-from zenostat.models.building import schema
+from zenostat.models import energyplus, schema
 from zenostat.topics.cache import cached_bytes
 
 FORMAT = "2"

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from zenostat.models.building import schema
+from zenostat.models import schema
 from zenostat.models.engine_library import key_pattern
 from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
 from zenostat.topics.energyplus_names import COMPUTED_ON_REQUEST

@@ -7,7 +7,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from zenostat.models.building import schema
+from zenostat.models import schema
 from zenostat.models.building.object_lists import named_in, object_lists, type_lists
 from zenostat.topics.errors import did_you_mean
 

@@ -14,8 +14,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from zenostat.models import energyplus
-from zenostat.models.building import schema
+from zenostat.models import energyplus, schema
 from zenostat.models.building.template_references import templates_of
 from zenostat.models.input_format.encoding import decode_idf
 from zenostat.models.input_format.idd import dictionary

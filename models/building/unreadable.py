@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from zenostat.models import energyplus
-from zenostat.models.building import schema
+from zenostat.models import energyplus, schema
 from zenostat.models.building.diagnostics import Diagnostic, Severity, diagnose, diagnose_unexpanded
 from zenostat.models.building.source_lines import read_source
 from zenostat.models.building.template_references import templates_of

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 from typing import Any, NamedTuple
 
-from zenostat.models.building import schema
+from zenostat.models import schema
 from zenostat.models.building.compact_schedules import compact_values
 from zenostat.models.building.edits import Edits
 from zenostat.models.input_format.source_model import ModelObjects

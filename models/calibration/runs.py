@@ -24,7 +24,7 @@ from zenostat.models.calibration.targets import Target
 from zenostat.models.catalog import find_building
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.models.weather import design_days
 from zenostat.models.weather.header import check_complete, check_covers, read_header
 from zenostat.models.weather.records import check_records

@@ -11,8 +11,7 @@ from dataclasses import dataclass, field
 from functools import cache, cached_property
 from typing import Any
 
-from zenostat.models import energyplus
-from zenostat.models.building import schema
+from zenostat.models import energyplus, schema
 
 Rules = Mapping[str, Any]
 """A field's part of the schema: type, alternatives, words, limits, default."""

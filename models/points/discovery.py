@@ -15,7 +15,7 @@ from zenostat.models.building.diagnostics import cached_diagnostics, describe
 from zenostat.models.building.model import Building, check_runnable, for_episode, write
 from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.building.source_lines import locator
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.models.weather import design_days
 from zenostat.models.weather.header import Header, read_header
 from zenostat.topics.cache import cached_bytes, digest

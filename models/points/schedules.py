@@ -18,7 +18,7 @@ from zenostat.models.building.model import Building, for_episode, write
 from zenostat.models.building.source_lines import locator
 from zenostat.models.input_format.source_model import ObjectsOfType
 from zenostat.models.points.selection import Points
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.energyplus_names import COOLING_SETPOINT, HEATING_SETPOINT, SCHEDULE_VALUE, THERMOSTAT
 from zenostat.topics.errors import ErrorCollector, InvalidConfig

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from zenostat.models.building.model import Building, for_episode, write
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.models.scenario.schema import NoiseStart, Order
 from zenostat.models.weather import design_days, epw
 from zenostat.models.weather.design_days import Site

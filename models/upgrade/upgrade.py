@@ -11,8 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from zenostat.models import energyplus
-from zenostat.models.building import schema
+from zenostat.models import energyplus, schema
 from zenostat.models.input_format.idf_reader import idf_version, read_idf, version_line
 from zenostat.models.input_format.source_model import ObjectsOfType, SourceModel
 from zenostat.models.upgrade.apply import apply

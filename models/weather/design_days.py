@@ -13,8 +13,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from zenostat.models import energyplus
-from zenostat.models.building import schema
+from zenostat.models import energyplus, schema
 from zenostat.models.building.run_needs import lacks_design_days
 from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
 from zenostat.models.weather.header import DesignConditions, Header

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import date, timedelta
 from pathlib import Path
 
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.topics.calendar import format_month_day, is_month_day
 from zenostat.topics.errors import InvalidConfig
 

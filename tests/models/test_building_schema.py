@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from support.energyplus_alone import run_energyplus
 from support.run_cli import run_python
 
-from zenostat.models.building import schema
+from zenostat.models import schema
 from zenostat.models.building.model import for_episode, read_building, write
 from zenostat.models.catalog import Entry, buildings, find_building, find_weather
 

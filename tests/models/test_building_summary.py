@@ -15,7 +15,7 @@ from zenostat.models.building.locations import locations
 from zenostat.models.building.model import Building, for_episode, read_building, write
 from zenostat.models.building.summary import BuildingSummary, building_summary, listed_summaries, zone_areas
 from zenostat.models.points.discovery import discover
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 
 # Multipliers of zones and of a list of zones, plenums, attics, no heating in some zones, condenser loops.
 MODELS = ("restaurant-fast-food", "hotel-small", "office-large", "ref-midrise-apartment", "ref-outpatient", "warehouse")

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from support.energyplus_reference import Case, run_both
 
-from zenostat.models.building import schema
+from zenostat.models import schema
 from zenostat.models.building.model import read_building
 from zenostat.models.calibration.model_edits import (
     KINDS,

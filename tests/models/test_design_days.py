@@ -13,7 +13,7 @@ from support.weather_files import DRY_BULB, Outdoors, run
 from zenostat.models.building.model import for_episode, read_building, write
 from zenostat.models.catalog import find_building, find_weather
 from zenostat.models.err_file import severe_messages
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.models.weather.design_days import Site, apply, check_edits, from_header, site, standard_pressure
 from zenostat.models.weather.header import DesignConditions, Header, read_header
 from zenostat.topics.errors import InvalidConfig

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import pytest
 from support.data_packs import sinergym
 
-from zenostat.models.building import schema
+from zenostat.models import schema
 from zenostat.models.building.diagnostics import REQUIRED, Diagnostic, Severity, diagnose
 from zenostat.models.catalog import find_building
 from zenostat.models.input_format.epjson_reader import read_epjson

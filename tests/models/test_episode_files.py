@@ -18,6 +18,7 @@ from support.weather_files import run as run_outdoors
 
 from zenostat.models.building.model import Building, read_building
 from zenostat.models.catalog import find_building, find_weather
+from zenostat.models.run_period import Period
 from zenostat.models.scenario.episode_weather import (
     EpisodeFactory,
     EpisodeFiles,
@@ -27,7 +28,6 @@ from zenostat.models.scenario.episode_weather import (
     check_years,
     series,
 )
-from zenostat.models.scenario.run_period import Period
 from zenostat.models.weather import design_days, epw
 from zenostat.models.weather.header import read_header
 from zenostat.models.weather.noise import ColumnNoise, Variability

@@ -11,7 +11,7 @@ import pytest
 from support.weather_files import STEPS_PER_HOUR, run
 
 from zenostat.models.catalog import find_weather, weathers
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.models.weather.epw import COLUMNS, find_column, read, write
 from zenostat.models.weather.fixed_width import FixedWidthWeather
 from zenostat.models.weather.header import DesignConditions, Header, check_complete, check_covers, read_header

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from support.weather_files import DRY_BULB, run
 
 from zenostat.models.catalog import find_weather
-from zenostat.models.scenario.run_period import date
+from zenostat.models.run_period import date
 from zenostat.models.weather.epw import COLUMNS, Weather, read
 from zenostat.models.weather.fixed_width import FixedWidthWeather
 from zenostat.models.weather.noise import ColumnNoise, with_noise

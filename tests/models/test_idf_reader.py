@@ -8,8 +8,7 @@ from typing import Any
 
 import pytest
 
-from zenostat.models import catalog, energyplus
-from zenostat.models.building import schema
+from zenostat.models import catalog, energyplus, schema
 from zenostat.models.building.model import read_building
 from zenostat.models.input_format.encoding import decode_idf
 from zenostat.models.input_format.idd import idd_text

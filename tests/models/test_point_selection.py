@@ -22,7 +22,7 @@ from zenostat.models.points.discovery import (
 )
 from zenostat.models.points.listing import PointListing, listing
 from zenostat.models.points.selection import MeterSpec, Points, Spec, default_aggregation, select_points, sensor_bounds
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.topics.energyplus_names import HVAC_METERS
 from zenostat.topics.errors import InvalidConfig, UnknownName
 from zenostat.topics.messages import Aggregation

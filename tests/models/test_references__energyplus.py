@@ -19,7 +19,7 @@ from zenostat.models.building.model import for_episode, read_building
 from zenostat.models.building.object_lists import object_lists
 from zenostat.models.building.references import dangling_references
 from zenostat.models.catalog import bundled_weathers, find_building
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 
 _RUN = """
 import sys

@@ -17,7 +17,7 @@ from zenostat.eplus_node.plan import plan
 from zenostat.models.building.model import Building, for_episode
 from zenostat.models.building.run_needs import assumptions, lacks_design_days, simulation_control
 from zenostat.models.catalog import find_weather
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.models.weather.header import read_header
 from zenostat.models.weather.records import check_records, missing_values
 from zenostat.topics.errors import InvalidConfig

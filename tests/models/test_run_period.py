@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zenostat.models.building.model import Building
-from zenostat.models.scenario.run_period import Period, year_of
+from zenostat.models.run_period import Period, year_of
 from zenostat.models.weather.header import Header, check_covers
 from zenostat.topics.calendar import parse_day
 from zenostat.topics.errors import InvalidConfig

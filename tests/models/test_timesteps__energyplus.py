@@ -18,7 +18,7 @@ from zenostat.eplus_node.plan import plan
 from zenostat.models.building.model import Building
 from zenostat.models.building.run_needs import changed_timesteps
 from zenostat.models.catalog import find_weather
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.topics.errors import InvalidConfig, SimulatorError
 
 DENVER = find_weather("USA_CO_Denver").path

@@ -13,8 +13,7 @@ import pytest
 from support.old_versions import HEAT_PUMP_COIL, as_idf, taken_back
 from support.variable_runs import run
 
-from zenostat.models import catalog, energyplus
-from zenostat.models.building import schema
+from zenostat.models import catalog, energyplus, schema
 from zenostat.models.building.model import read_building
 from zenostat.models.catalog import find_building
 from zenostat.models.upgrade.apply import apply

@@ -17,7 +17,7 @@ from support.examples import examples
 from support.weather_files import DRY_BULB, STEPS_PER_HOUR, run
 
 from zenostat.models.catalog import find_weather
-from zenostat.models.scenario.run_period import date
+from zenostat.models.run_period import date
 from zenostat.models.weather.epw import Weather, read, write
 from zenostat.models.weather.noise import ColumnNoise, NoisyWeather, ornstein_uhlenbeck, resolve_columns, with_noise
 from zenostat.models.weather.psychrometrics import clear_sky_infrared, dew_point, relative_humidity, saturation_pressure

@@ -15,7 +15,7 @@ from zenostat.models.building.model import Building, for_episode, read_building,
 from zenostat.models.catalog import find_building, find_weather
 from zenostat.models.points.discovery import PointCatalog, discover
 from zenostat.models.points.selection import default_aggregation, find_variable
-from zenostat.models.scenario.run_period import Period
+from zenostat.models.run_period import Period
 from zenostat.topics.messages import Aggregation
 
 CASE = Case("ref-small-office", "USA_CO_Denver", "04-06", "04-09", 4)
