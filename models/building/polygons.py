@@ -352,10 +352,7 @@ def _axes(azimuth_deg: float, tilt_deg: float) -> tuple[Corner, Corner]:
 
 def _direction(corners: tuple[Corner, ...]) -> tuple[float, float]:
     """Return azimuth and tilt in degrees; the azimuth of a horizontal polygon is such that its first edge goes down."""
-    x = y = z = 0.0
-    for a, b in zip(corners, corners[1:] + corners[:1], strict=True):
-        product = _cross(a, b)
-        x, y, z = x + product[0], y + product[1], z + product[2]
+    x, y, z = doubled_area(corners)
     horizontal = hypot(x, y)
     if horizontal < 1e-9 * abs(z) or horizontal == z == 0:
         (ax, ay, _), (bx, by, _) = corners[:2]
@@ -373,8 +370,12 @@ def _turned_upright(kind: SurfaceKind, corners: tuple[Corner, ...]) -> tuple[Cor
     return corners[::-1] if is_upside_down else corners
 
 
-def _cross(a: Corner, b: Corner) -> Corner:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+def doubled_area(corners: Sequence[Corner]) -> Corner:
+    """Return a polygon's normal with twice its area as length (Newell's sum of cross products)."""
+    x = y = z = 0.0
+    for (ax, ay, az), (bx, by, bz) in zip(corners, (*corners[1:], *corners[:1]), strict=True):
+        x, y, z = x + (ay * bz - az * by), y + (az * bx - ax * bz), z + (ax * by - ay * bx)
+    return x, y, z
 
 
 def _moved(corner: Corner, *steps: tuple[Corner, float]) -> Corner:

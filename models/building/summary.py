@@ -14,6 +14,7 @@ from typing import Any
 from zenostat.models import energyplus
 from zenostat.models.building.locations import locations, texts, zones_of
 from zenostat.models.building.model import Building, read_building
+from zenostat.models.building.polygons import doubled_area
 from zenostat.models.catalog import Entry
 from zenostat.models.input_format.source_model import ModelObjects, ObjectsOfType
 from zenostat.topics.cache import cached_bytes, digest
@@ -148,16 +149,11 @@ def _floors(objects: ModelObjects) -> Iterator[tuple[str, str, float]]:
 
 
 def _area(fields: Mapping[str, Any]) -> float:
-    """Return a surface's area in m2: length times width, or its polygon's area (Newell's sum of cross products)."""
+    """Return a surface's area in m2: length times width, or its polygon's area."""
     if "vertices" not in fields:
         return float(fields.get("length", 0)) * float(fields.get("width", 0))
-    corners = [tuple(float(c[f"vertex_{axis}_coordinate"]) for axis in "xyz") for c in fields["vertices"]]
-    total = [0.0, 0.0, 0.0]
-    for (ax, ay, az), (bx, by, bz) in zip(corners, corners[1:] + corners[:1], strict=True):
-        total[0] += ay * bz - az * by
-        total[1] += az * bx - ax * bz
-        total[2] += ax * by - ay * bx
-    return sqrt(sum(part * part for part in total)) / 2
+    x, y, z = ([float(c[f"vertex_{axis}_coordinate"]) for c in fields["vertices"]] for axis in "xyz")
+    return sqrt(sum(part * part for part in doubled_area([*zip(x, y, z, strict=True)]))) / 2
 
 
 def conditioned_zones(objects: ModelObjects) -> set[str]:
