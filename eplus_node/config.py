@@ -19,7 +19,7 @@ class NodeConfig(NodeSettings):
     """Settings of a node that simulates a building; those of an environment are in `zenostat.topics.scenario_fields`.
 
     Attributes:
-        what: fields of a scenario; they override those of `scenario`.
+        scenario_fields: fields of a scenario; they override those of `scenario`.
         shrink_caches: on by default because of its gain; see `zenostat.eplus_node.engine.memory`.
         keep_last: None keeps all, or as many as the Sinergym configuration defines.
     """
@@ -27,7 +27,7 @@ class NodeConfig(NodeSettings):
     scenario: str | None = None
     config: Path | None = None
     variant: str | None = None
-    what: dict[str, Any] = Field(default_factory=dict)
+    scenario_fields: dict[str, Any] = Field(default_factory=dict)
     shrink_caches: bool = True
     output_dir: Path | None = None
     keep_last: Annotated[int, Field(ge=1)] | None = None
@@ -47,7 +47,7 @@ def read_config(settings: Mapping[str, Any]) -> NodeConfig:
         raise InvalidConfig("\n".join(unknown))
     if settings.get("keep_last") is not None and settings.get("output_dir") is None:
         raise InvalidConfig("keep_last needs output_dir, the folder in which output files are kept")
-    return validated(NodeConfig, {"what": scenario_fields, **node_fields})
+    return validated(NodeConfig, {"scenario_fields": scenario_fields, **node_fields})
 
 
 def kept_episodes(config: NodeConfig) -> int | None:
@@ -66,7 +66,7 @@ def read_base(config: NodeConfig, errors: ErrorCollector | None = None) -> Scena
             scenario_of as sinergym_scenario,
         )  # rarely needed, and slow to import
 
-        overridden = {name for name, value in config.what.items() if value is not None}
+        overridden = {name for name, value in config.scenario_fields.items() if value is not None}
         overridden |= set() if config.environment_reward == "scenario" else {"reward"}
         overridden |= {"period"} if {"begin", "end"} <= overridden else set()
         return sinergym_scenario(config.config, config.variant, overridden=overridden)
@@ -83,7 +83,7 @@ def scenario_of(config: NodeConfig, errors: ErrorCollector | None = None) -> Sce
         UnknownName, InvalidConfig: no such scenario, or invalid fields.
     """
     base = read_base(config, errors)
-    overrides = {name: value for name, value in config.what.items() if value is not None}
+    overrides = {name: value for name, value in config.scenario_fields.items() if value is not None}
     if base is None:
         missing = [name for name in ("building", "weather") if name not in overrides]
         if missing:

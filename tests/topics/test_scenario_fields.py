@@ -85,7 +85,7 @@ def _settings(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> dict[str, Any
 def test_scenario_fields__command_line_has_the_defaults_of_a_node(monkeypatch: pytest.MonkeyPatch) -> None:
     config, _ = zenostat.cli.node._read(_settings(monkeypatch))
     assert config.monitoring  # on the bus there may be a monitor; an environment has none by default
-    assert config.model_copy(update={"what": {}, "monitoring": False}) == NodeConfig()
+    assert config.model_copy(update={"scenario_fields": {}, "monitoring": False}) == NodeConfig()
 
 
 def test_scenario_fields__each_option_sets_its_argument(monkeypatch: pytest.MonkeyPatch) -> None:
