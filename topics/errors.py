@@ -227,7 +227,7 @@ def list_errors(head: str, errors: Sequence[str], *, limit: int = MAX_LISTED) ->
 
 def repeated(items: Iterable[Item]) -> list[Item]:
     """Return the items that occur more than once, in their order."""
-    return [item for item, times in Counter(items).items() if times > 1]
+    return [item for item, times in Counter(iter(items)).items() if times > 1]
 
 
 def did_you_mean(name: str, known: Iterable[str], *, limit: int = 5) -> str:
