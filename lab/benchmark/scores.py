@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from zenostat.lab.benchmark.definition import BASELINE
+from zenostat.lab.benchmark.definition import BASELINE, Episode, Task
 from zenostat.lab.benchmark.results_file import Row
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
@@ -103,7 +103,7 @@ def bootstrap_interval(strata: Sequence[Matrix]) -> Interval:
     themselves, and percentiles would cover some 85 % instead of 95 %.
 
     Args:
-        strata: matrices of scores of one shape but for the number of trainings.
+        strata: matrices of scores of one shape.
 
     Returns:
         No interval if there are fewer than `FEWEST` weather files or seeds, or an episode of them is missing.
@@ -156,7 +156,8 @@ def relative_linear(row: Row, baseline: Row) -> float | None:
 def score_rows(rows: Iterable[Row], score: Score = relative_reward) -> list[Scores]:
     """Return the scores of each controller, the best first.
 
-    Only episodes that all controllers have are compared, of a trained controller with all its trainings.
+    Only episodes that all controllers have are compared, of a trained controller with all trainings that it has in any
+    stratum: otherwise strata would weigh by their trainings.
 
     Args:
         rows: rows of a set, with those of the baseline control.
@@ -165,12 +166,16 @@ def score_rows(rows: Iterable[Row], score: Score = relative_reward) -> list[Scor
     Raises:
         InvalidConfig: there are no rows of the baseline control, or none that all controllers have.
     """
+    rows = list(rows)
     by_controller = _by_controller(rows)
     if BASELINE not in by_controller:
         raise InvalidConfig(f"scores are relative to the baseline control: run the controller {BASELINE!r} too")
     shared = _shared(by_controller)
     if not shared:
-        raise InvalidConfig("no episode has rows of all controllers: run the rest, or choose --controllers")
+        raise InvalidConfig(
+            f"no episode has rows of all controllers and trainings: run the rest, such as {absent_episodes(rows)[0]}, "
+            "or choose --controllers"
+        )
     baseline = {key[:4]: row for key, row in by_controller[BASELINE].items()}
     scored = [_scores(name, _strata(keyed, baseline, shared, score)) for name, keyed in by_controller.items()]
     return sorted(scored, key=lambda scores: -scores.overall.value)
@@ -203,6 +208,19 @@ def compared_rows(rows: Iterable[Row]) -> dict[str, list[Row]]:
     return {name: [row for key, row in keyed.items() if key[:4] in shared] for name, keyed in by_controller.items()}
 
 
+def absent_episodes(rows: Iterable[Row]) -> list[Episode]:
+    """Return the episodes of controllers and trainings whose rows are missing, where another controller has one."""
+    by_controller = _by_controller(rows)
+    episodes = sorted({key[:4] for keyed in by_controller.values() for key in keyed})
+    return [
+        Episode(name, Task(*episode[:3]), episode[3], number)
+        for name, keyed in by_controller.items()
+        for episode in episodes
+        for number in _trainings(keyed)
+        if (*episode, number) not in keyed
+    ]
+
+
 def _by_controller(rows: Iterable[Row]) -> dict[str, dict[tuple[Any, ...], Row]]:
     by_controller: dict[str, dict[tuple[Any, ...], Row]] = {}
     for row in rows:
@@ -215,17 +233,15 @@ def _shared(by_controller: Mapping[str, Mapping[tuple[Any, ...], Row]]) -> set[t
     return set.intersection(*(_complete(keyed) for keyed in by_controller.values()))
 
 
-def _trainings(keys: Iterable[tuple[Any, ...]]) -> dict[Stratum, set[int | None]]:
-    trainings: dict[Stratum, set[int | None]] = {}
-    for key in keys:
-        trainings.setdefault(key[:2], set()).add(key[4])
-    return trainings
+def _trainings(keyed: Mapping[tuple[Any, ...], Row]) -> list[int | None]:
+    """Return the numbers of the trainings of a controller in all strata, in order."""
+    return sorted({key[4] for key in keyed}, key=lambda number: -1 if number is None else number)
 
 
 def _complete(keyed: Mapping[tuple[Any, ...], Row]) -> set[tuple[Any, ...]]:
-    """Return the episodes (building, season, weather, seed) that have rows of all trainings of their stratum."""
+    """Return the episodes (building, season, weather, seed) that have rows of all trainings of the controller."""
     trainings = _trainings(keyed)
-    return {key[:4] for key in keyed if all((*key[:4], seed) in keyed for seed in trainings[key[:2]])}
+    return {key[:4] for key in keyed if all((*key[:4], number) in keyed for number in trainings)}
 
 
 def _strata(
@@ -234,11 +250,10 @@ def _strata(
     shared: Collection[tuple[Any, ...]],
     score: Score,
 ) -> dict[Stratum, Matrix]:
-    trainings = _trainings(keyed)
+    numbers = _trainings(keyed)
     weathers, seeds = (sorted({episode[place] for episode in shared}) for place in (2, 3))
     strata: dict[Stratum, Matrix] = {}
     for episode in sorted(shared):
-        numbers = sorted(trainings[episode[:2]], key=lambda number: -1 if number is None else number)
         values = [score(keyed[(*episode, number)], baseline[episode]) for number in numbers]
         if None not in values:
             shape = (len(numbers), len(weathers), len(seeds))

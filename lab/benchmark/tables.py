@@ -10,7 +10,7 @@ from statistics import fmean
 from zenostat.lab.benchmark.definition import BASELINE, BUILDINGS
 from zenostat.lab.benchmark.results import Results, episode_of
 from zenostat.lab.benchmark.results_file import TERMS, Row
-from zenostat.lab.benchmark.scores import Interval, Scores, compared_rows, relative_linear, score_rows
+from zenostat.lab.benchmark.scores import Interval, Scores, absent_episodes, compared_rows, relative_linear, score_rows
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,13 @@ def tables(results: Results) -> list[Table]:
     )
     has_intervals = not math.isnan(scores[0].overall.low)
     title = f"Scores of the set {results.set}: interquartile means over {count} episodes"
+    title += " [95 % interval]" * has_intervals
+    if absent := absent_episodes(results.rows.values()):
+        others = {episode_of(row).key[1:5] for row in results.rows.values()}
+        title += f"; {len(others) - count} more lack rows, such as {absent[0]}"
     return [
         Table(
-            title + " [95 % interval]" * has_intervals,
+            title,
             ("controller", "rows", "score", "of all costs saved (%)", "score, linear reward"),
             head,
         ),

@@ -159,6 +159,21 @@ def test_benchmark__trainings_of_an_episode_are_scored_together() -> None:
     assert score_rows(rows[:-1])[0].overall.rows == 2  # the second episode lacks a training
 
 
+def test_benchmark__strata_with_fewer_trainings_are_left_out_and_named() -> None:
+    """Pooled, the warehouse would count five times as much as the office."""
+    results = Results("smoke")
+    for building, reward, trainings in ((OFFICE, -9.5, 1), (WAREHOUSE, -8.0, 5)):
+        results.add([row("baseline", building)])
+        results.add([row("ppo", building, reward=reward, training_seed=number) for number in range(trainings)])
+    ppo = score_rows(results.rows.values())[0]
+    assert (list(ppo.buildings), ppo.overall.value, ppo.overall.rows) == ([WAREHOUSE], pytest.approx(0.2), 5)
+    lacking = f"over 1 episodes; 1 more lack rows, such as ppo/{OFFICE}/summer/USA_IL_Chicago/1/1"
+    assert tables(results)[0].title.endswith(lacking)
+    results.add([row("ppo", OFFICE, reward=-9.5, training_seed=number) for number in range(1, 5)])
+    assert score_rows(results.rows.values())[0].overall.value == pytest.approx((0.05 + 0.2) / 2)
+    assert "lack" not in tables(results)[0].title
+
+
 def test_benchmark__only_episodes_of_all_controllers_are_compared() -> None:
     rows = [row("baseline"), row("baseline", seed=2), row("rbc", reward=-8.0), row("fixed", reward=-12.0)]
     rows += [row("fixed", seed=2, reward=-1.0)]
@@ -174,6 +189,10 @@ def test_benchmark__scores_need_the_baseline_control_and_common_episodes() -> No
         score_rows([row("rbc")])
     with pytest.raises(InvalidConfig, match="no episode has rows of all controllers"):
         score_rows([row("baseline"), row("rbc", seed=2)])
+    with pytest.raises(InvalidConfig, match=rf"run the rest, such as ppo/{OFFICE}/summer/USA_IL_Chicago/1/1, or"):
+        score_rows(
+            [row("baseline"), row("baseline", seed=2), row("ppo", training_seed=0), row("ppo", seed=2, training_seed=1)]
+        )
     with pytest.raises(InvalidConfig, match="reward of 0 in every episode"):
         score_rows([row("baseline", reward=0.0)])
 
