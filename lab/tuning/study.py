@@ -141,7 +141,7 @@ class Tuning:
         self._workers: list[_Worker] = []
         self._idle: list[tuple[subprocess.Popen[bytes], Path]] = []
         self._beat = 0.0
-        self._invalid: int | None = 0
+        self._invalid: list[optuna.Trial] | None = []
 
     @property
     def processes(self) -> list[int]:
@@ -155,7 +155,8 @@ class Tuning:
             stop: when it is set, the running trials are ended and queued again, and this returns.
 
         Raises:
-            InvalidConfig: the database was lost; or the first trials are all invalid.
+            InvalidConfig: the database was lost; or the first trials are all invalid. These are queued again, since the
+                cause may be one that can be mended, such as a missing file.
         """
         stop = stop or threading.Event()
         with ExitStack() as stack:
@@ -163,19 +164,33 @@ class Tuning:
             with database_errors(self._config.url), warnings.catch_warnings():
                 warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
                 warnings.filterwarnings("ignore", "Heartbeat of storage")  # `_heartbeat` records it
-                while not stop.is_set():
-                    self._heartbeat()
-                    for worker in [worker for worker in self._workers if self._has_ended(worker)]:
-                        self._finish(worker)
-                    while len(self._workers) < self._config.workers and self._is_open():
-                        self._start()
-                    if not self._workers and not self._is_open():
-                        return True
-                    stop.wait(_POLL_S)
-                self._end_processes()
-                for worker in list(self._workers):
-                    self._finish(worker, interrupted=True)
+                try:
+                    while not stop.is_set():
+                        if self._poll():
+                            return True
+                        stop.wait(_POLL_S)
+                except InvalidConfig:
+                    self._interrupt()
+                    raise
+                self._interrupt()
         return False
+
+    def _poll(self) -> bool:
+        """Finish trials that have ended, and start others; return whether the study has its number of trials."""
+        self._heartbeat()
+        for worker in [worker for worker in self._workers if self._has_ended(worker)]:
+            self._finish(worker)
+        while len(self._workers) < self._config.workers and self._is_open():
+            self._start()
+        return not self._workers and not self._is_open()
+
+    def _interrupt(self) -> None:
+        """End the running trials, and queue them again, after the first ones if all of these were invalid."""
+        self._end_processes()
+        for trial in self._invalid or ():
+            self._queue_again(trial, interrupted=True)
+        for worker in list(self._workers):
+            self._finish(worker, interrupted=True)
 
     def ended(self) -> int:
         """Return the number of trials that have ended, on all machines; repeated ones count once."""
@@ -221,7 +236,7 @@ class Tuning:
         self.study.tell(trial, state=TrialState.FAIL)
         if self._on_trial is not None:
             self._on_trial(self.study.trials[trial.number])
-        self._check_first_trials(reason)
+        self._check_first_trials(trial, reason)
 
     def _process(self, folder: Path) -> tuple[subprocess.Popen[bytes], Path]:
         """Return a process that runs the trial of a folder, and the path of its log."""
@@ -270,22 +285,27 @@ class Tuning:
         value = result["value"] if result["state"] == "complete" else None
         with suppress(optuna.exceptions.UpdateFinishedTrialError):  # another machine took it for lost
             self.study.tell(worker.trial, value, state=states[result["state"]])
-        if result.get("again"):
-            of = worker.trial.user_attrs.get(RETRY_OF, worker.trial.number)
-            default = {name: True for name in (DEFAULT,) if name in worker.trial.user_attrs}
-            default |= {_INTERRUPTED: True} if interrupted else {}
-            self.study.enqueue_trial(worker.trial.params, user_attrs={RETRY_OF: of, **default})
+        if result.get("again") or (interrupted and reason is not None):
+            self._queue_again(worker.trial, interrupted=interrupted)
         if self._on_trial is not None:
             self._on_trial(self.study.trials[worker.trial.number])
-        self._check_first_trials(reason)
+        if not interrupted:
+            self._check_first_trials(worker.trial, reason)
 
-    def _check_first_trials(self, reason: str | None) -> None:
-        """Count the first trials that are invalid; None: this one is valid."""
+    def _queue_again(self, trial: optuna.Trial, *, interrupted: bool) -> None:
+        """Queue a trial that repeats another one, with its values."""
+        attributes = {name: True for name in (DEFAULT,) if name in trial.user_attrs}
+        attributes |= {_INTERRUPTED: True} if interrupted else {}
+        of = trial.user_attrs.get(RETRY_OF, trial.number)
+        self.study.enqueue_trial(trial.params, user_attrs={RETRY_OF: of, **attributes})
+
+    def _check_first_trials(self, trial: optuna.Trial, reason: str | None) -> None:
+        """Collect the first trials that are invalid; reason None: this one is valid."""
         if reason is None:
             self._invalid = None
         elif self._invalid is not None:
-            self._invalid += 1
-            if self._invalid >= min(_INVALID_TRIALS, self._config.trials or 1):
+            self._invalid.append(trial)
+            if len(self._invalid) >= min(_INVALID_TRIALS, self._config.trials or 1):
                 raise InvalidConfig(f"no trial of the study can be run: {reason}")
 
     def _may_retry(self, trial: optuna.Trial) -> bool:

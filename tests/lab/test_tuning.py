@@ -151,6 +151,20 @@ def test_tuning__invalid_combination_fails_its_trial_alone(tmp_path: Path) -> No
         tuning._start()
 
 
+@pytest.mark.filterwarnings("ignore:Heartbeat of storage")
+def test_tuning__first_trials_that_are_all_invalid_are_queued_again(tmp_path: Path) -> None:
+    tuning = Tuning(study(tmp_path, parameters={"slots": {"low": 1, "high": 500}}, sampler="random"))
+    for slots in (400, 401, 402):
+        tuning.study.enqueue_trial({"slots": slots})
+    for _ in range(2):
+        with pytest.raises(InvalidConfig, match=r"no trial of the study can be run: .*slots"):
+            Tuning(study(tmp_path, parameters={"slots": {"low": 1, "high": 500}}, sampler="random")).run()
+        waiting = [trial for trial in tuning.study.trials if trial.state is optuna.trial.TrialState.WAITING]
+        assert [trial.system_attrs["fixed_params"]["slots"] for trial in waiting] == [400, 401, 402]
+        assert [trial.user_attrs["retry_of"] for trial in waiting] == [0, 1, 2]
+        assert tuning.ended() == 0
+
+
 def test_tuning__database_that_is_not_there_is_one_sentence_without_its_password(tmp_path: Path) -> None:
     pytest.importorskip("psycopg")
     url = "postgresql://me:secret@127.0.0.1:1/none?connect_timeout=2"

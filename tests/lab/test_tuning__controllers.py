@@ -300,6 +300,35 @@ def test_controller_study__killed_process_fails_its_trial_which_is_repeated(tmp_
 
 @pytest.mark.slow
 @pytest.mark.process
+@pytest.mark.filterwarnings("ignore:Heartbeat of storage")
+def test_controller_study__trials_return_when_what_they_lacked_is_there(tmp_path: Path) -> None:
+    """Without a file that is missing, such as one of weather, no trial can be run, not even that of the defaults."""
+    code, lacking = tmp_path / "mine.py", tmp_path / "lacking.txt"
+    code.write_text(
+        "from pathlib import Path\n"
+        "from zenostat.controllers import RuleBasedController\n"
+        "from zenostat.topics.errors import InvalidConfig\n"
+        "class Mine(RuleBasedController):\n"
+        "    def __init__(self, manifest, *, margin: float = 0.5):\n"
+        f"        if not Path({str(lacking)!r}).exists():\n"
+        "            raise InvalidConfig('there is no file lacking.txt')\n"
+        "        super().__init__(manifest, margin=margin)\n"
+    )
+    searched = {"margin": {"low": 0.0, "high": 1.5, "start": 1.0}}
+    config = study(tmp_path, controller=f"{code}:Mine", parameters=searched, workers=2)
+    with pytest.raises(InvalidConfig, match=r"no trial of the study can be run: .*no file lacking\.txt"):
+        Tuning(config).run()
+    assert Tuning(config).ended() == 0
+    lacking.touch()
+    tuning = Tuning(config)
+    assert tuning.run()
+    complete = [trial.params for trial in tuning.study.trials if trial.state.name == "COMPLETE"]
+    assert complete[:2] == [{}, {"margin": 1.0}]
+    assert len(complete) == tuning.ended() == tuning.total() == 4
+
+
+@pytest.mark.slow
+@pytest.mark.process
 def test_tune_controller__weathers_take_turns_in_a_real_building_and_equal_environments_of_their_own() -> None:
     scenario = "ref-small-office-USA_CO_Denver-continuous-v1"
     week = {"begin": "07-10", "end": "07-12", "steps_per_hour": 2}
