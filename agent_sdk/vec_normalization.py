@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from zenostat.agent_sdk.controllers.training_folder import normalization_path
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import requires_extra
 
@@ -18,11 +19,6 @@ with requires_extra("train", "training", "stable-baselines3"):
 _MARK = "observations_normalized"
 _SCALED = 10.0
 """The bound at which `VecNormalize` clips by default."""
-
-
-def normalization_path(path: Path) -> Path:
-    """Return the file of a model's normalization: `best.vecnormalize.pkl` of `best.zip`."""
-    return path.with_suffix(".vecnormalize.pkl")
 
 
 def mark_normalized(model: BaseAlgorithm) -> None:

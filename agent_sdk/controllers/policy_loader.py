@@ -73,7 +73,7 @@ def load_policy(
 
 def _read_chain(model: Path) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Return the wrappers that `save_wrappers` wrote beside a model, innermost first, and their states."""
-    file = model.with_suffix(".wrappers.yaml")
+    file = training_folder.wrappers_path(model)
     if not file.is_file():
         return [], []
     content = yaml12.read_mapping(file)

@@ -60,6 +60,27 @@ def model_file(folder: Path) -> Path:
     raise InvalidConfig(f"{folder} has no model yet: its training ended before the first checkpoint")
 
 
+def normalization_path(model: Path) -> Path:
+    """Return the file of a model's normalization: `best.vecnormalize.pkl` of `best.zip`."""
+    return model.with_suffix(".vecnormalize.pkl")
+
+
+def wrappers_path(model: Path) -> Path:
+    """Return the file of the wrappers of a model, or of their states: `best.wrappers.yaml` of `best.zip`."""
+    return model.with_suffix(".wrappers.yaml")
+
+
+def policy_files(path: Path) -> list[Path]:
+    """Return the files that determine the actions of a training, given its folder, or of a model's file.
+
+    Raises:
+        InvalidConfig: see `model_file`.
+    """
+    folder, model = (path, model_file(path)) if path.is_dir() else (path.parent, path)
+    beside = [normalization_path(model), wrappers_path(model), *([folder / WRAPPERS] if is_training(folder) else [])]
+    return [model, *filter(Path.is_file, beside)]
+
+
 def _checkpoints(folder: Path) -> list[Path]:
     return sorted((folder / CHECKPOINTS).glob("step-*"))
 
@@ -74,7 +95,7 @@ def read_wrappers(folder: Path, model: Path) -> tuple[list[dict[str, Any]], list
     Raises:
         InvalidConfig: a file is damaged.
     """
-    state_file = model.with_suffix(".wrappers.yaml")
+    state_file = wrappers_path(model)
     states = yaml12.read_mapping(state_file)["wrappers"] if state_file.is_file() else []
     # Those of the slots of a vector environment are around the vector: a single environment has the same.
     return yaml12.read_mapping(folder / WRAPPERS)["wrappers"], states

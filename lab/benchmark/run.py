@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from zenostat.agent_sdk.controllers.base import BaselineController
+from zenostat.agent_sdk.controllers.training_folder import policy_files
 from zenostat.bridge.recording.file import file_digest
 from zenostat.lab.benchmark.definition import (
     BASELINE,
@@ -151,9 +152,9 @@ def check_extras(names: Sequence[str]) -> None:
 
 
 def _controller_digest(name: str) -> str:
-    """Return the sha256 of a controller's file or of a training's model; "" of a module or a bundled controller.
+    """Return the sha256 of a controller's file; "" of a module or a bundled controller.
 
-    That of `CONTROLLER@FILE.yaml` is of both.
+    That of a model is of its normalization and wrappers too, and that of `CONTROLLER@FILE.yaml` of both.
     """
     controller, at, parameters = name.rpartition("@")
     if at and parameters.casefold().endswith((".yaml", ".yml")):
@@ -161,12 +162,10 @@ def _controller_digest(name: str) -> str:
     algorithm_or_file, _, rest = name.rpartition(":")
     for candidate in (name, rest, algorithm_or_file):
         path = Path(candidate).expanduser()
-        if candidate and path.is_dir():
-            from zenostat.agent_sdk.controllers.training_folder import model_file
-
-            path = model_file(path)
-        if candidate and path.is_file():
-            return file_digest(path)
+        if candidate and (path.is_dir() or path.is_file()):
+            files = policy_files(path) if path.is_dir() or path.suffix.casefold() == ".zip" else [path]
+            digests = {file.name: file_digest(file) for file in files}
+            return digest_of(digests) if len(files) > 1 else digests[files[0].name]
     return ""
 
 

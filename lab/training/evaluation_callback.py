@@ -13,7 +13,8 @@ import numpy as np
 
 from zenostat.agent_sdk.controllers.policy import preserve_random_state
 from zenostat.agent_sdk.controllers.predictor import Predictor
-from zenostat.agent_sdk.vec_normalization import mark_normalized, normalization_of, normalization_path
+from zenostat.agent_sdk.controllers.training_folder import normalization_path, wrappers_path
+from zenostat.agent_sdk.vec_normalization import mark_normalized, normalization_of
 from zenostat.agent_sdk.wrappers import save_wrappers
 from zenostat.agent_sdk.wrappers.checkpoint import LOGS, frozen_statistics, set_wrapper_states, without_logs
 from zenostat.agent_sdk.wrappers.names import layers
@@ -165,7 +166,7 @@ class EvaluationCallback(BaseCallback):
         if self._path is None:
             return
         normalization = self.model.get_vec_normalize_env()
-        normalization_file, wrappers_file = normalization_path(self._path), self._path.with_suffix(".wrappers.yaml")
+        normalization_file, wrappers_file = normalization_path(self._path), wrappers_path(self._path)
         if normalization is not None:
             with atomic_file(normalization_file) as temporary:
                 normalization.save(str(temporary))

@@ -19,7 +19,7 @@ from stable_baselines3.common.callbacks import BaseCallback, CallbackList
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 from zenostat.agent_sdk.controllers import training_folder
-from zenostat.agent_sdk.vec_normalization import mark_normalized, normalization_path
+from zenostat.agent_sdk.vec_normalization import mark_normalized
 from zenostat.lab.training import folder as files
 from zenostat.lab.training.checkpoint import (
     Checkpoint,
@@ -346,10 +346,10 @@ class _TrainingCallback(BaseCallback):  # type: ignore[misc,unused-ignore]  # wi
 def _save_model(model: BaseAlgorithm, env: TrainingEnv, path: Path) -> None:
     """Write the model with what its observations need, as `EvaluationCallback` does for the best one."""
     if env.normalization is not None:
-        with atomic_file(normalization_path(path)) as temporary:
+        with atomic_file(training_folder.normalization_path(path)) as temporary:
             env.normalization.save(str(temporary))
     if text := wrapper_state(env.env):
-        with atomic_file(path.with_suffix(".wrappers.yaml")) as temporary:
+        with atomic_file(training_folder.wrappers_path(path)) as temporary:
             temporary.write_text(text, encoding="utf-8")
     with atomic_file(path) as temporary:
         model.save(temporary)

@@ -16,10 +16,10 @@ from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
 from zenostat.agent_sdk.controllers import Agent, ScheduledSetback
 from zenostat.agent_sdk.controllers.policy_loader import load_policy
+from zenostat.agent_sdk.controllers.training_folder import normalization_path
 from zenostat.agent_sdk.controllers.wrapped_policy import WrappedPolicy
 from zenostat.agent_sdk.envs.sb3_vec_env import as_sb3
 from zenostat.agent_sdk.testing import FakeBuilding, FakeEnv, FakeLink
-from zenostat.agent_sdk.vec_normalization import normalization_path
 from zenostat.agent_sdk.wrappers import apply_wrappers, restore_wrappers, save_wrappers
 from zenostat.lab.evaluate import evaluate
 from zenostat.lab.training import evaluate_model

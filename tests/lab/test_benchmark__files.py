@@ -17,6 +17,7 @@ from support import benchmark_page
 from typer.testing import CliRunner
 
 from zenostat.agent_sdk.controllers.training_folder import FORMAT
+from zenostat.bridge.recording.file import file_digest
 from zenostat.cli.commands import app
 from zenostat.lab.benchmark import SETS, Episode, Results, Row, load_results, prepared, rerun, run, submission
 from zenostat.lab.benchmark.episodes import jobs
@@ -342,6 +343,21 @@ def test_benchmark_files__hash_of_a_controller_has_its_code_and_its_parameters(t
     assert [changed[name] != before[name] for name in names] == [True, True, False]
     code.write_text(code.read_text() + "# changed\n")
     assert [run.check_controllers(names)[name] != changed[name] for name in names] == [True, False, True]
+
+
+@pytest.mark.parametrize("changed", ["best.zip", "best.vecnormalize.pkl", "best.wrappers.yaml", "wrappers.yaml"])
+def test_benchmark_files__hash_of_a_training_has_all_that_determines_its_actions(changed: str, tmp_path: Path) -> None:
+    model = tmp_path / "best.zip"
+    model.write_text("model")
+    assert run._controller_digest(f"ppo:{model}") == file_digest(model)
+    for name in ("training.yaml", "model.zip", "best.vecnormalize.pkl", "best.wrappers.yaml", "wrappers.yaml"):
+        (tmp_path / name).write_text("first")
+    names = [str(tmp_path), f"ppo:{model}", str(model)]
+    (before,) = {run._controller_digest(name) for name in names}
+    (tmp_path / "model.zip").write_text("another step")
+    assert {run._controller_digest(name) for name in names} == {before}
+    (tmp_path / changed).write_text("second")
+    assert len({before, *map(run._controller_digest, names)}) == 2
 
 
 # Submissions
