@@ -29,7 +29,7 @@ _PRICES = sorted(REWARD["weight"] * REWARD["lambda_cost"] * price for price in (
 ))  # fmt: skip
 _GAS_PRICE = REWARD["weight"] * REWARD["lambda_cost"] * REWARD["gas_price"]["value"]
 _DEMAND_PRICE = REWARD["weight"] * REWARD["lambda_peak"]
-_NEEDED = ("hvac_electricity_kwh", "natural_gas_kwh", "peak_kw", "terminated")
+_NEEDED = ("hvac_electricity_kwh", "electricity_kwh", "natural_gas_kwh", "peak_kw", "terminated", "kpi.ener_tot")
 
 
 def check_submission(
@@ -76,6 +76,8 @@ def check_submission(
                 results, drawn, cache=cache or Path(folder), workers=workers, policies=policies, progress=progress,
                 hashes=hashes, but_for_rounding=True,
             )  # fmt: skip
+    else:
+        notes.append("no rows were run again, so these checks find contradictions alone: --sample 20 runs 20 of them")
     return errors, notes
 
 
@@ -122,27 +124,32 @@ def _is_identified(name: str, results: Results) -> bool:
 
 
 def _implausible(results: Results) -> list[str]:
-    """Return an error for each row whose terms are not its reward or its energy, or whose score is out of range."""
+    """Return an error for each row whose numbers contradict each other or those of the baseline control."""
     errors = []
+    hours = 24.0 * SETS[results.set].days
     baselines = {episode_of(row).key[1:5]: row for row in results.rows.values() if row.controller == BASELINE}
     for row in results.sorted_rows():
         episode: Episode = episode_of(row)
-        errors += [f"{episode}: {fault}" for fault in _faults(row)]
         baseline = baselines.get(episode.key[1:5])
+        faults = _faults(row, hours)
+        if not faults and baseline is not None and not _faults(baseline, hours):
+            faults = _other_floor_area(row, baseline)
+        errors += [f"{episode}: {fault}" for fault in faults]
         score = None if baseline is None else relative_reward(row, baseline)
         if score is not None and not _LOWEST <= score <= _HIGHEST:
             errors.append(f"{episode}: a score of {score:g} is out of range ({_LOWEST:g} to {_HIGHEST:g})")
     return errors
 
 
-def _faults(row: Row) -> list[str]:
-    """Return what cannot be in the numbers of a row."""
+def _faults(row: Row, hours: float) -> list[str]:
+    """Return what cannot be in the numbers of a row of an episode of some hours."""
     if absent := [name for name in TERMS if name not in row.terms]:
         return [f"the term {absent[0]!r} is missing"]
     if absent := [name for name in _NEEDED if name not in row.metrics]:
         return [f"the metric {absent[0]!r} is missing"]
     terms, metrics, total = row.terms, row.metrics, sum(row.terms.values())
     electricity, gas = metrics["hvac_electricity_kwh"], metrics["natural_gas_kwh"]
+    whole, outside = metrics["electricity_kwh"], metrics["occupied_outside_kh"]
     checks = {
         f"the terms add up to {total!r}, the reward is {row.reward!r}": is_rounding(row.reward, total),
         "a term is above 0": max(terms.values()) <= 0.0,
@@ -154,8 +161,26 @@ def _faults(row: Row) -> list[str]:
             _PRICES[0] * electricity - ROUNDING <= -terms["cost"] <= _PRICES[-1] * electricity + ROUNDING
         ),
         f"{gas!r} kWh of gas cannot cost {terms['gas']!r} EUR": -terms["gas"] <= _GAS_PRICE * gas + ROUNDING,
+        f"the HVAC's {electricity!r} kWh exceed the {whole!r} kWh of the whole building": (
+            electricity <= whole + ROUNDING
+        ),
+        f"a peak of {metrics['peak_kw']!r} kW is below the mean of {whole!r} kWh in {hours:g} h": (
+            whole <= metrics["peak_kw"] * hours + ROUNDING
+        ),
+        f"{outside!r} K h outside the comfort band cost nothing": terms["comfort"] != 0.0 or outside <= ROUNDING,
     }
     return [text for text, holds in checks.items() if not holds]
+
+
+def _other_floor_area(row: Row, baseline: Row) -> list[str]:
+    """Return an error if a row's energy and its KPI for each m² are not those of the baseline's building."""
+    (energy, kpi), (of_baseline, kpi_of_baseline) = (
+        (of.metrics["hvac_electricity_kwh"] - of.terms["gas"] / _GAS_PRICE, of.metrics["kpi.ener_tot"])
+        for of in (row, baseline)
+    )
+    if is_rounding(energy * kpi_of_baseline, of_baseline * kpi):
+        return []
+    return [f"{energy!r} kWh of HVAC energy are not {kpi!r} kWh/m² in this building"]
 
 
 def _other_baseline(results: Results, published: Results) -> tuple[list[str], list[str]]:

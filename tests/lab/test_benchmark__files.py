@@ -42,7 +42,7 @@ def row(episode: Episode, reward: float = -10.0, **changes: Any) -> Row:
     terms = {"cost": reward + 4.0, "gas": 0.0, "peak": -3.0, "comfort": -1.0}
     metrics = {
         "occupied_outside_kh": 1.5, "peak_kw": 1.0, "hvac_electricity_kwh": -terms["cost"] / 0.2,
-        "natural_gas_kwh": 0.0, "terminated": 0.0,
+        "natural_gas_kwh": 0.0, "terminated": 0.0, "electricity_kwh": 50.0, "kpi.ener_tot": -terms["cost"] / 20.0,
     }  # fmt: skip
     values = dict(zip(("controller", "building", "season", "weather", "seed"), episode.key, strict=False))
     fields = {**values, "reward": reward, "terms": terms, "linear": -5.0, "metrics": metrics}
@@ -377,7 +377,9 @@ def reference(rows: list[Row], tmp_path: Path) -> Path:
 def test_benchmark_files__complete_rows_are_accepted(complete: Path, reference: Path) -> None:
     errors, notes = check_submission(complete, reference, {OFFICE: "ab"})
     assert errors == []
-    assert notes == ["results of the set 'smoke': a submission has those of 'full'"]
+    assert len(notes) == 2
+    assert notes[0] == "results of the set 'smoke': a submission has those of 'full'"
+    assert notes[1].startswith("no rows were run again")
 
 
 @pytest.mark.parametrize(
@@ -390,9 +392,20 @@ def test_benchmark_files__complete_rows_are_accepted(complete: Path, reference: 
         ({"hvac_electricity_kwh": 10.0}, "10.0 kWh of electricity cannot cost -4.0 EUR"),
         ({"hvac_electricity_kwh": -20.0}, "-20.0 kWh of electricity cannot cost"),
         (
-            {"terms": {"cost": -4.0, "gas": -1.0, "peak": -3.0, "comfort": 0.0}, "natural_gas_kwh": 10.0},
-            "10.0 kWh of gas cannot cost -1.0 EUR",
+            {
+                "terms": {"cost": -4.0, "gas": -1.5, "peak": -3.0, "comfort": -0.5},
+                "reward": -9.0,
+                "natural_gas_kwh": 10.0,
+            },
+            "10.0 kWh of gas cannot cost -1.5 EUR",
         ),
+        ({"electricity_kwh": 19.0}, "the HVAC's 20.0 kWh exceed the 19.0 kWh of the whole building"),
+        ({"electricity_kwh": 72.1}, "a peak of 1.0 kW is below the mean of 72.1 kWh in 72 h"),
+        (
+            {"terms": {"cost": -4.0, "gas": 0.0, "peak": -3.0, "comfort": 0.0}, "reward": -7.0},
+            "1.5 K h outside the comfort band cost nothing",
+        ),
+        ({"kpi.ener_tot": 0.21}, "20.0 kWh of HVAC energy are not 0.21 kWh/m² in this building"),
     ],
 )
 def test_benchmark_files__impossible_rows_are_refused(
@@ -440,7 +453,7 @@ def test_benchmark_files__all_errors_of_a_submission_are_listed(
     stranger = Episode("mine.py:Mine", SMOKE.tasks()[0], 99)
     path = written(tmp_path / "submitted.json", [*wrong, row(stranger)], trainings=record("ppo", OFFICE))
     errors, notes = check_submission(path, reference, {OFFICE: "cd"})
-    assert len(notes) == 1
+    assert len(notes) == 2
     expected = [
         f"{OFFICE}: not the file of the benchmark",
         "ppo: 1 episodes are missing",
@@ -472,7 +485,7 @@ def test_benchmark_files__submission_is_checked_without_published_rows(
     monkeypatch.chdir(tmp_path)
     errors, notes = check_submission(complete, None, {OFFICE: "cd"})
     assert errors == [f"{OFFICE}: not the file of the benchmark"]
-    assert len(notes) == 2
+    assert len(notes) == 3
     assert f"not compared: no published rows are in {Path('docs', 'benchmark')}" in notes[0]
     with pytest.raises(UnknownName, match="there is no file"):
         check_submission(complete, tmp_path / "none.json", {})
