@@ -183,19 +183,22 @@ def improve_bound(
 
 def _continued(job: BoundTask) -> Bound:
     bound = load_bound(job.path, job.set)
-    if changes := _changes(bound, job.hashes):
+    if changes := [*_changed_versions(bound), *_changed_files(bound, job.hashes)]:
         raise InvalidConfig(f"{job.path} was made with something else ({'; '.join(changes)}): choose another folder")
     return bound
 
 
-def _changes(bound: Bound, hashes: Mapping[str, str]) -> list[str]:
+def _changed_versions(bound: Bound) -> list[str]:
     now = current_versions()
-    changed = [
+    return [
         f"{name} {version}, now {now.get(name, 'missing')}"
         for name, version in bound.versions.items()
         if version != now.get(name)
     ]
-    return changed + [f"file {name}" for name, digest in bound.hashes.items() if hashes.get(name, digest) != digest]
+
+
+def _changed_files(bound: Bound, hashes: Mapping[str, str]) -> list[str]:
+    return [f"file {name}" for name, digest in bound.hashes.items() if hashes.get(name, digest) != digest]
 
 
 def _first_bound(job: BoundTask, search_seed: int) -> Bound:
@@ -361,15 +364,19 @@ def replayed(env: BuildingEnv, actions: Actions, seed: int) -> _Outcome:
 
 
 def check_bound(bound: Bound, set_name: str, hashes: Mapping[str, str] | None = None) -> list[str]:
-    """Run the sequence of a bound again, and return what differs; empty if all rewards are equal to the bit."""
+    """Run the sequence of a bound again, and return which rewards and files differ, if any with the versions that do.
+
+    Empty if the files are the same and all rewards are equal to the bit.
+    """
     job = BoundTask(set_name, bound.task, bound.seed, Path())
     with closing(BuildingEnv(**job.arguments(bound.relative_k))) as env:
         shape = (env.manifest.steps, *(env.action_space.shape or ()))
         if bound.shape != shape:
             return [f"{job}: actions of shape {bound.shape}; {shape} expected"]
         outcome = replayed(env, bound.sequence(), bound.seed)
-    differences = [f"{job}: version of {change}" for change in _changes(bound, hashes or {})]
+    differences = [f"{job}: {change}" for change in _changed_files(bound, hashes or {})]
     for name, value in (("reward", outcome.reward), ("linear", outcome.linear), ("terms", outcome.terms)):
         if getattr(bound, name) != value:
             differences.append(f"{job}: {name} {getattr(bound, name)!r}, now {value!r}")
-    return differences
+    versions = [f"{job}: version of {change}" for change in _changed_versions(bound)]
+    return [*versions, *differences] if differences else []

@@ -363,11 +363,12 @@ def test_bound__beats_the_controllers_and_is_run_again_to_the_bit(
     assert bound.reward > max(rewards.values())
     assert (bound.simulations, bound.stages) == (simulations, 2)
     assert load_bound(job.path, "smoke") == bound
-    assert check_bound(bound, "smoke") == []
-    other = bound.model_copy(update={"reward": float(np.nextafter(bound.reward, 0.0))})
-    assert [text.split(":")[1] for text in check_bound(other, "smoke")] == [
-        f" reward {other.reward!r}, now {bound.reward!r}"
-    ]
+    older = bound.model_copy(update={"versions": {**bound.versions, "numpy": "1.0"}})
+    assert check_bound(older, "smoke") == []  # its rewards are equal all the same
+    other = older.model_copy(update={"reward": float(np.nextafter(bound.reward, 0.0))})
+    assert [text.partition(": ")[2] for text in check_bound(other, "smoke")] == [
+        f"version of numpy 1.0, now {np.__version__}", f"reward {other.reward!r}, now {bound.reward!r}",
+    ]  # fmt: skip
     assert improve_bound(job, simulations) == bound
     checked = CliRunner().invoke(app, ["bounds", str(job.folder), "--set", "smoke", "--building", OFFICE, "--check"])
     assert checked.exit_code == 0, checked.output
