@@ -10,18 +10,32 @@ import typer
 
 from zenostat.cli.console import err, out, progress
 from zenostat.cli.name_lists import end_with_failures, names_in, numbers_in
+from zenostat.cli.options import is_explicit
 from zenostat.cli.tables import show, show_json
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from zenostat.lab.benchmark import Results, Selection
     from zenostat.lab.workers import Progress
 
 _ALL = "baseline,fixed,rbc,tuned,pid,random,oracle,ppo,sac"
-
+_SELECTION = ("--building", "--season", "--weather", "--seed", "--training-seed")
+_RUNNING = ("--controllers", "--workers", "--trainings", "--policies")
+_OUTPUT = ("--page", "--bounds", "--json")
+_MODES: Mapping[str, Sequence[str]] = {
+    "--schema": (),
+    "--sample": ("--submit-check", "--reference", "--sample-seed", *_RUNNING),
+    "--submit-check": ("--reference",),
+    "--check": (*_RUNNING, *_SELECTION),
+    "--show": ("--controllers", *_OUTPUT),
+    "--merge": ("--out", *_OUTPUT),
+    "--out": ("--set", *_RUNNING, *_SELECTION, *_OUTPUT),
+}
+"""Options that have an effect with each option that says what to do; the first one that is given counts."""
+_NEEDED = {"--merge": "--out", "--sample": "--submit-check"}
 
 _Names = Annotated[
     str | None,
@@ -30,6 +44,7 @@ _Names = Annotated[
 
 
 def benchmark(
+    context: typer.Context,
     set_name: Annotated[
         str, typer.Option("--set", help="smoke (a test), quick (for a look) or full (the published one).")
     ] = "quick",
@@ -100,12 +115,12 @@ def benchmark(
         "controller": None if controllers == _ALL else controllers,
         "building": building, "season": season, "weather": weather, "seed": seed, "training_seed": training_seed,
     }  # fmt: skip
+    _check_options({of.opts[0] for of in context.command.params if of.name and is_explicit(context, of.name)})
     if schema:
         from zenostat.lab.benchmark.results_file import schema as json_schema
 
         out.print_json(data=json_schema())
         return
-    _check_options(file, checked, shown, submitted, merged, conditions)
     import_extra("scipy", "benchmark", "the benchmark")
     if page is not None:
         _check_page(page)
@@ -124,7 +139,7 @@ def benchmark(
         if merged:
             results = _merge(merged, file)
         else:
-            results, errors = _run(set_name, file, names_in(controllers), conditions, running)
+            results, errors = _run(set_name, file, names_in(controllers, "--controllers"), conditions, running)
     _show(results, page, bounds, as_json=as_json)
     end_with_failures(errors, "failed: ")
 
@@ -137,19 +152,26 @@ class _Running(NamedTuple):
     policies: Path | None
 
 
-def _check_options(
-    file: Path | None, checked: Path | None, shown: Path | None, submitted: Path | None, merged: Sequence[Path] | None,
-    conditions: Mapping[str, str | None],
-) -> None:  # fmt: skip
-    if sum(option is not None for option in (file, checked, shown, submitted)) != 1:
+def _check_options(options: Collection[str]) -> None:
+    """Check the options of the command line.
+
+    Raises:
+        InvalidConfig: it does not say what to do, or some have no effect.
+    """
+    mode = next((name for name in _MODES if name in options), None)
+    if mode is None:
         raise InvalidConfig(
             "one of --out, --check, --show and --submit-check expected: a file of results (JSON); or --schema"
         )
-    if merged and file is None:
-        raise InvalidConfig("--merge: name the file to write with --out")
-    named = [name.replace("_", "-") for name, value in conditions.items() if value is not None]
-    if named and named != ["controller"] and (merged or (file is None and checked is None)):
-        raise InvalidConfig(f"--{', --'.join(named)}: only with --out or --check, which run rows")
+    if (needed := _NEEDED.get(mode, mode)) not in options:
+        raise InvalidConfig(f"{mode}: only with {needed}")
+    faults = []
+    for option in sorted(set(options) - {mode, *_MODES[mode]}):
+        modes = [name for name, allowed in _MODES.items() if option in allowed]
+        only = f"only with {' or '.join(modes)}, " if modes and option not in _MODES else ""
+        faults.append(f"{option}: {only}not with {mode}")
+    if faults:
+        raise InvalidConfig("\n".join(faults))
 
 
 def _run(
@@ -180,16 +202,17 @@ def _load_shown(path: Path, conditions: Mapping[str, str | None]) -> Results:
     from zenostat.lab.benchmark.merge import with_controllers
 
     results, names = load_results(path), conditions["controller"]
-    return results if names is None else with_controllers(results, names_in(names), str(path))
+    return results if names is None else with_controllers(results, names_in(names, "--controllers"), str(path))
 
 
 def _selection(conditions: Mapping[str, str | None]) -> Selection:
     from zenostat.lab.benchmark import Selection
 
-    values: dict[str, Any] = {name: names_in(text) for name, text in conditions.items() if text is not None}
-    for name in ("seed", "training_seed"):
-        if text := conditions.get(name):
-            values[name] = numbers_in(text, f"--{name.replace('_', '-')}")
+    values: dict[str, Any] = {}
+    for name, text in conditions.items():
+        if text is not None:
+            option = "--controllers" if name == "controller" else f"--{name.replace('_', '-')}"
+            values[name] = (numbers_in if name in ("seed", "training_seed") else names_in)(text, option)
     return Selection(**values)
 
 
@@ -214,7 +237,8 @@ def _check_submission(
     from zenostat.lab.benchmark import load_results
     from zenostat.lab.benchmark.submission import check_submission
 
-    names = names_in(conditions["controller"] or "")
+    named = conditions["controller"]
+    names = [] if named is None else names_in(named, "--controllers")
     with ExitStack() as stack:
         errors, notes = check_submission(
             path, reference, file_hashes(load_results(path).set), sample=sample, sample_seed=sample_seed,

@@ -59,13 +59,13 @@ def bounds(
     from zenostat.lab.benchmark.bounds import BoundTask, check_starts, tasks_of
 
     names = {"building": building, "season": season, "weather": weather}
-    conditions: dict[str, Any] = {name: names_in(text) for name, text in names.items() if text is not None}
+    conditions: dict[str, Any] = {name: names_in(text, f"--{name}") for name, text in names.items() if text is not None}
     tasks = tasks_of(set_name, **conditions, seed=None if seed is None else numbers_in(seed, "--seed"))
     hashes = file_hashes(set_name)
     if checked:
         _check(folder, set_name, [(*task.key, number) for task, number in tasks], hashes)
         return
-    starts = names_in(controllers)
+    starts = names_in(controllers, "--controllers")
     jobs = [BoundTask(set_name, task, number, folder, starts, hashes, policies) for task, number in tasks]
     check_starts(jobs)
     if workers == 1:

@@ -10,9 +10,16 @@ from zenostat.cli.console import err
 from zenostat.topics.errors import InvalidConfig
 
 
-def names_in(text: str) -> list[str]:
-    """Return the names in a text, which commas separate."""
-    return [name.strip() for name in text.split(",") if name.strip()]
+def names_in(text: str, option: str) -> list[str]:
+    """Return the names in the text of an option, which commas separate.
+
+    Raises:
+        InvalidConfig: there are none.
+    """
+    names = [name.strip() for name in text.split(",") if name.strip()]
+    if not names:
+        raise InvalidConfig(f"{option} {text!r}: names separated by commas expected")
+    return names
 
 
 def numbers_in(text: str, option: str) -> list[int]:
@@ -22,7 +29,7 @@ def numbers_in(text: str, option: str) -> list[int]:
         InvalidConfig: it has something else.
     """
     try:
-        return [int(name) for name in names_in(text)]
+        return [int(name) for name in names_in(text, option)]
     except ValueError:
         raise InvalidConfig(f"{option} {text}: numbers separated by commas expected") from None
 

@@ -18,7 +18,7 @@ from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.transport.session import default_endpoint, exposure
 from zenostat.cli import node_options as options
 from zenostat.cli.console import out, progress
-from zenostat.cli.options import CertificateName, Keys
+from zenostat.cli.options import CertificateName, Keys, is_explicit
 from zenostat.cli.record import describe_recording
 from zenostat.cli.scenarios import check_scenario
 from zenostat.cli.statistics import statistics_table
@@ -171,7 +171,7 @@ def _resume_or_record(context: typer.Context, resume: Path) -> dict[str, Any]:
         from zenostat.eplus_node.resume import recorded_settings
     if has_messages(resume):
         recorded = recorded_settings(resume)
-        return {"resume": resume} | {name: recorded[name] for name in recorded if not _is_explicit(context, name)}
+        return {"resume": resume} | {name: recorded[name] for name in recorded if not is_explicit(context, name)}
     return {"resume": None, "record": resume, "record_overwrite": True}
 
 
@@ -184,7 +184,7 @@ def _run_resumed(context: typer.Context, settings: dict[str, Any], *, is_endpoin
     conflicting = [
         f"--{name.removesuffix('_s').replace('_', '-')}"
         for name in context.params
-        if name not in _RESUMED_OPTIONS and _is_explicit(context, name)
+        if name not in _RESUMED_OPTIONS and is_explicit(context, name)
     ]
     if conflicting:
         raise InvalidConfig(
@@ -194,11 +194,6 @@ def _run_resumed(context: typer.Context, settings: dict[str, Any], *, is_endpoin
     kept = {name: value for name, value in settings.items() if name in (*_RESUMED_OPTIONS, "listen", "connect")}
     config = read_resumed({name: value for name, value in kept.items() if name in NodeSettings.model_fields})
     _serve(config, resumed_node, is_endpoint_explicit=is_endpoint_explicit)
-
-
-def _is_explicit(context: typer.Context, name: str) -> bool:
-    """Return whether an option is on the command line."""
-    return getattr(context.get_parameter_source(name), "name", "") == "COMMANDLINE"
 
 
 def _run(settings: dict[str, Any], *, is_endpoint_explicit: bool) -> None:

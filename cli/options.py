@@ -139,3 +139,8 @@ def read_rates(option: str, texts: Sequence[str] | None) -> dict[str, float | st
         except ValueError:
             rates[fuel] = value
     return rates
+
+
+def is_explicit(context: typer.Context, name: str) -> bool:
+    """Return whether an option is on the command line."""
+    return getattr(context.get_parameter_source(name), "name", "") == "COMMANDLINE"

@@ -393,10 +393,31 @@ def test_benchmark__selection_without_rows_is_refused(saved: Path, options: list
     assert text in str(done.exception)
 
 
-def test_benchmark__selection_needs_rows_to_check(saved: Path) -> None:
-    done = CliRunner().invoke(app, ["benchmark", "--show", str(saved), "--season", "summer"])
+@pytest.mark.parametrize(
+    ("options", "texts"),
+    [
+        (["--show", "r", "--season", "summer"], ["--season: only with --check or --out, not with --show"]),
+        (["--show", "r", "--check", "r"], ["--show: not with --check"]),
+        (["--check", "r", "--out", "r"], ["--out: not with --check"]),
+        (["--merge", "r", "--out", "r", "--controllers", "rbc"], ["--controllers: only with", "not with --merge"]),
+        (["--merge", "r"], ["--merge: only with --out"]),
+        (
+            ["--check", "r", "--page", "p.md", "--bounds", "b", "--json"],
+            [f"{name}: only with --show or --merge or --out, not with --check" for name in ("--page", "--bounds")],
+        ),
+        (["--submit-check", "r", "--page", "p.md"], ["--page: only with", "not with --submit-check"]),
+        (["--submit-check", "r", "--controllers", "rbc"], ["--controllers: only with --sample or"]),
+        (["--out", "r", "--sample", "2"], ["--sample: only with --submit-check"]),
+        (["--out", "r", "--reference", "r"], ["--reference: only with --sample or --submit-check, not with --out"]),
+        (["--schema", "--workers", "1"], ["--workers: only with", "not with --schema"]),
+        (["--out", "r", "--controllers", ""], ["--controllers '': names separated by commas expected"]),
+        (["--out", "r", "--seed", ","], ["--seed ',': names separated by commas expected"]),
+    ],
+)
+def test_benchmark__options_without_effect_are_named(options: list[str], texts: list[str]) -> None:
+    done = CliRunner().invoke(app, ["benchmark", *options])
     assert isinstance(done.exception, InvalidConfig)
-    assert "--season: only with --out or --check" in str(done.exception)
+    assert [text for text in texts if text not in str(done.exception)] == []
 
 
 # What is published
