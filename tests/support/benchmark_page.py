@@ -18,7 +18,7 @@ from zenostat.lab.benchmark.tables import Table, interval_text, saved_shares, ta
 
 _FINE = 4
 """Digits after the point of differences of scores."""
-_COMPARED = ("tuned", "ppo", "oracle")
+_COMPARED = ("tuned", "ppo", "sac", "oracle")
 PAGE = Path(__file__).parents[2] / "docs" / "benchmark.md"
 PLANNING = PAGE.with_name("mpc.md")
 FOLDER = PAGE.with_suffix("")
