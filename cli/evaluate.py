@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 import os
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
@@ -159,9 +160,14 @@ def _label(name: str) -> str:
 
 
 def metric_text(metric: MetricSummary | None) -> str:
-    """Return a metric as a table shows it: mean ± half of the 95 % confidence interval; "" if it is unknown."""
+    """Return a metric as a table shows it: mean ± half of the 95 % confidence interval.
+
+    It is "" if the node lacks what it needs, and "n/a" if the mean is no finite number, as after a sensor's failure.
+    """
     if metric is None:
         return ""
+    if not math.isfinite(metric.mean):
+        return "n/a"
     size, is_exact = abs(metric.mean), not metric.half_width
     is_whole = is_exact and metric.mean == int(metric.mean)
     digits = 0 if size >= 1000 or is_whole else 1 if size >= 100 else 2 if size >= 1 else 4

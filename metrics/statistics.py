@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import math
 import statistics
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -16,8 +17,8 @@ class MetricSummary:
     Attributes:
         count: number of episodes.
         mean: mean over the episodes.
-        deviation: sample standard deviation (divided by count - 1); None for one episode.
-        interval: 95 % confidence interval of the mean (Student's t); None for one episode, or without SciPy.
+        deviation: sample standard deviation (divided by count - 1); None for one episode, or if the mean is not finite.
+        interval: 95 % confidence interval of the mean (Student's t); None as the deviation, or without SciPy.
     """
 
     count: int
@@ -34,8 +35,8 @@ class MetricSummary:
 def summarize(values: Sequence[Any]) -> MetricSummary:
     """Return the statistics of at least one value."""
     count, mean = len(values), statistics.fmean(values)
-    if count == 1:
-        return MetricSummary(1, mean, None, None)
+    if count == 1 or not math.isfinite(mean):
+        return MetricSummary(count, mean, None, None)
     deviation = statistics.stdev(values)
     quantile = _student_quantile(count - 1)
     half_width = None if quantile is None else quantile * deviation / count**0.5

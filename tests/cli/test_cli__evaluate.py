@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import re
 import signal
 import sys
@@ -33,6 +34,11 @@ def test_metric_text__after_the_sign_stands_half_the_interval_as_in_reports() ->
     # 1, 2 and 6.5: standard deviation 2.92973; Student's t for two degrees of freedom 4.302653 (any table of it).
     assert metric_text(summarize([1.0, 2.0, 6.5])) == f"3.17 ± {4.302653 * 2.92973 / 3**0.5:.2f}"
     assert metric_text(summarize([1.25])) == "1.25"
+
+
+@pytest.mark.parametrize("values", [[math.nan], [math.inf], [math.nan, 1.0], [math.inf, 1.0], [-math.inf, 1.0, 2.0]])
+def test_metric_text__of_what_is_no_finite_number_is_not_available(values: list[float]) -> None:
+    assert metric_text(summarize(values)) == "n/a"
 
 
 @pytest.mark.slow
