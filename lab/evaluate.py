@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import inspect
 import re
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -25,6 +25,7 @@ from zenostat.agent_sdk.controllers.parameters import ControllerMismatch
 from zenostat.agent_sdk.envs.arguments import fields_of_file, of_scenario
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards import Reward
+from zenostat.agent_sdk.wrappers.names import layers
 from zenostat.bridge.client.bus import Bus
 from zenostat.bridge.client.sample import SampleView
 from zenostat.bridge.faults import read_plan
@@ -40,6 +41,7 @@ from zenostat.topics.errors import InvalidAction, InvalidConfig, UsageError, did
 from zenostat.topics.keys import safe_name
 from zenostat.topics.printable import replace_controls
 from zenostat.topics.recording import SUFFIX
+from zenostat.topics.typing_compat import override
 
 if TYPE_CHECKING:
     from zenostat.views.report import Comparison
@@ -76,7 +78,8 @@ def run_episode(
     """Run one episode, and return its metrics and the name of its weather.
 
     Args:
-        env: a `BuildingEnv`, wrapped or not. Metrics use the reward of the `BuildingEnv`, before any wrapper.
+        env: a `BuildingEnv`, wrapped or not. Metrics use the samples and rewards of all timesteps of the `BuildingEnv`,
+            also of those for which a wrapper repeats an action.
         act: function from observation to action.
         seed: seed for `reset`.
         progress: callback for each timestep, with the step.
@@ -87,19 +90,55 @@ def run_episode(
     observation, info = env.reset(seed=seed)
     building: Any = env.unwrapped
     metrics = MetricsAccumulator(building.manifest, building.reward, prices, emissions)
-    weather, terminated, is_over = info.get("weather", ""), False, False
-    metrics.add(building.sample)
-    if recorder is not None:
-        recorder.add(building.sample)
-    while not is_over:
-        observation, _, terminated, truncated, info = env.step(act(observation))
-        metrics.add(building.sample, info.get("reward_terms"))
-        if recorder is not None:
-            recorder.add(building.sample, info.get("reward_terms"))
-        is_over = terminated or truncated
+    recorders: list[SampleRecorder] = [metrics] if recorder is None else [metrics, recorder]
+    for each in recorders:
+        each.add(building.sample)
+
+    def record(terms: Mapping[str, float] | None) -> None:
+        for each in recorders:
+            each.add(building.sample, terms)
         if progress is not None:
             progress(building.sample.step)
+
+    weather, terminated, is_over = info.get("weather", ""), False, False
+    with _recorded(env, record) as recorded:
+        while not is_over:
+            observation, _, terminated, truncated, _ = recorded.step(act(observation))
+            is_over = terminated or truncated
     return metrics.result(terminated=bool(terminated)), weather
+
+
+class _StepRecorder(gym.Wrapper[Any, Any, Any, Any]):
+    """Passes the terms of the reward of each timestep to a function."""
+
+    def __init__(self, env: gym.Env[Any, Any], record: Callable[[Mapping[str, float] | None], None]) -> None:
+        super().__init__(env)
+        self._record = record
+
+    @override
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        result = self.env.step(action)
+        self._record(result[4].get("reward_terms"))
+        return result
+
+
+@contextmanager
+def _recorded(
+    env: gym.Env[Any, Any], record: Callable[[Mapping[str, float] | None], None]
+) -> Iterator[gym.Env[Any, Any]]:
+    """Return the environment with a recorder within its wrappers, which may take several timesteps in a step."""
+    innermost = None
+    for layer in layers(env):
+        innermost = layer if isinstance(layer, gym.Wrapper) else innermost
+    recorder = _StepRecorder(env.unwrapped, record)
+    if innermost is None:
+        yield recorder
+        return
+    innermost.env = recorder
+    try:
+        yield env
+    finally:
+        innermost.env = recorder.env
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,6 +2,7 @@
 
 import math
 import sys
+from collections.abc import Callable
 from datetime import datetime, timedelta
 from functools import partial
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.wrappers import MaxAndSkipObservation, RepeatAction, TimeLimit
 from support.builders import actuator, manifest, meter, own_action, sensor
 
 from zenostat.agent_sdk.controllers import Agent, Controller, FixedSetpoints, RandomController, RuleBasedController
@@ -16,7 +18,7 @@ from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.rewards import LinearReward, MultiZoneReward, OccupiedReward, read_reward
 from zenostat.agent_sdk.testing import Climate, FakeBuilding, FakeLink
 from zenostat.bridge.client.sample import SampleView
-from zenostat.lab.evaluate import EpisodeRecord, Evaluation, evaluate, without_actuators
+from zenostat.lab.evaluate import EpisodeRecord, Evaluation, evaluate, run_episode, without_actuators
 from zenostat.metrics.episode_metrics import EpisodeMetrics, MetricsAccumulator
 from zenostat.topics import yaml12
 from zenostat.topics.errors import InvalidConfig, UnknownName
@@ -255,6 +257,22 @@ def test_evaluation__sum_of_an_episode_is_that_of_the_environment() -> None:
             rewards.append(reward)
     assert row.result.reward == pytest.approx(math.fsum(rewards), rel=1e-12)
     assert row.result.steps == len(rewards)
+
+
+@pytest.mark.parametrize("wrap", [lambda env: RepeatAction(env, 4), lambda env: MaxAndSkipObservation(env, 5)])
+def test_run_episode__repeated_actions_count_in_each_timestep(wrap: Callable[[Any], Any]) -> None:
+    """A constant action leads to the same episode, whether a wrapper repeats it or not."""
+    results, steps = [], []
+    for kind in (lambda env: env, wrap, lambda env: TimeLimit(wrap(TimeLimit(env, 1000)), 1000)):
+        with BuildingEnv(**building()) as bare:
+            env = kind(bare)
+            results.append(run_episode(env, lambda _: [20.0, 25.0] * 2, seed=3, progress=steps.append)[0])
+            observation, _ = env.reset(seed=3)
+            assert observation.shape == bare.observation_space.shape
+    assert results[0].reward is not None
+    assert results[0].steps == 96
+    assert results == results[:1] * 3
+    assert steps == [*range(1, 97)] * 3
 
 
 def test_evaluation__limit_that_is_broken_ends_the_episode() -> None:
