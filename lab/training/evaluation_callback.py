@@ -12,12 +12,12 @@ import gymnasium as gym
 import numpy as np
 
 from zenostat.agent_sdk.controllers.policy import preserve_random_state
-from zenostat.agent_sdk.controllers.predictor import Predictor
+from zenostat.agent_sdk.controllers.predictor import Predictor, describe_difference
 from zenostat.agent_sdk.controllers.training_folder import normalization_path, wrappers_path
 from zenostat.agent_sdk.vec_normalization import mark_normalized, normalization_of
 from zenostat.agent_sdk.wrappers import save_wrappers
 from zenostat.agent_sdk.wrappers.checkpoint import LOGS, frozen_statistics, set_wrapper_states, without_logs
-from zenostat.agent_sdk.wrappers.names import layers
+from zenostat.agent_sdk.wrappers.names import attribute, layers
 from zenostat.lab.evaluate import run_episode
 from zenostat.metrics.episode_metrics import EpisodeMetrics
 from zenostat.topics import yaml12
@@ -74,6 +74,8 @@ class EvaluationCallback(BaseCallback):
         on_evaluation: Callable[[int, tuple[EpisodeMetrics, ...]], None] | None = None,
     ) -> None:
         super().__init__()
+        if not callable(make_env):
+            raise InvalidConfig(f"make_env={make_env!r}; a function that makes the environment expected")
         if (every is None) == (every_episodes is None):
             raise InvalidConfig("the interval of evaluations: either every (steps) or every_episodes expected")
         interval = every if every is not None else every_episodes
@@ -148,6 +150,7 @@ class EvaluationCallback(BaseCallback):
     def _evaluation_env(self) -> gym.Env[Any, Any]:
         if self._env is None:
             env = self._make_env()
+            _check_environment(self.model, env)
             if any(env.unwrapped is other.unwrapped for other in getattr(self.training_env.unwrapped, "envs", [])):
                 raise InvalidConfig("make_env returned an environment of the training; it must make a new one")
             self._env = env
@@ -190,8 +193,12 @@ def evaluate_model(
     around `env` learn from them. Episode k is reset with `seed + k`. The reward has forgotten earlier evaluations.
 
     Raises:
-        InvalidConfig: The model was trained behind a `VecNormalize` but loaded without it.
+        InvalidConfig: The model was trained behind a `VecNormalize` but loaded without it; the environment is not a
+            single one of a building, or has other observations or actions than the model; `episodes` is below 1.
     """
+    if episodes < 1:
+        raise InvalidConfig(f"episodes={episodes}; a number of at least 1 expected")
+    _check_environment(model, env)
     normalization = normalization_of(model)
     if callable(renew := getattr(env.unwrapped, "renew_reward", None)):  # an environment of the user's own has none
         renew()
@@ -205,6 +212,21 @@ def evaluate_model(
         with frozen_statistics(env):
             results.append(run_episode(env, act, seed=seed + number)[0])
     return tuple(results)
+
+
+def _check_environment(model: BaseAlgorithm, env: Any) -> None:
+    """Raise `InvalidConfig` if a model cannot be evaluated in an environment."""
+    if not isinstance(env, gym.Env):
+        raise InvalidConfig(f"an evaluation needs a single environment, of gymnasium.make, and got {env!r}")
+    attribute(env, "manifest")
+    for kind in ("observation", "action"):
+        trained, current = getattr(model, f"{kind}_space"), getattr(env, f"{kind}_space")
+        forms = [(type(space), space.shape, getattr(space, "n", None)) for space in (trained, current)]
+        if forms[0] != forms[1]:
+            raise InvalidConfig(
+                f"the model was trained on other {kind}s than those of the evaluation: "
+                f"{describe_difference(trained, current)}; apply the wrappers of its training"
+            )
 
 
 def _copy_wrapper_state(training: Any, env: gym.Env[Any, Any]) -> str:

@@ -249,6 +249,21 @@ def test_training__mistakes_in_a_callback(tmp_path: Path) -> None:
     for path in (tmp_path / "best.pt", tmp_path / "nowhere" / "best.zip"):
         with pytest.raises(InvalidConfig, match=r"a .zip file in an existing folder expected"):
             EvaluationCallback(fake, every=1, best_model_path=path)
+    with pytest.raises(InvalidConfig, match="a function that makes the environment expected"):
+        EvaluationCallback(fake(), every=1)
+    model = ppo(fake())
+    with pytest.raises(InvalidConfig, match="an evaluation needs a single environment"):
+        model.learn(48, callback=EvaluationCallback(lambda: DummyVecEnv([fake]), every=48))
+    for make, message in (
+        (lambda: DummyVecEnv([fake]), "a single environment, of gymnasium.make"),
+        (lambda: gym.make("CartPole-v1"), "has no 'manifest'; wrap an environment with an id under zenostat/"),
+        (lambda: fake(zones=3), "other observations than those of the evaluation: 8 of them, now 10"),
+        (lambda: fake(discrete=5, control="building"), "other actions than those of the evaluation"),
+    ):
+        with pytest.raises(InvalidConfig, match=message):
+            evaluate_model(model, make())
+    with pytest.raises(InvalidConfig, match="episodes=0; a number of at least 1 expected"):
+        evaluate_model(model, fake(), episodes=0)
     env = fake()
     with pytest.raises(InvalidConfig, match="returned an environment of the training"):
         ppo(env).learn(48, callback=EvaluationCallback(lambda: env, every=48))
