@@ -15,6 +15,7 @@ from gymnasium.utils.env_checker import check_env
 
 from zenostat.agent_sdk.testing.report import Check, NotApplicable, Report, raised, run
 from zenostat.agent_sdk.wrappers.checkpoint import frozen_statistics
+from zenostat.agent_sdk.wrappers.gymnasium_wrappers import Trait, wrappers_with
 from zenostat.agent_sdk.wrappers.names import layers, names_of, observation_dict
 from zenostat.topics.errors import InvalidConfig, ZenostatError
 from zenostat.topics.messages import Manifest
@@ -25,7 +26,7 @@ _PARTIAL_STEPS = 30
 _RESET_KEYS = ("time", "step", "effective", "late", "rejected", "weather", "weather_noise")
 _STEP_KEYS = ("time", "step", "effective", "late", "rejected")
 _ROUNDING = 1e-9
-_SKIP_STEPS = ("RepeatAction", "MaxAndSkipObservation")
+_SKIP_STEPS = wrappers_with(Trait.SKIPS_STEPS)
 
 
 def check_environment(env: Env, *, max_steps: int = 10_000, skip: Iterable[str] = ()) -> Report:

@@ -14,6 +14,7 @@ import numpy as np
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
+from zenostat.agent_sdk.wrappers.names import require_each_timestep
 from zenostat.agent_sdk.wrappers.random_streams import SlotRandomStreams
 from zenostat.topics.calendar import parse_clock_time
 from zenostat.topics.errors import InvalidConfig
@@ -107,6 +108,7 @@ class _Logic(WrapperLogic):
         self._schedule = _read_schedule(schedule, view.wrapper_name)
         self._randoms = SlotRandomStreams(view.env, view.wrapper_name, view.slots)
         self._now: dict[int, datetime] = {}
+        require_each_timestep(view.env, view.wrapper_name)
         self._set: list[dict[str, float | None]] = [{} for _ in range(view.slots)]
 
     def start(self, start: ResetBatch) -> Values:

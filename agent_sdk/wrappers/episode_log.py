@@ -12,7 +12,7 @@ from gymnasium.spaces import Box
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
-from zenostat.agent_sdk.wrappers.names import reject_wrappers
+from zenostat.agent_sdk.wrappers.names import reject_wrappers, require_each_timestep
 from zenostat.agent_sdk.wrappers.table_writers import Cell, CsvWriter, ParquetWriter, Writer
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
@@ -28,8 +28,8 @@ class _Logic(WrapperLogic):
         if format == "parquet":
             import_extra("pyarrow", "parquet", view.wrapper_name)
         reject_wrappers(view.env, ["RewardVector"], f"{view.wrapper_name} logs a scalar reward; apply it before {{}}")
-        self._folder, self._format = Path(folder), format
-        self._folder.mkdir(parents=True, exist_ok=True)
+        require_each_timestep(view.env, view.wrapper_name)
+        self._folder, self._format = _created(folder, view.wrapper_name), format
         self._open: dict[int, tuple[Writer, str]] = {}
         self._rewards: dict[int, list[str]] = {}
         self._columns = [f"observation.{name}" for name in view.names] + [f"action.{n}" for n in _action_columns(view)]

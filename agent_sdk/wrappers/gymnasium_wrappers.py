@@ -13,6 +13,7 @@ class Trait(Flag):
     OBSERVATION_UNITS = auto()  # it changes the units of observations
     ACTION_UNITS = auto()  # it changes the units of actions
     SCALAR_REWARD = auto()  # it needs a reward that is one number
+    SKIPS_STEPS = auto()  # it takes several timesteps in a step, and returns the info of the last one
 
 
 _ANY = Trait.DATA | Trait.KEEPS_ORDER
@@ -28,7 +29,7 @@ _TRAITS = {
     "FlattenObservation": Trait.DATA,
     "FrameStackObservation": Trait.DATA,
     "HumanRendering": Trait.KEEPS_ORDER,
-    "MaxAndSkipObservation": _ANY,
+    "MaxAndSkipObservation": _ANY | Trait.SCALAR_REWARD | Trait.SKIPS_STEPS,
     "NormalizeObservation": _ANY | Trait.OBSERVATION_UNITS,
     "NormalizeReward": _ANY | Trait.SCALAR_REWARD,
     "OrderEnforcing": Trait.KEEPS_ORDER,
@@ -36,7 +37,7 @@ _TRAITS = {
     "RecordEpisodeStatistics": _ANY | Trait.SCALAR_REWARD,
     "RecordVideo": Trait.KEEPS_ORDER,
     "RenderCollection": Trait.KEEPS_ORDER,
-    "RepeatAction": _ANY,
+    "RepeatAction": _ANY | Trait.SCALAR_REWARD | Trait.SKIPS_STEPS,
     "RescaleAction": _ANY | Trait.ACTION_UNITS,
     "RescaleObservation": _ANY | Trait.OBSERVATION_UNITS,
     "StickyAction": _ANY,

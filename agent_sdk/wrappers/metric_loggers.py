@@ -10,7 +10,7 @@ import numpy as np
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, ResetBatch, StepBatch, Values, WrapperLogic
-from zenostat.agent_sdk.wrappers.names import reject_wrappers
+from zenostat.agent_sdk.wrappers.names import reject_wrappers, require_each_timestep
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.extras import import_extra
 from zenostat.topics.typing_compat import override
@@ -46,6 +46,7 @@ class MeansLog(WrapperLogic):
             raise InvalidConfig(f"{view.wrapper_name}: every should be a number of steps from 1 on, got {every!r}")
         reject_wrappers(view.env, ["RewardVector"], f"{view.wrapper_name} logs a scalar reward; apply it before {{}}")
         self._names, self._every = [f"observation.{name}" for name in view.names], every
+        require_each_timestep(view.env, view.wrapper_name)
         self._episodes = [_Means() for _ in range(view.slots)]
         self._window, self._since, self.steps = _Means(), 0, 0
 

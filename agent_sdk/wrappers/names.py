@@ -17,6 +17,7 @@ from zenostat.topics.errors import InvalidConfig, did_you_mean, repeated
 _KEEP_ORDER = wrappers_with(Trait.KEEPS_ORDER)
 _STACK = "FrameStackObservation"
 _CHANGE_UNITS = wrappers_with(Trait.OBSERVATION_UNITS)
+_SKIP_STEPS = wrappers_with(Trait.SKIPS_STEPS)
 _TIME_AWARE = "TimeAwareObservation"
 
 
@@ -177,3 +178,8 @@ def reject_wrappers(env: Any, kinds: Iterable[str], text: str) -> None:
     for layer in layers(env):
         if type(layer).__name__ in set(kinds):
             raise InvalidConfig(text.format(type(layer).__name__))
+def require_each_timestep(env: Any, wrapper_name: str, remedy: str = "apply it before {0}") -> None:
+    """Raise `InvalidConfig` if a wrapper of the chain takes several timesteps in a step; `{0}` becomes its name."""
+    reject_wrappers(env, _SKIP_STEPS, f"{wrapper_name} needs each timestep, but {{0}} skips some; {remedy}")
+
+

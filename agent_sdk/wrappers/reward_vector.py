@@ -9,7 +9,7 @@ from gymnasium.spaces import Box
 
 from zenostat.agent_sdk.wrappers.adapters import BuildingWrapper
 from zenostat.agent_sdk.wrappers.base import EnvView, StepBatch, Values, WrapperLogic
-from zenostat.agent_sdk.wrappers.names import indices_of, reject_wrappers
+from zenostat.agent_sdk.wrappers.names import indices_of, reject_wrappers, require_each_timestep
 from zenostat.topics.errors import InvalidConfig
 
 
@@ -17,6 +17,7 @@ class _Logic(WrapperLogic):
     def __init__(self, view: EnvView, terms: Sequence[str]) -> None:
         super().__init__(view)
         reject_wrappers(view.env, ["RewardVector"], "the chain already has a {}; it can have only one")
+        require_each_timestep(view.env, view.wrapper_name, "remove one of them")
         if not terms or isinstance(terms, str):
             raise InvalidConfig(f"{view.wrapper_name}: terms should be a list of names, such as ['energy', 'comfort']")
         indices_of(terms, terms, view.wrapper_name, "term")
@@ -43,7 +44,8 @@ class RewardVector(BuildingWrapper):
         terms: names in `info["reward_terms"]`.
 
     Raises:
-        InvalidConfig: there are no terms, one is listed twice, or (at a step) the reward does not have one of them.
+        InvalidConfig: there are no terms, one is listed twice, an inner wrapper repeats actions, or (at a step) the
+            reward does not have one of them.
     """
 
     logic = _Logic
