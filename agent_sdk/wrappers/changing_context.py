@@ -26,7 +26,7 @@ Schedule = Callable[[datetime, np.random.Generator], Context]
 class _TimeTable:
     """Values at times of the day (`07:30`) or of the year (`07-01 07:30`), each valid until the next.
 
-    Before the first time of a day or year, the last value is valid.
+    Before the first time of a day, the last value is valid; before the first one of a year, none is set.
 
     Args:
         entries: values by time.
@@ -45,6 +45,8 @@ class _TimeTable:
             key=lambda entry: entry[0],
         )
         self._keys, self._values = [key for key, _ in read], [value for _, value in read]
+        if not read:
+            raise InvalidConfig(f"{label}: the table is empty; times with values expected, such as '07:30'")
         if len({len(key) for key in self._keys}) != 1:
             raise InvalidConfig(f"{label}: the times of a table should all be like '07:30', or all like '07-01 07:30'")
         self._daily = len(self._keys[0]) == 2
@@ -52,7 +54,8 @@ class _TimeTable:
     def __call__(self, time: datetime, random: np.random.Generator) -> Context:  # noqa: ARG002  # as a `Schedule`
         """Return the value that is valid at that time."""
         key = (time.hour, time.minute) if self._daily else (time.month, time.day, time.hour, time.minute)
-        return self._values[bisect_right(self._keys, key) - 1]
+        position = bisect_right(self._keys, key) - 1
+        return self._values[position] if position >= 0 or self._daily else {}
 
 
 def _values_by_actuator(values: Any, text: str) -> Context:
@@ -105,10 +108,10 @@ class _Program:
 class _Logic(WrapperLogic):
     def __init__(self, view: EnvView, schedule: Mapping[str, Context] | Schedule) -> None:
         super().__init__(view)
+        require_each_timestep(view.env, view.wrapper_name)
         self._schedule = _read_schedule(schedule, view.wrapper_name)
         self._randoms = SlotRandomStreams(view.env, view.wrapper_name, view.slots)
         self._now: dict[int, datetime] = {}
-        require_each_timestep(view.env, view.wrapper_name)
         self._set: list[dict[str, float | None]] = [{} for _ in range(view.slots)]
 
     def start(self, start: ResetBatch) -> Values:
@@ -167,14 +170,15 @@ class ChangingContext(BuildingWrapper):
     Args:
         schedule: a table of times (`{"07:00": {"occupants": 1.0}, "18:00": {"occupants": 0.0}}`, or with days,
             `"07-01 07:00"`), in which each entry is valid until the next one; or a function of the time and of a
-            random generator that `reset(seed=)` seeds. The value None relinquishes an actuator. An actuator that is
-            not named keeps its value. A `set_context` after the reset or a step replaces a table's value until the
-            table changes it. Branches of the building continue with a copy of the schedule and its generator.
+            random generator that `reset(seed=)` seeds. A table with days sets nothing in an episode until the first of
+            them in the year. The value None relinquishes an actuator. An actuator that is not named keeps its value. A
+            `set_context` after the reset or a step replaces a table's value until the table changes it. Branches of
+            the building continue with a copy of the schedule and its generator.
 
     Raises:
-        InvalidConfig: the table is invalid, or the function does not take two arguments, or (at a step) returned no
-            mapping. `InvalidAction` at a reset or step: the node does not have the actuator, an action sets it, or the
-            value is out of bounds.
+        InvalidConfig: the table is invalid, the function does not take two arguments, an inner wrapper repeats
+            actions, or (at a step) the function returned no mapping. `InvalidAction` at a reset or step: the node does
+            not have the actuator, an action sets it, or the value is out of bounds.
     """
 
     logic = _Logic

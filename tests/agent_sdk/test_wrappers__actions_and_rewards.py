@@ -138,7 +138,7 @@ def test_reward_vector__has_the_requested_order() -> None:
     "schedule",
     [
         {"07:00": {"occupants": 1.0}, "18:30": {"occupants": 0.25}},
-        {"07-03 07:00": {"occupants": 1.0}, "07-03 18:30": {"occupants": 0.25}},
+        {"06-01 00:00": {"occupants": 0.25}, "07-03 07:00": {"occupants": 1.0}, "07-03 18:30": {"occupants": 0.25}},
         lambda time, random: {
             "occupants": 1.0 if timedelta(hours=7) <= time - datetime(2017, 7, 3) < timedelta(hours=18.5) else 0.25
         },
@@ -166,6 +166,13 @@ def test_wrappers__context_that_cannot_be() -> None:
         w.ChangingContext(fake(), {"7:00": {}})
     with pytest.raises(InvalidConfig, match="or all like '07-01 07:30'"):
         w.ChangingContext(fake(), {"07:00": {}, "07-01 07:00": {}})
+def test_changing_context__table_with_days_sets_nothing_before_its_first_day() -> None:
+    env = w.ChangingContext(fake(), {"07-03 07:00": {"occupants": 1.0}, "07-03 18:00": {"occupants": 0.25}})
+    bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
+    episode(env, lambda: MIDDLE)
+    assert bare.contexts == [(7, {"occupants": 1.0}), (18, {"occupants": 0.25})]
+
+
     with pytest.raises(InvalidConfig, match="'02-30 07:00' is not a time"):
         w.ChangingContext(fake(), {"02-30 07:00": {}})
     env = w.ChangingContext(fake(), {"00:00": {"cool": 25.0}})
@@ -202,3 +209,4 @@ def test_context__set_after_the_reset_replaces_that_of_a_table() -> None:
             env.unwrapped.set_context({"occupants": own})  # type: ignore[attr-defined]
         effective = [env.step(MIDDLE)[4]["effective"][2] for _ in range(5)]
         assert effective == [own or 0.5] * 3 + [0.75] * 2
+        ({}, "the table is empty"),
