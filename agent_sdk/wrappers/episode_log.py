@@ -89,6 +89,15 @@ class _Logic(WrapperLogic):
             self._finish(slot, "-left")
 
 
+def _created(folder: Any, wrapper_name: str) -> Path:
+    try:
+        path = Path(folder)
+        path.mkdir(parents=True, exist_ok=True)
+    except (TypeError, OSError) as error:
+        raise InvalidConfig(f"{wrapper_name}: folder={folder!r}; a folder for the tables expected ({error})") from None
+    return path
+
+
 def _reward_numbers(step: StepBatch, row: int) -> dict[str, float]:
     """Return terms and metrics of the reward by column; a custom reward need not have all in each timestep."""
     groups = (("reward", "reward_terms"), ("metric", "reward_metrics"))
@@ -124,7 +133,8 @@ class EpisodeLog(BuildingWrapper):
         format: `csv`, the default, or `parquet` (needs the extra `parquet`).
 
     Raises:
-        InvalidConfig: there is no such format, the extra is missing, or an inner wrapper is a `RewardVector`.
+        InvalidConfig: there is no such format, the extra is missing, the folder cannot be created, or an inner
+            wrapper is a `RewardVector` or repeats actions.
     """
 
     logic = _Logic

@@ -186,3 +186,60 @@ def test_wrappers__term_that_appears_later_has_a_column(tmp_path: Path, kind: An
     empty = None if kind == "parquet" else ""
     assert [row["reward.late"] for row in rows] == [empty, empty, *(type(rows[2]["reward.late"])(-2.0),) * 2]
     assert [float(row["reward.base"]) for row in rows] == [-1.0] * 4
+
+
+@pytest.mark.parametrize("name", [None, "file"])
+def test_episode_log__folder_that_cannot_be_one(name: str | None, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("text")
+    with pytest.raises(InvalidConfig, match=r"EpisodeLog: folder=.*a folder for the tables expected"):
+        w.EpisodeLog(fake(), name and tmp_path / name)
+
+
+class Run:
+    """Stands for a run of Weights & Biases, and for its module."""
+
+    id = "1"
+
+    def __init__(self, *, fails: bool = False) -> None:
+        self.fails, self.settings, self.files, self.finished = fails, dict[str, Any](), list[tuple[str, str]](), 0
+
+    def init(self, **settings: Any) -> "Run":
+        self.settings = settings
+        return self
+
+    def Artifact(self, name: str, type: str) -> "Run":  # noqa: A002, N802  # wandb's names
+        return self
+
+    def add_file(self, path: str, name: str) -> None:
+        if self.fails:
+            raise OSError("the disk is full")
+        self.files.append((path, name))
+
+    def log_artifact(self, artifact: "Run") -> None:
+        assert artifact is self
+
+    def finish(self) -> None:
+        self.finished += 1
+
+
+def test_weights_and_biases__one_artifact_and_one_tag_need_no_list(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "model.zip").write_text("weights")
+    for artifacts in (str(tmp_path / "model.zip"), tmp_path / "model.zip", [tmp_path / "model.zip"]):
+        monkeypatch.setitem(sys.modules, "wandb", run := Run())  # type: ignore[arg-type]
+        w.WeightsAndBiasesLog(fake(), "office", artifacts=artifacts, tags="summer").close()
+        assert run.settings["tags"] == ["summer"]
+        assert (run.files, run.finished) == ([(str(tmp_path / "model.zip"), "model.zip")], 1)
+
+
+def test_weights_and_biases__artifacts_that_cannot_be(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "wandb", run := Run(fails=True))  # type: ignore[arg-type]
+    for artifacts in (["a/model.zip", "b/model.zip"], "/"):
+        with pytest.raises(InvalidConfig, match=r"WeightsAndBiasesLog: artifacts .*each with another name"):
+            w.WeightsAndBiasesLog(fake(), "office", artifacts=artifacts)
+    (tmp_path / "model.zip").write_text("weights")
+    env = w.WeightsAndBiasesLog(fake(), "office", artifacts=[tmp_path / "model.zip", tmp_path / "none.zip"])
+    with pytest.raises(OSError, match="full"), pytest.warns(UserWarning, match=r"artifacts that do not exist: .*none"):
+        env.close()
+    assert run.finished == 1
