@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -45,8 +46,8 @@ class MeansLog(WrapperLogic):
         if every < 1:
             raise InvalidConfig(f"{view.wrapper_name}: every should be a number of steps from 1 on, got {every!r}")
         reject_wrappers(view.env, ["RewardVector"], f"{view.wrapper_name} logs a scalar reward; apply it before {{}}")
-        self._names, self._every = [f"observation.{name}" for name in view.names], every
         require_each_timestep(view.env, view.wrapper_name)
+        self._names, self._every = [f"observation.{name}" for name in view.names], every
         self._episodes = [_Means() for _ in range(view.slots)]
         self._window, self._since, self.steps = _Means(), 0, 0
 
@@ -132,7 +133,7 @@ class TensorBoardLog(BuildingWrapper):
         every: interval of `steps/…` in steps; 1000 by default.
 
     Raises:
-        InvalidConfig: the extra is missing, or an inner wrapper is a `RewardVector`.
+        InvalidConfig: the extra is missing, or an inner wrapper is a `RewardVector` or repeats actions.
     """
 
     logic = _TensorBoardMeans
@@ -150,35 +151,50 @@ class _WeightsAndBiasesMeans(MeansLog):
         config: Mapping[str, Any] | None = None,
         entity: str | None = None,
         group: str | None = None,
-        tags: Sequence[str] | None = None,
-        artifacts: Sequence[str | Path] = (),
+        tags: str | Sequence[str] | None = None,
+        artifacts: str | Path | Sequence[str | Path] = (),
     ) -> None:
         super().__init__(view, every)
+        self._artifacts = [Path(path).absolute() for path in _several(artifacts)]
+        names = [path.name for path in self._artifacts]
+        if not all(names) or len(set(names)) < len(names):
+            raise InvalidConfig(
+                f"{view.wrapper_name}: artifacts {', '.join(map(str, self._artifacts))}; files and folders expected, "
+                "each with another name, because the run has them without their paths"
+            )
         wandb = self._wandb = import_extra("wandb", "wandb", view.wrapper_name)
-        self._artifacts = [Path(path) for path in artifacts]
         settings: dict[str, Any] = {"project": project, "name": name, "mode": mode, "config": dict(config or {})}
-        settings |= {"entity": entity, "group": group, "tags": None if tags is None else list(tags)}
+        settings |= {"entity": entity, "group": group, "tags": None if tags is None else _several(tags)}
         self._run: Any = wandb.init(**settings, dir=None if folder is None else str(folder), reinit="create_new")
 
     def write(self, values: Mapping[str, float], step: int) -> None:
         self._run.log(dict(values), step=step)
 
     def close(self) -> None:
-        if self._run is not None:
-            self._log_artifacts()
-            self._run.finish()
-            self._run = None
+        run, self._run = self._run, None
+        if run is not None:
+            try:
+                self._log_artifacts(run)
+            finally:
+                run.finish()
 
-    def _log_artifacts(self) -> None:
+    def _log_artifacts(self, run: Any) -> None:
         existing = [path for path in self._artifacts if path.exists()]
+        if missing := [str(path) for path in self._artifacts if path not in existing]:
+            warnings.warn(f"{self.view.wrapper_name}: artifacts that do not exist: {', '.join(missing)}", stacklevel=2)
         if existing:
-            artifact = self._wandb.Artifact(f"run-{self._run.id}", type="output")
+            artifact = self._wandb.Artifact(f"run-{run.id}", type="output")
             for path in existing:
                 if path.is_dir():
                     artifact.add_dir(str(path), name=path.name)
                 else:
                     artifact.add_file(str(path), name=path.name)
-            self._run.log_artifact(artifact)
+            run.log_artifact(artifact)
+
+
+def _several(values: Any) -> list[Any]:
+    """Return one text or path, or several of them, as a list."""
+    return [values] if isinstance(values, str | Path) else list(values)
 
 
 class WeightsAndBiasesLog(BuildingWrapper):
@@ -193,11 +209,13 @@ class WeightsAndBiasesLog(BuildingWrapper):
         config: the run's configuration.
         entity: the user or team that owns the run; None is the default of the login.
         group: the group of runs that it belongs to.
-        tags: tags of the run.
-        artifacts: files and folders that are logged as an artifact of the run when the environment is closed.
+        tags: a tag of the run, or several.
+        artifacts: a file or folder, or several with different names, that are logged as an artifact of the run when the
+            environment is closed. Those that do not exist then are named in a warning.
 
     Raises:
-        InvalidConfig: the extra is missing, or an inner wrapper is a `RewardVector`.
+        InvalidConfig: the extra is missing, artifacts have the same name, or an inner wrapper is a `RewardVector` or
+            repeats actions.
     """
 
     logic = _WeightsAndBiasesMeans
