@@ -196,8 +196,10 @@ class _SingleAdapter(gym.Wrapper[Any, Any, Any, Any], BuildingWrapper):
 
     @override
     def close(self) -> None:
-        self._logic.close()
-        self.env.close()
+        try:
+            self._logic.close()
+        finally:
+            self.env.close()
 
 
 class _VectorAdapter(_VectorWrapper, BuildingWrapper):
@@ -322,8 +324,10 @@ class _VectorAdapter(_VectorWrapper, BuildingWrapper):
 
     @override
     def close(self, **kwargs: Any) -> None:
-        self._logic.close()
-        self.env.close(**kwargs)
+        try:
+            self._logic.close()
+        finally:
+            self.env.close(**kwargs)
 
 
 def _present(slots: Sequence[int], infos: Mapping[str, Any]) -> list[int]:
