@@ -22,7 +22,14 @@ from zenostat.agent_sdk.envs.episode_state import ContextProgram
 from zenostat.agent_sdk.envs.snapshot import Snapshot
 from zenostat.agent_sdk.envs.space_names import SpaceNames, by_name
 from zenostat.agent_sdk.wrappers.base import EnvView, Infos, ResetBatch, StepBatch, Values, WrapperLogic
-from zenostat.agent_sdk.wrappers.names import action_names_of, inside, layers, names_of, reject_wrappers
+from zenostat.agent_sdk.wrappers.names import (
+    action_names_of,
+    inside,
+    layers,
+    names_of,
+    reject_wrappers,
+    unknown_arguments,
+)
 from zenostat.topics.errors import InvalidConfig
 from zenostat.topics.typing_compat import override
 
@@ -66,10 +73,14 @@ class BuildingWrapper(RecordConstructorArgs, _EnvOrVectorEnv):  # type: ignore[m
             cls.__signature__ = inspect.Signature([env, *parameters])  # for help()
 
     def _build_logic(self, env: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> None:
-        bound = inspect.signature(type(self)).bind(env, *args, **kwargs)
+        own, signature = type(self).__name__, inspect.signature(type(self))
+        try:
+            bound = signature.bind(env, *args, **kwargs)
+        except TypeError as error:
+            unknown = unknown_arguments(kwargs, [*signature.parameters][1:], own)
+            raise InvalidConfig("\n".join(unknown) or f"{own}: {error}") from None
         arguments = {name: value for name, value in bound.arguments.items() if name != "env"}
         RecordConstructorArgs.__init__(self, _disable_deepcopy=True, **arguments)
-        own = type(self).__name__
         reject_wrappers(env, ["NumericInfos"], f"{own} needs infos that NumericInfos leaves out; apply it before {{}}")
         self._logic = self.logic(EnvView(env, own), **arguments)
         if self._logic.reward_space is not None:

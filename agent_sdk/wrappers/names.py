@@ -158,12 +158,23 @@ def indices_of(wanted: Iterable[str], names: Sequence[str], label: str, kind: st
     Raises:
         InvalidConfig: names that do not exist, or are listed twice; the error lists all of them.
     """
+    if isinstance(wanted, str):
+        raise InvalidConfig(f"{label}: a list of names expected, such as [{wanted!r}], got {wanted!r}")
     wanted = list(wanted)
     errors = [f"{label}: no {kind} {name!r}; {did_you_mean(str(name), names)}" for name in wanted if name not in names]
     errors += [f"{label}: {name!r} is listed twice" for name in repeated(wanted)]
     if errors:
         raise InvalidConfig("\n".join(errors))
     return [names.index(name) for name in wanted]
+
+
+def unknown_arguments(arguments: Iterable[str], known: Sequence[str], wrapper_name: str) -> list[str]:
+    """Return an error for each argument that a wrapper does not have."""
+    return [
+        f"{wrapper_name} has no argument {name!r}; {did_you_mean(name, known)}"
+        for name in arguments
+        if name not in known
+    ]
 
 
 def require_units(env: Any, wrapper_name: str) -> None:
@@ -173,13 +184,13 @@ def require_units(env: Any, wrapper_name: str) -> None:
             raise InvalidConfig(f"{wrapper_name} needs values in their units; apply it before {type(layer).__name__}")
 
 
-def reject_wrappers(env: Any, kinds: Iterable[str], text: str) -> None:
-    """Raise `InvalidConfig` if the chain has one of the wrappers; `{}` in the text becomes its name."""
-    for layer in layers(env):
-        if type(layer).__name__ in set(kinds):
-            raise InvalidConfig(text.format(type(layer).__name__))
 def require_each_timestep(env: Any, wrapper_name: str, remedy: str = "apply it before {0}") -> None:
     """Raise `InvalidConfig` if a wrapper of the chain takes several timesteps in a step; `{0}` becomes its name."""
     reject_wrappers(env, _SKIP_STEPS, f"{wrapper_name} needs each timestep, but {{0}} skips some; {remedy}")
 
 
+def reject_wrappers(env: Any, kinds: Iterable[str], text: str) -> None:
+    """Raise `InvalidConfig` if the chain has one of the wrappers; `{}` in the text becomes its name."""
+    for layer in layers(env):
+        if type(layer).__name__ in set(kinds):
+            raise InvalidConfig(text.format(type(layer).__name__))

@@ -20,7 +20,7 @@ from zenostat.agent_sdk.wrappers.episode_log import EpisodeLog
 from zenostat.agent_sdk.wrappers.gymnasium_wrappers import GYMNASIUMS, Trait, wrappers_with
 from zenostat.agent_sdk.wrappers.incremental import DiscreteIncrementalAction, IncrementalAction
 from zenostat.agent_sdk.wrappers.metric_loggers import TensorBoardLog, WeightsAndBiasesLog
-from zenostat.agent_sdk.wrappers.names import reject_wrappers
+from zenostat.agent_sdk.wrappers.names import reject_wrappers, unknown_arguments
 from zenostat.agent_sdk.wrappers.numeric_infos import NumericInfos
 from zenostat.agent_sdk.wrappers.observation import (
     CyclicTime,
@@ -111,10 +111,7 @@ def _read(entry: Mapping[str, Any], where: str, *, vector: bool) -> tuple[Any, d
     name, arguments = entry["wrapper"], {key: value for key, value in entry.items() if key != "wrapper"}
     kind = _class(name, vector, where)
     known = [*inspect.signature(kind).parameters][1:]
-    unknown = [
-        f"{where}: {name} has no argument {key!r}; {did_you_mean(key, known)}" for key in arguments if key not in known
-    ]
-    if unknown:
+    if unknown := unknown_arguments(arguments, known, f"{where}: {name}"):
         raise InvalidConfig("\n".join(unknown))
     return kind, arguments
 

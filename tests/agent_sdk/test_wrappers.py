@@ -254,6 +254,23 @@ def test_wrappers__chains_that_cannot_be(chain: list[Any], text: str) -> None:
         w.apply_wrappers(fake(), chain)
 
 
+@pytest.mark.parametrize(
+    ("wrong", "text"),
+    [
+        (lambda env: w.PreviousObservation(env, variables=["core"]),
+            "PreviousObservation has no argument 'variables'; "),
+        (lambda env: w.CyclicTime(env, field=["hour"]), "CyclicTime has no argument 'field'; did you mean 'fields'"),
+        (w.PreviousObservation, "PreviousObservation: missing a required argument: 'names'"),
+        (lambda env: w.PreviousObservation(env, "core"),
+            r"PreviousObservation: a list of names expected, such as \['core'\], got 'core'"),
+    ],
+)  # fmt: skip
+def test_wrappers__arguments_that_cannot_be(wrong: Callable[[Any], Any], text: str) -> None:
+    for env in (fake(), fakes()):
+        with pytest.raises(InvalidConfig, match=text):
+            wrong(env)
+
+
 @pytest.mark.parametrize("low", [-1, -1.0, [-1.0, -0.5]])
 def test_wrappers__bounds_of_gymnasiums_wrappers_are_plain_numbers(low: Any) -> None:
     chain = [{"wrapper": "RescaleAction", "min_action": low, "max_action": 1.0}]
