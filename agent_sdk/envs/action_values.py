@@ -139,6 +139,8 @@ class Actions:
         Raises:
             InvalidAction: Unknown actuator, one that an action sets, or a value out of bounds or not finite.
         """
+        if not isinstance(values, Mapping):
+            raise InvalidAction(f"context {values!r}; values by actuator expected, such as {{'occupants': 1.0}}")
         context: dict[int, float | None] = {}
         for name, value in values.items():
             if name not in self._unbound:

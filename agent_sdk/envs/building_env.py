@@ -17,7 +17,7 @@ from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.action_values import Actions, as_array
 from zenostat.agent_sdk.envs.branch_env import BranchVectorEnv, branch_request, open_branch
 from zenostat.agent_sdk.envs.connection import RENDER_MODES, ConnectedEnv, Link, NodeConnection, one_caller
-from zenostat.agent_sdk.envs.episode_state import EpisodeState
+from zenostat.agent_sdk.envs.episode_state import EpisodeState, require_episode
 from zenostat.agent_sdk.envs.infos import SampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
 from zenostat.agent_sdk.envs.snapshot import Snapshot, checked, from_options, take
@@ -418,6 +418,7 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
 
     def renew_reward(self) -> None:
         """Let the reward forget what it has kept of earlier episodes, such as the maxima of `normalized`."""
+        require_episode(self._sample)
         if self.reward is not None:
             self._state.reward = self.reward.bind(self.manifest)
 

@@ -16,12 +16,19 @@ from numpy.typing import NDArray
 from zenostat.agent_sdk.envs.termination import TerminationLimits
 from zenostat.agent_sdk.rewards import BoundReward, Reward
 from zenostat.agent_sdk.rewards.base import Begin
+from zenostat.topics.errors import EpisodeChanged
 from zenostat.topics.messages import Manifest
 
 C = TypeVar("C")
 Context = Mapping[str, float | None]
 ContextProgram = Callable[[datetime], Context]
 """Returns changes of the context at the beginning of each timestep, in order; can be copied with its state."""
+
+
+def require_episode(sample: object | None) -> None:
+    """Raise `EpisodeChanged` before the first sample, for a context that the reset would clear."""
+    if sample is None:
+        raise EpisodeChanged("call reset() before set_context(): the beginning of an episode clears the context")
 
 
 def _nan_like(numbers: Mapping[str, Any]) -> dict[str, Any]:

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from zenostat.agent_sdk.envs import arguments, spaces
 from zenostat.agent_sdk.envs.action_values import Actions
 from zenostat.agent_sdk.envs.connection import RENDER_MODES, ConnectedEnv, NodeConnection, VectorLink, one_caller
-from zenostat.agent_sdk.envs.episode_state import EpisodeState
+from zenostat.agent_sdk.envs.episode_state import EpisodeState, require_episode
 from zenostat.agent_sdk.envs.infos import VectorSampleInfos
 from zenostat.agent_sdk.envs.rendering import EpisodeRenderer
 from zenostat.agent_sdk.envs.slot_access import Seeds, Slot, SlotAccess, seeds_of, slots_of
@@ -323,6 +323,7 @@ class BuildingVectorEnv(SlotAccess, ConnectedEnv, VectorEnv[Observations, Any, N
 
     def set_slot_context(self, slot: int, values: Mapping[str, float | None]) -> None:
         """Set actuators that belong to no action in one slot; see `BuildingEnv.set_context`."""
+        require_episode(self._sample)
         self._state.context[slot] |= self._actions.context(values)
 
     # Access to slots

@@ -14,7 +14,7 @@ from zenostat import wrappers as w
 from zenostat.agent_sdk.testing import FakeEnv
 from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
 from zenostat.agent_sdk.wrappers.incremental import rounded
-from zenostat.topics.errors import InvalidAction, InvalidConfig
+from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig
 
 # Actions
 
@@ -178,6 +178,21 @@ def test_changing_context__table_with_days_sets_nothing_before_its_first_day() -
     env = w.ChangingContext(fake(), {"00:00": {"cool": 25.0}})
     with pytest.raises(InvalidAction, match="'cool' is not an actuator outside the actions"):
         env.reset()
+
+
+@pytest.mark.parametrize("values", [3, None, ["equipment"]])
+def test_context__is_values_by_actuator(values: Any) -> None:
+    env = FakeEnv(equipment_control=True, actions={"cooling": ["zone_1_cooling_setpoint"]}, zones=1)
+    env.reset()
+    with pytest.raises(InvalidAction, match="values by actuator expected"):
+        env.set_context(values)
+
+
+def test_context__before_the_reset_that_would_clear_it_is_refused() -> None:
+    form: dict[str, Any] = {"zones": 1, "equipment_control": True, "actions": {"cooling": ["zone_1_cooling_setpoint"]}}
+    for env in (FakeEnv(**form), FakeVectorEnv(2, **form)):
+        with pytest.raises(EpisodeChanged, match=r"call reset\(\) before set_context\(\)"):
+            env.set_context({"equipment": 0.5})
 
 
 @pytest.mark.parametrize(
