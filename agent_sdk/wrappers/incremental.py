@@ -170,6 +170,8 @@ class _DiscreteIncrementalActionLogic(_IncrementalLogic):
         self.action_names = tuple(steps)
 
     def act(self, slots: list[int], actions: Values) -> Values:
+        if actions.shape == (1, 1) and not self.view.vector:  # one number, as an environment of discrete actions takes
+            actions = actions[0]
         is_valid = actions.ndim == 1 and np.issubdtype(actions.dtype, np.integer)
         if not is_valid or not ((actions >= 0) & (actions < len(self._table))).all():
             raise _invalid_action(

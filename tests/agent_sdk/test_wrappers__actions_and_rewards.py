@@ -117,6 +117,18 @@ def test_wrappers__increments_that_cannot_be(wrong: Callable[[Any], Any], text: 
         wrong(fake())
 
 
+def test_discrete_incremental_action__choice_may_be_an_array_of_one() -> None:
+    """As the `Discrete` action of an environment may be, which stable-baselines3 predicts as an array."""
+    env = w.DiscreteIncrementalAction(fake(), {"cool": 1.0}, {"heat": 20.0, "cool": 25.0})
+    bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
+    env.reset(seed=0)
+    for choice in (1, np.int64(1), np.array(1), np.array([1])):
+        env.step(choice)
+    assert bare.commands == [[20.0, cooling] for cooling in (26.0, 27.0, 28.0, 29.0)]
+    with pytest.raises(InvalidAction):
+        env.step(np.array([1, 1]))
+
+
 # Reward, context
 
 
@@ -154,18 +166,6 @@ def test_wrappers__context_follows_its_schedule(schedule: Any) -> None:
         assert effective == [0.25] * 14 + [1.0] * 23 + [0.25] * 11
 
 
-def test_random_context__depends_on_the_seed() -> None:
-    env = w.ChangingContext(fake(), lambda time, random: {"occupants": float(random.random())})
-    seen = [[info["effective"][2] for *_, info in episode(env, lambda: MIDDLE, seed)[1:]] for seed in (1, 1, 2)]
-    assert seen[0] == seen[1] != seen[2]
-    assert len(set(seen[0])) == 24
-
-
-def test_wrappers__context_that_cannot_be() -> None:
-    with pytest.raises(InvalidConfig, match="'7:00' is not a time; write '07:30'"):
-        w.ChangingContext(fake(), {"7:00": {}})
-    with pytest.raises(InvalidConfig, match="or all like '07-01 07:30'"):
-        w.ChangingContext(fake(), {"07:00": {}, "07-01 07:00": {}})
 def test_changing_context__table_with_days_sets_nothing_before_its_first_day() -> None:
     env = w.ChangingContext(fake(), {"07-03 07:00": {"occupants": 1.0}, "07-03 18:00": {"occupants": 0.25}})
     bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
@@ -173,11 +173,11 @@ def test_changing_context__table_with_days_sets_nothing_before_its_first_day() -
     assert bare.contexts == [(7, {"occupants": 1.0}), (18, {"occupants": 0.25})]
 
 
-    with pytest.raises(InvalidConfig, match="'02-30 07:00' is not a time"):
-        w.ChangingContext(fake(), {"02-30 07:00": {}})
-    env = w.ChangingContext(fake(), {"00:00": {"cool": 25.0}})
-    with pytest.raises(InvalidAction, match="'cool' is not an actuator outside the actions"):
-        env.reset()
+def test_random_context__depends_on_the_seed() -> None:
+    env = w.ChangingContext(fake(), lambda time, random: {"occupants": float(random.random())})
+    seen = [[info["effective"][2] for *_, info in episode(env, lambda: MIDDLE, seed)[1:]] for seed in (1, 1, 2)]
+    assert seen[0] == seen[1] != seen[2]
+    assert len(set(seen[0])) == 24
 
 
 @pytest.mark.parametrize("values", [3, None, ["equipment"]])
@@ -195,10 +195,23 @@ def test_context__before_the_reset_that_would_clear_it_is_refused() -> None:
             env.set_context({"equipment": 0.5})
 
 
+def test_wrappers__context_that_cannot_be() -> None:
+    with pytest.raises(InvalidConfig, match="'7:00' is not a time; write '07:30'"):
+        w.ChangingContext(fake(), {"7:00": {}})
+    with pytest.raises(InvalidConfig, match="or all like '07-01 07:30'"):
+        w.ChangingContext(fake(), {"07:00": {}, "07-01 07:00": {}})
+    with pytest.raises(InvalidConfig, match="'02-30 07:00' is not a time"):
+        w.ChangingContext(fake(), {"02-30 07:00": {}})
+    env = w.ChangingContext(fake(), {"00:00": {"cool": 25.0}})
+    with pytest.raises(InvalidAction, match="'cool' is not an actuator outside the actions"):
+        env.reset()
+
+
 @pytest.mark.parametrize(
     ("schedule", "text"),
     [
         ({"07:00": 3}, "the entry at '07:00' is 3; values by actuator expected"),
+        ({}, "the table is empty"),
         (3, r"a table of times or a function of \(time, random\) expected, got 3"),
         (lambda time: {}, r"the schedule should be a function of \(time, random\): too many positional arguments"),
     ],
@@ -224,4 +237,3 @@ def test_context__set_after_the_reset_replaces_that_of_a_table() -> None:
             env.unwrapped.set_context({"occupants": own})  # type: ignore[attr-defined]
         effective = [env.step(MIDDLE)[4]["effective"][2] for _ in range(5)]
         assert effective == [own or 0.5] * 3 + [0.75] * 2
-        ({}, "the table is empty"),
