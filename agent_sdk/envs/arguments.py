@@ -30,6 +30,11 @@ def check_arguments(arguments: Mapping[str, Any], env_type: Callable[..., Any]) 
         UnknownArgument: Unknown names; the text lists all of them with similar names.
     """
     known = list(inspect.signature(env_type).parameters)
+    if "max_episode_steps" in arguments:
+        raise UnknownArgument(
+            "got max_episode_steps, but a vector environment of one node has no TimeLimit; shorten the run period with "
+            "begin= and end=, or use gym.make, or gym.make_vec with vectorization_mode='sync' or 'async'"
+        )
     if unknown := [name for name in arguments if name not in known]:
         errors = [f"got an unexpected keyword argument {name!r}; {did_you_mean(name, known)}" for name in unknown]
         raise UnknownArgument("\n".join(errors))

@@ -42,5 +42,6 @@ class FakeEnv(BuildingEnv):
     ) -> None:
         if render_mode == "rerun":
             raise InvalidConfig("render_mode 'rerun' shows a bus, but a fake building has none; use 'rgb_array'")
+        arguments.check_arguments(building, FakeBuilding)
         link = FakeLink(FakeBuilding(zones, **building))
         super().__init__(reward=reward, render_mode=render_mode, link=link)

@@ -148,5 +148,6 @@ class FakeVectorEnv(BuildingVectorEnv):
             raise InvalidConfig("render_mode 'rerun' shows a bus, but a fake building has none; use 'rgb_array'")
         if not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise InvalidConfig(f"num_envs = {num_envs!r}; at least 1 expected")
+        arguments.check_arguments(building, FakeBuilding)
         link = FakeSlots([FakeBuilding(zones, **building) for _ in range(num_envs)])
         super().__init__(num_envs, reward=reward, render_mode=render_mode, autoreset_mode=autoreset_mode, link=link)

@@ -15,7 +15,14 @@ from zenostat import wrappers as w
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 from zenostat.agent_sdk.testing import FakeEnv
 from zenostat.agent_sdk.testing.fake_vector_env import FakeVectorEnv
-from zenostat.topics.errors import EpisodeChanged, InvalidAction, InvalidConfig, SimulatorError, ZenostatError
+from zenostat.topics.errors import (
+    EpisodeChanged,
+    InvalidAction,
+    InvalidConfig,
+    SimulatorError,
+    UnknownArgument,
+    ZenostatError,
+)
 
 HOT = {"points": ["zone_1_air_temperature"], "low": 17.0, "high": 26.0, "duration_h": 2.0}
 NIGHT = {"points": ["outdoor_temperature"], "low": 18.0, "duration_h": 3.0}  # outside at sample 0, which does not count
@@ -198,6 +205,17 @@ def test_vector_env__make_vec(mode: str | None) -> None:
     for vector in (env, again):
         vector.close()
         vector.close()
+
+
+def test_vector_env__limit_of_gymnasium_needs_environments_of_their_own() -> None:
+    with pytest.raises(UnknownArgument, match=r"max_episode_steps, but a vector environment .*begin= and end="):
+        gym.make_vec("zenostat/Fake-v1", num_envs=2, max_episode_steps=3)
+    with closing(gym.make_vec("zenostat/Fake-v1", 2, "sync", max_episode_steps=3)) as env:
+        env.reset(seed=0)
+        truncated = [env.step(env.action_space.sample())[3].tolist() for _ in range(3)]
+    assert truncated == [[False] * 2] * 2 + [[True] * 2]
+    with pytest.raises(UnknownArgument, match="'zone'; did you mean 'zones'"):
+        gym.make("zenostat/Fake-v1", zone=2)
 
 
 def test_vector_env__all_ids_but_that_of_districts_have_a_vector_of_their_own() -> None:
