@@ -147,10 +147,15 @@ class AgentsEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
     def reset(
         self,
         seed: int | None = None,
-        options: dict[str, Any] | None = None,  # noqa: ARG002
+        options: dict[str, Any] | None = None,
     ) -> tuple[dict[str, Observation], dict[str, dict[str, Any]]]:
-        """Start an episode; see `BuildingEnv.reset`. Options are ignored, because PettingZoo's own checks pass some."""
-        observation, info = self.env.reset(seed=seed)
+        """Start an episode, or return to a snapshot of `env`; see `BuildingEnv.reset`.
+
+        Rewards of agents with a state of their own begin anew at a snapshot. Other options than `snapshot` are ignored,
+        because PettingZoo's own checks pass some.
+        """
+        known = {name: value for name, value in (options or {}).items() if name == "snapshot"}
+        observation, info = self.env.reset(seed=seed, options=known)
         self.agents = self.possible_agents[:]
         if self._rewards_of_agents is not None:
             self._rewards_of_agents.reset()
@@ -184,6 +189,8 @@ class AgentsEnv(ParallelEnv):  # type: ignore[misc]  # PettingZoo has no types
 
     def _join(self, actions: Mapping[str, ArrayLike]) -> Any:
         """Return the environment's action."""
+        if not isinstance(actions, Mapping):
+            raise InvalidAction(f"actions {actions!r}; the action of each agent by its name expected")
         missing, unknown = [a for a in self.agents if a not in actions], [a for a in actions if a not in self.agents]
         if missing or unknown:
             errors = [f"no action of {', '.join(map(repr, missing))}"] if missing else []

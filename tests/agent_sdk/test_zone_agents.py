@@ -345,3 +345,12 @@ def test_zone_agents__without_pettingzoo_one_sentence_states_what_to_do() -> Non
     last = done.stderr.strip().splitlines()[-1]
     assert last.startswith("zenostat.topics.errors.MissingExtra: an environment of several agents needs PettingZoo (")
     assert last.endswith(f": {install_command('multi-agent')}")
+
+
+def test_zone_agents__reset_passes_a_snapshot_on_and_no_other_option() -> None:
+    env = fake()
+    env.reset(seed=0, options={"option": 1})
+    with pytest.raises(InvalidConfig, match=r"options\['snapshot'\] is 's1'"):
+        env.reset(options={"snapshot": "s1", "option": 1})
+    with pytest.raises(InvalidAction, match="the action of each agent by its name expected"):
+        env.step(None)  # type: ignore[arg-type]
