@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import inspect
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -22,7 +23,11 @@ ATTRIBUTES = "attributes"
 """Key of the attributes of a custom reward, in the state of one that has no `state()` and `restore(state)`."""
 
 
-def from_function(function: RewardFunction | type) -> Reward:
+RewardClass = type | partial[Any]
+"""A class whose objects are such functions, or a `functools.partial` of one with its arguments."""
+
+
+def from_function(function: RewardFunction | RewardClass) -> Reward:
     """Return a reward that calls a function.
 
     Args:
@@ -30,7 +35,8 @@ def from_function(function: RewardFunction | type) -> Reward:
             by name (floats, or arrays of the leading shape if there are several slots) and the time at which the
             timestep began. It returns the reward, or terms by name that add up to the reward. A callable object may
             also have `reset(slots)`, `state()` and `restore(state)`, see `BoundReward`; without the last two, its
-            attributes are its state, and are copied. A class is instantiated without arguments for each environment.
+            attributes are its state, and are copied. A class is instantiated for each environment: without arguments,
+            or with those of a `functools.partial` of the class.
 
     Raises:
         InvalidConfig: the function does not take two arguments; at a step, it returned something other than a reward.
@@ -43,12 +49,19 @@ def from_function(function: RewardFunction | type) -> Reward:
     return _FunctionReward(function)
 
 
-def _signature_error(function: RewardFunction | type) -> str | None:
+def class_of(function: Any) -> type | None:
+    """Return the class of a `RewardClass`; None for anything else."""
+    kind = function.func if isinstance(function, partial) else function
+    return kind if isinstance(kind, type) else None
+
+
+def _signature_error(function: RewardFunction | RewardClass) -> str | None:
     """Return why it cannot be called with values and a time; None if it can, or has no signature."""
-    if isinstance(function, type) and not any("__call__" in vars(base) for base in function.__mro__):
+    kind = class_of(function)
+    if kind is not None and not any("__call__" in vars(base) for base in kind.__mro__):
         return "it has no __call__"
-    called: Any = function.__call__ if isinstance(function, type) else function
-    self_argument = [None] if isinstance(function, type) else []
+    called: Any = function if kind is None else kind.__call__
+    self_argument = [] if kind is None else [None]
     try:
         inspect.signature(called).bind(*self_argument, None, None)
     except TypeError as error:
@@ -59,12 +72,12 @@ def _signature_error(function: RewardFunction | type) -> str | None:
 
 
 class _FunctionReward:
-    def __init__(self, function: RewardFunction | type) -> None:
+    def __init__(self, function: RewardFunction | RewardClass) -> None:
         self._function, self.name = function, _name(function)
 
     def bind(self, manifest: Manifest) -> BoundReward:
-        function = instantiate(self._function) if isinstance(self._function, type) else self._function
-        return _BoundFunction(function, manifest)
+        function: Any = self._function
+        return _BoundFunction(function if class_of(function) is None else instantiate(function), manifest)
 
 
 def is_custom(reward: Reward) -> bool:
@@ -72,17 +85,18 @@ def is_custom(reward: Reward) -> bool:
     return isinstance(reward, _FunctionReward)
 
 
-def instantiate(kind: type) -> Any:
-    """Create an object of a class without arguments.
+def instantiate(kind: Any) -> Any:
+    """Create an object of a class without arguments, or with those of a partial.
 
     Raises:
-        InvalidConfig: the class needs arguments.
+        InvalidConfig: the class needs other arguments.
     """
     try:
         return kind()
     except (TypeError, ValueError) as error:
         raise InvalidConfig(
-            f"reward: {kind.__name__} cannot be instantiated without arguments ({error}); pass an object instead"
+            f"reward: {_name(kind)} cannot be instantiated without arguments ({error}); pass an object or a "
+            "functools.partial of it instead"
         ) from None
 
 
@@ -205,4 +219,5 @@ def finite_term(function: Any, name: object, term: Any, shape: tuple[int, ...] =
 
 
 def _name(function: Any) -> str:
+    function = function.func if isinstance(function, partial) else function
     return str(getattr(function, "__name__", type(function).__name__))

@@ -8,7 +8,7 @@ from typing import Any, cast
 from zenostat.agent_sdk.rewards.base import Reward
 from zenostat.agent_sdk.rewards.carbon import CarbonReward
 from zenostat.agent_sdk.rewards.config import RewardConfig
-from zenostat.agent_sdk.rewards.custom import RewardFunction, from_function, instantiate
+from zenostat.agent_sdk.rewards.custom import RewardFunction, class_of, from_function, instantiate
 from zenostat.agent_sdk.rewards.district import DistrictReward
 from zenostat.agent_sdk.rewards.energy_cost import EnergyCostReward, TariffReward
 from zenostat.agent_sdk.rewards.exponential import ExponentialReward
@@ -60,8 +60,9 @@ def read_reward(reward: AnyReward) -> Reward:
     """
     if isinstance(reward, str | Mapping):
         return _read_config(reward)
-    if hasattr(reward, "bind"):
-        return cast("Reward", instantiate(reward) if isinstance(reward, type) else reward)
+    kind = class_of(reward)
+    if hasattr(kind or reward, "bind"):
+        return cast("Reward", reward if kind is None else instantiate(reward))
     if callable(reward):
         return from_function(reward)
     raise InvalidConfig(

@@ -3,6 +3,7 @@
 import threading
 from collections.abc import Mapping, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -289,3 +290,21 @@ def test_rewards__example() -> None:
 
 def test_rewards__what_is_offered_is_there() -> None:
     assert [name for name in rewards.__all__ if not hasattr(rewards, name)] == []
+
+
+def test_own_reward__partial_of_a_class_is_instantiated_for_each_environment() -> None:
+    class Count:
+        def __init__(self, weight: float) -> None:
+            self.weight, self.calls = weight, 0
+
+        def __call__(self, values: Mapping[str, float], begin: datetime) -> float:
+            self.calls += 1
+            return self.weight * self.calls
+
+    reward = read_reward(partial(Count, 0.5))
+    for _ in range(2):
+        bound = reward.bind(NODE)
+        assert [bound(values(), SUMMER)[0] for _ in range(3)] == [0.5, 1.0, 1.5]
+    assert isinstance(read_reward(partial(LinearReward, weight=0.25)), LinearReward)
+    with pytest.raises(InvalidConfig, match="reward: Count cannot be instantiated without arguments"):
+        read_reward(Count).bind(NODE)
