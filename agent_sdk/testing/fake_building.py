@@ -93,7 +93,7 @@ class FakeBuilding:
         self._people = np.array([z.people for z in self.zones])
         self._equipment_w = np.array([z.equipment_w for z in self.zones])
         self._aperture_m2 = np.array([z.aperture_m2 for z in self.zones])
-        self._seeds = np.random.SeedSequence(0)
+        self._seeds = np.random.SeedSequence()
         self._episode, self._step = -1, 0
 
     @property
@@ -109,7 +109,8 @@ class FakeBuilding:
     def reset(self, seed: int | None = None) -> Floats:
         """Start an episode, and return the values of sample 0, shape (points,).
 
-        Equal seeds result in equal weather; without a seed, the sequence of the last seed (initially 0) continues.
+        Equal seeds result in equal weather; without a seed, the sequence of the last seed continues, and
+        that of a random one before the first.
         """
         if seed is not None:
             self._seeds = np.random.SeedSequence(seed)

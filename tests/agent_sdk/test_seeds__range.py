@@ -10,7 +10,7 @@ import zenostat
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
 from zenostat.agent_sdk.envs.vector_env import BuildingVectorEnv
 from zenostat.agent_sdk.envs.zone_agents import ZonesEnv
-from zenostat.agent_sdk.testing import FakeBuilding, FakeLink
+from zenostat.agent_sdk.testing import Climate, FakeBuilding, FakeLink
 from zenostat.agent_sdk.testing.fake_vector_env import FakeSlots
 from zenostat.topics.errors import InvalidConfig
 
@@ -60,3 +60,16 @@ def test_seeds__controller_without_gymnasium(bus: zenostat.Bus) -> None:
             with pytest.raises(InvalidConfig, match=RANGE):
                 link.reset(seed=seed)
         link.reset(seed=2**64 - 1)
+
+
+def test_seeds__array_that_is_no_number() -> None:
+    with pytest.raises(InvalidConfig, match=RANGE):
+        BuildingEnv(link=FakeLink()).reset(seed=np.array([3]))  # type: ignore[arg-type]
+
+
+def test_seeds__without_one_each_fake_building_draws_its_own_weather() -> None:
+    noisy = [FakeBuilding(climate=Climate(noise_k=2.0)) for _ in range(2)]
+    env = BuildingVectorEnv(2, link=FakeSlots(noisy))
+    first, again = env.reset()[0], env.reset()[0]
+    temperatures = [*first[:, 0].tolist(), *again[:, 0].tolist()]
+    assert len(set(temperatures)) == 4
