@@ -206,8 +206,11 @@ def restore_normalization(env: Any, folder: str | Path) -> None:
         except (OSError, ValueError) as error:
             raise InvalidConfig(f"{path}: one number per line expected ({error})") from None
         expected_shape = shape if name != "count" else (1,)
-        if loaded[name].shape != expected_shape or not np.isfinite(loaded[name]).all():
+        if loaded[name].shape != expected_shape:
             raise InvalidConfig(f"{path}: {int(np.prod(expected_shape))} numbers expected, got {loaded[name].size}")
+        if not np.isfinite(loaded[name]).all():
+            wrong = loaded[name][~np.isfinite(loaded[name])][0]
+            raise InvalidConfig(f"{path}: finite numbers expected, got {wrong}")
         if name == "var" and (loaded[name] < 0.0).any():
             raise InvalidConfig(f"{path}: {loaded[name].min():g} is no variance; numbers of at least 0 expected")
         if name == "count" and not loaded[name][0] > 0.0:

@@ -82,6 +82,9 @@ def test_loggers_and_statistics__statistics_that_do_not_fit_are_refused(tmp_path
         np.savetxt(tmp_path / f"{name}.txt", numbers)
     with pytest.raises(InvalidConfig, match=r"var\.txt: -1 is no variance"):
         w.restore_normalization(env, tmp_path)
+    np.savetxt(tmp_path / "var.txt", np.full(size, np.nan))
+    with pytest.raises(InvalidConfig, match=r"var\.txt: finite numbers expected, got nan"):
+        w.restore_normalization(env, tmp_path)
     np.savetxt(tmp_path / "var.txt", np.ones(size))
     with pytest.raises(InvalidConfig, match=r"count\.txt: 0 is no number of observations"):
         w.restore_normalization(env, tmp_path)
