@@ -227,7 +227,8 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
         """Create an environment that continues from the current sample independently of this one.
 
         The branch is a node of its own on the bus and ends with `close()`, or with this environment. It has a single
-        episode: it cannot be reset. `with env.unwrapped.branch() as b: b.step(action)`.
+        episode, cannot be reset, and has no pictures: its `render` returns None.
+        `with env.unwrapped.branch() as b: b.step(action)`.
 
         Args:
             slots: Number of copies, 1 to 256, which step together as a vector environment with `plan`; None: one copy,
@@ -411,14 +412,17 @@ class BuildingEnv(ConnectedEnv, gym.Env[Observation, Any]):
     def set_context(self, values: Mapping[str, float | None]) -> None:
         """Set actuators that belong to no action, from the next step until the next call; None relinquishes one.
 
+        A reset clears it.
+
         Raises:
             InvalidAction: Unknown actuator, one that an action sets, or a value out of bounds.
+            EpisodeChanged: Before the first reset.
         """
+        require_episode(self._sample)
         self._state.context |= self._actions.context(values)
 
     def renew_reward(self) -> None:
         """Let the reward forget what it has kept of earlier episodes, such as the maxima of `normalized`."""
-        require_episode(self._sample)
         if self.reward is not None:
             self._state.reward = self.reward.bind(self.manifest)
 

@@ -27,7 +27,7 @@ from zenostat.bridge.recording.file import next_recording
 from zenostat.bridge.runtime.affinity import Affinity
 from zenostat.bridge.runtime.processes import Monitor
 from zenostat.bridge.transport.session import certificate_file, keys_folder
-from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected
+from zenostat.topics.errors import BusError, EpisodeChanged, InvalidConfig, RequestRejected, UsageError
 from zenostat.topics.messages import Ack, Claim, Manifest, RecordingState, RecordingStatus, WeatherSeries
 
 NAME = "building"
@@ -320,6 +320,15 @@ class NodeConnection:
                 f"{building} has no reward, so every step pays 0.0; pass reward=, or reward=None if that is intended",
                 stacklevel=stacklevel + 1,
             )
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """Copy or pickle the connection of a fake building; refuse those to a node."""
+        if self._link is None or isinstance(self._link, ControllerLink):
+            raise UsageError(
+                "an environment of a node cannot be copied or pickled: branch() continues from its sample in a copy, "
+                "snapshot() keeps a state to return to, and zenostat.save_env describes it as a file to load"
+            )
+        return super().__reduce_ex__(protocol)
 
     def push_exit(self, exits: AbstractContextManager[object]) -> None:
         """Exit another context manager first when the connection closes."""

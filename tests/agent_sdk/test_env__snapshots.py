@@ -1,5 +1,7 @@
 """Going back to where a building stood: exactly there, any number of times, and a clear word where that cannot be."""
 
+import copy
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +28,15 @@ from support.nodes import NodeProgram, until, within
 
 from zenostat import wrappers as w
 from zenostat.agent_sdk.envs.building_env import BuildingEnv
-from zenostat.topics.errors import EngineDied, EpisodeChanged, InvalidConfig, NodeLost, RequestRejected, ZenostatError
+from zenostat.topics.errors import (
+    EngineDied,
+    EpisodeChanged,
+    InvalidConfig,
+    NodeLost,
+    RequestRejected,
+    UsageError,
+    ZenostatError,
+)
 from zenostat.topics.messages import CreateBranch, EngineStart, Reset
 
 STOCHASTIC = SMALL.replace("continuous", "continuous-stochastic")
@@ -253,6 +263,9 @@ def test_env__snapshot_that_cannot_be_gone_back_to_is_refused_by_name(office: Bu
         back(env, "s1")
     with pytest.raises(InvalidConfig, match=r"snapshot is 's1'; .*expected"):
         env.branch(snapshot="s1")  # type: ignore[call-overload]
+    for copied in (copy.deepcopy, pickle.dumps):
+        with pytest.raises(UsageError, match=r"cannot be copied or pickled: branch\(\) .*snapshot\(\) .*save_env"):
+            copied(env)
     with pytest.raises(InvalidConfig, match="unknown reset options"):
         env.reset(options={"snapshots": snapshot})
     with pytest.raises(InvalidConfig, match=r"is of another environment's node 'building'.*; take one of this"):
