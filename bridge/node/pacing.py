@@ -21,7 +21,7 @@ class Pacing:
     Attributes:
         pace: the schedule in mode `paced`.
         paused: whether it is paused, except for `steps_left` timesteps.
-        steps_left: timesteps that remain to be simulated while paused.
+        steps_left: timesteps that remain to be begun while paused.
     """
 
     def __init__(self, server: ServedNode) -> None:
@@ -38,6 +38,14 @@ class Pacing:
     def speed(self) -> float:
         """Simulated time per wall-clock time in mode `paced`."""
         return self.pace.speed
+
+    @property
+    def unfinished_steps(self) -> int:
+        """Timesteps that were requested while paused and are not simulated yet, with the present one; thread-safe."""
+        exchange = self._server.exchange
+        if not self.paused or exchange.state in (State.ENDED, State.FAILED):
+            return 0
+        return self.steps_left + (exchange.state is State.RUNNING)
 
     def declare(self) -> None:
         """Answer requests on pace, pauses and steps."""

@@ -276,6 +276,7 @@ class RequestHandlers:
         server = self._server
         exchange, counts, pacing = server.exchange, server.exchange.counts, server.pacing
         run_period = server.plant.description.run_period
+        steps_left = pacing.unfinished_steps  # before `step`: a timestep that ends meanwhile is counted
         return Status(
             node=server.manifest.node,
             state=exchange.state,
@@ -286,6 +287,7 @@ class RequestHandlers:
             step=exchange.step,
             speed=pacing.speed,
             paused=pacing.paused,
+            steps_left=steps_left,
             policy=exchange.policy,
             steps=run_period.steps,
             time=[run_period.time(step).isoformat() for step in exchange.step],

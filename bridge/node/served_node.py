@@ -26,6 +26,10 @@ class PaceStatus(Protocol):
         """Whether it is paused."""
 
     @property
+    def unfinished_steps(self) -> int:
+        """Timesteps that are not simulated yet."""
+
+    @property
     def speed(self) -> float:
         """Simulated time per wall-clock time."""
 

@@ -240,11 +240,11 @@ class NodeServer:
     def step(self) -> None:
         """Simulate a timestep: send the commands to the plant, publish the sample."""
         exchange = self.exchange
-        self.pacing.step_started()
         began_s = monotonic()
         if exchange.commands.has_expiries:
             self.publish_events(exchange.intake.expire(self.elapsed_s))
         commands = exchange.begin_step(began_s)
+        self.pacing.step_started()
         if self.injection is not None:
             commands = self.injection.apply_to_commands(commands, exchange.step)
         self.received = commands

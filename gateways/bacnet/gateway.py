@@ -15,7 +15,7 @@ from zenostat.gateways.bacnet.node_state import NodeState
 from zenostat.gateways.bacnet.point_objects import AnalogInput, AnalogOutput, NodeObject
 from zenostat.gateways.bacnet.points import PointSpec, point_specs
 from zenostat.gateways.bacnet.services import NodeApplication
-from zenostat.gateways.bacnet.simulation_objects import Paused, control_objects
+from zenostat.gateways.bacnet.simulation_objects import StatusObject, control_objects
 from zenostat.gateways.clients import UNRESTRICTED, Clients
 from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.notices import Notices
@@ -105,7 +105,7 @@ class BacnetGateway:
             self._changed.clear()
             if self._application.is_subscribed(AnalogOutput):
                 await self._state.arrays.get()
-            if self._application.is_subscribed(Paused):
+            if self._application.is_subscribed(StatusObject):
                 await self._state.status.get()
             self._application.notify_subscribers()
             await asyncio.sleep(COV_INTERVAL_S)

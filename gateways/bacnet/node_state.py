@@ -62,10 +62,15 @@ class LatestReply(Generic[T]):
         self._asked = float("-inf")
         self._running: asyncio.Task[None] | None = None
 
-    async def get(self) -> T:
-        """Return the reply to a query that was sent after the current request arrived; the last one if that fails."""
-        request = current_request.get()
-        since = request.arrived if request else asyncio.get_running_loop().time()
+    async def get(self, since: float | None = None) -> T:
+        """Return the reply to a query that was sent after the current request arrived; the last one if that fails.
+
+        Args:
+            since: earliest time of the query on the loop's clock, in place of the arrival.
+        """
+        if since is None:
+            request = current_request.get()
+            since = request.arrived if request else asyncio.get_running_loop().time()
         while self._asked < since:
             if self._running is None:
                 self._running = asyncio.create_task(self._refresh())
@@ -99,7 +104,6 @@ class NodeState:
         self.node, self._source, self._changed = node, source, changed
         self.arrays: LatestReply[dict[str, list[PriorityValue]]] = LatestReply(node.priorities, {})
         self.status: LatestReply[Status | None] = LatestReply(self._ask_status, None)
-        self._target: tuple[int, int] | None = None
         self.set_manifest(node.manifest)
         node.listeners.samples.append(self._on_sample)
         node.listeners.events.append(lambda _: changed())
@@ -184,25 +188,22 @@ class NodeState:
 
     @property
     def steps_left(self) -> int:
-        """Timesteps that the paused node still has to simulate of those that were requested here."""
-        sample = self.sample
-        if self._target is None or sample is None or sample.truncated or self.has_failed or not self.node.is_online:
+        """Timesteps that the paused node still has to simulate before its sample, by its latest status."""
+        status, sample = self.status.value, self.sample
+        if status is None or not status.paused or not self.node.is_online:
             return 0
-        episode, step = self._target
-        return max(0, step - sample.step) if sample.episode == episode else 0
+        simulated = sample.step - status.step[0] if sample and sample.episode == status.episode[0] else 0
+        return max(0, status.steps_left - simulated)
 
     async def advance(self, steps: int) -> None:
-        """Let the paused node simulate some timesteps; return when it has, or after two seconds.
+        """Let the paused node simulate some timesteps; return when it has, or after one second.
 
         Raises:
             RequestRejected: it is not paused, or its episode is over.
             NodeLost: it is gone, or does not reply.
         """
-        sample = self.sample
-        if sample is None or sample.truncated:
-            raise RequestRejected("the episode is over; reset the node to start another one")
         await self._command(keys.STEP, StepRequest(steps=steps, source=self.source()))
-        self._target = (sample.episode, sample.step + steps)
+        await self.status.get(since=asyncio.get_running_loop().time())
         try:
             await self.node.wait_for(lambda: not self.steps_left, timeout_s=ANSWER_S / 2, what="the last timestep")
         except (RequestRejected, NodeLost):

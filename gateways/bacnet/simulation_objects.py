@@ -14,12 +14,22 @@ from zenostat.gateways.bacnet.node_state import NodeState
 from zenostat.gateways.bacnet.point_objects import NodeObject, real
 
 
+class StatusObject(NodeObject):
+    """An object whose value is in the node's status."""
+
+    async def read_property(self, attr: Any, index: int | None = None) -> Any:
+        """Return a property's value, as of after the request."""
+        if (attr if isinstance(attr, str) else attr.attr) == "presentValue":
+            await self._state.status.get()
+        return await super().read_property(attr, index)
+
+
 class _AnalogValue(NodeObject, AnalogValueObject):
     def __init__(self, state: NodeState, fixed: FixedObject, **properties: Any) -> None:
         super().__init__(state, **_properties(fixed), units="noUnits", covIncrement=0.0, **properties)
 
 
-class Advance(_AnalogValue):
+class Advance(StatusObject, _AnalogValue):
     """Number of timesteps that the paused node still has to simulate; a write requests some."""
 
     _writable = frozenset({"presentValue", "covIncrement"})
@@ -38,6 +48,7 @@ class Advance(_AnalogValue):
             raise PropertyError("invalidDataType")
         if not (1 <= value <= MAX_STEPS and float(value).is_integer()):
             raise PropertyError("valueOutOfRange")
+        await self._state.status.get()
         if self._state.steps_left:
             raise ExecutionError("device", "deviceBusy")
         await self._state.advance(int(value))
@@ -69,7 +80,7 @@ class Episode(_AnalogValue):
         return real(sample.episode if sample else 0)
 
 
-class Paused(NodeObject, BinaryValueObject):
+class Paused(StatusObject, BinaryValueObject):
     """Whether the node is paused; a write pauses or resumes it."""
 
     _writable = frozenset({"presentValue"})
@@ -82,12 +93,6 @@ class Paused(NodeObject, BinaryValueObject):
         """Active while it is paused."""
         status = self._state.status.value
         return BinaryPV("active" if status is not None and status.paused else "inactive")
-
-    async def read_property(self, attr: Any, index: int | None = None) -> Any:
-        """Return a property's value, as of after the request."""
-        if (attr if isinstance(attr, str) else attr.attr) == "presentValue":
-            await self._state.status.get()
-        return await super().read_property(attr, index)
 
     async def command(self, value: Any, priority: int | None) -> None:  # noqa: ARG002 - not commandable: no priority
         """Pause or resume the node."""

@@ -4,6 +4,7 @@ import asyncio
 import math
 import socket
 import struct
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -338,6 +339,25 @@ async def test_bacnet_gateway__paused_node_steps_on_command_and_a_running_one_do
         assert await reader.write(PAUSED, BinaryPV("inactive")) == "ok"
         assert await reader.read(PAUSED) == "inactive"
         assert await reader.write(ADVANCE, 1.0) == "property write-access-denied"
+
+
+@pytest.mark.parametrize("cancel", [lambda bus: bus.pause("office"), lambda bus: bus.reset("office", Reset())])
+async def test_bacnet_gateway__steps_left_are_those_of_the_node_whoever_requests_or_cancels_them(
+    paused_bus: Bus, cancel: Callable[[Bus], object]
+) -> None:
+    paused_bus.pace("office", mode="lockstep")
+    async with served(paused_bus.endpoint) as (_, reader, _):
+        with paused_bus.controller("office", name="silent"):  # the node waits for its command
+            assert await reader.write(ADVANCE, 50.0) == "ok"
+            assert await reader.read(ADVANCE) == 50.0
+            assert await reader.write(ADVANCE, 1.0) == "device device-busy"
+            await asyncio.to_thread(cancel, paused_bus)
+            assert await reader.read(ADVANCE) == 0.0
+            await asyncio.to_thread(paused_bus.step, "office", 3)
+            assert await reader.read(ADVANCE) == 3.0
+            assert await reader.write(PAUSED, BinaryPV("active")) == "ok"
+            assert await reader.write(ADVANCE, 2.0) == "ok"
+            assert await reader.read(ADVANCE) == 2.0
 
 
 @pytest.mark.slow

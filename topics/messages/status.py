@@ -74,8 +74,9 @@ class ForkStatus(Message):
 class Status(Message):
     """Status of a node.
 
-    `faults`: the injected faults that are active now. `engine_private_bytes`, and `private_bytes` of snapshots and
-    branches: memory shared with no other process; 0 unless requested. `recording`: the present or the latest recording.
+    `steps_left`: timesteps that were requested of a paused node and are not simulated yet. `faults`: the injected
+    faults that are active now. `engine_private_bytes`, and `private_bytes` of snapshots and branches: memory shared
+    with no other process; 0 unless requested. `recording`: the present or the latest recording.
     """
 
     node: SafeName
@@ -85,6 +86,7 @@ class Status(Message):
     mode: Mode
     speed: float = 1.0
     paused: bool = False
+    steps_left: Count = 0
     policy: Policy = Policy.WAIT
     episode: list[Count]
     step: list[Count]
