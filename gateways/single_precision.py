@@ -25,3 +25,18 @@ def snapped(limits: Bounded, number: float) -> float:
         if bound is not None and math.isfinite(number) and single(bound) == number:
             return bound
     return number
+
+
+def double(value: float) -> float:
+    """Return the number with the fewest digits that is the same in single precision: 21.1, not 21.100000381."""
+    for digits in range(6, 9):
+        text = f"{value:.{digits}g}"
+        if single(float(text)) == single(value):
+            return float(text)
+    return value
+
+
+def intended(limits: Bounded, number: float) -> float:
+    """Return the number that a client means by one in single precision: a bound, or the one with the fewest digits."""
+    bound = snapped(limits, number)
+    return double(number) if bound == number else bound

@@ -23,7 +23,7 @@ from zenostat.gateways.bacnet.cov import CovCriteria
 from zenostat.gateways.bacnet.node_state import NodeState
 from zenostat.gateways.bacnet.points import PointSpec
 from zenostat.gateways.bacnet.units import bacnet_unit
-from zenostat.gateways.single_precision import single, snapped
+from zenostat.gateways.single_precision import intended, single
 from zenostat.topics.points import contains
 
 RESERVED_PRIORITY = 6
@@ -37,15 +37,6 @@ _ArrayOfPropertyIdentifier = ArrayOf(PropertyIdentifier)
 def real(value: float) -> Real:
     """Return a value in single precision, infinite where that has no such number."""
     return Real(single(value))
-
-
-def double(value: float) -> float:
-    """Return the number with the fewest digits that is the same in single precision: 21.1, not 21.100000381."""
-    for digits in range(6, 9):
-        text = f"{value:.{digits}g}"
-        if single(float(text)) == single(value):
-            return float(text)
-    return value
 
 
 class NodeObject(Object):
@@ -226,9 +217,7 @@ class AnalogOutput(_Analog, AnalogOutputObject):
         if isinstance(value, Null):
             await self._state.write(self._spec.name, None, priority)
             return
-        spec, received = self._spec, single(value)
-        bound = snapped(spec, received)
-        number = double(value) if bound == received else bound
+        spec, number = self._spec, intended(self._spec, single(value))
         if not contains(spec, number):
             raise PropertyError("valueOutOfRange")
         await self._state.write(spec.name, number, priority)

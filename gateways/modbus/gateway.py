@@ -15,7 +15,7 @@ from zenostat.gateways.modbus.server import ExceptionCode, ModbusException, Modb
 from zenostat.gateways.node_client import NodeClient
 from zenostat.gateways.notices import Notices
 from zenostat.gateways.points import effective_value, is_effective, readings
-from zenostat.gateways.single_precision import single, snapped
+from zenostat.gateways.single_precision import intended, single
 from zenostat.topics.errors import AccessDenied, InvalidAction, RequestRejected, UnknownName, ZenostatError
 from zenostat.topics.keys import is_own
 from zenostat.topics.messages import Actuator, Manifest
@@ -190,7 +190,7 @@ class ModbusGateway:
         numbers = [self._float_of(values[i : i + 2]) for i in range(0, len(values), 2)]
         targets = self._actuators[address // 2 : address // 2 + len(numbers)]
         self._check(peer, targets)
-        numbers = [snapped(actuator, number) for actuator, number in zip(targets, numbers, strict=True)]
+        numbers = [intended(actuator, number) for actuator, number in zip(targets, numbers, strict=True)]
         if not all(contains(actuator, number) for actuator, number in zip(targets, numbers, strict=True)):
             raise ModbusException(ExceptionCode.ILLEGAL_DATA_VALUE)
         await self._write(peer, dict(zip((a.name for a in targets), numbers, strict=True)))

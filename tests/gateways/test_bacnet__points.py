@@ -11,8 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from zenostat.gateways.bacnet import units
-from zenostat.gateways.bacnet.point_objects import AnalogOutput, double, real
+from zenostat.gateways.bacnet.point_objects import AnalogOutput, real
 from zenostat.gateways.bacnet.points import point_specs
+from zenostat.gateways.single_precision import double
 from zenostat.topics.device_addresses import MAX_INSTANCE, ObjectKind, instance_number, instance_numbers
 from zenostat.topics.messages import Actuator, Manifest, Meter, Mode, Policy, Sensor, Versions
 

@@ -6,7 +6,7 @@ import struct
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from zenostat.gateways.single_precision import single, snapped
+from zenostat.gateways.single_precision import intended, single, snapped
 from zenostat.topics.messages import Actuator
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False, min_value=-1e30, max_value=1e30)
@@ -33,3 +33,9 @@ def test_single_precision__single_keeps_what_it_can_hold(value: float) -> None:
 def test_single_precision__infinity_is_no_bound_that_is_beyond_the_range() -> None:
     assert single(1e300) == math.inf
     assert snapped(Actuator(name="a", unit="1", high=1e300), math.inf) == math.inf
+
+
+def test_single_precision__decimal_that_a_client_has_rounded_is_intended() -> None:
+    limits = Actuator(name="a", unit="1", low=-17.8, high=1e6)
+    for number in (-17.8, 0.6, 21.1, 1e5):
+        assert intended(limits, single(number)) == number
