@@ -77,7 +77,8 @@ class NodeApplication(Application):
         source: beginning of the writers' names on the bus; the client's address follows.
         clients: names of clients, and what they may write.
         counts: counts of messages.
-        rejections: notices of writes that the node rejected, or that their client may not make.
+        rejections: notices of writes that the node rejected or that their client may not make, and of notifications
+            that cannot be sent.
     """
 
     def __init__(
@@ -293,8 +294,11 @@ class NodeApplication(Application):
     def notify_subscribers(self) -> None:
         """Send notifications of all objects that have changed enough."""
         for criteria in [*self._cov_detections.values()]:
-            if criteria.cov_subscriptions and criteria.is_due():
-                criteria.send_cov_notifications()
+            try:
+                if criteria.cov_subscriptions and criteria.is_due():
+                    criteria.send_cov_notifications()
+            except Exception as error:
+                self._rejections.add(f"no notification of {criteria.obj.objectName}: {type(error).__name__}: {error}")
 
     def remove_object(self, obj: Any) -> None:
         """Remove an object and cancel its subscriptions."""

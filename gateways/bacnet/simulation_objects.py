@@ -13,6 +13,9 @@ from zenostat.gateways.bacnet.fixed_objects import ADVANCE, EPISODE, MAX_STEPS, 
 from zenostat.gateways.bacnet.node_state import NodeState
 from zenostat.gateways.bacnet.point_objects import NodeObject, real
 
+_YEARS = range(255)
+"""Years since 1900 that a BACnet date can have (ASHRAE 135, clause 20.2.12); 255 is any year."""
+
 
 class StatusObject(NodeObject):
     """An object whose value is in the node's status."""
@@ -111,9 +114,9 @@ class SimulatedTime(NodeObject, DateTimeValueObject):
 
     @property
     def presentValue(self) -> DateTime:
-        """Date and time at the end of the timestep; unspecified before the first sample."""
+        """Date and time at the end of the timestep; unspecified before the first sample, and in years BACnet lacks."""
         sample = self._state.sample
-        if sample is None:
+        if sample is None or sample.time.year - 1900 not in _YEARS:
             return DateTime(date=Date((255, 255, 255, 255)), time=Time((255, 255, 255, 255)))
         time = sample.time
         return DateTime(

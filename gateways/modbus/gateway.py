@@ -22,6 +22,7 @@ from zenostat.topics.messages import Actuator, Manifest
 from zenostat.topics.points import contains
 
 _EPOCH = datetime(1970, 1, 1)
+_MAX_UINT32 = 2**32 - 1
 
 
 class ModbusGateway:
@@ -146,7 +147,7 @@ class ModbusGateway:
             "map_checksum": self.map.checksum,
             "episode": sample.episode,
             "step": sample.step,
-            "time": int((sample.time - _EPOCH).total_seconds()) & 0xFFFFFFFF,
+            "time": min(max(int((sample.time - _EPOCH).total_seconds()), 0), _MAX_UINT32),
             "timestep": node.manifest.step_s,
         }
         header: list[int] = []

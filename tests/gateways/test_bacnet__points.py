@@ -2,6 +2,7 @@
 
 import math
 import struct
+from types import SimpleNamespace
 
 import pytest
 from bacpypes3 import basetypes
@@ -13,6 +14,8 @@ from hypothesis import strategies as st
 from zenostat.gateways.bacnet import units
 from zenostat.gateways.bacnet.point_objects import AnalogOutput, real
 from zenostat.gateways.bacnet.points import point_specs
+from zenostat.gateways.bacnet.services import NodeApplication
+from zenostat.gateways.notices import Notices
 from zenostat.gateways.single_precision import double
 from zenostat.topics.device_addresses import MAX_INSTANCE, ObjectKind, instance_number, instance_numbers
 from zenostat.topics.messages import Actuator, Manifest, Meter, Mode, Policy, Sensor, Versions
@@ -126,3 +129,26 @@ def test_bacnet__decimal_survives_the_way_through_single_precision() -> None:
     for text in ("21.1", "26.75", "0.35", "-17.8", "100000"):
         assert double(struct.unpack(">f", struct.pack(">f", float(text)))[0]) == float(text)
     assert (real(1e300), real(-1e300)) == (float("inf"), float("-inf"))
+
+
+def test_bacnet__notification_that_fails_is_named_and_the_others_are_sent() -> None:
+    class Criteria:
+        cov_subscriptions = (1,)
+
+        def __init__(self, name: str) -> None:
+            self.obj = SimpleNamespace(objectName=name)
+
+        def is_due(self) -> bool:
+            return True
+
+        def send_cov_notifications(self) -> None:
+            if self.obj.objectName == "bad":
+                raise ValueError("no such date")
+            sent.append(self.obj.objectName)
+
+    sent: list[str] = []
+    notices: list[str] = []
+    detections = {name: Criteria(name) for name in ("bad", "good")}
+    application = SimpleNamespace(_cov_detections=detections, _rejections=Notices(notices.append))
+    NodeApplication.notify_subscribers(application)
+    assert (sent, notices) == (["good"], ["no notification of bad: ValueError: no such date"])
