@@ -181,9 +181,9 @@ class NodeClient:
         """
         return await self._written.relinquish(self.ask, self.manifest)
 
-    async def priorities(self) -> dict[str, list[PriorityValue]]:
-        """Return each actuator's priority array in slot 0 by its name: 16 entries, that of priority 1 first."""
-        return decode_priorities(await self.ask(keys.PRIORITIES, Query(), PriorityArrays), self.manifest)
+    async def priorities(self, slot: int = 0) -> dict[str, list[PriorityValue]]:
+        """Return each actuator's priority array in a slot by its name: 16 entries, that of priority 1 first."""
+        return decode_priorities(await self.ask(keys.PRIORITIES, Query(), PriorityArrays), self.manifest, slot)
 
     async def pause(self) -> None:
         """Pause the node, so that it steps on command; see `step`."""

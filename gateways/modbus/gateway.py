@@ -158,10 +158,10 @@ class ModbusGateway:
         values += [effective_value(sample, index) for index in range(len(self._actuators))]
         return header + self._float_registers(values)
 
-    async def _commands(self) -> list[float]:
+    async def _commands(self, slot: int = 0) -> list[float]:
         """Return the gateway's command for each actuator, of any client, as the node has it; NaN while relinquished."""
         try:
-            arrays = await self._node.priorities()
+            arrays = await self._node.priorities(slot)
         except ZenostatError as error:
             raise _exception(error) from None
         entries = [arrays[actuator.name][self._priority - 1] for actuator in self._actuators]
@@ -201,11 +201,12 @@ class ModbusGateway:
         _check_range(address, len(values), len(self._actuators))
         targets = self._actuators[address : address + len(values)]
         self._check(peer, targets)
-        commands = (await self._commands())[address : address + len(values)]
-        if any(bit and math.isnan(command) for bit, command in zip(values, commands, strict=True)):
+        slots = [await self._commands(slot) for slot in range(self._node.manifest.slots)]
+        is_commanded = [not all(map(math.isnan, commands)) for commands in zip(*slots, strict=True)]
+        states = [*zip(targets, values, is_commanded[address : address + len(values)], strict=True)]
+        if any(bit and not commanded for _, bit, commanded in states):
             raise ModbusException(ExceptionCode.ILLEGAL_DATA_VALUE)  # there is no value to command
-        commanded = zip(targets, values, commands, strict=True)
-        await self._write(peer, {a.name: None for a, bit, value in commanded if not bit and not math.isnan(value)})
+        await self._write(peer, {actuator.name: None for actuator, bit, commanded in states if commanded and not bit})
 
     def _check(self, peer: Peer, actuators: Sequence[Actuator]) -> None:
         """Raise the exception of an illegal function unless a client may write all of some actuators."""

@@ -75,6 +75,20 @@ def test_modbus__relinquishes_what_it_commanded_although_a_client_is_connected(
 
 
 @pytest.mark.slow
+def test_modbus__coil_relinquishes_a_command_that_another_slot_alone_has(room: NodeProgram, bus: Bus) -> None:
+    with (
+        RunningGateway("modbus", "room", "--connect", room.endpoint, "--address", "127.0.0.1:0") as gateway,
+        ModbusTcpClient("127.0.0.1", port=gateway.port, timeout=20) as client,
+    ):
+        registers = list(struct.unpack(">HH", struct.pack(">f", 500.3)))
+        assert not client.write_registers(0, registers, device_id=1).isError()
+        bus.reset("room", Reset(slots=[0]))
+        assert commands(bus) == [{}, {8: (500.3, "modbus"), 12: (900.0, "operator")}]
+        assert not client.write_coil(0, False, device_id=1).isError()
+        assert commands(bus) == [{}, OTHERS[1]]
+
+
+@pytest.mark.slow
 @pytest.mark.variants
 @needs_broker
 @ENDS
