@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(slots=True)
 class Counts:
-    """Numbers of published samples, of samples dropped since the broker was slow or away, and of commands.
+    """Numbers of published samples, of samples and events dropped as the broker was slow or away, and of commands.
 
     Attributes:
         denied: rejected commands that their client may not send.

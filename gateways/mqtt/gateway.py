@@ -47,7 +47,7 @@ from zenostat.topics.keys import own_name
 from zenostat.topics.messages import Event, Manifest
 
 MAX_WAITING = 1000
-"""Largest number of commands, samples or events that wait; further commands are rejected, older samples dropped."""
+"""Largest number of commands, samples or events that wait; further commands are rejected, the oldest others dropped."""
 
 MAX_RESULTS = 20_000
 """Largest number of results that wait while the broker is away or slow; beyond, the oldest are dropped."""
@@ -153,7 +153,7 @@ class MqttGateway:
         """Return counts for the last line."""
         counts = self.counts
         return (
-            f"{counts.samples} samples published, {counts.dropped} dropped; "
+            f"{counts.samples} samples published, {counts.dropped} samples and events dropped; "
             f"{counts.accepted} commands accepted, {counts.rejected} rejected, {counts.denied} of them denied; "
             f"{counts.refused} messages refused by the broker, {counts.reconnections} reconnections"
         )
@@ -255,13 +255,14 @@ class MqttGateway:
     # From the node
 
     def _on_sample(self, sample: SampleView) -> None:
-        if len(self._samples) == MAX_WAITING:
-            self.counts.dropped += 1
-        self._samples.append(sample_json(sample, readings(self._node.manifest)))
-        self._has_output.set()
+        self._queue(self._samples, sample_json(sample, readings(self._node.manifest)))
 
     def _on_event(self, event: Event) -> None:
-        self._events.append(event_json(event))
+        self._queue(self._events, event_json(event))
+
+    def _queue(self, waiting: deque[str], text: str) -> None:
+        self.counts.dropped += len(waiting) == MAX_WAITING
+        waiting.append(text)
         self._has_output.set()
 
     def _on_change(self, _: bool | Manifest) -> None:  # noqa: FBT001
@@ -275,7 +276,7 @@ class MqttGateway:
             await self._has_output.wait()
             self._has_output.clear()
             await self._publish_state(client)
-            while self._results or self._events or self._samples:
+            for _ in range(len(self._results) + len(self._events) + len(self._samples)):  # those to come: next time
                 await self._publish_next(client)
             await self._publish_points(client)
 
@@ -286,7 +287,7 @@ class MqttGateway:
         elif self._events:
             await client.send(f"{self._root}/event", self._events[0], qos=1)
             self._events.popleft()
-        else:
+        elif self._samples:
             self.counts.samples += await client.send(f"{self._root}/sample", self._samples.popleft())
 
     async def _publish_result(self, client: BrokerClient, result: Result) -> None:
