@@ -15,6 +15,9 @@ from zenostat.topics.messages.base import ANONYMOUS
 
 M = TypeVar("M", bound=Message)
 
+MAX_SOURCES = 1000
+"""Largest number of sources that are noted for an actuator at a priority."""
+
 
 class Ask(Protocol):
     """Sends a request to a node; see `NodeClient.ask`."""
@@ -45,34 +48,31 @@ class Relinquished:
 
 
 class WrittenCommands:
-    """The sources of the latest commands, by actuator and priority.
+    """The sources of commands, by actuator and priority: the latest `MAX_SOURCES` of each.
 
-    A command that has been relinquished stays among them, since a return to a snapshot brings it back.
+    A command that has been relinquished or replaced stays among them, since a return to a snapshot brings it back.
     """
 
     def __init__(self) -> None:
-        self._sources: dict[tuple[str, int], set[str]] = {}
+        self._sources: dict[tuple[str, int], dict[str, None]] = {}
 
     def __bool__(self) -> bool:
         return any(self._sources.values())
 
     @contextmanager
     def sending(self, actuator: str, priority: int, source: str) -> Iterator[None]:
-        """Note a command that the context sends and that replaces the former one, unless the node rejects it.
-
-        Without a reply, either of them may be in force.
-        """
-        sources, own = self._sources.setdefault((actuator, priority), set()), source or ANONYMOUS
+        """Note a command that the context sends, unless the node rejects it."""
+        sources, own = self._sources.setdefault((actuator, priority), {}), source or ANONYMOUS
         is_new = own not in sources
-        sources.add(own)
+        sources[own] = sources.pop(own, None)  # the latest is the last
         try:
             yield
         except (UsageError, RequestRejected):
             if is_new:
-                sources.discard(own)
+                sources.pop(own, None)
             raise
-        sources.clear()
-        sources.add(own)
+        if len(sources) > MAX_SOURCES:
+            del sources[next(iter(sources))]
 
     async def relinquish(self, ask: Ask, manifest: Manifest) -> Relinquished:
         """Relinquish the commands that are still in force; see `NodeClient.relinquish_written`.
