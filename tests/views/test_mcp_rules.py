@@ -100,7 +100,7 @@ class OneNodeBus:
         self.written: list[tuple[str, float | None, int, float | None, str]] = []
         self.arrays: dict[str, list[PriorityValue]] = {}
 
-    def priorities(self, _: str) -> dict[str, list[PriorityValue]]:
+    def priorities(self, _: str, slot: int = 0) -> dict[str, list[PriorityValue]]:
         free = [PriorityValue(None, None)] * 16
         return {name: self.arrays.get(name, free) for name in ("core_cooling", "hall_cooling", "valve")}
 
@@ -139,6 +139,18 @@ def writer(*rules: str, **limits: Any) -> tuple[Writer, OneNodeBus, list[float]]
     bus, now_s = OneNodeBus(), [0.0]
     parsed = WriteLimits([WriteRule.parse(rule) for rule in rules], **limits)
     return Writer(bus, "mcp", parsed, clock=lambda: now_s[0]), bus, now_s  # type: ignore[arg-type]
+
+
+def test_writer__value_of_another_program_in_any_slot_is_kept() -> None:
+    allowed, bus, _ = writer("core_*=22:26")
+    free, bus.arrays["core_cooling"] = [PriorityValue(None, None)] * 16, [PriorityValue(20.0, "dr")] * 16
+    bus.priorities = lambda _, slot=0: bus.arrays if slot else {"core_cooling": free}  # type: ignore[method-assign]
+    manifest = MANIFEST.model_copy(update={"slots": 2})
+    with pytest.raises(RequestRejected, match="in use by dr"):
+        allowed.write(manifest, "core_cooling", 25.0, 60.0)
+    with pytest.raises(RequestRejected, match="in use by dr"):
+        allowed.relinquish(manifest, "core_cooling")
+    assert bus.written == []
 
 
 def test_writer__write_has_its_name_its_priority_and_an_expiry() -> None:

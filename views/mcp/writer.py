@@ -186,13 +186,17 @@ class Writer:
             raise AccessDenied(f"a write lasts up to {longest_s / 60:g} simulated minutes, not {duration_s / 60:g}")
 
     def _check_holder(self, manifest: Manifest, name: str) -> bool:
-        """Return whether this writer holds its priority of an actuator; `RequestRejected` if another one does."""
-        entry = self._bus.priorities(manifest.node)[name][self.limits.priority - 1]
-        if entry.value is None:
-            return False
-        if entry.source != own_name(self._bus.identity, self._source):
-            raise RequestRejected(f"priority {self.limits.priority} of {name} is in use by {entry.source}")
-        return True
+        """Return whether this writer holds its priority of an actuator in a slot.
+
+        Raises:
+            RequestRejected: another writer holds it in a slot.
+        """
+        arrays = [self._bus.priorities(manifest.node, slot=slot)[name] for slot in range(manifest.slots)]
+        held = [entry for array in arrays if (entry := array[self.limits.priority - 1]).value is not None]
+        for entry in held:
+            if entry.source != own_name(self._bus.identity, self._source):
+                raise RequestRejected(f"priority {self.limits.priority} of {name} is in use by {entry.source}")
+        return bool(held)
 
     def _try(self, manifest: Manifest, name: str, value: float) -> None:
         """Simulate the next timestep with a value on a copy, where the plant can be copied.
