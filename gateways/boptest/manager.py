@@ -159,8 +159,14 @@ class TestManager:
         entry.started.wait()
         if entry.test is None:
             raise UnknownTest(testid)
-        entry.used_s = monotonic()
+        self._mark_used(entry)
         return entry.test
+
+    def _mark_used(self, entry: _Entry | None) -> None:
+        """Count a test as used now, and those of which it is a branch."""
+        while entry is not None:
+            entry.used_s = monotonic()
+            entry = self._entries.get(entry.parent)
 
     @contextmanager
     def use(self, testid: str) -> Iterator[ExtendedTest]:
@@ -176,7 +182,7 @@ class TestManager:
             try:
                 yield test
             finally:
-                entry.used_s = monotonic()
+                self._mark_used(entry)
 
     def client_of(self, testid: str) -> str:
         """Return the name of the client that started a test, empty without one; `UnknownTest` if there is none."""

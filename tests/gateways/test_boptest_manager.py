@@ -40,3 +40,20 @@ def test_boptest_manager__test_is_not_idle_after_a_request_longer_than_the_timeo
             pass
     finally:
         manager.close()
+
+
+def test_boptest_manager__test_is_not_idle_while_its_branch_is_used() -> None:
+    manager = TestManager(None, read_rates(), timeout_s=TIMEOUT_S)
+    try:
+        for testid, parent in (("a", ""), ("b", "a"), ("c", "b")):
+            entry = manager._entries[testid] = _Entry(TestCase("small"), parent=parent)
+            entry.test, entry.used_s = Building(), monotonic() - 2 * TIMEOUT_S
+            entry.started.set()
+        with manager.use("c"):
+            pass
+        manager.stop("c")
+        for testid in ("a", "b"):
+            manager._end_idle(testid)
+        assert manager.tests() == ["a", "b"]
+    finally:
+        manager.close()
