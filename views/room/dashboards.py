@@ -29,7 +29,7 @@ _HELP = {
     "zenostat_node_alarms": ("gauge", "Alarms that are not normal, by state."),
     "zenostat_node_faults": ("gauge", "Injected faults that are active."),
     "zenostat_node_overruns_total": ("counter", "Paced timesteps that were late."),
-    "zenostat_node_commands_total": ("counter", "Commands and writes by outcome."),
+    "zenostat_node_commands_total": ("counter", "Commands of controllers by outcome; of writes, those not accepted."),
     "zenostat_node_step_milliseconds": ("gauge", "Duration of a timestep, by statistic."),
     "zenostat_node_memory_bytes": ("gauge", "Memory of the node and its engines."),
     "zenostat_controller_connected": ("gauge", "Whether a controller with a claim is connected."),
