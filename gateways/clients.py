@@ -195,15 +195,16 @@ class Clients:
 
         Args:
             client: its name; empty for one that is not in the file.
-            point: the actuator, or the object that is written.
+            point: the actuator, or the object that is written; `*` for a request that is no write of some.
         """
         if not self.is_restricted:
             return ""
         own = self._patterns(client)
         if EVERYTHING in own or (point != EVERYTHING and any(fnmatchcase(point, pattern) for pattern in own)):
             return ""
-        name = client or "a client that has no name in the file of clients"
-        return replace_controls(f"{name} may not write {point[:200]}; it may write {', '.join(own) or 'nothing'}")
+        name = client or "a client that neither --clients nor --allow names"
+        what = "make this request, for which it must be allowed '*'" if point == EVERYTHING else f"write {point[:200]}"
+        return replace_controls(f"{name} may not {what}; it may write {', '.join(own) or 'nothing'}")
 
     def check(self, client: str, points: Iterable[str]) -> None:
         """Raise `AccessDenied` unless a client may write all of some points."""

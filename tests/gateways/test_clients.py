@@ -63,7 +63,12 @@ def test_clients__each_writes_what_its_name_permits_and_nothing_else(clients: Cl
     )
     assert clients.denial("plant", "node/advance") == ""
     assert clients.denial("display", "core_zn_cooling_setpoint").endswith("it may write nothing")
-    assert "no name" in clients.denial("", "core_zn_cooling_setpoint")
+    assert clients.denial("", "core_zn_cooling_setpoint").startswith(
+        "a client that neither --clients nor --allow names"
+    )
+    assert clients.denial("panel", "*") == (
+        "panel may not make this request, for which it must be allowed '*'; it may write core_*_setpoint"
+    )
     with pytest.raises(AccessDenied, match="may not write b"):
         clients.check("panel", ["core_zn_cooling_setpoint", "b"])
     assert (clients.may_write("panel"), clients.may_write("display"), clients.may_write("")) == (True, False, False)

@@ -93,7 +93,7 @@ def test_modbus__client_writes_under_its_name_what_it_may_and_others_nothing(
     assert "3 of them for writes that were denied" in out
     assert err.splitlines() == [
         f"a write of 127.0.0.1, unit 5, was denied: panel may not write {HEATING}; it may write *_cooling_setpoint",
-        "a write of 127.0.0.1, unit 6, was denied: a client that has no name in the file of clients may not write "
+        "a write of 127.0.0.1, unit 6, was denied: a client that neither --clients nor --allow names may not write "
         f"{COOLING}; it may write nothing",
     ]
 
