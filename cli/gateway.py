@@ -223,8 +223,9 @@ async def _serve(
             if not await _ends_before(starting, stopped):
                 return stopped.result()
             client, running = await starting
+            gone = f"gone, or it has revoked {opened.name}; waiting for it" if opened.name else "gone; waiting for it"
             client.listeners.presence.append(
-                lambda is_online: out.print(f"{node}: {'on the bus again' if is_online else 'gone; waiting for it'}")
+                lambda is_online: out.print(f"{node}: {'on the bus again' if is_online else gone}")
             )
             out.print(f"ready: {running.description}; press Ctrl-C to stop", soft_wrap=True, markup=False)
             stack.enter_context(reported(asyncio.get_running_loop().call_soon_threadsafe))

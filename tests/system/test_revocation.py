@@ -8,6 +8,7 @@ import pytest
 import zenoh
 from support.certificates import house_keys
 from support.events import events_of, next_event
+from support.gateways import RunningGateway
 from support.nodes import NodeProgram, free_port, until
 from support.run_cli import run_program
 from zenoh.handlers import FifoChannel
@@ -229,6 +230,14 @@ def test_connect__names_what_is_wrong(
     monkeypatch.chdir(pki)
     with pytest.raises(UsageError, match=text):
         zenostat.connect(node.endpoint, **{"keys": str(pki), **arguments})  # type: ignore[arg-type]
+
+
+@pytest.mark.slow
+def test_revoke__gateway_names_it_as_a_reason_why_it_has_no_node(node: NodeProgram, pki: Path, operator: Bus) -> None:
+    options = ("--connect", node.endpoint, "--keys", str(pki), "--address", "127.0.0.1:0")
+    with RunningGateway("modbus", "room", *options) as gateway:
+        operator.revoke("room", "gateway")
+        assert gateway.program.stdout.readline() == "room: gone, or it has revoked gateway; waiting for it\n"
 
 
 def test_revoke__what_cannot_be_revoked(node: NodeProgram, pki: Path, operator: Bus) -> None:
