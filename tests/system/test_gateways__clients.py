@@ -176,7 +176,7 @@ def test_mqtt__broker_binds_a_topic_to_its_user_who_writes_under_that_name(
             assert arrays[COOLING][7] == (26.5, "mqtt.panel.screen")
             assert arrays[HEATING][7] == (None, None)
             trusted.publish(f"{root}/actuator/{COOLING}/set", "28", 1)  # a topic without a user
-            assert "no name" in result(f"{root}/actuator/{COOLING}/result")["message"]
+            assert "neither --clients nor --allow" in result(f"{root}/actuator/{COOLING}/result")["message"]
 
 
 @needs_broker
