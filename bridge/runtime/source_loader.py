@@ -60,6 +60,7 @@ def make_importable(folder: Path) -> None:
     if (finder := _FolderFinder(str(folder))) not in sys.meta_path:
         importlib.invalidate_caches()
         sys.meta_path.insert(0, finder)
+        sys.path.append(finder.folder)  # which `multiprocessing` passes on to the processes that it spawns
 
 
 @contextmanager

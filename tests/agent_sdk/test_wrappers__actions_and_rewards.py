@@ -118,7 +118,7 @@ def test_wrappers__increments_that_cannot_be(wrong: Callable[[Any], Any], text: 
 
 
 def test_discrete_incremental_action__choice_may_be_an_array_of_one() -> None:
-    """As the `Discrete` action of an environment may be, which stable-baselines3 predicts as an array."""
+    """A `Discrete` action of an environment may be one, too: stable-baselines3 predicts an array."""
     env = w.DiscreteIncrementalAction(fake(), {"cool": 1.0}, {"heat": 20.0, "cool": 25.0})
     bare: FakeBuilding = env.unwrapped  # type: ignore[assignment]
     env.reset(seed=0)
