@@ -65,7 +65,9 @@ def test_vector_env__one_slot_is_a_vector_too(mode: AutoresetMode) -> None:
 @each_mode
 @pytest.mark.parametrize("seed", [None, 0, [5, None, 5]], ids=str)
 def test_vector_env__seeds_are_a_slots_own(seed: Any, mode: AutoresetMode) -> None:
-    run_both([fakes(3, mode), apart(3, mode)], mode, 30, seed)
+    envs = [fakes(3, mode), apart(3, mode)]
+    reset_both(envs, seed=1)  # without a seed, that of each slot continues
+    run_both(envs, mode, 30, seed)
 
 
 @each_mode
