@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from zenostat.models import energyplus
 from zenostat.models.building.conflicts import ProgramOverrides, thermostat_setpoints, thermostats
+from zenostat.models.building.external_files import versions_of_files
 from zenostat.models.building.model import Building, for_episode, write
 from zenostat.models.building.source_lines import locator
 from zenostat.models.input_format.source_model import ObjectsOfType
@@ -83,7 +84,7 @@ def schedule_values(building: Building, period: Period, weather: Path, names: li
         energyplus.call("schedules", model, json.dumps(names), weather, target, file=file, locate=locator(file))
 
     content = json.dumps([objects, names], sort_keys=True)
-    key = digest(content, _holidays(weather), energyplus.version(), _FORMAT)
+    key = digest(content, _holidays(weather), energyplus.version(), _FORMAT, *versions_of_files(objects))
     return np.frombuffer(cached_bytes(f"schedules/{key}.f64", make), np.float64).reshape(period.steps, len(names))
 
 
@@ -108,7 +109,8 @@ def scheduled_values(points: Points, building: Building, period: Period, weather
     if not leading:
         return {}
     places = tuple((i, sensor.key, sensor.lead_s) for i, sensor in leading.items())
-    key = (building.content, period, _holidays(weather), places)
+    files = tuple(versions_of_files(building.objects))
+    key = (building.content, files, period, _holidays(weather), places)
     if key not in _RECENT:
         names = sorted({sensor.key for sensor in leading.values()})
         values = schedule_values(building, period, weather, names)

@@ -12,10 +12,13 @@ from support.box_model import box_model, exit_code
 from zenostat.models.building.diagnostics import Severity, cached_diagnostics
 from zenostat.models.building.model import Building, check_runnable, read_building
 from zenostat.models.building.schedule_rules import schedule_findings
-from zenostat.models.catalog import find_building
+from zenostat.models.catalog import bundled_weathers, find_building
 from zenostat.models.input_format.idf_writer import write_idf
 from zenostat.models.input_format.layout import engine_layout
+from zenostat.models.points.schedules import schedule_values, scheduled_values
+from zenostat.models.points.selection import Points
 from zenostat.topics.errors import InvalidConfig
+from zenostat.topics.messages import Sensor
 
 HOURS = 8760
 VALUES = "0.5\n" * HOURS
@@ -137,6 +140,19 @@ def test_read_building__name_of_a_file_that_is_absolute_is_kept(tmp_path: Path) 
     path = tmp_path / "box.epJSON"
     path.write_text(json.dumps(box_model("S") | objects))
     assert read_building(find_building(str(path))).objects["Schedule:File"] == objects["Schedule:File"]
+
+
+@pytest.mark.process
+def test_schedule_values__follow_a_file_that_changes(tmp_path: Path) -> None:
+    building = read(schedule(VALUES, {}, tmp_path), tmp_path)
+    weather = bundled_weathers()[0].path
+    period = building.period("01-01", "01-01", 4)
+    ahead = Sensor(name="ahead", variable="Schedule Value", key="S", unit="", lead_s=900.0)
+    points = Points(sensors=(ahead,), meters=(), actuators=(), system=(False,), meter_parts=())
+    for value in (0.5, 0.7):
+        (tmp_path / "s.csv").write_text(f"{value}\n" * HOURS)
+        assert set(schedule_values(building, period, weather, ["S"]).flat) == {value}
+        assert set(scheduled_values(points, building, period, weather)[0]) == {value}
 
 
 @pytest.mark.slow
