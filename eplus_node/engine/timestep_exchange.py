@@ -186,9 +186,10 @@ class Engine:
             if handle != expected and not (expected == 0 and handle == -1):
                 raise LookupError(f"meter {name!r} has handle {handle}, expected {expected}")
         handles = [[int(handle) for _, handle in parts] for _, parts in spec["meters"]]
-        self.meters = [first for first, *_ in handles]
-        # Index in the frame, and the handles to add to what the first meter gives.
-        self.meter_sums = [(i, rest) for i, (_, *rest) in enumerate(handles, len(self.sensors)) if rest]
+        self.meters = [first for first, *_ in filter(None, handles)]
+        # Index in the frame, and the handles to add to what the first meter gives; a sum of none is 0.
+        self.meter_sums = [(i, rest) for i, (_, *rest) in enumerate(filter(None, handles), len(self.sensors)) if rest]
+        self.zero_meters = [i for i, parts in enumerate(handles, len(self.sensors)) if not parts]
         points = [*spec["sensors"], *spec["feedback"], *spec["actuators"]]
         for names, handle in zip(points, [*self.sensors, *self.feedback, *self.actuators], strict=True):
             if handle < 0:
@@ -243,6 +244,8 @@ class Engine:
                     values[index] += self.get_meter(state, handle)
         else:
             values.extend([0.0] * len(self.meters))  # meters start with the first timestep
+        for index in self.zero_meters:
+            values.insert(index, 0.0)
         values.extend(map(self.get_variable, repeat(state), self.feedback))
         if not isfinite(sum(values)):
             self._raise_not_finite(values)

@@ -114,5 +114,4 @@ class TargetFinder:
 
 
 def _of_meter(name: str, meter: MeterPoint) -> Target:
-    parts = meter.parts or (meter,)
-    return Target(name, meter.unit, summed=True, meters=tuple(part.name for part in parts))
+    return Target(name, meter.unit, summed=True, meters=tuple(part.name for part in meter.measured))

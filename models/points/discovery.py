@@ -20,7 +20,7 @@ from zenostat.models.weather import design_days
 from zenostat.models.weather.header import Header, read_header
 from zenostat.topics.cache import cached_bytes, digest
 from zenostat.topics.calendar import LEAP_YEAR
-from zenostat.topics.energyplus_names import HVAC_METERS
+from zenostat.topics.energyplus_names import FUELS, HVAC_METERS
 from zenostat.topics.errors import ModelError
 from zenostat.topics.units import unit_name
 
@@ -48,13 +48,18 @@ class MeterPoint:
 
     Attributes:
         index: its index in EnergyPlus's list, which is its handle; -1 for a sum.
-        parts: the meters that a sum adds up, in this order.
+        parts: the meters that a sum adds up, in this order; a sum of none is always 0.
     """
 
     name: str
     unit: str
     index: int
     parts: tuple[MeterPoint, ...] = ()
+
+    @property
+    def measured(self) -> tuple[MeterPoint, ...]:
+        """EnergyPlus's own meters to add up: the parts of a sum, else this meter."""
+        return (self,) if self.index >= 0 else self.parts
 
 
 class ActuatorPoint(NamedTuple):
@@ -166,11 +171,15 @@ def _read(content: bytes) -> PointCatalog:
 
 
 def hvac_meters(meters: Iterable[MeterPoint]) -> list[MeterPoint]:
-    """Return the sums of `HVAC_METERS` for the fuels that the HVAC of a model uses; its own meters keep their names."""
+    """Return the sums of `HVAC_METERS` for the fuels that a model uses; its own meters keep their names.
+
+    The HVAC's part of a fuel that only other end uses have is a sum of no meters.
+    """
     own = {meter.name.casefold(): meter for meter in meters}
     sums = []
-    for name, addends in HVAC_METERS.items():
+    for fuel, (name, addends) in zip(FUELS, HVAC_METERS.items(), strict=True):
         parts = tuple(own[addend.casefold()] for addend in addends if addend.casefold() in own)
-        if parts and name.casefold() not in own:
-            sums.append(MeterPoint(name, parts[0].unit, -1, parts))
+        total = own.get(f"{fuel}:Facility".casefold())
+        if (parts or total) and name.casefold() not in own:
+            sums.append(MeterPoint(name, (total or parts[0]).unit, -1, parts))
     return sums

@@ -134,7 +134,7 @@ def select_points(
         meters=tuple(m for m, _ in selected_meters),
         actuators=tuple(selected_actuators),
         system=tuple(variable.system for _, variable in selected_sensors),
-        meter_parts=tuple(meter.parts or (meter,) for _, meter in selected_meters),
+        meter_parts=tuple(meter.measured for _, meter in selected_meters),
         own_keys={replace_controls(key): key for key in _keys(available) if not key.isprintable()},
     )
 
@@ -347,8 +347,8 @@ def default_sensors(available: PointCatalog) -> dict[str, tuple[str, str]]:
 
 
 def default_meters(available: PointCatalog) -> dict[str, str]:
-    """Return the facility's meters of the fuels that the model uses, and the HVAC's electricity."""
-    names = {m.name for m in available.meters}
+    """Return the facility's meters of the fuels that the model uses, and the HVAC's electricity if it uses any."""
+    names = {m.name for m in available.meters if m.measured}
     candidates = [f"{fuel}:Facility" for fuel in FUELS] + ["HVAC:Electricity"]
     return {safe_name(name.replace(":", "_")): name for name in candidates if name in names}
 

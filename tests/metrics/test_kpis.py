@@ -1,5 +1,6 @@
 """BOPTEST's KPIs: by hand, by properties, and on the meters of a real building."""
 
+import json
 import math
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from support.box_model import box_model
 from support.builders import manifest, meter, sensor, view
 from support.examples import examples
 from support.nodes import SMALL
@@ -364,3 +366,28 @@ def test_kpis__energy_is_that_of_energyplus_own_meters_and_of_its_demand_rate() 
     assert gas.sum() < joules["NaturalGas:Facility"].sum()  # without hot water
     # EnergyPlus's own sum of the HVAC's electricity, by another way than meters.
     np.testing.assert_allclose(electricity, values["hvac_and_plant_power"] * 900.0, rtol=1e-6)
+
+
+@pytest.mark.process
+def test_kpis__fuels_that_only_other_end_uses_have_are_zero(tmp_path: Path) -> None:
+    model = box_model()
+    stove = {name: value for name, value in model["Lights"]["Lights"].items() if name != "lighting_level"}
+    model["GasEquipment"] = {
+        "Stove": stove | {"design_level_calculation_method": "EquipmentLevel", "design_level": 50.0}
+    }
+    (tmp_path / "box.epJSON").write_text(json.dumps(model))
+    settings: dict[str, Any] = {"building": str(tmp_path / "box.epJSON"), "weather": SMALL["weather"], "reward": None}
+    with gym.make("zenostat/Building-v1", **settings, monitoring=True, affinity="off") as env:
+        building: Any = env.unwrapped
+        metrics = MetricsAccumulator(building.manifest, prices={"electricity": 1.0, "gas": 1.0})
+        env.reset(seed=1)
+        metrics.add(building.sample)
+        for _ in range(96):
+            env.step(env.action_space.sample())
+            metrics.add(building.sample)
+    totals = metrics.result().metrics()
+    # 100 W of lights and 50 W of gas for a day.
+    assert (totals["electricity_kwh"], totals["natural_gas_kwh"]) == pytest.approx((2.4, 1.2))
+    assert (totals["hvac_electricity_kwh"], totals["hvac_natural_gas_kwh"]) == (0.0, 0.0)
+    kpis = ("ener_tot", "cost_tot", "pele_tot", "pgas_tot")
+    assert [totals[f"kpi.{name}"] for name in kpis] == [0.0] * len(kpis)

@@ -1,13 +1,14 @@
 """Unobserved points of a run: a scenario's own, and those that `monitoring` adds."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pytest
 
 from zenostat.models.building.model import Building
 from zenostat.models.points.discovery import ActuatorPoint, MeterPoint, PointCatalog, Variable, hvac_meters
 from zenostat.models.points.monitoring import with_monitoring, with_unobserved
-from zenostat.models.points.selection import Points, select_points
+from zenostat.models.points.selection import Points, default_meters, select_points
 from zenostat.topics.errors import UnknownName
 
 THERMOSTAT = "Zone Temperature Control"
@@ -80,6 +81,25 @@ def test_monitoring_points__zones_with_a_thermostat_the_weather_and_all_end_uses
     added_up = [tuple(part.name for part in parts) for parts in points.meter_parts]
     assert added_up == [parts.get(meter.meter, (meter.meter,)) for meter in points.meters]
     assert all(METERS[part.index] is part for parts in points.meter_parts for part in parts)
+
+
+def test_monitoring_points__fuel_that_the_hvac_does_not_use_has_a_meter_of_zero() -> None:
+    electric = tuple(meter for meter in METERS if meter.name != "Heating:NaturalGas")
+    catalog = replace(CATALOG, meters=(*electric, *hvac_meters(electric)))
+    points = with_monitoring(BUILDING, catalog, own())
+    assert {m.name: m.meter for m in points.meters} == {
+        name: meter for name, meter in ADDED_METERS.items() if meter != "Heating:NaturalGas"
+    }
+    parts = dict(zip((meter.meter for meter in points.meters), points.meter_parts, strict=True))
+    assert parts["HVAC:NaturalGas"] == ()
+    assert len(parts["HVAC:Electricity"]) == 2
+
+
+def test_default_meters__hvac_electricity_of_a_model_whose_hvac_uses_none_is_no_default() -> None:
+    meters = (MeterPoint("Electricity:Facility", "J", 0), MeterPoint("InteriorLights:Electricity", "J", 1))
+    catalog = replace(CATALOG, meters=(*meters, *hvac_meters(meters)))
+    assert catalog.meters[-1].name == "HVAC:Electricity"
+    assert set(default_meters(catalog).values()) == {"Electricity:Facility"}
 
 
 def test_monitoring_points__own_points_stay_first_and_are_measured_once() -> None:
