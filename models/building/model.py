@@ -275,16 +275,17 @@ def check_runnable(building: Building) -> None:
 
 
 def with_edits(building: Building, edits: Edits) -> Building:
-    """Return the building with a scenario's edits applied.
+    """Return the building with a scenario's edits applied; files that they name are those in the folder of the model.
 
     Raises:
         InvalidConfig: lists all errors of the edits.
     """
     if not edits:
         return building
+    objects = apply_edits(building.objects, edits)
     return Building(
         building.name,
-        apply_edits(building.objects, edits),
+        with_absolute_paths(objects, Path(building.file).parent) if building.file else objects,
         digest(building.content, json.dumps(edits, sort_keys=True)),
         building.notes,
         building.file,

@@ -10,7 +10,7 @@ import pytest
 from support.box_model import box_model, exit_code
 
 from zenostat.models.building.diagnostics import Severity, cached_diagnostics
-from zenostat.models.building.model import Building, check_runnable, read_building
+from zenostat.models.building.model import Building, check_runnable, read_building, with_edits
 from zenostat.models.building.schedule_rules import schedule_findings
 from zenostat.models.catalog import bundled_weathers, find_building
 from zenostat.models.input_format.idf_writer import write_idf
@@ -140,6 +140,14 @@ def test_read_building__name_of_a_file_that_is_absolute_is_kept(tmp_path: Path) 
     path = tmp_path / "box.epJSON"
     path.write_text(json.dumps(box_model("S") | objects))
     assert read_building(find_building(str(path))).objects["Schedule:File"] == objects["Schedule:File"]
+
+
+def test_with_edits__file_is_found_beside_the_model(tmp_path: Path) -> None:
+    path = tmp_path / "box.epJSON"
+    path.write_text(json.dumps(box_model("S") | schedule(VALUES, {}, tmp_path)))
+    building = read_building(find_building(str(path)))
+    edited = with_edits(building, {"Schedule:File": {"S": {"file_name": "occupancy.csv"}}})
+    assert edited.objects["Schedule:File"]["S"]["file_name"] == str(tmp_path / "occupancy.csv")
 
 
 @pytest.mark.process
