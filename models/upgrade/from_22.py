@@ -111,6 +111,9 @@ STEPS = (
         words=((r".*", r"(.*_)?fuel_type|fuel_use_type|resource(_type)?|existing_fuel_resource_name", _DISTRICT),),
         variables=(
             (r"(.+:)?DistrictHeating(:.+)?", r"\1DistrictHeatingWater\2"),
+            (r"(.+:)?Steam(:.+)?", r"\1DistrictHeatingSteam\2"),
+            (r"(.* Equipment )DistrictHeating( Energy| Rate)", r"\1DistrictHeatingWater\2"),
+            (r"(.* Equipment )Steam( Energy| Rate)", r"\1DistrictHeatingSteam\2"),
             (r"District Cooling (?:Chilled Water )?(Energy|Rate)", r"District Cooling Water \1"),
             (r"District Cooling (Inlet Temperature|Outlet Temperature|Mass Flow Rate)", r"District Cooling Water \1"),
             (r"District Heating (?:Hot Water )?(Energy|Rate)", r"District Heating Water \1"),
